@@ -69,6 +69,12 @@ inline void check_shape(const char* name, const py::array& array, const std::vec
   throw std::invalid_argument(std::string(name) + ": expected shape (" + text + "), got " + shape_of(array));
 }
 
+/// Throws std::invalid_argument when one of the numbers is NaN or infinite. They are an Eigen expression.
+template <class Numbers>
+void check_finite(const char* name, const Numbers& numbers) {
+  if (!numbers.allFinite()) throw std::invalid_argument(std::string(name) + ": must be finite");
+}
+
 /// Flattens points (rows, 3) to x0 y0 z0 x1 ... If `rows` is -1, any number is accepted.
 inline VectorXd flat_points(const char* name, const FloatArray& array, py::ssize_t rows) {
   check_shape(name, array, {rows, 3});

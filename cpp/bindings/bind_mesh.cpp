@@ -63,9 +63,15 @@ coordinate is NaN, a tet is flat or inside out, or a node belongs to no tet.)")
             const auto matrix = to_matrix<RowMajor>(values, "values");
             if (self.nodes.size() && self.nodes.maxCoeff() >= matrix.rows())
               throw std::invalid_argument("values: expected one row per node, got shape " + shape_of(values));
+            check_finite("values", matrix);
             return without_gil([&] { return RowMajor(self.matrix(matrix.rows()) * matrix); });
           },
           "values"_a, "Interpolates values (n, k) at the nodes to values (V, k) at the points.");
+}
+
+void check_ratio(double ratio) {
+  if (!(ratio >= 0 && ratio <= 1))
+    throw std::invalid_argument("ratio: expected a number from 0 to 1, got " + std::to_string(ratio));
 }
 
 py::dict to_dict(const Defects& d) {
@@ -149,6 +155,7 @@ progress: called with 0..1, returns False to cancel.)");
       [](const TetMesh& mesh, const Embedding& embedding, const FloatArray& values) {
         const MatrixXd v = to_matrix<RowMajor>(values, "values");
         check_rows(values, "values", embedding.nodes.rows());
+        check_finite("values", v);
         if (embedding.nodes.size() > 0 && embedding.nodes.maxCoeff() >= mesh.nodes.rows())
           throw std::invalid_argument("embedding: it belongs to another mesh");
         return without_gil([&] { return RowMajor(extend_to_nodes(mesh, embedding, v)); });
@@ -166,6 +173,9 @@ and normalize skin weights afterwards.)");
                      t = points(tails, "tails");
         const Triangles f = triangles(faces), g = triangles(skin_faces);
         check_rows(tails, "tails", h.rows());
+        check_finite("vertices", v);
+        check_finite("skin", s);
+        check_ratio(ratio);
         return without_gil([&] { return points_on_bones(v, f, s, g, h, t, ratio); });
       },
       "vertices"_a, "triangles"_a, "skin"_a, "skin_triangles"_a, "heads"_a, "tails"_a, "ratio"_a,
@@ -182,6 +192,7 @@ the bones at rest. All are in meters and in one space.)");
         const Points v = points(vertices, "vertices"), h = points(heads, "heads"), t = points(tails, "tails");
         const Triangles f = triangles(faces);
         check_rows(tails, "tails", h.rows());
+        check_ratio(ratio);
         return to_array(without_gil([&] { return pinned(mesh, v, f, h, t, ratio); }));
       },
       "mesh"_a, "vertices"_a, "triangles"_a, "heads"_a, "tails"_a, "ratio"_a,
@@ -211,6 +222,7 @@ Error like `closed_surface`.)")
           "at",
           [](const Thickness& self, const FloatArray& array) {
             const Points p = points(array, "points");
+            check_finite("points", p);
             const Thickness::Measures found = without_gil([&] { return self.at(p); });
             return std::make_pair(found.thickness, found.depth);
           },

@@ -28,9 +28,10 @@ void bind_morph_target(py::module_& m) {
            }),
            "name"_a, "displacement"_a, py::kw_only(), "lame_lambda"_a, "lame_mu"_a, "density"_a, "mass_damping"_a = 0.0,
            "stiffness_damping"_a = 0.0, "set"_a = 0, "shifted"_a = false,
-           "displacement (n, 3): meters, bind space, zero at pinned nodes. Lame's parameters are in Pa, the density in "
-           "kg/m^3, Rayleigh damping in 1/s (mass) and s (stiffness). set: index of the target set. shifted: the "
-           "target has the elasticity of the neutral shape, moved by the displacement.");
+           "displacement (n, 3): meters, bind space, zero at pinned nodes. Lame's parameters are in Pa, lame_lambda at "
+           "most 100 times lame_mu, the density in kg/m^3, Rayleigh damping in 1/s (mass) and s (stiffness). set: "
+           "index of the target set. shifted: the target has the elasticity of the neutral shape, moved by the "
+           "displacement.");
 }
 
 void bind_soft_body(py::module_& m) {

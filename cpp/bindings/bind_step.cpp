@@ -16,6 +16,7 @@ template <class Stepper>
 struct InTurn : Stepper {
   explicit InTurn(Stepper&& stepper) : Stepper(std::move(stepper)) {}
   mutable std::recursive_mutex turn;  ///< recursive, because keep_going may read the simulation that calls it
+  bool changes = false;               ///< whether a call that changes it is under way
 };
 
 template <class Stepper, class Function>
@@ -25,13 +26,28 @@ auto in_turn(const InTurn<Stepper>& stepper, const Function& function) {
   return function();
 }
 
+/// The same for a call that changes it. Throws std::invalid_argument within another one: from keep_going, that is.
+template <class Stepper, class Function>
+auto changing(InTurn<Stepper>& stepper, const Function& function) {
+  struct Under {
+    bool& way;
+    ~Under() { way = false; }
+  };
+  return in_turn(stepper, [&] {
+    if (stepper.changes) throw std::invalid_argument("keep_going: must not change the simulation that calls it");
+    const Under under{stepper.changes = true};
+    return function();
+  });
+}
+
 /// bones (J, B, 3, 4).
 template <class Stepper>
 void balance_targets_in(InTurn<Stepper>& stepper, const FloatArray& bones) {
   check_shape("bones", bones, {-1, -1, 3, 4});
   std::vector<Transforms> frames;
-  for (py::ssize_t j = 0; j < bones.shape(0); ++j) frames.push_back(transforms(bones.data(j, 0, 0, 0), bones.shape(1)));
-  in_turn(stepper, [&] { stepper.balance_targets(frames); });
+  const py::ssize_t count = bones.shape(1);
+  for (py::ssize_t j = 0; j < bones.shape(0); ++j) frames.push_back(transforms(bones.data() + 12 * count * j, count));
+  changing(stepper, [&] { stepper.balance_targets(frames); });
 }
 
 py::dict summary(const StepReport& worst, int steps, double seconds) {
@@ -50,7 +66,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
              if (!keep_going.is_none())
                asked = [keep_going] {
                  py::gil_scoped_acquire gil;
-                 return keep_going().cast<bool>();
+                 return answer("keep_going", keep_going());
                };
              return std::make_unique<Sim>(
                  Simulation<Model>(model, {h, scheme, gravity, tolerance, max_iterations, teleport, asked}));
@@ -67,7 +83,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "start",
           [](Sim& s, const FloatArray& now, const FloatArray& next, const VectorXd& weights) {
             const Transforms a = transforms("now", now), b = transforms("next", next);
-            return summary(in_turn(s, [&] { return s.start(a, b, weights); }), 0, 0);
+            return summary(changing(s, [&] { return s.start(a, b, weights); }), 0, 0);
           },
           "now"_a, "next"_a, "weights"_a,
           "Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to "
@@ -83,7 +99,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
             StepReport worst;
             const py::ssize_t steps = bones.shape(0), count = bones.shape(1);
             const auto begin = std::chrono::steady_clock::now();
-            in_turn(s, [&] {
+            changing(s, [&] {
               Transforms frame;
               VectorXd w;
               for (py::ssize_t i = 0; i < steps; ++i) {
@@ -114,7 +130,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
                                                   "external", *external, s.model().body().mesh.nodes.rows()))
                                             : VectorXd();
             const Transforms frame = transforms("bones", bones);
-            const StepReport report = in_turn(s, [&] { return s.solve_static(frame, weights, q, force); });
+            const StepReport report = changing(s, [&] { return s.solve_static(frame, weights, q, force); });
             return py::make_tuple(q, summary(report, 0, 0));
           },
           "bones"_a, "weights"_a, "external"_a = py::none(), "guess"_a = py::none(),
@@ -138,7 +154,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
             return py::make_tuple(state.q, state.bones);
           },
           [](Sim& s, const std::pair<std::array<VectorXd, 4>, std::array<Transforms, 4>>& state) {
-            in_turn(s, [&] { s.set_state({state.first, state.second}); });
+            changing(s, [&] { s.set_state({state.first, state.second}); });
           },
           "(coordinates, bones' transforms (B, 12)), each now and at the last three steps. Set it to resume a "
           "simulation.");
@@ -175,7 +191,7 @@ void bind_crowd(py::module_& m) {
             poses(crowd, "now", now, 4);
             poses(crowd, "next", next, 4);
             check_weights(crowd, weights, {});
-            return in_turn(crowd, [&] { return crowd.start(now.data(), next.data(), weights.data()).converged; });
+            return changing(crowd, [&] { return crowd.start(now.data(), next.data(), weights.data()).converged; });
           },
           "now"_a, "next"_a, "weights"_a,
           "Starts N characters from their static solutions at the bones `now` (N, B, 3, 4) and target weights (N, J). "
@@ -189,7 +205,7 @@ void bind_crowd(py::module_& m) {
             const py::ssize_t steps = bones.shape(0);
             CrowdReport all;
             const auto begin = std::chrono::steady_clock::now();
-            in_turn(crowd, [&] {
+            changing(crowd, [&] {
               for (py::ssize_t i = 0; i < steps; ++i) {
                 const CrowdReport report =
                     crowd.step(bones.data() + i * bones.size() / steps, weights.data() + i * weights.size() / steps);

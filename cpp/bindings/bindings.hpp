@@ -22,13 +22,23 @@ namespace dynamorph {
 
 using namespace py::literals;
 
+/// What the Python callable `name` answered, as a bool. Throws TypeError when it is none.
+inline bool answer(const char* name, const py::object& answered) {
+  try {
+    return answered.cast<bool>();
+  } catch (const py::cast_error&) {
+    throw py::type_error(std::string(name) + ": expected it to return a bool, got " +
+                         py::repr(py::type::of(answered)).cast<std::string>());
+  }
+}
+
 /// Wraps a Python callable `progress(fraction) -> bool` (or None) in a ProgressFn that acquires the GIL for each call.
 /// A Python exception raised inside it (KeyboardInterrupt, say) passes through to the caller.
 inline ProgressFn with_gil(const py::object& progress) {
   if (progress.is_none()) return {};
   return [progress](double fraction) {
     py::gil_scoped_acquire gil;
-    return progress(fraction).cast<bool>();
+    return answer("progress", progress(fraction));
   };
 }
 

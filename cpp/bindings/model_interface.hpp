@@ -2,8 +2,11 @@
 // The Python interface that both kinds of model share.
 #pragma once
 
+#include <cmath>
+
 #include "arrays.hpp"
 #include "bindings.hpp"
+#include "dynamorph/core/errors.hpp"
 #include "dynamorph/models/soft_body.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/reduced/arrow_matrix.hpp"
@@ -15,7 +18,15 @@ void check_coordinates(const Model& model, const VectorXd& q) {
   if (q.size() != model.dofs())
     throw std::invalid_argument("q: expected " + std::to_string(model.dofs()) + " coordinates, got " +
                                 std::to_string(q.size()));
+  check_finite("q", q);
 }
+
+/// Throws Error when what was computed of finite numbers is not finite.
+inline void check_result(bool finite) {
+  if (!finite) throw Error("The result is not finite: the numbers that it was asked for are too large.");
+}
+inline void check_result(const MatrixXd& m) { check_result(m.allFinite()); }
+inline void check_result(const SparseMatrix& m) { check_result(values(m).allFinite()); }
 
 template <class Model>
 int checked_target(const Model& model, int target) {
@@ -36,6 +47,7 @@ Points node_displacement(const Model& model, const VectorXd& q) {
   check_coordinates(model, q);
   VectorXd u;
   model.displacement(q, u);
+  check_result(u.allFinite());
   return as_points(model.body().expand(u));
 }
 
@@ -47,21 +59,28 @@ void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
           "energy",
           [](const Model& m, const VectorXd& weights, const VectorXd& q) {
             check_coordinates(m, q);
+            check_finite("weights", weights);
             typename Model::Blend blend;
             m.blend(weights, blend);
-            return m.energy(blend, q);
+            const double energy = m.energy(blend, q);
+            check_result(std::isfinite(energy));
+            return energy;
           },
           "weights"_a, "q"_a, "Elastic energy, J, at target weights (J) and coordinates q.")
       .def(
           "linearize",
           [](const Model& m, const VectorXd& weights, const VectorXd& q) {
             check_coordinates(m, q);
+            check_finite("weights", weights);
             typename Model::Blend blend;
             m.blend(weights, blend);
             VectorXd force;
             typename Model::Matrix stiffness = m.zero();
             const double energy = m.linearize(blend, q, force, stiffness);
-            return py::make_tuple(energy, force, as_numpy(stiffness));
+            const auto& matrix = as_numpy(stiffness);
+            check_result(std::isfinite(energy) && force.allFinite());
+            check_result(matrix);
+            return py::make_tuple(energy, force, matrix);
           },
           "weights"_a, "q"_a,
           "Returns (energy in J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q. The stiffness "
@@ -71,13 +90,19 @@ void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
           [](const Model& m, const FloatArray& bones, double density) {
             check_shape("bones", bones, {py::ssize_t(m.body().skin.cols()), 3, 4});
             const Transforms pose = transforms("bones", bones);
+            check_finite("bones", pose);
+            if (!(density > 0 && std::isfinite(density)))
+              throw std::invalid_argument("density: expected a finite number above zero, got " +
+                                          std::to_string(density));
             const VectorXd rest = VectorXd::Zero(m.dofs());
             InertialTarget still;
             still.q.fill(&rest);
             still.bones.fill(&pose);
             typename Model::Inertia out;
             m.inertia(still, {VectorXd::Constant(m.body().sets(), density), VectorXd::Zero(m.body().sets())}, out);
-            return as_numpy(out.mass);
+            const auto& matrix = as_numpy(out.mass);
+            check_result(matrix);
+            return matrix;
           },
           "bones"_a, "density"_a,
           "The mass matrix A^T M A in the model's coordinates, at the bones' transforms (B, 3, 4).")

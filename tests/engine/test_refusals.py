@@ -8,6 +8,7 @@ import math
 import dynamorph
 import numpy as np
 import pytest
+from dynamic_morph_targets.core.settings import Material
 from scenes import bar
 from test_hold import held_bar
 from test_physics import cantilever
@@ -74,6 +75,7 @@ def test_options_that_no_step_can_be_taken_with(stepper, option, value):
         ({"displacement": np.ones((12, 3))}, "displaces pinned nodes"),
         ({"lame_mu": 0.0}, "needs finite stiffness and density above zero"),
         ({"density": np.inf}, "needs finite stiffness and density above zero"),
+        (dict(zip(("lame_lambda", "lame_mu"), Material(poisson=0.4999).lame(), strict=True)), "ratio above 0.495"),
     ],
 )
 def test_targets_that_no_model_can_have(solver, changed, message):

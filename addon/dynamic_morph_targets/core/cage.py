@@ -76,8 +76,8 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
             stiffness = stiffness * of_thickness.stiffness
     if len(adrift) and np.concatenate(adrift).size == len(mesh.nodes):
         raise dynamorph.Error(
-            f"'{character.name}': no part of the cage is pinned to a bone: raise Bone Pinning or Cage Nodes, or paint "
-            "the Softness Map with 0 where it is attached"
+            f"'{character.name}': no part of the cage is pinned to a bone: raise Bone Pinning, set Hold to Thickness, "
+            "or paint the Softness Map with 0 where it is attached"
         )
     for nodes in adrift:
         pinned[nodes] = True

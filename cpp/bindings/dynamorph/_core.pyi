@@ -289,7 +289,7 @@ class MorphTarget:
     """
     def __init__(self, name: str, displacement: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], *, lame_lambda: typing.SupportsFloat | typing.SupportsIndex, lame_mu: typing.SupportsFloat | typing.SupportsIndex, density: typing.SupportsFloat | typing.SupportsIndex, mass_damping: typing.SupportsFloat | typing.SupportsIndex = 0.0, stiffness_damping: typing.SupportsFloat | typing.SupportsIndex = 0.0, set: typing.SupportsInt | typing.SupportsIndex = 0, shifted: bool = False) -> None:
         """
-        displacement (n, 3): meters, bind space, zero at pinned nodes. Lame's parameters are in Pa, the density in kg/m^3, Rayleigh damping in 1/s (mass) and s (stiffness). set: index of the target set. shifted: the target has the elasticity of the neutral shape, moved by the displacement.
+        displacement (n, 3): meters, bind space, zero at pinned nodes. Lame's parameters are in Pa, lame_lambda at most 100 times lame_mu, the density in kg/m^3, Rayleigh damping in 1/s (mass) and s (stiffness). set: index of the target set. shifted: the target has the elasticity of the neutral shape, moved by the displacement.
         """
 class SoftBody:
     """

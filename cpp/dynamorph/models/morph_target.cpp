@@ -7,6 +7,13 @@
 
 namespace dynamorph {
 
+namespace {
+
+/// Largest lambda / mu, which is Poisson's ratio 0.495: linear tetrahedra hardly move beyond it, whatever the forces.
+constexpr double kLocks = 100;
+
+}  // namespace
+
 void check_targets(const SoftBody& body, const std::vector<MorphTarget>& targets) {
   if (targets.empty()) throw std::invalid_argument("targets: at least one is needed");
   for (const MorphTarget& target : targets) {
@@ -23,6 +30,9 @@ void check_targets(const SoftBody& body, const std::vector<MorphTarget>& targets
     if (!(target.lame.mu > 0 && target.lame.lambda >= 0 && target.density > 0 && target.mass_damping >= 0 &&
           target.stiffness_damping >= 0 && std::isfinite(properties)))
       throw std::invalid_argument("targets: '" + target.name + "' needs finite stiffness and density above zero");
+    if (target.lame.lambda > kLocks * target.lame.mu)
+      throw std::invalid_argument("targets: '" + target.name +
+                                  "' has a Poisson's ratio above 0.495, at which tetrahedra lock: lower lame_lambda");
   }
 }
 

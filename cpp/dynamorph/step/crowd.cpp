@@ -14,12 +14,16 @@ namespace {
 
 using Eigen::Index;
 
+constexpr int kMost = 1000000;  ///< characters
+
 }  // namespace
 
 Crowd::Crowd(std::shared_ptr<const ReducedModel> model, StepOptions options, int size)
     : size_(size), alone_(std::move(model), std::move(options)) {
   alone_.model().modal_inertia();  // throws if there is none
-  if (size < 1) throw std::invalid_argument("size: expected at least one character, got " + std::to_string(size));
+  if (size < 1 || size > kMost)
+    throw std::invalid_argument("size: expected 1 to " + std::to_string(kMost) + " characters, got " +
+                                std::to_string(size));
 }
 
 void Crowd::balance_targets(const std::vector<Transforms>& bones) { alone_.balance_targets(bones); }
