@@ -67,8 +67,10 @@ MatrixXd strongest_combinations(const SparseMatrix& A, Eigen::Index most) {
   if (solver.info() != Spectra::CompInfo::Successful)
     throw Error("The loads of " + std::to_string(A.cols()) +
                 " columns were not decomposed. Ask for fewer modes, or let fewer bones deform the mesh.");
-  const VectorXd squares = solver.eigenvalues();
-  return solver.eigenvectors().leftCols((squares.array() > 1e-14 * squares.maxCoeff()).count());
+  const MatrixXd combinations = solver.eigenvectors();
+  // Not by the eigenvalues: of columns that have fewer combinations they are noise.
+  const Eigen::RowVectorXd sizes = (A * combinations).colwise().norm();
+  return combinations.leftCols((sizes.array() > 1e-7 * sizes.maxCoeff()).count());
 }
 
 }  // namespace dynamorph
