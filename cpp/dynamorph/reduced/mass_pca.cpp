@@ -67,10 +67,11 @@ MatrixXd strongest_combinations(const SparseMatrix& A, Eigen::Index most) {
   if (solver.info() != Spectra::CompInfo::Successful)
     throw Error("The loads of " + std::to_string(A.cols()) +
                 " columns were not decomposed. Ask for fewer modes, or let fewer bones deform the mesh.");
+  // Of columns that have fewer combinations the iteration finds some several times, and noise.
   const MatrixXd combinations = solver.eigenvectors();
-  // Not by the eigenvalues: of columns that have fewer combinations they are noise.
-  const Eigen::RowVectorXd sizes = (A * combinations).colwise().norm();
-  return combinations.leftCols((sizes.array() > 1e-7 * sizes.maxCoeff()).count());
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(gram(RowMajor(A * combinations)));
+  const Eigen::Index strong = (eigen.eigenvalues().array() > 1e-14 * eigen.eigenvalues().maxCoeff()).count();
+  return combinations * eigen.eigenvectors().rightCols(strong).rowwise().reverse();
 }
 
 }  // namespace dynamorph
