@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Faults while Blender goes on: undo, other files, the add-on switched off, random work. See tests/faults.toml."""
+"""Faults while Blender goes on: undo, other files, the add-on switched off. See tests/faults.toml."""
 
-import random
 import threading
 import time
 
@@ -11,9 +10,8 @@ import numpy as np
 import pytest
 from builders import MODULE, evaluated_points, fingerprint, part
 from pressed import Pressed
-from robustness import CALLS, OPS, coarse
+from robustness import OPS, coarse
 from test_robustness_files import handlers
-from test_robustness_states import press
 
 SOON = 2.0  # seconds in which a bake ends that is not wanted any more
 
@@ -137,70 +135,3 @@ def test_switched_off_and_on_during_a_bake_twenty_times(soft_arm, stand_in):
     assert fingerprint(soft_arm) == before
     stand_in.waits.clear()
     assert OPS.bake() == {"FINISHED"}
-
-
-# Random work -------------------------------------------------------------------------------------------------------
-
-
-def scenery():
-    """What a step may not leave behind: handlers, threads, scenes, and data of names that are temporary."""
-    temporary = [data.name for kind in (bpy.data.objects, bpy.data.meshes) for data in kind if "Sampling" in data.name]
-    return handlers(), ours(), [scene.name for scene in bpy.data.scenes], temporary
-
-
-def jump(walk):
-    bpy.context.scene.frame_set(walk.randint(-5, 30), subframe=walk.random())
-
-
-def undo(_walk):
-    if bpy.ops.ed.undo.poll():
-        bpy.ops.ed.undo()
-
-
-def redo(_walk):
-    if bpy.ops.ed.redo.poll():
-        bpy.ops.ed.redo()
-
-
-def rename(walk):
-    walk.choice([*bpy.data.objects, *bpy.data.meshes, *bpy.data.armatures]).name = f"Renamed {walk.randint(0, 9)}"
-
-
-def bend(walk):
-    rig = next(obj for obj in bpy.data.objects if obj.type == "ARMATURE")
-    rig.pose.bones["lower"].rotation_euler.x = walk.uniform(-1.0, 1.0)
-    rig.pose.bones["lower"].keyframe_insert("rotation_euler", frame=walk.randint(1, 20))
-
-
-def stiffen(walk):
-    next(obj for obj in bpy.data.objects if obj.type == "MESH").dynamorph.model.cage_nodes = walk.choice(
-        [150, 200, 250]
-    )
-
-
-@pytest.mark.fault("S01")
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_random_work(soft_arm, tmp_path, seed):
-    """Any buttons in any order, between them edits, undo, and saving: each answers, and nothing is left behind."""
-    pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
-    walk, path = random.Random(seed), str(tmp_path / "walk.blend")
-    coarse(soft_arm)
-    soft_arm.dynamorph.simulation.substeps = 1
-    OPS.build()
-    bpy.ops.ed.undo_push(message="begin")
-
-    def reopen(_walk):
-        bpy.ops.wm.save_as_mainfile(filepath=path)
-        bpy.ops.wm.open_mainfile(filepath=path)
-
-    def button(walk):
-        name = walk.choice([*sorted(CALLS), *["bake", "build", "live", "free_bake"] * 8])
-        assert "This is a bug" not in press(name), name
-        bpy.ops.ed.undo_push(message=name)
-
-    before = scenery()
-    for _ in range(60):
-        act = walk.choices([button, jump, undo, redo, rename, bend, stiffen, reopen], [12, 4, 3, 2, 1, 2, 1, 1])[0]
-        act(walk)
-        assert scenery() == before, act.__name__
-    assert part("batch").running is None

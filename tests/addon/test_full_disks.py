@@ -91,6 +91,7 @@ def full(error):
 # Exports -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.fault("F12")
 @pytest.mark.parametrize("key", FORMATS)
 def test_an_export_that_does_not_fit_is_refused_before_it_is_written(baked, disk, monkeypatch, key):
     path, exports = path_of(key, disk), part("exports")
@@ -103,6 +104,7 @@ def test_an_export_that_does_not_fit_is_refused_before_it_is_written(baked, disk
     assert path.read_bytes() == EARLIER and names(disk) == [path.name]
 
 
+@pytest.mark.fault("F12")
 @pytest.mark.parametrize("key", FORMATS)
 def test_a_disk_that_fills_while_an_export_is_written(baked, disk, monkeypatch, key):
     path, outputs = path_of(key, disk), part("outputs")
@@ -133,6 +135,7 @@ def test_the_button_says_which_file_and_what_to_do(baked, disk, monkeypatch):
         assert names(disk) == []
 
 
+@pytest.mark.fault("F10")
 @pytest.mark.parametrize("key", FORMATS)
 def test_a_file_of_the_artist_is_never_taken_for_a_partial_one(baked, tmp_path, key):
     """Of whichever name, and wherever a link leads."""
@@ -202,6 +205,7 @@ def test_an_exporter_that_crashes_or_writes_rubbish(baked, tmp_path, monkeypatch
     assert path.read_bytes() == EARLIER and names(tmp_path) == [path.name, "child.py"]
 
 
+@pytest.mark.fault("C08")
 def test_an_exporter_that_is_killed_for_its_memory(baked, tmp_path, monkeypatch):
     child = tmp_path / "child.py"
     child.write_text("import os, signal; os.kill(os.getpid(), signal.SIGKILL)")
@@ -365,6 +369,7 @@ def outputs_in(folder):
 OUTPUTS = ["--output", "--report", "--cache-dir", "--output-file", "point cache"]
 
 
+@pytest.mark.fault("F11")
 @pytest.mark.parametrize("option", OUTPUTS)
 def test_a_read_only_folder_is_found_before_the_work(shot, run, stand_in, read_only, option):  # noqa: F811
     code, _, told = run(*bake(shot, *outputs_in(read_only)[option]))

@@ -22,6 +22,7 @@ def walk(log, *arguments):
     return run, [re.sub(r"/tmp/\S+?/|file: .*", "", line) for line in steps]
 
 
+@pytest.mark.fault("S01")
 def test_a_walk_finds_nothing_wrong(tmp_path):
     run, steps = walk(tmp_path / "log.txt", "--minutes", 20 / 60, "--seed", 1)
     assert run.returncode == 0, run.stdout + run.stderr + "\n".join(steps[-20:])

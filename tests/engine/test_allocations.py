@@ -14,6 +14,7 @@ CRASHES = {
 }
 
 
+@pytest.mark.fault("C08")
 def test_every_allocation_of_the_engine_may_fail(tmp_path):
     found = shim.attacked(shim.compiled(tmp_path), "allocations.py", 0 if shim.ALL else 6)
     print(found)
