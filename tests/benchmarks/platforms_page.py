@@ -128,6 +128,8 @@ def arm_python(python: str) -> Path:
             except SystemExit:
                 continue  # a library that has another name in this suite
             run("dpkg-deb", "-x", next(files.glob(f"{name}_*.deb")), folder)
+    if not (folder / "lib").exists():  # a link that a package of the system makes
+        (folder / "lib").symlink_to("usr/lib")
     packages = ("numpy", "pytest", "hypothesis", "scipy")
     tag = ("--platform", "manylinux_2_28_aarch64", "--platform", "manylinux2014_aarch64", "--python-version", python)
     pip = (ROOT / f".venv/{python}/bin/python", "-m", "pip", "install", "--quiet", "--only-binary=:all:")
