@@ -160,8 +160,8 @@ def test_the_same_rotation_written_otherwise(skin, turns):
 
 @pytest.mark.fault("P03")
 def test_more_modes_than_the_cage_has(skin):
-    skin.dynamorph.model.cage_nodes, skin.dynamorph.model.modes = 50, 400
-    refused(OPS.bake, "'Arm': 400 modes.*fewer than")
+    skin.dynamorph.model.cage_nodes, skin.dynamorph.model.modes = 50, 170
+    refused(OPS.bake, "'Arm': 170 modes.*fewer than")
     assert not skin.dynamorph.model.content_id and not skin.dynamorph.bake.exists
 
 

@@ -49,9 +49,15 @@ def try_file(path: Path, size: int = BLOCK) -> None:
 
 
 def try_folder(folder: Path) -> None:
-    """`try_file` for any file in a folder, which is made if it is missing."""
+    """`try_file` for any file in a folder, which may be missing: then it is so afterwards."""
+    missing = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
-    try_file(folder / "dynamorph")
+    try:
+        try_file(folder / "dynamorph")
+    finally:
+        if missing:
+            with suppress(OSError):  # somebody else has put a file there
+                folder.rmdir()
 
 
 def check_space(path: Path, size: int) -> None:
