@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build test gui-test demo gallery figures materials bench bench-docs robustness believable believable-docs \
-	convergence accuracy bakes farm-demo fuzz soak faults coverage sanitize stubs format lint wheels platforms extension \
+	convergence accuracy bakes farm-demo golden fuzz soak faults coverage sanitize stubs format lint wheels platforms extension \
 	repository sdist version reliability clean
 
 started := $(shell date +%s)
@@ -63,6 +63,11 @@ materials: build
 	@PYTHONPATH=addon $(python) -m dynamic_morph_targets.core.material_presets docs/materials.md
 	@$(python) tools/measured.py docs/materials.md
 
+# Keeps the bytes that the engine computes in this version, of every compiler and instruction set that runs here, in
+# tests/golden/motion.json: after a change of the motion that is meant. `make platforms` compiles more of them.
+golden: build
+	@$(python) tests/golden/motion.py
+
 # What the engine and the pipeline take, against their goals; takes about 5 minutes.
 bench: build
 	@tools/setup.sh bench
@@ -78,10 +83,11 @@ bench-docs: build
 robustness: build
 	@$(python) tests/benchmarks/robustness_page.py
 
-# docs/reliability.md: what comes of each fault of tests/faults.toml, by the tests that are marked with it; takes about 5
-# minutes.
+# docs/reliability.md: what comes of each fault of tests/faults.toml, by the tests that are marked with it, and what the
+# last runs of faults, fuzz, soak and coverage found; takes about 10 minutes. runs=1 adds those runs alone.
+runs ?=
 reliability: build
-	@$(python) tests/benchmarks/reliability_page.py
+	@$(python) tests/benchmarks/reliability_page.py $(if $(runs),--longer-runs)
 
 # docs/believable.md with its pictures, from every character of ../shared after one click; takes about 5 minutes.
 # only="Cow Fox" measures those again, at_once=1 one character at a time, which its seconds are best for.

@@ -12,6 +12,7 @@ import os
 import time
 from pathlib import Path
 
+import long_runs
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from hypothesis.database import DirectoryBasedExampleDatabase
@@ -35,6 +36,14 @@ def target(*strategies, examples: int):
     searches = MINUTES or EXAMPLES
 
     def decorate(test):
+        tried = 0
+
+        @functools.wraps(test)
+        def counted(*args, **given):
+            nonlocal tried
+            tried += 1
+            test(*args, **given)
+
         once = settings(
             max_examples=EXAMPLES or (BATCH if MINUTES else examples),
             derandomize=not searches,
@@ -43,15 +52,20 @@ def target(*strategies, examples: int):
             phases=[Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink],  # to explain takes minutes
             suppress_health_check=list(HealthCheck),
             print_blob=True,
-        )(given(*strategies)(test))
+        )(given(*strategies)(counted))
         targets.append(test.__name__)
 
         @functools.wraps(once)
         def again(*args, **fixtures):
             ends = time.monotonic() + seconds()
-            once(*args, **fixtures)
-            while time.monotonic() < ends:
+            failed = True
+            try:
                 once(*args, **fixtures)
+                while time.monotonic() < ends:
+                    once(*args, **fixtures)
+                failed = False
+            finally:
+                long_runs.keep("fuzz", test.__name__, inputs=tried, seconds=seconds(), failed=failed)
 
         return again if MINUTES else once
 

@@ -34,6 +34,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / folder) for folder in ("addon", "tests", "tests/addon")]
 
 import addon_utils  # noqa: E402 - of bpy
+import long_runs  # noqa: E402
 import numpy as np  # noqa: E402
 from builders import MODULE, PACKAGE, activate, make_arm, make_soft, part, soon  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
@@ -480,8 +481,13 @@ def main() -> int:
         faulthandler.enable(log)
         print(f"soak: seed {args.seed}; {args.log} has the steps", file=terminal)
         enable_addon()
-        walk = Walk(args.seed, Path(folder), log)
-        wrong = walk_on(walk, args.steps, time.monotonic() + 60.0 * args.minutes)
+        walk, began = Walk(args.seed, Path(folder), log), time.monotonic()
+        wrong = walk_on(walk, args.steps, began + 60.0 * args.minutes)
+        if args.log == LOG:
+            long_runs.keep(
+                "soak", f"seed {args.seed}", steps=walk.steps, files=len(walk.memory), wrong=wrong,
+                hours=(time.monotonic() - began) / 3600.0, memory=walk.memory[-1], growth=growth(walk.memory),
+            )  # fmt: skip
         print(
             f"soak: {walk.steps} steps, {len(walk.memory)} files, memory {walk.memory[-1]:.0f} MB, which grows by "
             f"{growth(walk.memory):.2f} MB with each file",

@@ -3,6 +3,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -29,16 +30,20 @@ def shot(scene, tmp_path):
     return path
 
 
-def hashes(shot, cores) -> dict[str, tuple[str, str]]:
-    """The hashes of the model and the bake of each character, made by a process that may use these cores."""
+def hashes(shot, cores, numpy_threads=None) -> dict[str, tuple[str, str]]:
+    """The hashes of the model and the bake of each character, made by a process that may use these cores.
+
+    numpy_threads: those of a NumPy that is there before the command, as in `blender -b`; None: the command chooses.
+    """
     report = shot.with_suffix(".json")
     run = "runpy.run_module('dynamic_morph_targets', run_name='__main__')"
-    command = f"import os, runpy; os.sched_setaffinity(0, {cores}); {run}"
+    blas = {"OPENBLAS_NUM_THREADS": str(numpy_threads)} if numpy_threads else {}
+    command = f"import os, runpy; os.sched_setaffinity(0, {cores}); {'import numpy; ' * bool(blas)}{run}"
     paths = os.pathsep.join(filter(None, [str(ROOT / "addon"), os.environ.get("PYTHONPATH")]))
     subprocess.run(
         [sys.executable, "-c", command, "bake", shot, "--all", "-o", shot.with_name("baked.blend"),
          "--report", report],
-        env=os.environ | {"PYTHONPATH": paths}, check=True, stdout=subprocess.DEVNULL,
+        env=os.environ | {"PYTHONPATH": paths} | blas, check=True, stdout=subprocess.DEVNULL,
     )  # fmt: skip
     characters = json.loads(report.read_text())["characters"]
     report.unlink()
@@ -52,3 +57,11 @@ def test_builds_and_bakes_make_the_same_bytes(shot):
     assert alone.keys() == SOLVERS.keys() and all(alone["Reduced"]) and alone["Reduced"] != alone["Full"]
     assert hashes(shot, CORES[:2]) == alone
     assert hashes(shot, CORES[:2]) == alone
+
+
+def test_threads_of_numpy_make_no_difference(tmp_path):
+    """In `blender -b` NumPy is loaded before the command, which cannot choose how many threads it has any more."""
+    shot = tmp_path / "shot.blend"
+    shutil.copy(ROOT / "sample_blends" / "shoulder.blend", shot)
+    found = [hashes(shot, CORES, threads) for threads in (1, 4)]
+    assert found[0] == found[1] and all(all(each) for each in found[0].values())

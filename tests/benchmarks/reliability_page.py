@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`make reliability`: runs the tests of the faults of tests/faults.toml, and writes docs/reliability.md."""
+"""`make reliability`: runs the tests of the faults of tests/faults.toml, and writes docs/reliability.md.
+
+With what `make faults`, `make fuzz`, `make soak` and `make coverage` found, which is kept in docs/reliability.json.
+"""
 
 from __future__ import annotations
 
+import argparse
+import json
 import os
 import sys
 import tomllib
@@ -11,15 +16,18 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from performance_page import grid
 from run import machine
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.append(str(ROOT / "tools"))
+sys.path += [str(ROOT / "tools"), str(ROOT / "tests")]
 
+import long_runs  # noqa: E402
 from measured import measured_at  # noqa: E402
 from run_tests import SUITES, SUPPORTED, python_of, report_of, run_pytest  # noqa: E402
 
 PAGE = ROOT / "docs" / "reliability.md"
+LONG_RUNS = PAGE.with_suffix(".json")
 FAULTS = ROOT / "tests" / "faults.toml"
 LARGE = {"DYNAMORPH_FACES": "2000000", "DYNAMORPH_KILLS": "10"}  # unless they say otherwise; more than in `make test`
 TEXT = """# Reliability
@@ -27,7 +35,7 @@ TEXT = """# Reliability
 What may go wrong, and what comes of it. The rule for all: never a silent wrong result, never lost work; a message names
 the object, the cause and the next step. Each row has tests that are marked with its id, which `make test` runs with all
 others. `make reliability` runs these alone and writes this page; nothing on it is written by hand. The largest mesh had
-{faces:,} faces, and one bake was killed {kills} times.
+{faces:,} faces, and one bake was killed {kills} times. What takes longer is [at the end](#longer-runs).
 
 {commit}. {machine}.
 
@@ -59,6 +67,12 @@ class Shown:
 
 
 def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--longer-runs", action="store_true", help="only write what these found, the faults stay")
+    if parser.parse_args().longer_runs:
+        faults = PAGE.read_text(encoding="utf-8").partition(HEADING)[0].rstrip() + "\n"
+        PAGE.write_text(faults + longer_runs(), encoding="utf-8")
+        return 0
     found: dict[str, Shown] = defaultdict(Shown)
     os.environ.update(LARGE | os.environ)
     for version in SUPPORTED:
@@ -66,7 +80,7 @@ def main() -> int:
             run_pytest(version, suite, "-m", "fault", name="faults")
             add_report(found, report_of(version, suite, "faults"))
     groups = tomllib.loads(FAULTS.read_text(encoding="utf-8"))
-    PAGE.write_text(page(groups, found), encoding="utf-8")
+    PAGE.write_text(page(groups, found) + longer_runs(), encoding="utf-8")
     print(f"written to {PAGE.relative_to(ROOT)}")
     return int(any(shown.result == "failed" for shown in found.values()))
 
@@ -86,7 +100,7 @@ def add_report(found: dict[str, Shown], report: Path) -> None:
 
 
 def page(groups: dict[str, dict[str, dict[str, str]]], found: dict[str, Shown]) -> str:
-    """The whole page. groups: what tests/faults.toml says."""
+    """All but the longer runs. groups: what tests/faults.toml says."""
     names = [name for group in groups.values() for name in group]
     totals = Counter(found[name].result for name in names)
     text = TEXT.format(
@@ -103,6 +117,115 @@ def page(groups: dict[str, dict[str, dict[str, str]]], found: dict[str, Shown]) 
             tests, result = found[name].cells(fault.get("elsewhere", ""))
             text += f"| {name} | {fault['fault']} | {fault['expected']} | {tests} | {result} |\n"
     return text
+
+
+# Longer runs ---------------------------------------------------------------------------------------------------------
+
+HEADING = "\n## Longer runs\n"
+CALLS = ("write", "fsync", "rename", "open", "read")
+TITLES = {
+    "faults": """Calls that fail: `make faults`
+
+Each write, fsync, rename and open of a command fails once, and once with all later ones (no space left, a lost
+network); reading where others may have the file on another machine. Afterwards the earlier result is as it was or a
+whole new one is there, nothing partial is left, the exit code and the message say why, and the same command works.
+Shown: calls, and in how many cases one failed.""",
+    "allocations": """Memory that is refused: `make faults`
+
+Each allocation of a call of the engine fails once, in a process of its own. It must be a MemoryError or change nothing,
+and the same objects must serve on. A few are in libraries that end the process there, named in
+`tests/engine/test_allocations.py`.""",
+    "fuzz": """Random input: `make fuzz`
+
+Each is taken, or refused with an error that is expected, soon. What was found is kept and tried first.""",
+    "soak": """Random walks: `make soak`
+
+Over all that an artist can press and change, with undo, files and the add-on turned off and on, in one process. After
+each step: no bug was reported, no step took over a minute, and no handler, data, thread, open or partial file was left.
+*Growth*: of the memory, at each new file.""",
+    "coverage": """Coverage: `make coverage`
+
+What of the sources the tests run; [by folder and file](coverage.md).""",
+}
+
+
+def longer_runs() -> str:
+    """Their tables, of which each part is of the commit at which it last ran."""
+    kept = json.loads(LONG_RUNS.read_text(encoding="utf-8")) if LONG_RUNS.exists() else {}
+    for command, parts in long_runs.found().items():
+        kept[command] = kept.get(command, {}) | parts
+    LONG_RUNS.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+    text = HEADING
+    for command, title in TITLES.items():
+        parts = kept.get(command)
+        text += f"\n### {title}\n\n" + (tabulated(command, parts) if parts else "Not run yet.\n")
+    return text
+
+
+def tabulated(command: str, parts: dict[str, dict]) -> str:
+    """The figures of one command, and when they were measured."""
+    tables = {
+        "faults": of_faults, "allocations": of_allocations, "fuzz": of_fuzz, "soak": of_soak, "coverage": of_coverage
+    }  # fmt: skip
+    measured = defaultdict(list)
+    for part, figures in parts.items():
+        measured[figures["measured"]].append(part)
+    only = len(measured) == 1
+    when = "\n".join(f"{each}." if only else f"{each}: {', '.join(names)}." for each, names in measured.items())
+    return f"{tables[command](parts)}\n{when}\n"
+
+
+def of_faults(parts: dict[str, dict]) -> str:
+    rows = [
+        [name, *(f"{each[kind][0]}, {each[kind][1]}" if kind in each else "" for kind in CALLS), wrong(figures)]
+        for name, figures in parts.items()
+        for each in [figures["calls"]]
+    ]
+    return grid(["command", *CALLS, "wrong"], rows)
+
+
+def of_allocations(parts: dict[str, dict]) -> str:
+    names = ("allocations", "tried", "refused")
+    rows = [
+        [name, *(str(figures[each]) for each in names), str(len(figures["crashed"])), wrong(figures)]
+        for name, figures in parts.items()
+    ]
+    return grid(["call", *names, "process ended", "wrong"], rows)
+
+
+def of_fuzz(parts: dict[str, dict]) -> str:
+    rows = [
+        [name.removeprefix("test_").replace("_", " "), f"{each['inputs']:,}", f"{each['seconds'] / 60:.0f}",
+         "**found**" if each["failed"] else "none"]
+        for name, each in parts.items()
+    ]  # fmt: skip
+    total = ["all", f"{sum(each['inputs'] for each in parts.values()):,}",
+             f"{sum(each['seconds'] for each in parts.values()) / 60:.0f}", ""]  # fmt: skip
+    return grid(["input", "tried", "minutes", "failures"], [*rows, total])
+
+
+def of_soak(parts: dict[str, dict]) -> str:
+    rows = [
+        [name, f"{each['hours']:.2f}", f"{each['steps']:,}", f"{each['files']:,}", f"{each['memory']:.0f}",
+         f"{each['growth']:.2f}", wrong(each)]
+        for name, each in parts.items()
+    ]  # fmt: skip
+    total = ["all", f"{sum(each['hours'] for each in parts.values()):.2f}",
+             f"{sum(each['steps'] for each in parts.values()):,}", "", "", "", ""]  # fmt: skip
+    return grid(["walk", "hours", "steps", "new files", "memory, MB", "growth, MB", "wrong"], [*rows, total])
+
+
+def of_coverage(parts: dict[str, dict]) -> str:
+    rows = [
+        [title, f"{each['lines']:,}", f"{each['lines_run'] / each['lines']:.1%}",
+         f"{each['branches_run'] / each['branches']:.1%}"]
+        for title, each in parts.items()
+    ]  # fmt: skip
+    return grid(["", "lines", "run", "branches taken"], rows)
+
+
+def wrong(figures: dict) -> str:
+    return f"**{len(figures['wrong'])}**" if figures["wrong"] else "none"
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import time
 
 import dynamorph as dm
 import fuzzing
+import long_runs
 import numpy as np
 import pytest
 import scenes
@@ -81,6 +82,10 @@ def test_edited_clips(tmp_path):
     seed = time.time_ns() if fuzzing.MINUTES else 1
     arguments = (seed, max(1, round(fuzzing.seconds())), *corpus("clip"))
     run = subprocess.run([program, *map(str, arguments)], cwd=tmp_path, capture_output=True, text=True, check=False)
+    if fuzzing.MINUTES:
+        tried = int(run.stdout.split()[0]) if run.stdout else 0
+        failed = run.returncode != 0
+        long_runs.keep("fuzz", "test_edited_clips", inputs=tried, seconds=fuzzing.seconds(), failed=failed)
     assert run.returncode == 0 and "clips" in run.stdout, f"seed {seed}, {tmp_path / 'crash.npz'}: {run.stderr}"
 
 

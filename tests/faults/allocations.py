@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fails the n-th allocation of the engine in each of its calls; tests/engine/test_faults.py runs it.
+"""Fails the n-th allocation of the engine in each of its calls; tests/engine/test_allocations.py runs it.
 
     LD_PRELOAD=fail_nth.so python tests/faults/allocations.py SAMPLES      of each call; 0: every n
 
