@@ -141,9 +141,11 @@ soak: build
 	@$(python) tests/addon/soak.py $(if $(seed),--seed $(seed)) $(if $(steps),--steps $(steps),--minutes $(minutes))
 
 # Every write, fsync, rename and open of each command fails once, and every allocation of the engine, of which `make test`
-# tries a few: nothing is lost, nothing partial is left, and the message is right. Takes about 15 minutes.
+# tries a few: nothing is lost, nothing partial is left, and the message is right. Takes about 20 minutes.
 faults: build
-	@DYNAMORPH_FAULTS=all $(python) -m pytest -rA tests/engine/test_allocations.py tests/addon/test_failing_calls.py
+	@status=0; for each in $(shell ls -d .venv/3.*/bin/python); do \
+	DYNAMORPH_FAULTS=all $$each -m pytest -rA tests/engine/test_allocations.py tests/addon/test_failing_calls.py || status=$$?; \
+	done; exit $$status
 
 # docs/coverage.md: which lines and branches the tests run, C++ and Python; takes about an hour. tests="tests/engine
 # tests/addon/test_cli.py" runs those alone, and writes to build/coverage.

@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 import tarfile
+import tempfile
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -302,7 +303,7 @@ def check(wheel: Path, name: str, python: str) -> str:
     platform = PLATFORMS[name]
     module = platform.module.format(python.replace(".", ""))
     with zipfile.ZipFile(wheel) as archive:
-        data = archive.read(f"dynamorph/{module}")
+        data, names = archive.read(f"dynamorph/{module}"), set(archive.namelist())
     binary = lief.parse(data)
     libraries = sorted(str(getattr(each, "name", each)) for each in binary.libraries)
     foreign = [each for each in libraries if not re.fullmatch(SYSTEM_LIBRARIES[platform.system], each)]
@@ -321,6 +322,11 @@ def check(wheel: Path, name: str, python: str) -> str:
             sys.exit(f"{shown}\nwheels: {wheel.name} is not {policy}")
     if platform.system == "Windows":
         run(TOOLS / "delvewheel", "show", "--ignore-existing", wheel)
+    with tempfile.TemporaryDirectory() as folder:  # it would put libraries into the wheel that others do not have
+        run(TOOLS / "repairwheel", "--no-sys-paths", "-o", folder, wheel)
+        with zipfile.ZipFile(next(Path(folder).glob("*.whl"))) as archive:
+            if added := {each for each in archive.namelist() if not each.endswith("/")} - names:
+                sys.exit(f"wheels: {wheel.name} is not whole: repairwheel adds {sorted(added)}")
     return ", ".join(libraries)
 
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A full disk, a lost network: any write, fsync, rename or open of a command may fail, and nothing is lost."""
 
+import bpy
 import long_runs
 import pytest
 import shim
@@ -20,6 +21,6 @@ def library(tmp_path_factory):
 def test_any_call_may_fail(library, name):
     found = shim.attacked(library, "files.py", name, 0 if shim.ALL else 1)
     if shim.ALL:
-        long_runs.keep("faults", name, **found)
+        long_runs.keep("faults", f"{name}, Blender {bpy.app.version_string}", **found)
     assert found["wrong"] == []
     assert found["calls"]["write"][0] and found["calls"]["rename"][0]

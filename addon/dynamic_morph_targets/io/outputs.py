@@ -113,7 +113,7 @@ def _partial(path: Path) -> Path:
 
 def _remove_abandoned(path: Path) -> None:
     """Remove what processes that were killed have left of `path`."""
-    ours = re.compile(rf"{re.escape(path.stem)}\.[0-9a-f]{{16}}\.part{re.escape(path.suffix)}")
+    ours = re.compile(rf"{re.escape(path.stem)}\.[0-9a-f]{{16}}\.part{re.escape(path.suffix)}@?")  # @: of Blender
     with suppress(OSError):
         for left in [each for each in path.parent.iterdir() if ours.fullmatch(each.name)]:
             if time.time() - left.stat().st_mtime > disk.ABANDONED:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The open scene saved as a .blend, completely or not at all.
 
-Blender replaces the earlier file by one that cannot be opened, and reports success, when the disk is full and it
-compresses; without compression it says that there is no such file.
+When it compresses, Blender goes on after a write that failed, without what was in it, and reports success: on a full
+disk the file cannot be opened. Without compression it says that there is no such file, or whatever failed before.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import bpy
 
-from ..io import outputs, whole
+from ..io import disk, outputs
 
 
 def save(path: Path):
@@ -23,18 +23,38 @@ def save(path: Path):
     and so on, as many as the preferences say. Raises OSError.
     """
     with _earlier_versions() as count, outputs.replacing(path) as partial:
+        said = ""
         try:
             _write(partial)
-            error = "" if whole.is_whole(partial) else "Blender wrote only a part of it"
         except RuntimeError as fault:
-            error = str(fault).strip().removeprefix("Error: ")
-        if error:
-            raise outputs.why_not(path, error, _size()) or OSError(f"'{path}' cannot be saved: {error}")
+            said = str(fault).strip().removeprefix("Error: ")
+        if said or not is_whole(partial):
+            raise outputs.why_not(path, said, _size()) or OSError(
+                f"'{path}' cannot be saved: Blender could not write all of it{f' ({said})' if said else ''}"
+            )
         _keep_versions(path, count)
 
 
+def is_whole(path: Path) -> bool:
+    """Whether Blender finds all parts of the file one after the other."""
+    try:
+        with bpy.data.libraries.load(str(path)):
+            return True
+    except OSError:
+        return False
+
+
 def _write(path: Path):
-    bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True)
+    """Raises RuntimeError with what Blender says, and OSError."""
+    written = Path(f"{path}@")  # what Blender renames in the end; if it cannot, it does not say why
+    try:
+        bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True)
+    except RuntimeError:
+        if not written.exists():
+            raise
+        written.replace(path)
+    finally:
+        disk.discard(written)
 
 
 def _size() -> int:

@@ -17,7 +17,7 @@ from pathlib import Path
 import bpy
 
 from ..core.message import Message
-from ..io import whole
+from . import blend_file
 
 CHILD = Path(__file__).with_name("export_child.py")
 FAILED = "Failed writing"  # what USD says and goes on
@@ -66,7 +66,7 @@ def _copy(collection, blend: Path):
         obj.update_from_editmode()
     try:
         bpy.data.libraries.write(str(blend), {bpy.context.scene, collection}, path_remap="ABSOLUTE")
-        error = "" if whole.is_whole(blend) else "not all of it was written"
+        error = "" if blend_file.is_whole(blend) else "not all of it was written"
     except (OSError, RuntimeError) as fault:
         error = str(fault).strip()
     if error:
