@@ -184,6 +184,34 @@ def run_scenario() -> dict:
     return found
 
 
+def compare_threads() -> dict[str, str]:
+    """A row for the page: a bake in `blender -b` with one core and one with all. Raises Failed."""
+    shot, baked, report = (WORK / name for name in ("threads.blend", "threads_baked.blend", "threads.json"))
+    shutil.copy(ROOT / "sample_blends/shoulder.blend", shot)
+    install = (
+        "--command",
+        "extension",
+        "install-file",
+        "-r",
+        "user_default",
+        "--enable",
+        inside(next(WORK.glob("*.zip"))),
+    )
+    bake = (inside(shot), "--command", "dynamorph", "bake", "--all", "-o", inside(baked), "--report", inside(report))
+    cores = {"one core": "0", "all": f"0-{os.cpu_count() - 1}"}
+    found = []
+    for log, chosen, command in [("install.log", "0", install), *((f"{n}.log", c, bake) for n, c in cores.items())]:
+        report.unlink(missing_ok=True)
+        if enter(log, "taskset", "-c", chosen, "blender", "-b", *command):
+            raise Failed(f"blender -b failed\n{tail(log)}")
+        if command is bake:
+            characters = json.loads(report.read_text(encoding="utf-8"))["characters"]
+            found.append([(each["model"], each["bake"]["hash"]) for each in characters])
+    if found[0] != found[1]:
+        raise Failed(f"blender -b makes other bytes with one core than with all: {found}")
+    return {"`blender -b` with one core, and with all": "the same bytes"}
+
+
 def print_table(found: dict):
     rows = [(step["title"], f"{step['seconds']:5.1f} s, actions: {step['actions']}") for step in found.get("steps", [])]
     rows += found.get("measured", {}).items()
@@ -246,6 +274,7 @@ def main() -> int:
         start = time.monotonic()
         found = run_scenario()
         print(f"gui-test: {time.monotonic() - start:.0f} s in Blender")
+        found["measured"] |= compare_threads()
         write_measured(found["measured"])
     except CannotRun as reason:
         print(f"gui-test: SKIPPED, {reason}")

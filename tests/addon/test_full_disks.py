@@ -348,14 +348,14 @@ def test_an_incomplete_file_is_recognized(baked, tmp_path):
 @pytest.mark.parametrize("compress", [False, True])
 def test_a_blend_without_a_part_is_recognized(baked, tmp_path, compress):
     """As it is when one of Blender's writes has failed: when it compresses it goes on, otherwise it stops there."""
-    path, is_whole = tmp_path / "shot.blend", part("blend_file").is_whole
+    path, damage = tmp_path / "shot.blend", part("blend_file").damage
     bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, compress=compress)
     content = path.read_bytes()
-    assert is_whole(path)
+    assert not damage(path)
     for first, last in np.sort(np.random.default_rng(1).integers(0, len(content) - 1000, (100, 2))).tolist():
         for kept in (content[:first], *([content[:first] + content[last + 1 :]] if compress else [])):
             path.write_bytes(kept)
-            assert not is_whole(path), (first, last)
+            assert damage(path), (first, last)
 
 
 # The command line: found before the work, and the right exit code ----------------------------------------------------

@@ -36,7 +36,7 @@ from dynamic_morph_targets.io import outputs  # noqa: E402
 
 shim = ctypes.CDLL(os.environ["LD_PRELOAD"])
 TRY_AGAIN = 75
-# Said of a write that fails once: Blender does not say why, and afterwards there is nothing to be found.
+# Said of a write that fails once, and of reading: Blender does not say why, and writing finds nothing then.
 UNKNOWN = ("Blender could not write all of it", "iostream error", outputs.UNREADABLE)
 # In the order of fail_nth.c; reading fails for the cache folder alone, which others may have on another machine.
 KINDS = {
@@ -139,7 +139,7 @@ class Attack:
         told = re.findall("dynamorph: (.*)", said)
         if code != TRY_AGAIN:
             found.append(f"exit code {code}: {told}")
-        unknown = once and any(each in (told or [""])[-1] for each in UNKNOWN)
+        unknown = (once or kind == "read") and any(each in (told or [""])[-1] for each in UNKNOWN)
         if not told or (why.lower() not in told[-1].lower() and not unknown):
             found.append(f"the message does not say '{why}': {told}")
         return found

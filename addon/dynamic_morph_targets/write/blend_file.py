@@ -23,25 +23,24 @@ def save(path: Path):
     and so on, as many as the preferences say. Raises OSError.
     """
     with _earlier_versions() as count, outputs.replacing(path) as partial:
-        said = ""
         try:
             _write(partial)
+            said = damage(partial)
         except RuntimeError as fault:
             said = str(fault).strip().removeprefix("Error: ")
-        if said or not is_whole(partial):
-            raise outputs.why_not(path, said, _size()) or OSError(
-                f"'{path}' cannot be saved: Blender could not write all of it{f' ({said})' if said else ''}"
-            )
+        if said:
+            text = f"'{path}' cannot be saved: Blender could not write all of it ({said})"
+            raise outputs.why_not(path, said, _size()) or OSError(text)
         _keep_versions(path, count)
 
 
-def is_whole(path: Path) -> bool:
-    """Whether Blender finds all parts of the file one after the other."""
+def damage(path: Path) -> str:
+    """What Blender says when it cannot find all parts of a .blend, one after the other."""
     try:
         with bpy.data.libraries.load(str(path)):
-            return True
-    except OSError:
-        return False
+            return ""
+    except OSError as error:
+        return str(error).strip()
 
 
 def _write(path: Path):

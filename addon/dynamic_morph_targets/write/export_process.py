@@ -66,7 +66,7 @@ def _copy(collection, blend: Path):
         obj.update_from_editmode()
     try:
         bpy.data.libraries.write(str(blend), {bpy.context.scene, collection}, path_remap="ABSOLUTE")
-        error = "" if blend_file.is_whole(blend) else "not all of it was written"
+        error = blend_file.damage(blend)
     except (OSError, RuntimeError) as fault:
         error = str(fault).strip()
     if error:
