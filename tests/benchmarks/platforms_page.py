@@ -37,6 +37,7 @@ ARM_PACKAGES = (
 )  # fmt: skip
 TESTS = ("test_physics.py", "test_responses.py", "test_pose_space.py", "test_meshing.py", "test_model_file.py")
 ARM_TESTS = ("test_pose_space.py",)  # QEMU is slow, and knows no children of the same Python
+AGAIN = ("linux-x64", "windows-x64")  # compiled twice
 PAIRS = 5
 EMULATORS = {"linux-x64": (), "linux-arm64": ("qemu-aarch64", "-L", ARM / "3.11"), "windows-x64": ("wine",)}
 BLENDERS = {"3.11": "4.5", "3.13": "5.2", "3.14": "Debian's 5.2"}
@@ -162,6 +163,25 @@ def bake_difference(python: str, engine: Path) -> float:
     return float(np.abs(found - expected).max() / np.abs(expected - expected[0]).max())
 
 
+# Compiled again -----------------------------------------------------------------------------------------------------
+
+
+def compiled_again() -> list[str]:
+    """The wheels that another folder made with the same bytes, a clone of the last commit; ends the program if one has
+    others.
+    """
+    with tempfile.TemporaryDirectory() as temporary:
+        clone = Path(temporary) / "elsewhere"
+        run("git", "clone", "--quiet", ROOT, clone)
+        shutil.copytree(wheels.WORK / "python", clone / "build/wheels/python")  # Python's headers
+        run(sys.executable, clone / "tools/wheels.py", "--platforms", *AGAIN, "--pythons", "3.11")
+        found = [wheels.wheel_path(name, "3.11") for name in AGAIN]
+        for wheel in found:
+            if wheel.read_bytes() != (clone / wheel.relative_to(ROOT)).read_bytes():
+                sys.exit(f"platforms: {wheel.name} has other bytes when it is compiled again")
+    return [wheel.name for wheel in found]
+
+
 # Speed ---------------------------------------------------------------------------------------------------------------
 
 
@@ -239,6 +259,7 @@ with zig {zig}; `make platforms` tries it on that machine and writes this page; 
   stored on x86-64 with gcc; the largest difference by the largest displacement. gcc's own is {golden:.0e}.
 - *Same bake*: `sample_blends/bulging_cylinder.blend` baked in Blender with this wheel and with gcc's engine from
   one model; the largest difference of a vertex by the largest displacement of one.
+- *Compiled again* in another folder, a clone, these wheels have the same bytes: {again}.
 - Windows: no Windows Python runs here, so the module is checked by what it imports and exports, and its engine by the
   C++ tests under Wine. macOS: nothing runs here; the module is checked by what it imports and exports.
 
@@ -283,6 +304,7 @@ def page(report: dict) -> str:
               "tests passed", "golden motion", "same bake"]  # fmt: skip
     return TEXT.format(
         zig=report["zig"], commit=report["commit"], golden=report["gcc"]["golden"],
+        again=", ".join(f"`{name}`" for name in report["again"]),
         table=grid(header, rows), speed=speed_text(report["speed"]),
     )  # fmt: skip
 
@@ -324,7 +346,7 @@ def measure() -> dict:
                 row["tests"] = tests_on_arm(python, unpacked(wheel))
             print(row, flush=True)
             rows.append(row)
-    return found | {"wheels": rows, "speed": known.get("speed", {})}
+    return found | {"wheels": rows, "again": compiled_again(), "speed": known.get("speed", {})}
 
 
 def main() -> None:
