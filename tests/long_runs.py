@@ -24,4 +24,6 @@ def keep(command: str, part: str, **figures) -> None:
     all_found = found()
     all_found.setdefault(command, {})[part] = {"measured": measured_at("reliability.md"), **figures}
     KEPT.parent.mkdir(parents=True, exist_ok=True)
-    KEPT.write_text(json.dumps(all_found, indent=1) + "\n", encoding="utf-8")
+    new = KEPT.with_suffix(".new")
+    new.write_text(json.dumps(all_found, indent=1) + "\n", encoding="utf-8")
+    new.replace(KEPT)

@@ -14,6 +14,8 @@ import sys
 import zipfile
 from pathlib import Path
 
+from version import one as version
+
 ROOT = Path(__file__).resolve().parent.parent
 ADDON = ROOT / "addon" / "dynamic_morph_targets"
 DIST = ROOT / "dist"
@@ -29,18 +31,6 @@ PLATFORMS = {  # Blender's name: how the name of a wheel ends
 
 def pythons() -> list[Path]:
     return sorted(ROOT.glob(".venv/3.*/bin/python"))
-
-
-def version() -> str:
-    """The one version of the extension and of the wheels. Exits if the sources name several."""
-    sources = ADDON / "blender_manifest.toml", ROOT / "pyproject.toml", ADDON.parent / "pyproject.toml"
-    pattern = re.compile(r'(?:^version = "|"dynamorph==)(.+?)"', re.MULTILINE)
-    found = {path: set(pattern.findall(path.read_text())) for path in sources}
-    numbers = set().union(*found.values())
-    if len(numbers) > 1:
-        lines = "".join(f"\n  {path.relative_to(ROOT)}: {', '.join(found[path])}" for path in sources)
-        sys.exit(f"The extension and the wheels are not of one version. Raise it in each of these files:{lines}")
-    return numbers.pop()
 
 
 # Wheels --------------------------------------------------------------------------------------------------------------

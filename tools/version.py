@@ -45,12 +45,13 @@ def set_all(new: str, root: Path = ROOT) -> None:
     heading = HEADING.search(changes)
     if heading is None:
         raise ValueError("CHANGELOG.md has no heading such as '## 0.2.0, unreleased'")
+    for version, date in HEADING.findall(changes):
+        if date != "unreleased" and numbers(new) <= numbers(version):
+            raise ValueError(f"{version} was released on {date}: the next version is a later one")
     if heading[2] == "unreleased":
         changes = changes.replace(heading[0], f"## {new}, {datetime.now(UTC).date()}", 1)
-    elif numbers(new) > numbers(heading[1]):
-        changes = changes.replace(heading[0], f"## {new}, unreleased\n\n{heading[0]}", 1)
     else:
-        raise ValueError(f"{heading[1]} was released on {heading[2]}: the next version is a later one")
+        changes = changes.replace(heading[0], f"## {new}, unreleased\n\n{heading[0]}", 1)
     for name, texts in PLACES.items():
         content = (root / name).read_text("utf-8")
         for text in texts:
@@ -63,16 +64,22 @@ def numbers(version: str) -> list[int]:
     return [int(number) for number in version.split(".")]
 
 
+def one() -> str:
+    """The version of all files. Ends the program when they name several."""
+    versions = found()
+    if len({version for each in versions.values() for version in each}) != 1 or not all(versions.values()):
+        named = ", ".join(f"{name}: {' '.join(each)}" for name, each in versions.items())
+        sys.exit(f"These are not of one version, which make version mends: {named}")
+    return versions["pyproject.toml"][0]
+
+
 def main() -> None:
     if len(sys.argv) > 1:
         try:
             set_all(sys.argv[1])
         except ValueError as error:
             sys.exit(f"version: {error}")
-    versions = found()
-    if len({version for each in versions.values() for version in each}) != 1 or not all(versions.values()):
-        sys.exit("version: these differ: " + ", ".join(f"{name}: {' '.join(each)}" for name, each in versions.items()))
-    print(versions["pyproject.toml"][0])
+    print(one())
 
 
 if __name__ == "__main__":

@@ -348,6 +348,8 @@ def main() -> None:
     print("| platform | Python | MB | SHA-256 | loads |\n|---|---|---:|---|---|")
     for name in args.platforms or PLATFORMS:
         pythons = [each for each in pythons_of(name) if not args.pythons or each in args.pythons]
+        if not pythons:
+            continue
         build = compile_modules(name, pythons, args.tests)
         for python in pythons:
             wheel = pack(source, build, name, python)

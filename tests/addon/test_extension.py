@@ -23,8 +23,19 @@ sys.path.append(str(ROOT / "tools"))
 import wheels  # noqa: E402
 
 SAMPLE = ROOT / "sample_blends" / "bulging_cylinder.blend"
-SOURCES = ("addon", "cpp/bindings/dynamorph", "tools", "CMakeLists.txt", "LICENSE", "LICENSES.md", "pyproject.toml")
-VERSIONED = ("addon/dynamic_morph_targets/blender_manifest.toml", "addon/pyproject.toml", "pyproject.toml")
+SOURCES = (
+    "addon",
+    "cpp/bindings/dynamorph",
+    "tools",
+    "CHANGELOG.md",
+    "CMakeLists.txt",
+    "LICENSE",
+    "LICENSES.md",
+    "pyproject.toml",
+)
+VERSIONED = (
+    "addon/dynamic_morph_targets/blender_manifest.toml", "addon/pyproject.toml", "pyproject.toml", "CHANGELOG.md"
+)  # fmt: skip
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 NEXT = re.sub(r"\d+$", lambda patch: str(int(patch[0]) + 1), VERSION)
 TAGS = {name: platform.tag for name, platform in wheels.PLATFORMS.items()}
@@ -49,7 +60,7 @@ def make_project(folder, version=VERSION):
 
 def raise_version(path, version):
     text = path.read_text()
-    for before in ('\nversion = "', "dynamorph=="):
+    for before in ('\nversion = "', "dynamorph==", "\n## "):
         text = text.replace(before + VERSION, before + version)
     path.write_text(text)
 

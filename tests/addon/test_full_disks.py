@@ -7,6 +7,7 @@ import errno
 import json
 import os
 import re
+import struct
 import subprocess
 import sys
 import time
@@ -283,6 +284,61 @@ def test_scripts_of_the_file_do_not_run_in_the_child(baked, tmp_path):
     assert names(tmp_path) == ["Arm.usdc"] and text.use_module
 
 
+@pytest.mark.parametrize("trusted", [False, True])
+@pytest.mark.parametrize("preferred", [False, True])
+def test_drivers_of_an_untrusted_file_do_not_run_in_the_child(baked, tmp_path, trusted, preferred):
+    """Not even of an object that only renders show: Blender does not know then that it keeps one from running."""
+    ran, saved = tmp_path / "ran", tmp_path / "shot.blend"
+    files = bpy.context.preferences.filepaths
+    hidden = bpy.data.objects.new("Hidden", baked.data.copy())
+    bpy.context.scene.collection.objects.link(hidden)
+    hidden.hide_viewport = True
+    wrapped = bpy.data.objects.new("Wrapped", baked.data.copy())
+    bpy.context.scene.collection.objects.link(wrapped)
+    wrap = wrapped.modifiers.new("Shrinkwrap", "SHRINKWRAP")
+    wrap.target, wrap.show_viewport = hidden, False
+    wrapped.parent = baked.parent = bpy.data.objects["Arm Rig"]
+    driver = hidden.driver_add("location", 0).driver
+    driver.expression = f"float(bool(__import__('pathlib').Path({str(ran)!r}).touch()))"
+    bpy.ops.wm.save_as_mainfile(filepath=str(saved))
+    ran.unlink(missing_ok=True)
+    before = files.use_scripts_auto_execute
+    try:
+        files.use_scripts_auto_execute = preferred
+        bpy.ops.wm.open_mainfile(filepath=str(saved), use_scripts=trusted)
+        ran.unlink(missing_ok=True)
+        data = bpy.context.scene.animation_data
+        export(bpy.data.objects["Arm"], tmp_path / "Arm.usdc", "USD")
+    finally:
+        files.use_scripts_auto_execute = before
+    assert ran.exists() == trusted
+    assert bpy.context.scene.animation_data == data and "dynamorph_probe" not in bpy.context.scene
+
+
+def test_what_add_ons_say_as_the_child_starts_is_no_fault(baked, tmp_path, monkeypatch):
+    process = part("export_process")
+    child = tmp_path / "child.py"
+    child.write_text(f"import sys; print('Failed writing', file=sys.stderr); sys.argv[0] = {str(process.CHILD)!r}\n"
+                     f"import runpy; runpy.run_path({str(process.CHILD)!r}, run_name='__main__')")  # fmt: skip
+    monkeypatch.setattr(process, "CHILD", child)
+    export(baked, tmp_path / "Arm.usdc", "USD")
+    assert names(tmp_path) == ["Arm.usdc", "child.py"]
+
+
+@pytest.mark.parametrize("key", ["ALEMBIC", "USD"])
+def test_positions_that_are_not_numbers_are_no_fault_of_the_disk(baked, tmp_path, key):
+    other = bpy.data.objects.new("Cloth", baked.data.copy())
+    other.shape_key_clear()
+    bpy.context.scene.collection.objects.link(other)
+    other.parent = baked.find_armature()
+    other.modifiers.new("Armature", "ARMATURE").object = baked.find_armature()
+    other.data.vertices[0].co.x = float("nan")
+    errors = part("errors")
+    with pytest.raises(errors.ExportError, match="positions that are not numbers") as error:
+        export(baked, path_of(key, tmp_path), key)
+    assert not errors.is_transient(error.value) and names(tmp_path) == []
+
+
 @pytest.fixture
 def textured(baked, tmp_path):
     """The arm with a picture on it."""
@@ -406,7 +462,7 @@ def test_a_name_that_no_file_can_have_is_found_before_the_work(shot, run, stand_
         last.mkdir()
     elif name == "a folder":
         last.write_bytes(EARLIER)
-        words = "File exists"
+        words = "A part of it is a file"
     code, _, told = run(*bake(shot, *arguments[:-1], last))
     assert code == 2 and words in told and "Traceback" not in told
     assert stand_in.built == 0
@@ -490,6 +546,50 @@ def test_earlier_versions_of_a_blend_are_kept(shot, run, stand_in):  # noqa: F81
     assert [shot.with_name(f"{shot.name}{number}").read_bytes() for number in ("", 1, 2)] == contents[:0:-1]
 
 
+def test_a_save_that_fails_leaves_the_earlier_versions(soft_arm, tmp_path, monkeypatch):
+    path, files, disk = tmp_path / "shot.blend", bpy.context.preferences.filepaths, part("disk")
+    before, files.save_version = files.save_version, 2
+    try:
+        for _ in range(3):
+            part("blend_file").save(path)
+        contents = {name: (tmp_path / name).read_bytes() for name in names(tmp_path)}
+        assert list(contents) == ["shot.blend", "shot.blend1", "shot.blend2"]
+        replace_file = disk.replace
+
+        def refuse(new, target):
+            if target == path:
+                raise OSError(errno.ESTALE, os.strerror(errno.ESTALE), str(target))
+            replace_file(new, target)
+
+        monkeypatch.setattr(disk, "replace", refuse)
+        with pytest.raises(OSError, match=os.strerror(errno.ESTALE)):
+            part("blend_file").save(path)
+    finally:
+        files.save_version = before
+    assert {name: (tmp_path / name).read_bytes() for name in names(tmp_path)} == contents
+
+
+@pytest.mark.parametrize("compress", [False, True])
+def test_a_saved_file_is_compressed_as_it_was(soft_arm, tmp_path, compress):
+    """With the list of frames by which Blender finds its way."""
+    path = tmp_path / "shot.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=compress)
+    theirs = path.read_bytes()
+    part("blend_file").save(path)
+    ours = path.read_bytes()
+    assert names(tmp_path) == ["shot.blend", "shot.blend1"]
+    assert (ours[:4] == theirs[:4]) and abs(len(ours) - len(theirs)) < 0.1 * len(theirs)
+    if compress:
+        zstandard = pytest.importorskip("zstandard")
+        count, _, mark = struct.unpack("<IBI", ours[-9:])
+        frames = struct.unpack(f"<{2 * count}I", ours[-9 - 8 * count : -9])
+        assert mark == struct.unpack("<IBI", theirs[-9:])[2] and sum(frames[::2]) + 8 * count + 17 == len(ours)
+        with zstandard.ZstdDecompressor().stream_reader(ours, read_across_frames=True) as content:
+            assert len(content.read()) == sum(frames[1::2])
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    assert len(bpy.data.objects["Arm"].dynamorph.targets) == 2
+
+
 # What is told --------------------------------------------------------------------------------------------------------
 
 
@@ -516,3 +616,21 @@ def test_a_model_file_names_itself_when_the_disk_is_full(addon, disk):
     with pytest.raises(OSError, match=FULL) as error:
         part("disk").save(path, bytes(100_000))
     assert error.value.filename == str(path) and path.read_bytes() == EARLIER and names(disk) == [path.name]
+
+
+def test_a_folder_that_is_missing_is_neither_made_nor_removed(addon, tmp_path):
+    """Another process may begin to write there at this moment."""
+    part("outputs").try_folder(tmp_path / "caches" / "one")
+    assert names(tmp_path) == []
+    (tmp_path / "caches").mkdir()
+    part("outputs").try_folder(tmp_path / "caches")
+    assert names(tmp_path) == ["caches"] and names(tmp_path / "caches") == []
+
+
+@pytest.mark.parametrize("name", ["out", "shot.blend1"])
+def test_a_blend_of_another_name(shot, run, stand_in, tmp_path, name):  # noqa: F811
+    output = tmp_path / name
+    assert run("build", shot, "--object", "Arm", "-o", output)[0] == 0
+    assert run("build", output, "--object", "Arm", "--in-place")[0] == 0
+    bpy.ops.wm.open_mainfile(filepath=str(output))
+    assert "Arm" in bpy.data.objects

@@ -154,7 +154,8 @@ def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], fold
         raise InputError(f"--output-file {pattern}: several meshes would share it: {remedy}")
     for path in files.values():
         check_folder(path)
-        outputs.try_file(path)
+        if not chosen:  # otherwise `check_place` does
+            outputs.try_file(path)
     frames = tuple(args.frames or (bpy.context.scene.frame_start, bpy.context.scene.frame_end))
     for obj in objects if chosen else ():
         exports.check_place(obj, chosen_format, files[obj.name], frames)

@@ -144,9 +144,10 @@ def _run(args: argparse.Namespace, opens_file: bool) -> int:
 
 def outcome(failure: OSError | MemoryError | errors.SinkError) -> tuple[int, str]:
     """The exit code and the message when the system refuses something."""
-    if errors.is_transient(failure):
-        return TRY_AGAIN, f"error: {errors.sentence(failure)}: try again"
-    return BAD_INPUT, f"error: {errors.sentence(failure)}"
+    text = f"error: {errors.sentence(failure)}"
+    if not errors.is_transient(failure):
+        return BAD_INPUT, text
+    return TRY_AGAIN, text if text.endswith("try again") else f"{text}: try again"
 
 
 def parser(opens_file: bool) -> argparse.ArgumentParser:

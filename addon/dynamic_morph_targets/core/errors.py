@@ -14,6 +14,7 @@ PERMANENT = {
     errno.EACCES, errno.EEXIST, errno.EFBIG, errno.EINVAL, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.ENODEV,
     errno.ENOENT, errno.ENOSYS, errno.ENOTDIR, errno.ENXIO, errno.EOPNOTSUPP, errno.EPERM, errno.EROFS,
 }  # fmt: skip
+LOST = {53, 54, 55, 59, 64, 67, 121, 1231}  # codes of Windows for a network that went away, whatever errno says
 FULL = "Free some space, or choose another folder"
 PROTECTED = "Choose a folder and a file that can be written to"
 REMEDIES = {
@@ -111,4 +112,6 @@ def sentence(error: BaseException) -> str:
 
 def is_transient(error: BaseException) -> bool:
     """Whether the same may succeed at another time: the fault is the machine's, not of what was asked for."""
-    return isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno not in PERMANENT)
+    if isinstance(error, OSError):
+        return getattr(error, "winerror", None) in LOST or error.errno not in PERMANENT
+    return isinstance(error, MemoryError)

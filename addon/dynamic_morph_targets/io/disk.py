@@ -74,12 +74,14 @@ def replace(new: Path, path: Path) -> None:
             if getattr(error, "winerror", None) not in IN_USE:
                 raise
             if time.monotonic() > ends:
-                raise FileInUseError(
-                    "'{path}' cannot be replaced: another program has it open, or it is read-only. Close it there and "
-                    "try again",
-                    path=path,
-                ) from error
+                raise in_use(path) from error
         time.sleep(0.05)
+
+
+def in_use(path: Path) -> FileInUseError:
+    """The error for a file that Windows does not let be replaced."""
+    text = "'{path}' cannot be replaced: another program has it open, or it is read-only. Close it there and try again"
+    return FileInUseError(text, path=path)
 
 
 def _sync(folder: Path) -> None:

@@ -22,7 +22,7 @@ BLOCK = 4096  # bytes that a trial writes: a full disk still takes empty files
 # Faults that the messages of other programs name in words. "No such file" is not one: Blender says it of a full disk.
 NAMED = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ESTALE, errno.EROFS, errno.EACCES, errno.EFBIG)
 UNREADABLE = "what was written cannot be read back"  # of ours, when nothing else was noticed
-WORDS = {os.strerror(number): number for number in NAMED}
+WORDS = {os.strerror(number): number for number in NAMED if not os.strerror(number).startswith("Unknown")}  # on Windows
 WORDS |= {"iostream error": errno.EIO, UNREADABLE: errno.EIO}  # the first is of Alembic
 
 
@@ -32,13 +32,13 @@ def try_file(path: Path, size: int = BLOCK) -> None:
     """
     if "\0" in str(path):
         raise OSError(errno.EINVAL, os.strerror(errno.EINVAL), str(path))
-    partial = _partial(path)
+    partial = partial_of(path)
     with disk.named(path, partial):
         try:
             if path.exists():
-                path.open("r+b").close()  # a folder, or a file that is protected or in use
-                if not path.is_file():  # a device
+                if not (path.is_file() or path.is_dir()):  # a device, a pipe
                     raise OSError(errno.EINVAL, "Not a file")
+                _try_to_open(path)
             with partial.open("xb") as file:
                 for start in range(0, size, 2**20):
                     file.write(bytes(min(2**20, size - start)))
@@ -48,21 +48,29 @@ def try_file(path: Path, size: int = BLOCK) -> None:
             disk.discard(partial)
 
 
-def try_folder(folder: Path) -> None:
-    """`try_file` for any file in a folder, which may be missing: then it is so afterwards."""
-    missing = not folder.exists()
-    folder.mkdir(parents=True, exist_ok=True)
+def _try_to_open(path: Path) -> None:
+    """Raises OSError for a folder, and for a file that is protected or in use."""
     try:
-        try_file(folder / "dynamorph")
-    finally:
-        if missing:
-            with suppress(OSError):  # somebody else has put a file there
-                folder.rmdir()
+        path.open("r+b").close()
+    except PermissionError as error:
+        if os.name == "nt" and path.is_file() and os.access(path, os.W_OK):  # not protected
+            raise disk.in_use(path) from error
+        raise
+
+
+def try_folder(folder: Path) -> None:
+    """`try_file` for any file in a folder; where it is missing, in the nearest one above that is there. No folder is
+    made or removed: another process may begin to write to it at this moment. Raises OSError.
+    """
+    nearest = _existing(folder)
+    if not nearest.is_dir():
+        raise OSError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(nearest))
+    try_file(nearest / "dynamorph")
 
 
 def check_space(path: Path, size: int) -> None:
     """Raises OSError when so many bytes, an estimate, do not fit into a folder or beside the file that is at `path`."""
-    free = shutil.disk_usage(path if path.is_dir() else path.parent).free
+    free = shutil.disk_usage(_existing(path if path.is_dir() else path.parent)).free
     if size > free:
         needed = f"about {size / 1e6:.1f} MB are needed, {free / 1e6:.1f} MB are free"
         raise OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}, {needed}", str(path))
@@ -77,12 +85,12 @@ def replacing(path: Path, in_folder: bool = False) -> Iterator[Path]:
     folder of `path`, except those that it has already. Raises OSError.
     """
     _remove_abandoned(path)
-    partial = _partial(path)
+    partial = partial_of(path)
     written = partial / path.name if in_folder else partial
     with disk.named(path, partial):
         try:
             if in_folder:
-                partial.mkdir(mode=0o700)
+                partial.mkdir(mode=0o777 if os.name == "nt" else 0o700)  # Windows' rights would go with what is moved
             else:
                 partial.open("xb").close()
             yield written
@@ -106,14 +114,21 @@ def why_not(path: Path, text: str, size: int = BLOCK) -> OSError | None:
     return OSError(*named[0], str(path)) if named else None
 
 
-def _partial(path: Path) -> Path:
-    """Exporters check the suffix."""
+def _existing(folder: Path) -> Path:
+    """The folder itself, or the nearest one above that is there."""
+    return next((each for each in (folder, *folder.parents) if each.exists()), folder)
+
+
+def partial_of(path: Path) -> Path:
+    """A random name beside `path`, with its suffix, which exporters check. What is left there is removed an hour later,
+    by the next one that writes `path`; also with an `@` behind it.
+    """
     return path.with_name(f"{path.stem}.{secrets.token_hex(8)}.part{path.suffix}")
 
 
 def _remove_abandoned(path: Path) -> None:
     """Remove what processes that were killed have left of `path`."""
-    ours = re.compile(rf"{re.escape(path.stem)}\.[0-9a-f]{{16}}\.part{re.escape(path.suffix)}@?")  # @: of Blender
+    ours = re.compile(rf"{re.escape(path.stem)}\.[0-9a-f]{{16}}\.part{re.escape(path.suffix)}@?")
     with suppress(OSError):
         for left in [each for each in path.parent.iterdir() if ours.fullmatch(each.name)]:
             if time.time() - left.stat().st_mtime > disk.ABANDONED:

@@ -15,6 +15,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+BEGIN = "dynamorph: the export begins"  # as in `export_process`
 UNREADABLE = "what was written cannot be read back"  # as in `io/outputs`
 
 
@@ -23,6 +24,7 @@ def run(job):
 
     addon_utils.disable(job["add_on"])
     show(job)
+    print(BEGIN, file=sys.stderr, flush=True)
     getattr(bpy.ops.wm, f"{job['format']}_export")(**job["options"])
     read_back(job["format"], job["options"]["filepath"], job["frames"])
 
@@ -47,7 +49,7 @@ def drivers():
 
 
 def read_back(format, path, frames):
-    """Raises RuntimeError when the file cannot be opened, or shows no mesh or one that cannot be."""
+    """Raises RuntimeError when the file cannot be opened, shows no mesh, or one without a place."""
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
     try:
         getattr(bpy.ops.wm, f"{format}_import")(filepath=path)
@@ -58,8 +60,10 @@ def read_back(format, path, frames):
         bpy.context.scene.frame_set(frame)
         graph = bpy.context.evaluated_depsgraph_get()
         points = [positions(mesh.evaluated_get(graph).data) for mesh in meshes]
-        if not any(map(len, points)) or not all(np.isfinite(each).all() for each in points):
+        if not any(map(len, points)):
             raise RuntimeError(UNREADABLE)
+        if not all(np.isfinite(each).all() for each in points):
+            raise RuntimeError("a mesh has positions that are not numbers")
 
 
 def positions(mesh):

@@ -17,11 +17,13 @@ from pathlib import Path
 import bpy
 
 from ..core.message import Message
-from . import blend_file
+from . import blend_file, export_child
 
 CHILD = Path(__file__).with_name("export_child.py")
 FAILED = "Failed writing"  # what USD says and goes on
 KILLED = -9  # on Linux, by the kernel when memory is short
+BEGIN = "dynamorph: the export begins"  # as in `export_child`
+PROBE = "dynamorph_probe"
 ADD_ON = __package__.rpartition(".")[0]
 
 
@@ -33,7 +35,7 @@ def export(format: str, collection: str, path: Path, frames: tuple[int, int], **
     with tempfile.TemporaryDirectory(dir=bpy.app.tempdir) as folder:
         blend = Path(folder) / (Path(bpy.data.filepath).name or "untitled.blend")  # Alembic notes the name
         _copy(bpy.data.collections[collection], blend)
-        preferences = bpy.context.preferences.filepaths
+        trusted, preferences = _runs_python(), bpy.context.preferences.filepaths
         job = {
             "blend": str(blend),
             "scene": bpy.context.scene.name,
@@ -42,8 +44,8 @@ def export(format: str, collection: str, path: Path, frames: tuple[int, int], **
             "format": format,
             "options": {"filepath": str(path), "collection": collection, **options},
             "add_on": ADD_ON,
-            "runs_texts": preferences.use_scripts_auto_execute,
-            "runs_drivers": not bpy.app.autoexec_fail,
+            "runs_texts": trusted and preferences.use_scripts_auto_execute,
+            "runs_drivers": trusted,
         }
         request = Path(folder) / "job.json"
         request.write_text(json.dumps(job), encoding="utf-8")
@@ -56,8 +58,39 @@ def export(format: str, collection: str, path: Path, frames: tuple[int, int], **
         )  # fmt: skip
     if done.returncode == KILLED:
         raise MemoryError
-    if done.returncode or FAILED in done.stderr:
-        raise RuntimeError(done.stderr.strip() or f"Blender's exporter crashed with code {done.returncode}")
+    said = done.stderr.rpartition(BEGIN)[2].strip()  # not what add-ons say as Blender starts
+    if done.returncode or FAILED in said:
+        raise RuntimeError(said or f"Blender's exporter crashed with code {done.returncode}")
+
+
+def _runs_python() -> bool:
+    """Whether this session runs the Python of its file, which the child must not do otherwise.
+
+    Only evaluating some tells: `autoexec_fail` does not know of a driver that was never evaluated, as of objects that
+    only renders show, nor the preference of a file that was opened untrusted.
+    """
+    scene = bpy.context.scene
+    if bpy.app.autoexec_fail or scene.library or not _has_python():
+        return False
+    had_animation = scene.animation_data is not None
+    scene[PROBE] = 0.0
+    scene.driver_add(f'["{PROBE}"]').driver.expression = "float(str(1).isdigit())"  # more than simple arithmetic
+    try:
+        bpy.context.view_layer.update()
+        return scene[PROBE] != 0.0
+    finally:
+        scene.driver_remove(f'["{PROBE}"]')
+        del scene[PROBE]
+        if not had_animation:
+            scene.animation_data_clear()
+
+
+def _has_python() -> bool:
+    """Whether there is any: a text that runs at once, or a driver that is more than arithmetic."""
+    drivers = export_child.drivers()
+    return any(text.use_module for text in bpy.data.texts) or any(
+        driver.type == "SCRIPTED" and not driver.is_simple_expression for driver in drivers
+    )
 
 
 def _copy(collection, blend: Path):

@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 
 from ..core.errors import ExportError
-from ..io import disk, glb, outputs, point_cache, whole
+from ..io import glb, outputs, point_cache, whole
 from ..scene import animation, checks, skin
 from ..scene.references import key_points, rig_of
 from ..scene.skin import followers
@@ -182,7 +182,7 @@ def _write_usd(_obj, collection: str, path: Path, frames, _takes):
 def _write_raw(obj, _collection: str, path: Path, _frames, _takes):
     """One row per frame, whatever the bake's samples are, because players count frames."""
     basis = key_points(obj.data.shape_keys.reference_key)
-    disk.save(path, point_cache.raw(bake_reading.read_back(obj), basis, _fps()))
+    path.write_bytes(point_cache.raw(bake_reading.read_back(obj), basis, _fps()))
 
 
 def _fps() -> float:
