@@ -130,7 +130,8 @@ class Attack:
         said, files, why = self.said.read_text(errors="replace"), self.files(), os.strerror(KINDS[kind])
         new = sorted(files.keys() - self.before.keys())
         found = [f"left behind: {name}" for name in new if ".part" in name or name.endswith("@")]
-        if re.search(r'File ".*dynamic_morph_targets', said):  # Blender's own exporters print some of theirs
+        # Not what Blender's own exporters print, nor of a file that they leave open.
+        if re.search(r'File ".*dynamic_morph_targets', re.sub(r"Exception ignored in.*\n(.*\n)+?\w+Error", "", said)):
             found.append("a traceback")
         # The earlier result or a new one, as when its report alone failed.
         found += [f"exit code {code}, and {text}" for text in self.incomplete(files)]
