@@ -14,21 +14,32 @@ namespace dynamorph {
 
 namespace {
 
-/// x -> A^T A x, which Spectra iterates with.
+/// x -> P A^T A P x, which Spectra iterates with; P projects onto what is orthogonal to the columns of `found`.
 class GramOperator {
  public:
   using Scalar = double;
-  explicit GramOperator(const SparseMatrix& A) : A_(A) {}
+  GramOperator(const SparseMatrix& A, const MatrixXd& found) : A_(A), found_(found) {}
   Eigen::Index rows() const { return A_.cols(); }
   Eigen::Index cols() const { return A_.cols(); }
   void perform_op(const double* x, double* y) const {
-    const VectorXd image = A_ * Eigen::Map<const VectorXd>(x, cols());
-    Eigen::Map<VectorXd>(y, rows()) = A_.transpose() * image;
+    const VectorXd image = A_ * projected(Eigen::Map<const VectorXd>(x, cols()));
+    Eigen::Map<VectorXd>(y, rows()) = projected(A_.transpose() * image);
   }
 
  private:
+  VectorXd projected(const VectorXd& x) const { return x - found_ * (found_.transpose() * x); }
+
   const SparseMatrix& A_;
+  const MatrixXd& found_;
 };
+
+/// Orthonormal combinations of columns with the eigenvectors of their Gram matrix, strongest first, as long as they are
+/// strong.
+MatrixXd strong_only(const SparseMatrix& A, const MatrixXd& combinations) {
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(gram(RowMajor(A * combinations)));
+  const Eigen::Index strong = (eigen.eigenvalues().array() > 1e-14 * A.squaredNorm()).count();
+  return combinations * eigen.eigenvectors().rightCols(strong).rowwise().reverse();
+}
 
 }  // namespace
 
@@ -59,19 +70,26 @@ MatrixXd strongest(const RowMajor& columns, Eigen::Index most) {
 }
 
 MatrixXd strongest_combinations(const SparseMatrix& A, Eigen::Index most) {
-  const Eigen::Index k = std::min({most, A.rows(), A.cols() - 1}), search = std::min(A.cols(), 2 * k + 20);
-  GramOperator op(A);
-  Spectra::SymEigsSolver<GramOperator> solver(op, k, search);
-  solver.init();
-  solver.compute(Spectra::SortRule::LargestAlge, 1000, 1e-10);
-  if (solver.info() != Spectra::CompInfo::Successful)
-    throw Error("The loads of " + std::to_string(A.cols()) +
-                " columns were not decomposed. Ask for fewer modes, or let fewer bones deform the mesh.");
-  // Of columns that have fewer combinations the iteration finds some several times, and noise.
-  const MatrixXd combinations = solver.eigenvectors();
-  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(gram(RowMajor(A * combinations)));
-  const Eigen::Index strong = (eigen.eigenvalues().array() > 1e-14 * eigen.eigenvalues().maxCoeff()).count();
-  return combinations * eigen.eigenvectors().rightCols(strong).rowwise().reverse();
+  const Eigen::Index most_there = std::min({most, A.rows(), A.cols() - 1});
+  MatrixXd found(A.cols(), 0);
+  // From one vector, as Spectra begins with, an iteration finds one of several equally strong combinations, and the
+  // others by chance. So where there are few it is repeated in what is left.
+  while (found.cols() < most_there && A.squaredNorm() - (A * found).squaredNorm() > 1e-12 * A.squaredNorm()) {
+    const Eigen::Index k = most_there - found.cols(), search = std::min(A.cols(), 2 * k + 20);
+    GramOperator op(A, found);
+    Spectra::SymEigsSolver<GramOperator> solver(op, k, search);
+    solver.init();
+    solver.compute(Spectra::SortRule::LargestAlge, 1000, 1e-10);
+    if (solver.info() != Spectra::CompInfo::Successful)
+      throw Error("The loads of " + std::to_string(A.cols()) +
+                  " columns were not decomposed. Ask for fewer modes, or let fewer bones deform the mesh.");
+    MatrixXd all(A.cols(), found.cols() + k);
+    all << found, solver.eigenvectors();
+    const MatrixXd more = strong_only(A, orthonormal(all));
+    if (more.cols() <= found.cols()) break;
+    found = more.leftCols(std::min(most_there, more.cols()));
+  }
+  return found;
 }
 
 }  // namespace dynamorph

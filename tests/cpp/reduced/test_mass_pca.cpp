@@ -52,3 +52,15 @@ TEST_CASE("columns of zeros and copies add nothing") {
   REQUIRE(found.cols() == 2);
   CHECK((found - two * (two.transpose() * found)).norm() < 1e-9 * found.norm());
 }
+
+TEST_CASE("of combinations that are equally strong each is found") {
+  constexpr Index kCount = 12;  // four of each strength
+  const MatrixXd all = directions(80, kCount, 4);
+  RowMajor columns = RowMajor::Zero(80, 2400);
+  for (Index k = 0; k < 2400; ++k) columns.col(k) = (1 + k % kCount / 4) * all.col(k % kCount);
+  const MatrixXd found = strongest_of(columns, 24);
+  REQUIRE(found.cols() == kCount);
+  CHECK((all - found * found.householderQr().solve(all)).norm() < 1e-9);
+  for (Index k = 0; k < kCount; ++k)
+    CHECK(found.col(k).norm() == doctest::Approx((3 - double(k / 4)) * std::sqrt(2400. / kCount)));
+}
