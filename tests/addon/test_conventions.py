@@ -174,6 +174,11 @@ def private_uses(path, private):
     return [f"{path.name}:{node.lineno} {name}" for node in nodes(path) for name in named_in(node) if name in private]
 
 
+def test_scenes_are_not_removed_while_the_artist_scrubs():
+    """Blender 5.2 crashes then; see `rig_motion.remove_scene`."""
+    assert [path.name for path in PACKAGE.rglob("*.py") if "scenes.remove(" in path.read_text("utf-8")] == []
+
+
 def test_tests_use_no_private_names():
     """They go by what a user or another module can see."""
     private = private_names(PACKAGE, ENGINE)

@@ -95,11 +95,28 @@ def timed(module, name: str):
         setattr(module, name, function)
 
 
-def click(frame: int):
-    """Go to a frame by a click in the timeline."""
+def place(frame: int) -> tuple[float, float]:
+    """Where a frame is in the timeline."""
     x, y, _, height = timeline.box
     across, _ = timeline.region.view2d.view_to_region(frame, 0, clip=False)
-    yield from driver.click((x + across, y + height - 12))
+    return x + across, y + height - 12
+
+
+def scrub(first: int, last: int, meanwhile):
+    """Drag from one frame to another, and call `meanwhile()` before the mouse is let go."""
+    yield from driver.move(place(first))
+    driver.send("LEFTMOUSE", "PRESS", place(first))
+    yield 0.1
+    driver.send("MOUSEMOVE", "NOTHING", place(last))
+    yield from until(lambda: window().screen.is_scrubbing, "the scrubbing")
+    meanwhile()
+    driver.send("LEFTMOUSE", "RELEASE", place(last))
+    yield from until(lambda: not window().screen.is_scrubbing, "the end of the scrubbing")
+
+
+def click(frame: int):
+    """Go to a frame by a click in the timeline."""
+    yield from driver.click(place(frame))
     yield from until(lambda: bpy.context.scene.frame_current == frame, f"frame {frame}")
 
 

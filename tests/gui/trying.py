@@ -27,6 +27,15 @@ from editors import (
     viewport,
 )
 
+
+@step("Scrub while the rig is read")
+def read_while_scrubbing():
+    """As when the mesh is compared with its model, a second after an edit."""
+    read = lambda: addon("scene.mesh_data").worlds_at_start(skin(), rig())  # noqa: E731
+    yield from frames.scrub(limb.FIRST, limb.FLEXED, read)
+    yield from frames.click(limb.FIRST)
+
+
 # The model -----------------------------------------------------------------------------------------------------------
 
 

@@ -161,8 +161,7 @@ class _Trial:
         self.bases = {}
 
     def __exit__(self, *_error):
-        bpy.data.scenes.remove(self.scene)
-        bpy.data.objects.remove(self.probe)
+        rig_motion.remove_scene(self.scene, self.probe)
 
     def turn(self, turns, angles):
         """Turn bones by angles (n,), from where they were at first, each about the axis of its turn (bone, axis)."""
