@@ -53,7 +53,7 @@ def test_concave_ngons_and_what_is_loose(scene):
 
 
 @pytest.mark.fault("M13")
-def test_very_many_faces(scene):
+def test_very_many_faces(scene, tmp_path):
     """As many as DYNAMORPH_FACES says: two million in `make reliability`."""
     resource = pytest.importorskip("resource", reason="needs a system that counts the memory of a process")
     around = round(np.sqrt(FACES / 2.0))
@@ -67,6 +67,7 @@ def test_very_many_faces(scene):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     obj = limb(scene, "Large", vertices, triangles.tolist())
     scene.frame_end = 5
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "large.blend"))  # the model goes beside it
     job = bake(obj, substeps=1)
     assert np.isfinite(job.result.coordinates).all() and len(obj.dynamorph.bake.keys) > 0
     used = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
