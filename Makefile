@@ -191,13 +191,17 @@ else
 	@.venv/wheels/bin/python tools/wheels.py $(if $(platforms),--platforms $(platforms))
 endif
 
-# docs/platforms.md, from what `make wheels` made, with its C++ tests under Wine and QEMU; takes about an hour.
+# docs/platforms.md, from what `make wheels` made, with its C++ tests under Wine and QEMU; takes about an hour. speed=1
+# measures the speed alone again.
+speed ?=
 platforms: build
 	@tools/setup.sh platforms bench
+ifeq ($(speed),)
 	@.venv/wheels/bin/python tools/wheels.py
 	@.venv/wheels/bin/python tools/wheels.py --tests --platforms linux-x64 linux-arm64 windows-x64
 	@$(python) tools/package.py extension
-	@.venv/wheels/bin/python tests/benchmarks/platforms_page.py
+endif
+	@.venv/wheels/bin/python tests/benchmarks/platforms_page.py $(if $(speed),--speed-alone)
 
 # The Blender extension as zips in dist/: one for each platform of the wheels in dist/wheels, and one for all of them.
 # platforms=native packs what `make build` compiles, for this machine alone.
