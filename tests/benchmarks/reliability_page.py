@@ -147,7 +147,7 @@ each step: no bug was reported, no step took over a minute, and no handler, data
 *Growth*: of the memory, at each new file.""",
     "coverage": """Coverage: `make coverage`
 
-What of the sources the tests run; [by folder and file](coverage.md).""",
+What of the sources the tests run.""",
 }
 
 
@@ -165,16 +165,12 @@ def longer_runs() -> str:
 
 
 def tabulated(command: str, parts: dict[str, dict]) -> str:
-    """The figures of one command, and when they were measured."""
+    """The figures of one command, and the commits at which they were measured."""
     tables = {
         "faults": of_faults, "allocations": of_allocations, "fuzz": of_fuzz, "soak": of_soak, "coverage": of_coverage
     }  # fmt: skip
-    measured = defaultdict(list)
-    for part, figures in parts.items():
-        measured[figures["measured"]].append(part)
-    only = len(measured) == 1
-    when = "\n".join(f"{each}." if only else f"{each}: {', '.join(names)}." for each, names in measured.items())
-    return f"{tables[command](parts)}\n{when}\n"
+    measured = dict.fromkeys(figures["measured"] for figures in parts.values())
+    return f"{tables[command](parts)}\n" + "".join(f"{each}.\n" for each in measured)
 
 
 def of_faults(parts: dict[str, dict]) -> str:
@@ -223,7 +219,7 @@ def of_coverage(parts: dict[str, dict]) -> str:
          f"{each['branches_run'] / each['branches']:.1%}"]
         for title, each in parts.items()
     ]  # fmt: skip
-    return grid(["", "lines", "run", "branches taken"], rows)
+    return grid(["", "lines", "run", "branches taken"], rows) + "\n[By folder and file](coverage.md).\n"
 
 
 def wrong(figures: dict) -> str:
