@@ -167,8 +167,8 @@ def bake_difference(python: str, engine: Path) -> float:
 
 
 def compiled_again() -> list[str]:
-    """The wheels that another folder made with the same bytes, a clone of the last commit; ends the program if one has
-    others.
+    """The wheels that another folder made with the same bytes, a clone; ends the program if one has others, as when there
+    was a commit since they were made, whose time they have.
     """
     with tempfile.TemporaryDirectory() as temporary:
         clone = Path(temporary) / "elsewhere"
@@ -259,7 +259,7 @@ with zig {zig}; `make platforms` tries it on that machine and writes this page; 
   stored on x86-64 with gcc; the largest difference by the largest displacement. gcc's own is {golden:.0e}.
 - *Same bake*: `sample_blends/bulging_cylinder.blend` baked in Blender with this wheel and with gcc's engine from
   one model; the largest difference of a vertex by the largest displacement of one.
-- *Compiled again* in another folder, a clone, these wheels have the same bytes: {again}.
+- *Compiled again* in another folder, a clone, these wheels have the same bytes: {again}
 - Windows: no Windows Python runs here, so the module is checked by what it imports and exports, and its engine by the
   C++ tests under Wine. macOS: nothing runs here; the module is checked by what it imports and exports.
 
@@ -304,7 +304,7 @@ def page(report: dict) -> str:
               "tests passed", "golden motion", "same bake"]  # fmt: skip
     return TEXT.format(
         zig=report["zig"], commit=report["commit"], golden=report["gcc"]["golden"],
-        again=", ".join(f"`{name}`" for name in report["again"]),
+        again=(", ".join(f"`{name}`" for name in report["again"]) or "not compared yet") + ".",
         table=grid(header, rows), speed=speed_text(report["speed"]),
     )  # fmt: skip
 
@@ -346,7 +346,7 @@ def measure() -> dict:
                 row["tests"] = tests_on_arm(python, unpacked(wheel))
             print(row, flush=True)
             rows.append(row)
-    return found | {"wheels": rows, "again": compiled_again(), "speed": known.get("speed", {})}
+    return found | {"wheels": rows, "again": [], "speed": known.get("speed", {})}
 
 
 def main() -> None:
@@ -358,6 +358,8 @@ def main() -> None:
         found = json.loads(REPORT.read_text(encoding="utf-8"))
     else:
         found = measure()
+        write(found)
+        found["again"] = compiled_again()
         write(found)
     if not args.keep_speed:
         found["speed"] = speeds()
