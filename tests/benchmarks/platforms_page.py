@@ -167,8 +167,8 @@ def bake_difference(python: str, engine: Path) -> float:
 
 
 def compiled_again() -> list[str]:
-    """The wheels that another folder made with the same bytes, a clone; ends the program if one has others, as when there
-    was a commit since they were made, whose time they have.
+    """The wheels that another folder, a clone, made with the same bytes. Ends the program if one has others, as when
+    there was a commit since, whose time they have.
     """
     with tempfile.TemporaryDirectory() as temporary:
         clone = Path(temporary) / "elsewhere"
