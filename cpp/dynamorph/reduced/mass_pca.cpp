@@ -4,33 +4,32 @@
 #include <Spectra/SymEigsSolver.h>
 
 #include <Eigen/Eigenvalues>
+#include <Eigen/QR>
 #include <Eigen/SVD>
 #include <algorithm>
+#include <random>
+#include <stdexcept>
 
-#include "dynamorph/core/errors.hpp"
 #include "dynamorph/reduced/gram_accumulator.hpp"
 
 namespace dynamorph {
 
 namespace {
 
-/// x -> P A^T A P x, which Spectra iterates with; P projects onto what is orthogonal to the columns of `found`.
+/// x -> A^T A x, which Spectra iterates with.
 class GramOperator {
  public:
   using Scalar = double;
-  GramOperator(const SparseMatrix& A, const MatrixXd& found) : A_(A), found_(found) {}
+  explicit GramOperator(const SparseMatrix& A) : A_(A) {}
   Eigen::Index rows() const { return A_.cols(); }
   Eigen::Index cols() const { return A_.cols(); }
   void perform_op(const double* x, double* y) const {
-    const VectorXd image = A_ * projected(Eigen::Map<const VectorXd>(x, cols()));
-    Eigen::Map<VectorXd>(y, rows()) = projected(A_.transpose() * image);
+    const VectorXd image = A_ * Eigen::Map<const VectorXd>(x, cols());
+    Eigen::Map<VectorXd>(y, rows()) = A_.transpose() * image;
   }
 
  private:
-  VectorXd projected(const VectorXd& x) const { return x - found_ * (found_.transpose() * x); }
-
   const SparseMatrix& A_;
-  const MatrixXd& found_;
 };
 
 /// Orthonormal combinations of columns with the eigenvectors of their Gram matrix, strongest first, as long as they are
@@ -39,6 +38,20 @@ MatrixXd strong_only(const SparseMatrix& A, const MatrixXd& combinations) {
   const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(gram(RowMajor(A * combinations)));
   const Eigen::Index strong = (eigen.eigenvalues().array() > 1e-14 * A.squaredNorm()).count();
   return combinations * eigen.eigenvectors().rightCols(strong).rowwise().reverse();
+}
+
+/// Orthonormal combinations (columns, `count`) that include the strongest, the better the more steps; all of them, if
+/// there are no more than `count`. Halko, Martinsson and Tropp, SIAM Review 53 (2011), algorithm 4.4.
+MatrixXd random_combinations(const SparseMatrix& A, Eigen::Index count, int steps) {
+  std::mt19937 random(1);
+  MatrixXd Q(A.cols(), count);
+  for (double& number : Q.reshaped()) number = double(random()) / (1u << 31) - 1;
+  for (int step = 0; step < steps; ++step) {
+    const MatrixXd image = A * Q;
+    Q = A.transpose() * image;
+    Q = Eigen::HouseholderQR<MatrixXd>(Q).householderQ() * MatrixXd::Identity(A.cols(), count);
+  }
+  return Q;
 }
 
 }  // namespace
@@ -70,26 +83,22 @@ MatrixXd strongest(const RowMajor& columns, Eigen::Index most) {
 }
 
 MatrixXd strongest_combinations(const SparseMatrix& A, Eigen::Index most) {
-  const Eigen::Index most_there = std::min({most, A.rows(), A.cols() - 1});
+  const Eigen::Index k = std::min({most, A.rows(), A.cols() - 1}), search = std::min(A.cols(), 2 * k + 20);
+  // An iteration from one vector, as Spectra's, breaks down where there are few combinations, and finds one of several
+  // that are equally strong.
+  const MatrixXd all = strong_only(A, random_combinations(A, search, 1));
+  if (all.cols() < search) return all.leftCols(std::min(k, all.cols()));
   MatrixXd found(A.cols(), 0);
-  // From one vector, as Spectra begins with, an iteration finds one of several equally strong combinations, and the
-  // others by chance. So where there are few it is repeated in what is left.
-  while (found.cols() < most_there && A.squaredNorm() - (A * found).squaredNorm() > 1e-12 * A.squaredNorm()) {
-    const Eigen::Index k = most_there - found.cols(), search = std::min(A.cols(), 2 * k + 20);
-    GramOperator op(A, found);
+  try {
+    GramOperator op(A);
     Spectra::SymEigsSolver<GramOperator> solver(op, k, search);
     solver.init();
     solver.compute(Spectra::SortRule::LargestAlge, 1000, 1e-10);
-    if (solver.info() != Spectra::CompInfo::Successful)
-      throw Error("The loads of " + std::to_string(A.cols()) +
-                  " columns were not decomposed. Ask for fewer modes, or let fewer bones deform the mesh.");
-    MatrixXd all(A.cols(), found.cols() + k);
-    all << found, solver.eigenvectors();
-    const MatrixXd more = strong_only(A, orthonormal(all));
-    if (more.cols() <= found.cols()) break;
-    found = more.leftCols(std::min(most_there, more.cols()));
+    if (solver.info() == Spectra::CompInfo::Successful) found = strong_only(A, solver.eigenvectors());
+  } catch (const std::runtime_error&) {  // of its decomposition of a small matrix
   }
-  return found;
+  if (found.cols() < k) found = strong_only(A, random_combinations(A, search, 20));
+  return found.leftCols(std::min(k, found.cols()));
 }
 
 }  // namespace dynamorph
