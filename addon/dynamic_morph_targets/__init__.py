@@ -67,7 +67,10 @@ def register():
     import bpy
 
     from .cli import main
+    from .core import blas
 
+    if bpy.app.background:  # not where the artist and other add-ons work
+        blas.use_one_thread()
     try:
         for module in _modules():
             _registered.append(module)  # first, so that what it leaves when it fails is taken back too
