@@ -69,13 +69,15 @@ def register():
     from .cli import main
     from .core import blas
 
-    if bpy.app.background:  # not where the artist and other add-ons work
-        blas.use_one_thread()
+    def run_command(arguments):
+        blas.use_one_thread()  # not where the artist and other add-ons work
+        return main.main(arguments)
+
     try:
         for module in _modules():
             _registered.append(module)  # first, so that what it leaves when it fails is taken back too
             module.register()
-        _commands.append(bpy.utils.register_cli_command("dynamorph", main.main))
+        _commands.append(bpy.utils.register_cli_command("dynamorph", run_command))
     except BaseException:
         unregister()
         raise

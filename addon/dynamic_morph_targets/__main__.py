@@ -16,7 +16,9 @@ def run() -> int:
         return 2
     from . import register
     from .cli import main
+    from .core import blas
 
+    blas.use_one_thread()  # NumPy may have been loaded before
     if not hasattr(bpy.types.Object, "dynamorph"):  # the installed extension may have registered already
         register()
     return main.main(sys.argv[1:], opens_file=True)
