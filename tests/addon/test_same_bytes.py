@@ -57,6 +57,9 @@ def test_builds_and_bakes_make_the_same_bytes(shot):
     assert alone.keys() == SOLVERS.keys() and all(alone["Reduced"]) and alone["Reduced"] != alone["Full"]
     assert hashes(shot, CORES[:2]) == alone
     assert hashes(shot, CORES[:2]) == alone
+    stored = shot.with_name("stored.blend")
+    shot.with_name("baked.blend").rename(stored)
+    assert hashes(stored, CORES[:1]) == alone  # from the models that are there
 
 
 def test_threads_of_numpy_make_no_difference(tmp_path):

@@ -200,3 +200,14 @@ def test_the_same_model_is_the_same_bytes(cage):
     """Whenever, and however long it took."""
     first, second = (model_file.pack(*build(bar(), previous=cage).to_arrays()) for _ in range(2))
     assert first == second
+
+
+def test_a_stored_model_makes_the_same_digits(cage):
+    """In products of NumPy's, which sums by the layout in memory."""
+    model = build(bar(), previous=cage)
+    stored = building.Model.from_arrays(*model_file.unpack(model_file.pack(*model.to_arrays())))
+    for name in model.array_names():
+        first, second = getattr(model, name), getattr(stored, name)
+        assert first.dtype == second.dtype and first.flags.c_contiguous and second.flags.c_contiguous, name
+        assert np.array_equal(first, second), name
+    assert model.modes.flags.c_contiguous and stored.modes.flags.c_contiguous

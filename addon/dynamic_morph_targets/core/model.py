@@ -77,6 +77,11 @@ class Model:
     dependencies: dict[str, str]
     summary: dict
 
+    def __post_init__(self) -> None:
+        """As a stored model's: with another layout in memory NumPy would sum otherwise, and a bake had other digits."""
+        for name in self.array_names():
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name)))
+
     @classmethod
     def array_names(cls) -> list[str]:
         return [field.name for field in fields(cls) if field.type == "np.ndarray"]
