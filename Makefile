@@ -11,7 +11,8 @@ tools = $(CURDIR)/$(dir $(python))
 pythons = $(shell ls -d $(CURDIR)/.venv/3.*/bin/python | paste -sd';')
 jobs ?= $(shell nproc)
 build = build/cmake
-before_packing = $(if $(filter native,$(platforms)),build,setup)
+before_wheels = $(if $(filter native,$(platforms)),build,setup)
+before_packing = $(if $(or $(filter native,$(platforms)),$(wildcard dist/wheels/dynamorph-*.whl)),$(before_wheels),wheels)
 c_sources = $(shell find cpp tests/cpp tests/benchmarks -name '*.[ch]pp')
 workflows = $(wildcard .github/workflows/*.yml) farm/github_actions.yml
 # numpy.bool: the same stub with NumPy 1, which has no such name.
@@ -183,7 +184,7 @@ lint: build
 # Wheels of the engine for every system, and of the add-on, in dist/wheels; takes an hour the first time. platforms="linux-x64
 # windows-x64" makes those alone; platforms=native packs what `make build` compiles, for this machine alone, into dist/.
 platforms ?=
-wheels: $(before_packing)
+wheels: $(before_wheels)
 ifeq ($(platforms),native)
 	@$(python) tools/package.py wheel
 else
@@ -204,7 +205,8 @@ endif
 	@.venv/wheels/bin/python tests/benchmarks/platforms_page.py $(if $(speed),--speed-alone)
 
 # The Blender extension as zips in dist/: one for each platform of the wheels in dist/wheels, and one for all of them.
-# platforms=native packs what `make build` compiles, for this machine alone.
+# Without any such wheel it makes them first. platforms="linux-x64 windows-x64" packs those alone; platforms=native what
+# `make build` compiles, for this machine alone.
 extension: $(before_packing)
 	@$(python) tools/package.py extension $(platforms)
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Packages into dist/: `wheel` (native wheels and the add-on's pure-Python wheel), `extension` (the zips that Blender
 installs from disk) or `repository` (the folder that Blender's *Get Extensions* installs and updates from). The last two
-pack the engine's wheels of dist/wheels; with `native`, what `make build` compiled for this machine."""
+pack the engine's wheels of dist/wheels, all or those of the platforms named; with `native`, what `make build` compiled
+for this machine."""
 
 from __future__ import annotations
 
@@ -65,8 +66,9 @@ def platform_of(wheel: Path) -> str:
     sys.exit(f"{wheel.name} is for none of Blender's platforms: {', '.join(PLATFORMS)}")
 
 
-def wheels_to_pack(native: bool) -> list[Path]:
+def wheels_to_pack(platforms: list[str]) -> list[Path]:
     """The engine's wheels of this version, one for each platform and Python. Exits if that is not what there is."""
+    native = "native" in platforms
     folder = ROOT / "build/native_wheels" if native else DIST / "wheels"
     if native:
         build_native_wheels(folder)
@@ -77,9 +79,10 @@ def wheels_to_pack(native: bool) -> list[Path]:
         same = wheels.setdefault((platform_of(wheel), wheel.name.split("-")[2]), wheel)
         if same != wheel:
             sys.exit(f"Both wheels are for one platform and Python. Delete one of them:{listed([same, wheel])}")
-    if not wheels:
-        sys.exit("There are no wheels in dist/wheels. Run `make wheels` first, or name this machine: platforms=native")
-    return list(wheels.values())
+    chosen = [wheel for (platform, _), wheel in wheels.items() if native or not platforms or platform in platforms]
+    if not chosen:
+        sys.exit("dist/wheels has no such wheels. Run `make wheels` first, or name this machine: platforms=native")
+    return chosen
 
 
 def listed(paths: list[Path]) -> str:
@@ -89,19 +92,19 @@ def listed(paths: list[Path]) -> str:
 # Extension -----------------------------------------------------------------------------------------------------------
 
 
-def make_extension(native: bool) -> None:
+def make_extension(platforms: list[str]) -> None:
     """One zip for each platform, and one for all of them."""
-    stage = stage_extension(ROOT / "build/extension", wheels_to_pack(native))
+    stage = stage_extension(ROOT / "build/extension", wheels_to_pack(platforms))
     DIST.mkdir(exist_ok=True)
     archives = pack_platforms(stage, DIST)
-    if not native:
+    if "native" not in platforms:
         archives.append(pack_extension(stage, DIST))
     print_table(archives)
 
 
-def make_repository(native: bool) -> None:
+def make_repository(platforms: list[str]) -> None:
     """A folder for any web server: one zip for each platform, index.json for Blender, index.html for people."""
-    stage = stage_extension(ROOT / "build/extension", wheels_to_pack(native))
+    stage = stage_extension(ROOT / "build/extension", wheels_to_pack(platforms))
     print_table(fill_repository(stage, DIST / "repository"))
 
 
@@ -176,6 +179,8 @@ if __name__ == "__main__":
     makers = {"wheel": lambda _: make_wheels(), "extension": make_extension, "repository": make_repository}
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=makers)
-    parser.add_argument("platforms", nargs="?", choices=["native"], help="this machine alone")
+    parser.add_argument("platforms", nargs="*", metavar="PLATFORM", help=f"native, {', '.join(PLATFORMS)}")
     arguments = parser.parse_args()
-    makers[arguments.what](arguments.platforms == "native")
+    if unknown := set(arguments.platforms) - {"native", *PLATFORMS}:
+        parser.error(f"unknown platforms: {', '.join(sorted(unknown))}")
+    makers[arguments.what](arguments.platforms)
