@@ -190,6 +190,17 @@ def test_repository_holds_one_zip_for_each_platform_and_its_index(repository):
         assert manifest_of(repository / name)["build"]["generated"]["platforms"] == entry["platforms"]
 
 
+def test_a_repository_of_some_platforms(everywhere, repository, tmp_path):
+    kept = tmp_path / "repository"
+    repository.rename(kept)
+    table = package(everywhere, "repository", "windows-x64", "linux-arm64")
+    packed = [Path(line.split()[0]).name for line in table.splitlines()]
+    assert packed == [f"dynamic_morph_targets-{VERSION}-{name}.zip" for name in ("linux_arm64", "windows_x64")]
+    shutil.rmtree(repository)
+    kept.rename(repository)
+    assert "unknown platforms: beos" in run_package(everywhere, "repository", "beos").stderr
+
+
 def refusal(project):
     run = run_package(project, "repository")
     assert run.returncode != 0 and not run.stdout and not (project / "dist/repository").exists()
