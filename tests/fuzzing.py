@@ -57,7 +57,8 @@ def target(*strategies, examples: int):
 
         @functools.wraps(once)
         def again(*args, **fixtures):
-            ends = time.monotonic() + seconds()
+            began = time.monotonic()
+            ends = began + seconds()
             failed = True
             try:
                 once(*args, **fixtures)
@@ -65,7 +66,7 @@ def target(*strategies, examples: int):
                     once(*args, **fixtures)
                 failed = False
             finally:
-                long_runs.keep("fuzz", test.__name__, inputs=tried, seconds=seconds(), failed=failed)
+                long_runs.keep("fuzz", test.__name__, inputs=tried, seconds=time.monotonic() - began, failed=failed)
 
         return again if MINUTES else once
 

@@ -157,7 +157,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
             changing(s, [&] { s.set_state({state.first, state.second}); });
           },
           "(coordinates, bones' transforms (B, 12)), each now and at the last three steps. Set it to resume a "
-          "simulation.");
+          "simulation; raises Error for what is not finite.");
 }
 
 void bind_crowd(py::module_& m) {
@@ -180,7 +180,7 @@ void bind_crowd(py::module_& m) {
            }),
            "model"_a.none(false), "h"_a, "size"_a, py::kw_only(), "scheme"_a = Scheme::bdf2,
            "gravity"_a = Vector3d(0, 0, 0), "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0,
-           "Takes the options of ReducedSimulation. size: number of characters.")
+           "Takes the options of ReducedSimulation. size: number of characters, at most a million.")
       .def("balance_targets", &balance_targets_in<Crowd>, "bones"_a,
            "Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, "
            "so that targets do not sag.")

@@ -22,14 +22,15 @@ namespace dynamorph {
 
 using namespace py::literals;
 
-/// What the Python callable `name` answered, as a bool. Throws TypeError when it is none.
+/// What the Python callable `name` answered, as a bool. Throws TypeError when it has no truth value, and for None: a
+/// callable that forgets its answer would cancel.
 inline bool answer(const char* name, const py::object& answered) {
   try {
-    return answered.cast<bool>();
+    if (!answered.is_none()) return answered.cast<bool>();
   } catch (const py::cast_error&) {
-    throw py::type_error(std::string(name) + ": expected it to return a bool, got " +
-                         py::repr(py::type::of(answered)).cast<std::string>());
   }
+  throw py::type_error(std::string(name) + ": expected it to return a bool, got " +
+                       py::repr(py::type::of(answered)).cast<std::string>());
 }
 
 /// Wraps a Python callable `progress(fraction) -> bool` (or None) in a ProgressFn that acquires the GIL for each call.

@@ -78,6 +78,7 @@ def test_a_bake_with_other_modes_starts_over(coarse, folder, monkeypatch):
     [
         ("coordinates", lambda found: found[:, :-1]),
         ("weights", lambda found: found[:0]),
+        ("weights", lambda found: found[0, 0]),
         ("steps", lambda found: found.astype(np.float32)),
         ("past", lambda found: np.nan * found),
         ("bones", lambda found: found.reshape(-1)),
@@ -125,6 +126,10 @@ def test_a_model_that_does_not_fit_is_named(coarse, folder, monkeypatch, beside)
     where = rf"'Arm', file '{file.name}'" if beside else "'Arm'"
     with pytest.raises(part("errors").ModelFileError, match=f"^{where}: .*array 'fill' .*: build it again$"):
         model_store.load_model(coarse)
+    coarse.dynamorph.model.content_id = 32 * "0"
+    if beside:
+        with pytest.raises(part("errors").ModelFileError, match="^The model of 'Arm' is missing"):
+            model_store.load_model(coarse)
 
 
 @pytest.mark.fault("F05")

@@ -599,6 +599,7 @@ def test_a_frame_of_a_week_is_refused(shot, run, stand_in):
     assert code == 2 and "'Arm': a frame of 1e+06 s takes 120000000 time steps, and 1000 are the most" in told
     assert stand_in.built == 0
     assert run(*bake, "--substeps", 1)[0] == 0
+    assert run("info", bake[-1], "--all")[0] == 0
     for substeps in (0, 1001, 10**12):
         code, _, told = run(*bake, "--substeps", substeps)
         assert code == 2 and f"--substeps is {substeps}: give 1 to 1000" in told

@@ -537,6 +537,7 @@ def test_earlier_versions_of_a_blend_are_kept(shot, run, stand_in):  # noqa: F81
     try:
         contents = [shot.read_bytes()]
         for _ in range(3):
+            os.utime(shot, (1e9, 1e9))  # no old file is one that a process has left
             assert run("build", shot, "--object", "Arm", "--in-place")[0] == 0
             contents.append(shot.read_bytes())
         assert files.save_version == 2
@@ -569,6 +570,31 @@ def test_a_save_that_fails_leaves_the_earlier_versions(soft_arm, tmp_path, monke
     assert {name: (tmp_path / name).read_bytes() for name in names(tmp_path)} == contents
 
 
+@pytest.mark.parametrize("held", ["shot.blend1", "shot.blend2"])
+def test_no_version_is_lost_when_another_program_holds_one(soft_arm, tmp_path, monkeypatch, held):
+    path, files, disk = tmp_path / "shot.blend", bpy.context.preferences.filepaths, part("disk")
+    before, files.save_version = files.save_version, 2
+    try:
+        for _ in range(3):
+            part("blend_file").save(path)
+        replace_file, contents = disk.replace, [(tmp_path / name).read_bytes() for name in names(tmp_path)]
+
+        def refuse(new, target):
+            if held in (new.name, target.name):
+                raise part("disk").in_use(target)
+            replace_file(new, target)
+
+        monkeypatch.setattr(disk, "replace", refuse)
+        soft_arm.location.x = 7
+        part("blend_file").save(path)
+    finally:
+        files.save_version = before
+    assert [(tmp_path / f"shot.blend{n}").read_bytes() for n in (3, 1, 2)] == contents
+    with bpy.data.libraries.load(str(path)) as (found, _):
+        assert "Arm" in found.objects
+    assert len(names(tmp_path)) == 4
+
+
 @pytest.mark.parametrize("compress", [False, True])
 def test_a_saved_file_is_compressed_as_it_was(soft_arm, tmp_path, compress):
     """With the list of frames by which Blender finds its way."""
@@ -588,6 +614,8 @@ def test_a_saved_file_is_compressed_as_it_was(soft_arm, tmp_path, compress):
             assert len(content.read()) == sum(frames[1::2])
     bpy.ops.wm.open_mainfile(filepath=str(path))
     assert len(bpy.data.objects["Arm"].dynamorph.targets) == 2
+    bpy.ops.wm.save_mainfile()  # as the artist does next
+    assert path.read_bytes()[:4] == theirs[:4]
 
 
 # What is told --------------------------------------------------------------------------------------------------------

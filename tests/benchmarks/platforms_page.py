@@ -166,9 +166,9 @@ def bake_difference(python: str, engine: Path) -> float:
 # Compiled again -----------------------------------------------------------------------------------------------------
 
 
-def compiled_again() -> list[str]:
-    """The wheels that another folder, a clone, made with the same bytes. Ends the program if one has others, as when
-    there was a commit since, whose time they have.
+def compiled_again() -> dict[str, bool]:
+    """Wheel -> whether another folder, a clone, made it with the same bytes. It does not when there was a commit since,
+    whose time it has.
     """
     with tempfile.TemporaryDirectory() as temporary:
         clone = Path(temporary) / "elsewhere"
@@ -176,10 +176,7 @@ def compiled_again() -> list[str]:
         shutil.copytree(wheels.WORK / "python", clone / "build/wheels/python")  # Python's headers
         run(sys.executable, clone / "tools/wheels.py", "--platforms", *AGAIN, "--pythons", "3.11")
         found = [wheels.wheel_path(name, "3.11") for name in AGAIN]
-        for wheel in found:
-            if wheel.read_bytes() != (clone / wheel.relative_to(ROOT)).read_bytes():
-                sys.exit(f"platforms: {wheel.name} has other bytes when it is compiled again")
-    return [wheel.name for wheel in found]
+        return {each.name: each.read_bytes() == (clone / each.relative_to(ROOT)).read_bytes() for each in found}
 
 
 # Speed ---------------------------------------------------------------------------------------------------------------
@@ -259,7 +256,7 @@ with zig {zig}; `make platforms` tries it on that machine and writes this page; 
   stored on x86-64 with gcc; the largest difference by the largest displacement. gcc's own is {golden:.0e}.
 - *Same bake*: `sample_blends/bulging_cylinder.blend` baked in Blender with this wheel and with gcc's engine from
   one model; the largest difference of a vertex by the largest displacement of one.
-- *Compiled again* in another folder, a clone, these wheels have the same bytes: {again}
+- *Compiled again* in another folder, a clone: {again}
 - Windows: no Windows Python runs here, so the module is checked by what it imports and exports, and its engine by the
   C++ tests under Wine. macOS: nothing runs here; the module is checked by what it imports and exports.
 
@@ -304,9 +301,13 @@ def page(report: dict) -> str:
               "tests passed", "golden motion", "same bake"]  # fmt: skip
     return TEXT.format(
         zig=report["zig"], commit=report["commit"], golden=report["gcc"]["golden"],
-        again=(", ".join(f"`{name}`" for name in report["again"]) or "not compared yet") + ".",
-        table=grid(header, rows), speed=speed_text(report["speed"]),
+        again=again_text(report["again"]), table=grid(header, rows), speed=speed_text(report["speed"]),
     )  # fmt: skip
+
+
+def again_text(again: dict[str, bool]) -> str:
+    said = [f"`{name}` has {'the same' if same else '**other**'} bytes" for name, same in again.items()]
+    return (", ".join(said) or "not compared yet") + "."
 
 
 def speed_text(speed: dict) -> str:
@@ -346,7 +347,7 @@ def measure() -> dict:
                 row["tests"] = tests_on_arm(python, unpacked(wheel))
             print(row, flush=True)
             rows.append(row)
-    return found | {"wheels": rows, "again": [], "speed": known.get("speed", {})}
+    return found | {"wheels": rows, "again": {}, "speed": known.get("speed", {})}
 
 
 def main() -> None:
@@ -355,12 +356,16 @@ def main() -> None:
     parser.add_argument("--speed-alone", action="store_true", help="measure nothing else again, on a quiet machine")
     args = parser.parse_args()
     if args.speed_alone:
+        if not REPORT.exists():
+            sys.exit("platforms: nothing was measured yet: make platforms without speed=1 first")
         found = json.loads(REPORT.read_text(encoding="utf-8"))
     else:
         found = measure()
         write(found)
         found["again"] = compiled_again()
         write(found)
+        if not all(found["again"].values()):
+            sys.exit("platforms: a wheel has other bytes when it is compiled again")
     if not args.keep_speed:
         found["speed"] = speeds()
         write(found)

@@ -363,7 +363,8 @@ def call(name: str, arguments: dict) -> object:
     member = name.rpartition(".")[2]
     if member == "state":
         owner.state = arguments["value"]
-        return owner.state, owner.advance(scene().next[None], scene().weights[None]), owner
+        taken = owner.state  # advancing would refuse it, for another reason
+        return taken, None if has_nan(taken) else owner.advance(scene().next[None], scene().weights[None]), owner
     made = getattr(owner, member)(**arguments)
     return made, USES[name](made) if name in USES else None, owner
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Memory that is refused at any allocation of the engine: MemoryError, and the same objects serve on."""
 
+import sys
+
 import long_runs
 import pytest
 import shim
@@ -20,7 +22,7 @@ def test_every_allocation_of_the_engine_may_fail(tmp_path):
     found = shim.attacked(shim.compiled(tmp_path), "allocations.py", 0 if shim.ALL else 6)
     if shim.ALL:
         for name, of_call in found.items():
-            long_runs.keep("allocations", name, **of_call)
+            long_runs.keep("allocations", f"{name}, Python {sys.version_info[0]}.{sys.version_info[1]}", **of_call)
     assert len(found) > 20
     for name, of_call in found.items():
         assert of_call["wrong"] == [], name

@@ -194,6 +194,16 @@ def test_too_much_is_refused_with_what_to_lower(part):
     assert isinstance(short.value, MemoryError) and str(memory.REMEDIES[part]) in errors.sentence(short.value)
 
 
+def test_sizes_are_told_in_words_of_people():
+    for needed, free, words in (
+        (835, 16.4, "835 GB .* 16 GB at"),
+        (2000, 0.5, "2,000 GB .* 0.5 GB"),
+        (4, -1, "4 GB .* 0 GB"),
+    ):
+        with pytest.raises(errors.SceneError, match=f"needs about {words}"):
+            memory.check("Arm", {"nodes": needed * GIGABYTE}, Room(free * GIGABYTE, free * GIGABYTE))
+
+
 @pytest.mark.parametrize("limit_gb", [1.5, 3.0])
 def test_meshing_keeps_to_a_lower_limit_of_the_process(limit_gb):
     """Only a privileged process may raise it again."""

@@ -122,18 +122,24 @@ def check(name: str, needs: Mapping[str, float], there: Room | None = None) -> N
     if needed <= there.free:
         return
     largest = max(needs, key=lambda part: needs[part])
-    values = {"name": name, "needed": needed / GIGABYTE, "remedy": REMEDIES[largest]}
+    values = {"name": name, "needed": _gigabytes(needed), "remedy": REMEDIES[largest]}
     if needed > there.most:
         raise SceneError(
-            "'{name}' needs about {needed:.2g} GB of memory, and there are {most:.2g} GB at most: {remedy}",
+            "'{name}' needs about {needed} GB of memory, and there are {most} GB at most: {remedy}",
             **values,
-            most=there.most / GIGABYTE,
+            most=_gigabytes(there.most),
         )
     raise MemoryShortError(
-        "'{name}' needs about {needed:.2g} GB of memory, and {free:.2g} GB are free: close other programs, or {remedy}",
+        "'{name}' needs about {needed} GB of memory, and {free} GB are free: close other programs, or {remedy}",
         **values,
-        free=there.free / GIGABYTE,
+        free=_gigabytes(there.free),
     )
+
+
+def _gigabytes(size: float) -> str:
+    """For a sentence. Less than nothing is left where a limit was set below what the process has."""
+    number = max(size / GIGABYTE, 0.0)
+    return f"{number:.2g}" if number < 9.5 else f"{number:,.0f}"
 
 
 def _of_machine() -> Room | None:
@@ -146,8 +152,7 @@ def _of_machine() -> Room | None:
     with suppress(OSError, ValueError, KeyError):
         fields = (line.split() for line in Path("/proc/meminfo").read_text().splitlines())
         sizes = {name: 1024.0 * float(number) for name, number, *_ in fields}
-        swap = sizes["SwapFree:"]
-        return Room(sizes["MemTotal:"] + swap, sizes["MemAvailable:"] + swap)
+        return Room(sizes["MemTotal:"] + sizes["SwapTotal:"], sizes["MemAvailable:"] + sizes["SwapFree:"])
     with suppress(OSError, ValueError):  # of others only the size is known
         size = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
         return Room(size, size)

@@ -94,7 +94,7 @@ def _fits(kept: dict[str, np.ndarray], model: Model, states: int) -> bool:
     """Whether these arrays are what `keep` stores of a bake of so many states with this model."""
     from ..core.player import STEP  # which needs the engine
 
-    done, bones = len(kept.get("weights", ())), len(model.rest)
+    done, bones = next(iter(np.shape(kept.get("weights", ()))), 0), len(model.rest)
     dofs = 3 * int(model.free.sum()) if model.settings.solver == "FULL" else model.modes.shape[1]
     shapes = {
         "coordinates": (done, dofs),

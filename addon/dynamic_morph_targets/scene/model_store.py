@@ -67,8 +67,9 @@ def load_model(obj):
 def _load(session_uid: int, _content_id: str):
     build, _ = engine.engine()
     obj = find(session_uid)
+    content = stored_model(obj)
     try:
-        return build.Model.from_arrays(*model_file.unpack(stored_model(obj)))
+        return build.Model.from_arrays(*model_file.unpack(content))
     except errors.ModelFileError as error:
         if PACKED in obj:
             raise errors.ModelFileError("'{name}': {error}", name=obj.name, error=errors.sentence(error)) from error

@@ -14,6 +14,7 @@ import struct
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 
 import bpy
@@ -28,6 +29,7 @@ except ImportError:
 ZSTANDARD = b"\x28\xb5\x2f\xfd"  # with which a compressed file begins
 FRAME = 2**20  # bytes that are compressed together, as by Blender
 TABLE, TABLE_END = 0x184D2A5E, 0x8F92EAB1  # marks of the list of frames, with which Blender finds its way in the file
+FLAGS, COMPRESSED = 48, 2  # where the block of global settings has flags, and the one that Blender saves by
 
 
 def save(path: Path):
@@ -35,17 +37,18 @@ def save(path: Path):
     and so on, as many as the preferences say, and compress it if the open file is compressed, or a new file would be.
     Raises OSError.
     """
-    with _earlier_versions(path), outputs.replacing(path) as partial:
+    with _blender_keeping_none() as versions:
+        earlier = _beside(outputs.partial_of(path))
         try:
-            _write(partial)
-            said = damage(partial)
-        except RuntimeError as fault:
-            said = str(fault).strip().removeprefix("Error: ")
-        if said:
-            text = f"'{path}' cannot be saved: Blender could not write all of it ({said})"
-            raise outputs.why_not(path, said, _size()) or OSError(text)
-        if zstandard and _is_compressed():
-            _compress(partial)
+            with outputs.replacing(path) as partial:
+                _write_whole(partial, path)
+                if versions and path.exists():
+                    _link(path, earlier)
+        except BaseException:
+            disk.discard(earlier)
+            raise
+        if earlier.exists():
+            _keep(earlier, path, versions)
 
 
 def damage(path: Path) -> str:
@@ -55,6 +58,20 @@ def damage(path: Path) -> str:
             return ""
     except OSError as error:
         return str(error).strip().replace(path.name, "the file")
+
+
+def _write_whole(partial: Path, path: Path):
+    """Write what takes the place of `path`. Raises OSError."""
+    try:
+        _write(partial)
+        said = damage(partial)
+    except RuntimeError as fault:
+        said = str(fault).strip().removeprefix("Error: ")
+    if said:
+        text = f"'{path}' cannot be saved: Blender could not write all of it ({said})"
+        raise outputs.why_not(path, said, _size()) or OSError(text)
+    if zstandard and _is_compressed():
+        _compress(partial)
 
 
 def _write(path: Path):
@@ -101,6 +118,8 @@ def _compress(path: Path):
     try:
         with path.open("rb") as source, small.open("xb") as target:
             while content := source.read(FRAME):
+                if not frames:
+                    content = _marked(content)
                 compressed = zstandard.compress(content)
                 target.write(compressed)
                 frames.append((len(compressed), len(content)))
@@ -112,28 +131,49 @@ def _compress(path: Path):
         disk.discard(small)
 
 
-@contextmanager
-def _earlier_versions(path: Path) -> Iterator[None]:
-    """What is at `path` becomes its first earlier version when the block ends, and nothing changes when it raises.
+def _marked(content: bytes) -> bytes:
+    """The first part of a file, with settings that say that it is compressed: by them Blender saves it again."""
+    large = content[7:9].isdigit()  # as from Blender 5.0 on
+    at, head, (form, size_at) = (int(content[7:9]), 32, ("<q", 16)) if large else (12, 24, ("<i", 4))
+    while at + head + FLAGS < len(content):
+        if content[at : at + 4] == b"GLOB":
+            at += head + FLAGS
+            return content[:at] + bytes([content[at] | COMPRESSED]) + content[at + 1 :]
+        at += head + struct.unpack_from(form, content, at + size_at)[0]
+    return content
 
-    Meanwhile Blender keeps none itself, which would be of the file that it writes to.
+
+@contextmanager
+def _blender_keeping_none() -> Iterator[int]:
+    """Gives how many earlier versions of a file the preferences keep. Meanwhile Blender keeps none itself, which would
+    be of the file that it writes to.
     """
     preferences = bpy.context.preferences.filepaths
-    count, preferences.save_version = preferences.save_version, 0
-    earlier = _beside(outputs.partial_of(path))
+    versions, preferences.save_version = preferences.save_version, 0
     try:
-        if count and path.exists():
-            try:
-                os.link(path, earlier)
-            except OSError:  # not every file system has links
-                shutil.copy2(path, earlier)
-        yield
-        if count and earlier.exists():
-            versions = [Path(f"{path}{number}") for number in range(1, count + 1)]
-            for older, newer in zip(versions[:0:-1], versions[-2::-1], strict=True):
-                if newer.exists():
-                    disk.replace(newer, older)
-            disk.replace(earlier, versions[0])
+        yield versions
     finally:
-        preferences.save_version = count
-        disk.discard(earlier)
+        preferences.save_version = versions
+
+
+def _link(path: Path, name: Path):
+    """Give a file a second name, under which it stays when it is replaced. Raises OSError."""
+    try:
+        os.link(path, name)
+    except OSError:  # not every file system has links
+        shutil.copy2(path, name)
+
+
+def _keep(earlier: Path, path: Path, versions: int):
+    """Make what was at `path` its first earlier version, and each earlier version the next one; if one of them cannot
+    be replaced, as when another program has it open, a version more. Raises OSError.
+    """
+    names = [Path(f"{path}{number}") for number in range(1, versions + 1)]
+    try:
+        for older, newer in zip(names[:0:-1], names[-2::-1], strict=True):
+            if newer.exists():
+                disk.replace(newer, older)
+        disk.replace(earlier, names[0])
+    except OSError:
+        others = (Path(f"{path}{number}") for number in count(1))
+        disk.replace(earlier, next(each for each in others if not each.exists()))

@@ -15,7 +15,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-BEGIN = "dynamorph: the export begins"  # as in `export_process`
+BEGIN = "dynamorph: the export begins"
 UNREADABLE = "what was written cannot be read back"  # as in `io/outputs`
 
 

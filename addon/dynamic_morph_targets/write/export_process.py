@@ -22,8 +22,9 @@ from . import blend_file, export_child
 CHILD = Path(__file__).with_name("export_child.py")
 FAILED = "Failed writing"  # what USD says and goes on
 KILLED = -9  # on Linux, by the kernel when memory is short
-BEGIN = "dynamorph: the export begins"  # as in `export_child`
 PROBE = "dynamorph_probe"
+# More than simple arithmetic. Blender shows it to the artist as what it did not run.
+EXPRESSION = "float('Dynamorph asks whether Python may run'.isprintable())"
 ADD_ON = __package__.rpartition(".")[0]
 
 
@@ -58,7 +59,7 @@ def export(format: str, collection: str, path: Path, frames: tuple[int, int], **
         )  # fmt: skip
     if done.returncode == KILLED:
         raise MemoryError
-    said = done.stderr.rpartition(BEGIN)[2].strip()  # not what add-ons say as Blender starts
+    said = done.stderr.rpartition(export_child.BEGIN)[2].strip()  # not what add-ons say as Blender starts
     if done.returncode or FAILED in said:
         raise RuntimeError(said or f"Blender's exporter crashed with code {done.returncode}")
 
@@ -74,7 +75,7 @@ def _runs_python() -> bool:
         return False
     had_animation = scene.animation_data is not None
     scene[PROBE] = 0.0
-    scene.driver_add(f'["{PROBE}"]').driver.expression = "float(str(1).isdigit())"  # more than simple arithmetic
+    scene.driver_add(f'["{PROBE}"]').driver.expression = EXPRESSION
     try:
         bpy.context.view_layer.update()
         return scene[PROBE] != 0.0

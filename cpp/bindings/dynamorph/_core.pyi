@@ -554,7 +554,7 @@ class FullSimulation:
     @property
     def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"]]:
         """
-        (coordinates, bones' transforms (B, 12)), each now and at the last three steps. Set it to resume a simulation.
+        (coordinates, bones' transforms (B, 12)), each now and at the last three steps. Set it to resume a simulation; raises Error for what is not finite.
         """
     @state.setter
     def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"]]) -> None:
@@ -604,7 +604,7 @@ class ReducedSimulation:
     @property
     def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"]]:
         """
-        (coordinates, bones' transforms (B, 12)), each now and at the last three steps. Set it to resume a simulation.
+        (coordinates, bones' transforms (B, 12)), each now and at the last three steps. Set it to resume a simulation; raises Error for what is not finite.
         """
     @state.setter
     def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"]]) -> None:
@@ -615,7 +615,7 @@ class Crowd:
     """
     def __init__(self, model: ReducedModel, h: typing.SupportsFloat | typing.SupportsIndex, size: typing.SupportsInt | typing.SupportsIndex, *, scheme: Scheme = Scheme.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0) -> None:
         """
-        Takes the options of ReducedSimulation. size: number of characters.
+        Takes the options of ReducedSimulation. size: number of characters, at most a million.
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> dict:
         """

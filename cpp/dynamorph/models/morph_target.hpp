@@ -28,8 +28,8 @@ struct MorphTarget {
 };
 
 /// Throws std::invalid_argument, or Error for what an artist can fix, unless a model of `body` can have these targets.
-/// There must be at least one. Each must belong to one of the body's sets and have finite properties. Its displacement
-/// must be finite at every node and zero at pinned nodes.
+/// There must be at least one. Each must belong to one of the body's sets and have finite properties, with lambda at
+/// most 100 mu. Its displacement must be finite at every node and zero at pinned nodes.
 void check_targets(const SoftBody& body, const std::vector<MorphTarget>& targets);
 
 /// Throws std::invalid_argument unless `blending` is one of the enumeration's values.

@@ -1,14 +1,11 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/reduced/mass_pca.hpp"
 
-#include <Spectra/SymEigsSolver.h>
-
 #include <Eigen/Eigenvalues>
 #include <Eigen/QR>
 #include <Eigen/SVD>
 #include <algorithm>
 #include <random>
-#include <stdexcept>
 
 #include "dynamorph/reduced/gram_accumulator.hpp"
 
@@ -16,21 +13,7 @@ namespace dynamorph {
 
 namespace {
 
-/// x -> A^T A x, which Spectra iterates with.
-class GramOperator {
- public:
-  using Scalar = double;
-  explicit GramOperator(const SparseMatrix& A) : A_(A) {}
-  Eigen::Index rows() const { return A_.cols(); }
-  Eigen::Index cols() const { return A_.cols(); }
-  void perform_op(const double* x, double* y) const {
-    const VectorXd image = A_ * Eigen::Map<const VectorXd>(x, cols());
-    Eigen::Map<VectorXd>(y, rows()) = A_.transpose() * image;
-  }
-
- private:
-  const SparseMatrix& A_;
-};
+constexpr int kSteps = 10;
 
 /// Orthonormal combinations of columns with the eigenvectors of their Gram matrix, strongest first, as long as they are
 /// strong.
@@ -40,13 +23,14 @@ MatrixXd strong_only(const SparseMatrix& A, const MatrixXd& combinations) {
   return combinations * eigen.eigenvectors().rightCols(strong).rowwise().reverse();
 }
 
-/// Orthonormal combinations (columns, `count`) that include the strongest, the better the more steps; all of them, if
-/// there are no more than `count`. Halko, Martinsson and Tropp, SIAM Review 53 (2011), algorithm 4.4.
-MatrixXd random_combinations(const SparseMatrix& A, Eigen::Index count, int steps) {
+/// Orthonormal combinations (columns, `count`) that include the strongest. Halko, Martinsson and Tropp, SIAM Review 53
+/// (2011), algorithm 4.4. An iteration from one vector, as Lanczos's, is faster, but of several that are equally
+/// strong, as those of a part and its copies, it finds some alone.
+MatrixXd random_combinations(const SparseMatrix& A, Eigen::Index count) {
   std::mt19937 random(1);
   MatrixXd Q(A.cols(), count);
   for (double& number : Q.reshaped()) number = double(random()) / (1u << 31) - 1;
-  for (int step = 0; step < steps; ++step) {
+  for (int step = 0; step < kSteps; ++step) {
     const MatrixXd image = A * Q;
     Q = A.transpose() * image;
     Q = Eigen::HouseholderQR<MatrixXd>(Q).householderQ() * MatrixXd::Identity(A.cols(), count);
@@ -83,22 +67,8 @@ MatrixXd strongest(const RowMajor& columns, Eigen::Index most) {
 }
 
 MatrixXd strongest_combinations(const SparseMatrix& A, Eigen::Index most) {
-  const Eigen::Index k = std::min({most, A.rows(), A.cols() - 1}), search = std::min(A.cols(), 2 * k + 20);
-  // An iteration from one vector, as Spectra's, breaks down where there are few combinations, and finds one of several
-  // that are equally strong.
-  const MatrixXd all = strong_only(A, random_combinations(A, search, 1));
-  if (all.cols() < search) return all.leftCols(std::min(k, all.cols()));
-  MatrixXd found(A.cols(), 0);
-  try {
-    GramOperator op(A);
-    Spectra::SymEigsSolver<GramOperator> solver(op, k, search);
-    solver.init();
-    solver.compute(Spectra::SortRule::LargestAlge, 1000, 1e-10);
-    if (solver.info() == Spectra::CompInfo::Successful) found = strong_only(A, solver.eigenvectors());
-  } catch (const std::runtime_error&) {  // of its decomposition of a small matrix
-  }
-  if (found.cols() < k) found = strong_only(A, random_combinations(A, search, 20));
-  return found.leftCols(std::min(k, found.cols()));
+  const MatrixXd found = strong_only(A, random_combinations(A, std::min(A.cols(), 2 * most + 20)));
+  return found.leftCols(std::min(most, found.cols()));
 }
 
 }  // namespace dynamorph

@@ -20,7 +20,8 @@ MatrixXd strongest(const RowMajor& columns, Eigen::Index most);
 constexpr Eigen::Index kManyColumns = 1200;
 
 /// The combinations (columns, at most `most`) of sparse columns that are strongest, strongest first: orthonormal
-/// eigenvectors of A^T A. It takes time in proportion to the entries of A.
+/// eigenvectors of A^T A, for columns of which `most` are few. The weakest are the less exact the less the next ones
+/// are weaker.
 MatrixXd strongest_combinations(const SparseMatrix& A, Eigen::Index most);
 
 }  // namespace dynamorph

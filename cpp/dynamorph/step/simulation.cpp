@@ -134,10 +134,14 @@ StepReport Simulation<Model>::start(const Transforms& now, const Transforms& nex
 
 template <class Model>
 void Simulation<Model>::set_state(const State& state) {
-  for (const VectorXd& q : state.q)
+  for (const VectorXd& q : state.q) {
     if (q.size() != model_->dofs()) throw std::invalid_argument("state: it belongs to another model");
-  for (const Transforms& bones : state.bones)
+    if (!q.allFinite()) throw Error("The state has a coordinate that is not a finite number");
+  }
+  for (const Transforms& bones : state.bones) {
     if (bones.rows() != model_->body().skin.cols()) throw std::invalid_argument("state: it belongs to another model");
+    if (!bones.allFinite()) throw Error("The state has a bone transform that is not a finite number");
+  }
   state_ = state;
 }
 

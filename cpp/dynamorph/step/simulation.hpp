@@ -70,7 +70,7 @@ class Simulation {
   const StepOptions& options() const { return options_; }
   const State& state() const { return state_; }
   const MatrixXd& rest_gravity() const { return rest_gravity_; }  ///< gravity in the targets' poses (dofs, J), or empty
-  void set_state(const State& state);
+  void set_state(const State& state);                             ///< throws Error for what is not finite
   const VectorXd& coordinates() const { return state_.q[0]; }
   /// Energies of the state, J, at the target weights of the last start() or step(). The kinetic energy uses the
   /// scheme's own velocity.

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <random>
+#include <vector>
 
 #include "dynamorph/reduced/mass_pca.hpp"
 
@@ -64,5 +65,33 @@ TEST_CASE("of combinations that are equally strong each is found") {
     CHECK((found - all * (all.transpose() * found)).norm() < 1e-9 * found.norm());
     for (Index k = 0; k < found.cols(); ++k)
       CHECK(found.col(k).norm() == doctest::Approx((count == 12 ? 3 - double(k / 4) : 3.) * std::sqrt(2880. / count)));
+  }
+}
+
+TEST_CASE("a part and its copies") {
+  constexpr Index kCopies = 120, kRows = 30, kLoads = 12;
+  for (const Index kinds : {1, 12}) {  // of parts, each a tenth weaker than the one before
+    SparseMatrix columns(kCopies * kRows, kCopies * kLoads);
+    std::vector<double> sizes;
+    std::vector<Eigen::Triplet<double>> entries;
+    for (Index b = 0; b < kCopies; ++b) {
+      const double weaker = std::pow(0.9, double(b % kinds));
+      const MatrixXd part = directions(kRows, kLoads, 5 + unsigned(b % kinds));
+      for (Index c = 0; c < kLoads; ++c) {
+        sizes.push_back(weaker * std::pow(0.8, double(c)));
+        for (Index i = 0; i < kRows; ++i)
+          entries.emplace_back(b * kRows + i, b * kLoads + c, sizes.back() * part(i, c));
+      }
+    }
+    columns.setFromTriplets(entries.begin(), entries.end());
+    std::sort(sizes.rbegin(), sizes.rend());
+    const MatrixXd combinations = strongest_combinations(columns, 60), found = columns * combinations;
+    REQUIRE(found.cols() == 60);
+    CHECK((combinations.transpose() * combinations - MatrixXd::Identity(60, 60)).norm() < 1e-9);
+    for (Index k = 0; k < 60; ++k) {
+      CAPTURE(kinds);
+      CAPTURE(k);
+      CHECK(found.col(k).norm() == doctest::Approx(sizes[k]).epsilon(1e-3));
+    }
   }
 }
