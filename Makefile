@@ -151,7 +151,7 @@ faults: build
 # docs/coverage.md: which lines and branches the tests run, C++ and Python; takes about an hour. tests="tests/engine
 # tests/addon/test_cli.py" runs those alone, and writes to build/coverage.
 tests ?=
-coverage: setup
+coverage: build
 	@tools/setup.sh coverage
 	@.venv/coverage/bin/python tools/coverage_page.py $(python) $(tests)
 

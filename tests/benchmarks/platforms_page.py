@@ -256,7 +256,7 @@ with zig {zig}; `make platforms` tries it on that machine and writes this page; 
   stored on x86-64 with gcc; the largest difference by the largest displacement. gcc's own is {golden:.0e}.
 - *Same bake*: `sample_blends/bulging_cylinder.blend` baked in Blender with this wheel and with gcc's engine from
   one model; the largest difference of a vertex by the largest displacement of one.
-- *Compiled again* in another folder, a clone: {again}
+- *Compiled again* in another folder, a clone. {again}
 - Windows: no Windows Python runs here, so the module is checked by what it imports and exports, and its engine by the
   C++ tests under Wine. macOS: nothing runs here; the module is checked by what it imports and exports.
 
@@ -264,7 +264,7 @@ with zig {zig}; `make platforms` tries it on that machine and writes this page; 
 
 {speed}"""
 
-SPEED = """The Linux engine that zig compiled against the one that gcc compiled: {pairs} pairs of runs of the
+SPEED = """{commit}. The Linux engine that zig compiled against the one that gcc compiled: {pairs} pairs of runs of the
 benchmarks, one after the other; the median of the ratios and their range. Over all rows the median is {median:.2f}.
 
 {table}"""
@@ -301,16 +301,19 @@ def page(report: dict) -> str:
               "tests passed", "golden motion", "same bake"]  # fmt: skip
     return TEXT.format(
         zig=report["zig"], commit=report["commit"], golden=report["gcc"]["golden"],
-        again=again_text(report["again"]), table=grid(header, rows), speed=speed_text(report["speed"]),
+        again=again_text(report), table=grid(header, rows), speed=speed_text(report),
     )  # fmt: skip
 
 
-def again_text(again: dict[str, bool]) -> str:
-    said = [f"`{name}` has {'the same' if same else '**other**'} bytes" for name, same in again.items()]
-    return (", ".join(said) or "not compared yet") + "."
+def again_text(report: dict) -> str:
+    if not report["again"]:
+        return "Not compared yet."
+    said = [f"`{name}` has {'the same' if same else '**other**'} bytes" for name, same in report["again"].items()]
+    return f"{report['again_at']}: {', '.join(said)}."
 
 
-def speed_text(speed: dict) -> str:
+def speed_text(report: dict) -> str:
+    speed = report["speed"]
     if not speed:
         return NO_SPEED
     rows = []
@@ -318,7 +321,12 @@ def speed_text(speed: dict) -> str:
         ratios, gcc = each["ratios"], f"{1e6 * each['gcc']:.3g}"
         rows.append([f"`{row}`", gcc, f"{statistics.median(ratios):.2f}", f"{ratios[0]:.2f} to {ratios[-1]:.2f}"])
     median = statistics.median(statistics.median(each["ratios"]) for each in speed.values())
-    return SPEED.format(pairs=PAIRS, median=median, table=grid(["row", "gcc, us", "zig : gcc", "range"], rows))
+    return SPEED.format(
+        commit=report["speed_at"],
+        pairs=PAIRS,
+        median=median,
+        table=grid(["row", "gcc, us", "zig : gcc", "range"], rows),
+    )
 
 
 def measure() -> dict:
@@ -347,7 +355,13 @@ def measure() -> dict:
                 row["tests"] = tests_on_arm(python, unpacked(wheel))
             print(row, flush=True)
             rows.append(row)
-    return found | {"wheels": rows, "again": {}, "speed": known.get("speed", {})}
+    return found | {
+        "wheels": rows,
+        "again": {},
+        "again_at": "",
+        "speed": known.get("speed", {}),
+        "speed_at": known.get("speed_at", ""),
+    }
 
 
 def main() -> None:
@@ -362,12 +376,12 @@ def main() -> None:
     else:
         found = measure()
         write(found)
-        found["again"] = compiled_again()
+        found |= {"again": compiled_again(), "again_at": measured_at(PAGE.name)}
         write(found)
         if not all(found["again"].values()):
             sys.exit("platforms: a wheel has other bytes when it is compiled again")
     if not args.keep_speed:
-        found["speed"] = speeds()
+        found |= {"speed": speeds(), "speed_at": measured_at(PAGE.name)}
         write(found)
 
 
