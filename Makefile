@@ -148,8 +148,9 @@ faults: build
 	DYNAMORPH_FAULTS=all $$each -m pytest -rA tests/engine/test_allocations.py tests/addon/test_failing_calls.py || status=$$?; \
 	done; exit $$status
 
-# docs/coverage.md: which lines and branches the tests run, C++ and Python; takes about an hour. tests="tests/engine
-# tests/addon/test_cli.py" runs those alone, and writes to build/coverage.
+# docs/coverage.md: which lines and branches the tests run, C++ and Python, with what tests/not_covered.toml says of files
+# that are low; takes about an hour. tests="tests/engine tests/addon/test_cli.py" runs those alone, and writes to
+# build/coverage.
 tests ?=
 coverage: build
 	@tools/setup.sh coverage

@@ -176,4 +176,5 @@ def _keep(earlier: Path, path: Path, versions: int):
         disk.replace(earlier, names[0])
     except OSError:
         others = (Path(f"{path}{number}") for number in count(1))
-        disk.replace(earlier, next(each for each in others if not each.exists()))
+        _link(earlier, next(each for each in others if not each.exists()))
+        disk.discard(earlier)
