@@ -64,9 +64,9 @@ void bind_simulation_of(py::module_& m, const char* name) {
                        int max_iterations, double teleport, const py::object& keep_going) {
              std::function<bool()> asked;
              if (!keep_going.is_none())
-               asked = [keep_going] {
+               asked = [callable = shared(keep_going)] {
                  py::gil_scoped_acquire gil;
-                 return answer("keep_going", keep_going());
+                 return answer("keep_going", (*callable)());
                };
              return std::make_unique<Sim>(
                  Simulation<Model>(model, {h, scheme, gravity, tolerance, max_iterations, teleport, asked}));

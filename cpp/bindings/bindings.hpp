@@ -7,6 +7,8 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <memory>
+
 #include "dynamorph/core/progress.hpp"
 
 namespace py = pybind11;
@@ -33,13 +35,23 @@ inline bool answer(const char* name, const py::object& answered) {
                        py::repr(py::type::of(answered)).cast<std::string>());
 }
 
+/// A Python callable of which copies can be made and dropped without the GIL, as those of a std::function are.
+using SharedCallable = std::shared_ptr<const py::object>;
+
+inline SharedCallable shared(const py::object& callable) {
+  return {new py::object(callable), [](const py::object* last) {
+            py::gil_scoped_acquire gil;
+            delete last;
+          }};
+}
+
 /// Wraps a Python callable `progress(fraction) -> bool` (or None) in a ProgressFn that acquires the GIL for each call.
 /// A Python exception raised inside it (KeyboardInterrupt, say) passes through to the caller.
 inline ProgressFn with_gil(const py::object& progress) {
   if (progress.is_none()) return {};
-  return [progress](double fraction) {
+  return [callable = shared(progress)](double fraction) {
     py::gil_scoped_acquire gil;
-    return answer("progress", progress(fraction));
+    return answer("progress", (*callable)(fraction));
   };
 }
 
