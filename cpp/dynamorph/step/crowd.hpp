@@ -21,8 +21,8 @@ struct CrowdReport {
 
 class Crowd {
  public:
-  /// `size` characters, at most a million. options.keep_going is called before every step, and by Simulation for a character stepped
-  /// alone.
+  /// `size` characters, at most a million. options.keep_going is called before every step, and by Simulation for a
+  /// character stepped alone.
   Crowd(std::shared_ptr<const ReducedModel> model, StepOptions options, int size);
 
   /// As in Simulation, for all characters.
