@@ -21,6 +21,7 @@ KEPT = Path(__file__).with_suffix(".json")
 SETS = ("baseline", "avx2", "avx512")
 sys.path.append(str(ROOT / "tools"))
 
+import measured  # noqa: E402
 import version  # noqa: E402
 
 # C++ tests that may be there, and what runs them.
@@ -47,8 +48,7 @@ def hashes(*program: Path | str) -> dict[str, str]:
 def main() -> int:
     (now,) = set(version.found()["pyproject.toml"])
     known = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
-    tags = subprocess.run(["git", "tag", "--list", f"v{now}"], cwd=ROOT, capture_output=True, text=True, check=False)
-    if tags.stdout.strip():
+    if measured.git("tag", "--list", f"v{now}"):
         print(f"golden: {now} is released, and what it computes stays as it is: open the next one with make version")
         return 1
     made = known.setdefault(now, {})

@@ -24,7 +24,7 @@ MatrixXd strong_only(const SparseMatrix& A, const MatrixXd& combinations) {
 }
 
 /// Orthonormal combinations (columns, `count`) that include the strongest. Halko, Martinsson and Tropp, SIAM Review 53
-/// (2011), algorithm 4.4. An iteration from one vector, as Lanczos's, is faster, but of several that are equally
+/// (2011), algorithm 4.4. An iteration from one vector, as Lanczos's, is no faster, and of several that are equally
 /// strong, as those of a part and its copies, it finds some alone.
 MatrixXd random_combinations(const SparseMatrix& A, Eigen::Index count) {
   std::mt19937 random(1);
