@@ -85,7 +85,7 @@ robustness: build
 	@$(python) tests/benchmarks/robustness_page.py
 
 # docs/reliability.md: what comes of each fault of tests/faults.toml, by the tests that are marked with it, and what the
-# last runs of faults, fuzz, soak and coverage found; takes about 10 minutes. runs=1 adds those runs alone.
+# last runs of faults, fuzz, sanitize, soak and coverage found; takes about 10 minutes. runs=1 adds those runs alone.
 runs ?=
 reliability: build
 	@$(python) tests/benchmarks/reliability_page.py $(if $(runs),--longer-runs)
@@ -156,9 +156,10 @@ coverage: build
 	@tools/setup.sh coverage
 	@.venv/coverage/bin/python tools/coverage_page.py $(python) $(tests)
 
-# The engine's tests under gcc's sanitizers, with asserts; takes about 15 minutes, most of it the first build.
+# The engine's tests under gcc's sanitizers, with asserts, and random input for so many minutes: minutes=60. Takes about 30
+# minutes besides, most of it the first build.
 sanitize: setup
-	@tools/sanitize.sh $(python) $(jobs)
+	@tools/sanitize.sh $(python) $(jobs) $(minutes)
 
 # The stubs of the engine's Python module, for editors and type checkers, as it is compiled now.
 stubs: build

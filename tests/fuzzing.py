@@ -22,6 +22,7 @@ CORPUS = ROOT / "tests" / "fuzz" / "corpus"
 FOUND = ROOT / "build" / "fuzz"
 MINUTES = float(os.environ.get("DYNAMORPH_FUZZ_MINUTES", 0))  # for all targets together
 EXAMPLES = int(os.environ.get("DYNAMORPH_FUZZ", 0))  # for each; 0: as the target says
+BUILD = os.environ.get("DYNAMORPH_FUZZ_BUILD", "")  # what is special about the engine's
 BATCH = 200  # examples from one look at the clock to the next
 targets: list[str] = []  # that share the time
 
@@ -29,6 +30,12 @@ targets: list[str] = []  # that share the time
 def seconds() -> float:
     """The time for each target."""
     return 60.0 * MINUTES / max(len(targets), 1)
+
+
+def keep(test: str, inputs: int, took: float, failed: bool):
+    """What came of a target, for docs/reliability.md. took: seconds."""
+    part = f"{test}, {BUILD}" if BUILD else test
+    long_runs.keep("fuzz", part, inputs=inputs, seconds=took, failed=failed)
 
 
 def target(*strategies, examples: int):
@@ -66,7 +73,7 @@ def target(*strategies, examples: int):
                     once(*args, **fixtures)
                 failed = False
             finally:
-                long_runs.keep("fuzz", test.__name__, inputs=tried, seconds=time.monotonic() - began, failed=failed)
+                keep(test.__name__, tried, time.monotonic() - began, failed)
 
         return again if MINUTES else once
 

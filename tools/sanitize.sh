@@ -1,10 +1,11 @@
 #!/bin/bash
 # SPDX-License-Identifier: GPL-3.0-or-later
 # The engine under gcc's sanitizers, with Eigen's and the engine's own asserts: the C++ tests and tests/engine for memory
-# errors and undefined behavior, the C++ tests again for data races. `sanitize.sh python jobs`, in build/sanitize.
+# errors and undefined behavior, the latter also with random input, the C++ tests again for data races.
+# `sanitize.sh python jobs minutes`, in build/sanitize; minutes of random input.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-python=$1 jobs=$2
+python=$1 jobs=$2 minutes=$3 status=0
 tools=$PWD/$(dirname "$python")
 
 build() { # name, flags, targets
@@ -28,15 +29,24 @@ preloaded() {
     PYTHONPATH=$PWD/build/sanitize/address/python:$PWD/addon "$@"
 }
 
+# What came of it is kept for docs/reliability.md.
+check() { # name, command
+  echo "sanitize: $1"
+  local found=False
+  "${@:2}" || found=True status=1
+  PYTHONPATH=tests "$python" -c "import sys, long_runs; long_runs.keep('sanitize', sys.argv[1], failed=$found)" "$1"
+}
+
 export UBSAN_OPTIONS=print_stacktrace=1:halt_on_error=1
 core=core_$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
-echo "sanitize: memory errors and undefined behavior, C++"
 build address "-fsanitize=address,undefined -fno-sanitize-recover=undefined" engine_tests "$core"
-build/sanitize/address/engine_tests
-echo "sanitize: memory errors and undefined behavior, tests/engine"
+check "memory errors and undefined behavior, C++ tests" build/sanitize/address/engine_tests
 # Left out: children that run out of "memory"; programs linked or emulated without a sanitizer.
-preloaded "$python" -m pytest -k "not memory" tests/engine --ignore=tests/engine/test_examples.py \
-  --ignore=tests/engine/test_instruction_sets.py
-echo "sanitize: data races, C++"
+check "memory errors and undefined behavior, tests/engine" preloaded "$python" -m pytest -k "not memory" tests/engine \
+  --ignore=tests/engine/test_examples.py --ignore=tests/engine/test_instruction_sets.py
+DYNAMORPH_FUZZ_MINUTES=$minutes DYNAMORPH_FUZZ_BUILD="under sanitizers" check \
+  "memory errors and undefined behavior, random input" preloaded "$python" -m pytest tests/engine/test_fuzz.py \
+  tests/engine/test_defects.py
 build thread "-fsanitize=thread" engine_tests
-TSAN_OPTIONS=halt_on_error=1 build/sanitize/thread/engine_tests
+TSAN_OPTIONS=halt_on_error=1 check "data races, C++ tests" build/sanitize/thread/engine_tests
+exit $status

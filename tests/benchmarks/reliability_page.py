@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """`make reliability`: runs the tests of the faults of tests/faults.toml, and writes docs/reliability.md.
 
-With what `make faults`, `make fuzz`, `make soak` and `make coverage` found, which is kept in docs/reliability.json.
+With what the longer runs of TITLES found, which is kept in docs/reliability.json.
 """
 
 from __future__ import annotations
@@ -140,6 +140,9 @@ and the same objects must serve on. A few are in libraries that end the process 
     "fuzz": """Random input: `make fuzz`
 
 Each is taken, or refused with an error that is expected, soon. What was found is kept and tried first.""",
+    "sanitize": """Sanitizers: `make sanitize`
+
+gcc's, with Eigen's and the engine's asserts, which a release build leaves out.""",
     "soak": """Random walks: `make soak`
 
 Over all that an artist can press and change, with undo, files and the add-on turned off and on, in one process. After
@@ -167,7 +170,8 @@ def longer_runs() -> str:
 def tabulated(command: str, parts: dict[str, dict]) -> str:
     """The figures of one command, and the commits at which they were measured."""
     tables = {
-        "faults": of_faults, "allocations": of_allocations, "fuzz": of_fuzz, "soak": of_soak, "coverage": of_coverage
+        "faults": of_faults, "allocations": of_allocations, "fuzz": of_fuzz, "sanitize": of_sanitize, "soak": of_soak,
+        "coverage": of_coverage,
     }  # fmt: skip
     measured = dict.fromkeys(figures["measured"] for figures in parts.values())
     return f"{tables[command](parts)}\n" + "".join(f"{each}.\n" for each in measured)
@@ -194,12 +198,16 @@ def of_allocations(parts: dict[str, dict]) -> str:
 def of_fuzz(parts: dict[str, dict]) -> str:
     rows = [
         [name.removeprefix("test_").replace("_", " "), f"{each['inputs']:,}", f"{each['seconds'] / 60:.0f}",
-         "**found**" if each["failed"] else "none"]
+         failures(each)]
         for name, each in parts.items()
     ]  # fmt: skip
     total = ["all", f"{sum(each['inputs'] for each in parts.values()):,}",
              f"{sum(each['seconds'] for each in parts.values()) / 60:.0f}", ""]  # fmt: skip
     return grid(["input", "tried", "minutes", "failures"], [*rows, total])
+
+
+def of_sanitize(parts: dict[str, dict]) -> str:
+    return grid(["what for, in what", "found"], [[name, failures(each)] for name, each in parts.items()])
 
 
 def of_soak(parts: dict[str, dict]) -> str:
@@ -220,6 +228,10 @@ def of_coverage(parts: dict[str, dict]) -> str:
         for title, each in parts.items()
     ]  # fmt: skip
     return grid(["", "lines", "run", "branches taken"], rows) + "\n[By folder and file](coverage.md).\n"
+
+
+def failures(figures: dict) -> str:
+    return "**found**" if figures["failed"] else "none"
 
 
 def wrong(figures: dict) -> str:

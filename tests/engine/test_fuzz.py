@@ -7,7 +7,6 @@ import time
 
 import dynamorph as dm
 import fuzzing
-import long_runs
 import numpy as np
 import pytest
 import scenes
@@ -85,7 +84,7 @@ def test_edited_clips(tmp_path):
     if fuzzing.MINUTES:
         tried = int(run.stdout.split()[0]) if run.stdout else 0
         failed = run.returncode != 0
-        long_runs.keep("fuzz", "test_edited_clips", inputs=tried, seconds=fuzzing.seconds(), failed=failed)
+        fuzzing.keep("test_edited_clips", tried, fuzzing.seconds(), failed)
     assert run.returncode == 0 and "clips" in run.stdout, f"seed {seed}, {tmp_path / 'crash.npz'}: {run.stderr}"
 
 
