@@ -37,13 +37,13 @@ def test_a_file_has_the_rights_of_any_other(tmp_path):
 @pytest.mark.fault("C05")
 def test_what_a_killed_process_left_is_cleared(tmp_path):
     """An hour later: until then somebody may be writing it."""
-    old, new, other = (tmp_path / f"{name}.part" for name in ("model.1", "model.2", "other.1"))
-    for part in (old, new, other):
-        part.touch()
-    for part in (old, other):
-        os.utime(part, (0, 0))
+    names = (f"model.{'1' * 16}.part", f"model.{'2' * 16}.part", f"other.{'1' * 16}.part", "model.old.part")
+    for name in names:
+        (tmp_path / name).touch()
+    for name in (names[0], *names[2:]):
+        os.utime(tmp_path / name, (0, 0))
     disk.save(tmp_path / "model", b"a")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["model", "model.2.part", "other.1.part"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["model", *names[1:]])
 
 
 # Windows -------------------------------------------------------------------------------------------------------------

@@ -9,20 +9,22 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, fields
+from itertools import combinations
 from pathlib import Path
 
 import bpy
 import numpy as np
 
 from ..core import engine, errors, material_fit, oscillation
-from ..core.errors import InputError
+from ..core.errors import FileInUseError, InputError
 from ..core.settings import MOST_SUBSTEPS, VARIANTS, Material, ModelSettings
 from ..io import cache_dir, disk, outputs, paths, point_cache, report_page
 from ..run import batch, expected_error, export_actions, final_comparison
 from ..run.job import Job
 from ..scene import checks, extract, mesh_data, model_store, skin, staleness
-from ..write import bake, blend_file, exports, losses
+from ..write import bake, blend_file, export_process, exports, losses
 from ..write.reconcile import reconcile
+from . import signals
 from .record import Done, Progress, print_table
 
 SETTABLE = (*(field.name for field in fields(Material)), "radius", "influence")  # properties of a target
@@ -82,6 +84,10 @@ def work_on(args: argparse.Namespace, obj: bpy.types.Object, folder: Path, files
     tick = Progress(args.progress == "openjd")
     batch.run(job, tick)
     warnings = list(job.warnings)
+    if export_process.leaves_python_out():
+        option = "--enable-autoexec" if hasattr(args, "enable_autoexec") else "-y before -c"
+        text = "The file has Python, such as drivers, that did not run, so the motion may be another one"
+        warnings.append(f"{text}: say {option} if you trust it")
     if args.compare_final:
         batch.run_all(final_comparison.FinalComparison(obj), tick)
         job.report["off_final"] = obj.dynamorph.bake.off_final
@@ -154,12 +160,50 @@ def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], fold
         raise InputError(f"--output-file {pattern}: several meshes would share it: {remedy}")
     for path in files.values():
         check_folder(path)
+        try:
+            refuse_shared(named_files(args) | {"--output-file": path})
+        except InputError:
+            args.report = None  # perhaps it is that file
+            raise
         if not chosen:  # otherwise `check_place` does
             outputs.try_file(path)
     frames = tuple(args.frames or (bpy.context.scene.frame_start, bpy.context.scene.frame_end))
     for obj in objects if chosen else ():
         exports.check_place(obj, chosen_format, files[obj.name], frames)
     return files
+
+
+FILES = {
+    "file": "the .blend", "output": "-o", "report": "--report", "json": "--json", "page": "-o",
+    "oscillation": "--oscillation", "force_displacement": "--force-displacement",
+}  # fmt: skip
+
+
+def named_files(args: argparse.Namespace) -> dict[str, Path]:
+    """What a command line reads and writes, by how a message names it."""
+    found = {title: getattr(args, name).absolute() for name, title in FILES.items() if getattr(args, name, None)}
+    if getattr(args, "page", None):
+        found["the .json beside -o"] = args.page.absolute().with_suffix(".json")
+    return found
+
+
+def refuse_shared(files: dict[str, Path]) -> None:
+    """Raises InputError when a file would be written that is read, or written twice."""
+    for (first, one), (second, other) in combinations(files.items(), 2):
+        if not paths.is_shared((one, other)):
+            continue
+        if (first, second) == (FILES["file"], FILES["output"]):
+            raise InputError(f"'{other}' is the file that is open: say --in-place to overwrite it")
+        raise InputError(f"{first} and {second} are the same file '{other}': choose another one")
+
+
+def file_state(path: Path) -> tuple[int, ...] | None:
+    """What changes when somebody saves a file; None if there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size, found.st_ino
 
 
 def check_folder(path: Path) -> None:
@@ -195,8 +239,12 @@ def run_collect(args: argparse.Namespace) -> None:
     """Raises CollectError when a bake failed or is missing, after the page is written."""
     reports = report_page.read(args.folder)
     wrong = report_page.failures(reports, args.expect)
+    page_json = args.page.with_suffix(".json")
+    refuse_shared(
+        {"the .json beside -o": page_json} | {f"report {name}": args.folder / f"{name}.json" for name in reports}
+    )
     disk.save(args.page, report_page.page(reports, wrong).encode(errors="backslashreplace"))
-    disk.save(args.page.with_suffix(".json"), json.dumps({"reports": reports, "wrong": wrong}, indent=1).encode())
+    disk.save(page_json, json.dumps({"reports": reports, "wrong": wrong}, indent=1).encode())
     print(f"{len(reports)} reports in {args.page}")
     if wrong:
         raise errors.CollectError("; ".join(wrong))
@@ -341,6 +389,11 @@ def _reconciled(objects: list) -> list[bpy.types.Object]:
 def save(args: argparse.Namespace) -> float:
     """Save the .blend; returns the seconds it took."""
     began = time.perf_counter()
-    blend_file.save(args.output.absolute() if args.output else Path(bpy.data.filepath))
+    if args.in_place and args.opened != file_state(Path(bpy.data.filepath)):
+        text = "'{path}' was saved by another program meanwhile: nothing was written. Run it again, or say -o"
+        raise FileInUseError(text, path=bpy.data.filepath)
+    with signals.delayed():
+        blend_file.save(args.output.absolute() if args.output else Path(bpy.data.filepath))
+        args.saved = True
     print(f"saved {args.output or bpy.data.filepath}")
     return time.perf_counter() - began

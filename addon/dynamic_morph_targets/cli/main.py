@@ -18,13 +18,11 @@ import argparse
 import io
 import json
 import os
-import signal
 import sys
 import traceback
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from types import FrameType
 
 import bpy
 
@@ -33,13 +31,17 @@ from ..core.errors import InputError
 from ..core.settings import VARIANTS
 from ..io import disk, outputs, paths
 from ..write import exports
+from . import signals
 from .commands import (
     MODEL_SETTINGS,
     OUTPUT_SETTINGS,
     SIMULATION_SETTINGS,
     bake_formats,
     check_folder,
+    file_state,
+    named_files,
     number,
+    refuse_shared,
     run_check,
     run_collect,
     run_delete_bake,
@@ -74,19 +76,10 @@ def main(argv: Sequence[str], opens_file: bool = False) -> int:
         args = parser(opens_file).parse_args(with_new_names(argv))
     except SystemExit as end:  # argparse has printed why; Blender must not be ended by it
         return end.code if isinstance(end.code, int) else BAD_INPUT
-    # Schedulers end a process by Ctrl-Break on Windows, where SIGTERM cannot be caught.
-    stop = getattr(signal, "SIGBREAK", signal.SIGTERM)
-    # Blender swallows the first Ctrl-C unless Python's own handler is in place.
-    handlers = {
-        signal.SIGINT: signal.signal(signal.SIGINT, signal.default_int_handler),
-        stop: signal.signal(stop, _preempted),
-    }
     try:
-        return _run(args, opens_file)
+        with signals.raised():
+            return _run(args, opens_file)
     finally:
-        for number, handler in handlers.items():
-            if handler is not None:  # otherwise it is Blender's own, set in C, and Blender ends here anyway
-                signal.signal(number, handler)
         sys.stdout.flush()
 
 
@@ -102,24 +95,17 @@ def with_new_names(argv: Sequence[str]) -> list[str]:
     return found
 
 
-class Preempted(BaseException):
-    """A scheduler needs the machine for something else."""
-
-
-def _preempted(_number: int, _frame: FrameType | None) -> None:
-    raise Preempted
-
-
 def _run(args: argparse.Namespace, opens_file: bool) -> int:
     """Run the command and write its report; returns its exit code."""
-    args.done, code, error = [], DONE, ""
+    args.done, args.saved, code, error = [], False, DONE, ""
     try:
         open_file(args, opens_file)
         args.run(args)
-    except Preempted:
-        code, error = TRY_AGAIN, "stopped by a signal, nothing was saved: run it again. With --cache-dir it resumes"
+    except signals.Preempted:
+        remedy = "it was saved before" if args.saved else "nothing was saved: run it again. With --cache-dir it resumes"
+        code, error = TRY_AGAIN, f"stopped by a signal, {remedy}"
     except KeyboardInterrupt:
-        code, error = INTERRUPTED, "interrupted, nothing was saved"
+        code, error = INTERRUPTED, f"interrupted, {'it was saved before' if args.saved else 'nothing was saved'}"
     except errors.SelfCheckError as failure:
         code, error = SELF_CHECK_FAILED, f"error: {failure}"
     except (OSError, MemoryError) as failure:
@@ -132,6 +118,7 @@ def _run(args: argparse.Namespace, opens_file: bool) -> int:
     if error:
         print(f"dynamorph: {error}", file=sys.stderr)
     if getattr(args, "report", None):
+        signals.ignore()  # the work is done, or has failed
         try:
             disk.save(args.report, json.dumps(record(args, code, error), indent=1).encode() + b"\n")
         except (OSError, errors.SinkError) as failure:  # the second for a path that is too long
@@ -181,6 +168,9 @@ def add_command(
     sub.set_defaults(run=run)
     if opens_file:
         sub.add_argument("file", type=path_of, help="the .blend to open")
+        sub.add_argument(
+            "--enable-autoexec", action="store_true", help="let Python in the .blend, such as drivers, run"
+        )
     chosen = sub.add_mutually_exclusive_group(required=writes)
     chosen.add_argument("--object", action="append", metavar="NAME", help="a soft skin; may be repeated")
     chosen.add_argument("--all", action="store_true", help="every soft skin of the file")
@@ -306,36 +296,50 @@ def add_settings(sub: argparse.ArgumentParser, part: str, names: Sequence[str]) 
 
 def open_file(args: argparse.Namespace, opens_file: bool) -> None:
     """Make sure, before any work, that the .blend is open and that the result can be written."""
+    report, args.report = getattr(args, "report", None), None  # it is not written unless it can be
+    if not opens_file and bpy.data.filepath:
+        args.file = Path(bpy.data.filepath)
+        args.opened = file_state(args.file)
+    refuse_shared(named_files(args) | ({"--report": report} if report else {}))
+    try_file(report, makes_folder=True)
+    args.report = report
     try_outputs(args)
     if args.run == run_collect:
         return
     if opens_file:
         if not args.file.is_file():
             raise InputError(f"there is no file '{args.file}'")
+        args.opened = file_state(args.file)
         try:
-            bpy.ops.wm.open_mainfile(filepath=str(args.file.absolute()))
+            trusted = {"use_scripts": True} if args.enable_autoexec else {}  # otherwise the preferences decide
+            bpy.ops.wm.open_mainfile(filepath=str(args.file.absolute()), **trusted)
         except RuntimeError as error:
             raise InputError(f"'{args.file}' cannot be opened: {error}") from error
     if not bpy.data.filepath:  # Blender goes on with an empty scene when its file is missing
         raise InputError("no .blend is open: name one that exists before -c")
-    output = getattr(args, "output", None)
-    if output and output.exists() and output.samefile(bpy.data.filepath):
-        raise InputError(f"'{output}' is the file that is open: say --in-place to overwrite it")
     if getattr(args, "in_place", False):
+        if bpy.data.version[:2] > bpy.app.version[:2]:
+            newer, own = (".".join(map(str, version[:2])) for version in (bpy.data.version, bpy.app.version))
+            text = f"'{bpy.data.filepath}' is of Blender {newer}, of which {own} keeps only a part"
+            raise InputError(f"{text}: use that Blender, or say -o with another file")
         outputs.try_file(Path(bpy.data.filepath))
 
 
 def try_outputs(args: argparse.Namespace) -> None:
     """Try all files and folders that the command line names for results. Raises InputError, OSError."""
-    for name in ("report", "page", "output", "json"):
-        path = getattr(args, name, None)
-        if path is None:
-            continue
-        if name in ("report", "page"):
-            path.absolute().parent.mkdir(parents=True, exist_ok=True)
-        check_folder(path.absolute())
-        outputs.try_file(path.absolute())
+    for name in ("page", "output", "json"):
+        try_file(getattr(args, name, None), makes_folder=name == "page")
     if getattr(args, "page", None):
-        outputs.try_file(args.page.absolute().with_suffix(".json"))
+        try_file(args.page.with_suffix(".json"))
     if getattr(args, "cache_dir", None):
         outputs.try_folder(args.cache_dir.absolute())
+
+
+def try_file(path: Path | None, makes_folder: bool = False) -> None:
+    """Try one of them, if it is named."""
+    if path is None:
+        return
+    if makes_folder:
+        path.absolute().parent.mkdir(parents=True, exist_ok=True)
+    check_folder(path.absolute())
+    outputs.try_file(path.absolute())

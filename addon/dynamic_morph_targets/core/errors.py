@@ -81,7 +81,7 @@ class FitError(DynamorphError):
 
 
 class FileInUseError(DynamorphError, OSError):
-    """Windows does not let a file be replaced while a program has it open. Trying again later may help."""
+    """Another program has a file open, or has just written it. Trying again later may help."""
 
 
 class RecordError(DynamorphError):

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-import glob
 import os
+import re
 import secrets
+import shutil
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -25,10 +26,7 @@ def save(path: str | os.PathLike[str], content: bytes | Iterable[bytes]) -> None
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    for left in path.parent.glob(f"{glob.escape(path.name)}.*.part"):  # left by a process that was killed
-        with suppress(OSError):
-            if time.time() - left.stat().st_mtime > ABANDONED:
-                left.unlink()
+    remove_abandoned(path.parent, rf"{re.escape(path.name)}\.[0-9a-f]{{16}}\.part")
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}.part")  # with the permissions of a new file
     with named(path, temporary):
         try:
@@ -40,6 +38,24 @@ def save(path: str | os.PathLike[str], content: bytes | Iterable[bytes]) -> None
         except BaseException:
             discard(temporary)
             raise
+
+
+def remove_abandoned(folder: Path, pattern: str) -> None:
+    """Remove what processes that were killed have left in a folder. pattern: of its names, a regular expression."""
+    ours = re.compile(pattern)
+    with suppress(OSError):
+        for left in [each for each in folder.iterdir() if ours.fullmatch(each.name)]:
+            with suppress(OSError):
+                if time.time() - left.lstat().st_mtime > ABANDONED:
+                    remove(left)
+
+
+def remove(path: Path) -> None:
+    """Delete a file, or a folder with all that is in it, that nobody needs."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        discard(path)
 
 
 @contextmanager

@@ -11,9 +11,8 @@ import os
 import re
 import secrets
 import shutil
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from . import disk
@@ -84,7 +83,7 @@ def replacing(path: Path, in_folder: bool = False) -> Iterator[Path]:
     in_folder: it is in a folder of its own. Other files that are written there, such as textures, come along to the
     folder of `path`, except those that it has already. Raises OSError.
     """
-    _remove_abandoned(path)
+    disk.remove_abandoned(path.parent, rf"{re.escape(path.stem)}\.[0-9a-f]{{16}}\.part{re.escape(path.suffix)}@?")
     partial = partial_of(path)
     written = partial / path.name if in_folder else partial
     with disk.named(path, partial):
@@ -99,7 +98,7 @@ def replacing(path: Path, in_folder: bool = False) -> Iterator[Path]:
                 _move_others(written, path.parent)
             disk.replace(written, path)
         finally:
-            _remove(partial)
+            disk.remove(partial)
 
 
 def why_not(path: Path, text: str, size: int = BLOCK) -> OSError | None:
@@ -121,25 +120,9 @@ def _existing(folder: Path) -> Path:
 
 def partial_of(path: Path) -> Path:
     """A random name beside `path`, with its suffix, which exporters check. What is left there is removed an hour later,
-    by the next one that writes `path`; also with an `@` behind it.
+    by the next one that writes `path`; also with the `@` behind it that Blender adds.
     """
     return path.with_name(f"{path.stem}.{secrets.token_hex(8)}.part{path.suffix}")
-
-
-def _remove_abandoned(path: Path) -> None:
-    """Remove what processes that were killed have left of `path`."""
-    ours = re.compile(rf"{re.escape(path.stem)}\.[0-9a-f]{{16}}\.part{re.escape(path.suffix)}@?")
-    with suppress(OSError):
-        for left in [each for each in path.parent.iterdir() if ours.fullmatch(each.name)]:
-            if time.time() - left.stat().st_mtime > disk.ABANDONED:
-                _remove(left)
-
-
-def _remove(partial: Path) -> None:
-    if partial.is_dir() and not partial.is_symlink():
-        shutil.rmtree(partial, ignore_errors=True)
-    else:
-        disk.discard(partial)
 
 
 def _sync(path: Path) -> None:

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
+import unicodedata
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -30,9 +32,20 @@ def file_path(file: str, name: str) -> Path:
 
 
 def is_shared(files: Iterable[Path]) -> bool:
-    """Whether two of the paths name one file: all systems but Linux take upper and lower case for the same."""
-    names = [str(file) if sys.platform == "linux" else str(file).casefold() for file in files]
-    return len(set(names)) < len(names)
+    """Whether two of the paths name one file, or one that would be: through links too, and as all systems but Linux
+    take upper and lower case, and the two ways to write an accent, for the same.
+    """
+    found = [_identity(file) for file in files]
+    return len(set(found)) < len(found)
+
+
+def _identity(file: Path) -> object:
+    try:
+        there = file.stat()
+    except OSError:
+        name = os.path.realpath(file)
+        return name if sys.platform == "linux" else unicodedata.normalize("NFC", name).casefold()
+    return there.st_dev, there.st_ino
 
 
 def cache_path(folder: Path, name: str, content: str, sink: str) -> Path:

@@ -9,11 +9,14 @@ that there is no such file, or whatever failed before, when the disk is full.
 from __future__ import annotations
 
 import os
+import re
+import secrets
 import shutil
 import struct
 import tempfile
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
 
@@ -38,7 +41,8 @@ def save(path: Path):
     Raises OSError.
     """
     with _blender_keeping_none() as versions:
-        earlier = _beside(outputs.partial_of(path))
+        _keep_abandoned(path, versions)
+        earlier = path.with_name(f"{path.stem}.{secrets.token_hex(8)}.earlier{path.suffix}")
         try:
             with outputs.replacing(path) as partial:
                 _write_whole(partial, path)
@@ -164,6 +168,19 @@ def _link(path: Path, name: Path):
         shutil.copy2(path, name)
 
 
+def _keep_abandoned(path: Path, versions: int):
+    """The same for what a process that was killed before that has left, an hour later: until then it may be at it."""
+    ours = re.compile(rf"{re.escape(path.stem)}\.[0-9a-f]{{16}}\.earlier{re.escape(path.suffix)}")
+    with suppress(OSError):
+        for left in [each for each in path.parent.iterdir() if ours.fullmatch(each.name)]:
+            if time.time() - left.stat().st_ctime < disk.ABANDONED:
+                continue
+            if path.exists() and left.samefile(path):  # nothing has replaced it
+                disk.discard(left)
+            elif versions:
+                _keep(left, path, versions)
+
+
 def _keep(earlier: Path, path: Path, versions: int):
     """Make what was at `path` its first earlier version, and each earlier version the next one; if one of them cannot
     be replaced, as when another program has it open, a version more. Raises OSError.
@@ -176,5 +193,5 @@ def _keep(earlier: Path, path: Path, versions: int):
         disk.replace(earlier, names[0])
     except OSError:
         others = (Path(f"{path}{number}") for number in count(1))
-        _link(earlier, next(each for each in others if not each.exists()))
+        _link(earlier, next(each for each in others if not os.path.lexists(each)))
         disk.discard(earlier)

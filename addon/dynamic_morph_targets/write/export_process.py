@@ -64,6 +64,11 @@ def export(format: str, collection: str, path: Path, frames: tuple[int, int], **
         raise RuntimeError(said or f"Blender's exporter crashed with code {done.returncode}")
 
 
+def leaves_python_out() -> bool:
+    """Whether the file has Python that this session does not run, such as drivers."""
+    return _has_python() and not _runs_python()
+
+
 def _runs_python() -> bool:
     """Whether this session runs the Python of its file, which the child must not do otherwise.
 

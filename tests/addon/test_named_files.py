@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Files that a command line names: nothing is written over what it reads, or over what somebody saved meanwhile."""
+
+import json
+import os
+import signal
+from pathlib import Path
+
+import bpy
+import pytest
+from builders import part
+from test_cli import run, shot  # noqa: F401
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["check", "{shot}", "--report", "{shot}"], "the .blend and --report are the same file"),
+        (["bake", "{shot}", "--in-place", "--report", "{link}"], "the .blend and --report are the same file"),
+        (["bake", "{shot}", "-o", "{folder}/x.json", "--report", "{folder}/y/../x.json"], "-o and --report are"),
+        (["bake", "{shot}", "-o", "{folder}/x.glb", "--format", "gltf", "--output-file", "{folder}/x.glb"],
+         "-o and --output-file are the same"),
+        (["bake", "{shot}", "--in-place", "--format", "pc2", "--output-file", "{folder}/x.pc2", "--report",
+          "{folder}/x.pc2"], "--report and --output-file are the same"),
+        (["report", "{shot}", "--json", "{shot}"], "the .blend and --json are the same file"),
+        (["fit", "{shot}", "--target", "flexed", "--oscillation", "{csv}", "-o", "{csv}"],
+         "-o and --oscillation are the same"),
+        (["collect", "{folder}", "-o", "{folder}/x.json"], "-o and the .json beside -o are the same"),
+    ],
+)  # fmt: skip
+def test_no_file_is_named_twice(shot, run, stand_in, arguments, words):  # noqa: F811
+    folder = shot.parent
+    link, csv = folder / "link.blend", folder / "swing.csv"
+    link.symlink_to(shot)
+    csv.write_text("0,0,0,0\n")
+    (folder / "y").mkdir()
+    before = {path: path.read_bytes() for path in (shot, csv)}
+    chosen = () if arguments[0] == "collect" else ("--object", "Arm")
+    code, _, errors = run(*(a.format(shot=shot, folder=folder, link=link, csv=csv) for a in arguments), *chosen)
+    assert code == 2 and words in errors and stand_in.built == 0
+    assert {path: path.read_bytes() for path in before} == before
+    assert sorted(path.name for path in folder.iterdir()) == sorted([shot.name, "link.blend", "swing.csv", "y"])
+
+
+def test_a_page_does_not_replace_a_report(shot, run):  # noqa: F811
+    folder = shot.parent / "reports"
+    assert run("check", shot, "--object", "Arm", "--report", folder / "shot.json")[0] == 0
+    before = (folder / "shot.json").read_bytes()
+    code, _, errors = run("collect", folder, "-o", folder / "shot.html")
+    assert code == 2 and "report shot" in errors
+    assert [(path.name, path.read_bytes()) for path in folder.iterdir()] == [("shot.json", before)]
+    assert run("collect", folder, "-o", folder / "all.html")[0] == 0
+    assert run("collect", folder, "-o", folder / "all.html")[0] == 0  # its own .json is none
+
+
+@pytest.mark.parametrize("kind", ["protected", "pipe"])
+def test_a_report_that_is_refused_is_not_written(shot, run, monkeypatch, kind):  # noqa: F811
+    """As root every file can be opened."""
+    report = shot.parent / "report.json"
+    if kind == "pipe":
+        os.mkfifo(report)
+    else:
+        report.write_text("mine")
+        outputs = part("outputs")
+        monkeypatch.setattr(
+            outputs, "_try_to_open", lambda path: (_ for _ in ()).throw(PermissionError(13, "No", path))
+        )
+    code, _, errors = run("check", shot, "--object", "Arm", "--report", report)
+    assert code == 2 and "report.json" in errors
+    assert report.is_fifo() or report.read_text() == "mine"
+
+
+def test_what_was_saved_during_a_bake_stays(shot, run, stand_in, monkeypatch):  # noqa: F811
+    commands = part("commands")
+    work = commands.work_on
+
+    def work_beside(*arguments):
+        shot.write_bytes(b"an hour of work")
+        return work(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(commands, "work_on", work_beside)
+        code, _, errors = run("bake", shot, "--object", "Arm", "--in-place")
+    assert code == 75 and "was saved by another program meanwhile" in errors
+    assert shot.read_bytes() == b"an hour of work"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("moment", ["_keep", "print_table", "record"])
+def test_a_signal_once_the_file_is_replaced(shot, run, stand_in, monkeypatch, number, moment):  # noqa: F811
+    """It waits for the earlier version, and the message is right."""
+    where = {"_keep": "blend_file", "print_table": "commands", "record": "main"}[moment]
+    before, work = shot.read_bytes(), getattr(part(where), moment)
+
+    def interrupted(*arguments):
+        os.kill(os.getpid(), number)
+        return work(*arguments)
+
+    monkeypatch.setattr(bpy.context.preferences.filepaths, "save_version", 1)
+    with monkeypatch.context() as patch:
+        patch.setattr(part(where), moment, interrupted)
+        code, _, errors = run("bake", shot, "--object", "Arm", "--in-place", "--report", shot.parent / "r.json")
+    report = json.loads((shot.parent / "r.json").read_text())
+    if moment == "record":
+        assert code == 0
+    else:
+        assert code == {signal.SIGINT: 130, signal.SIGTERM: 75}[number] and "it was saved before" in errors
+    assert report["exit_code"] == code
+    assert Path(f"{shot}1").read_bytes() == before != shot.read_bytes()
+
+
+def test_an_earlier_version_that_a_killed_process_left_is_kept(shot, run, stand_in, monkeypatch):  # noqa: F811
+    before = shot.read_bytes()
+    monkeypatch.setattr(bpy.context.preferences.filepaths, "save_version", 2)
+    with monkeypatch.context() as patch:
+        patch.setattr(part("blend_file"), "_keep", lambda *_: None)  # it was killed there
+        assert run("bake", shot, "--object", "Arm", "--in-place")[0] == 0
+    baked = shot.read_bytes()
+    monkeypatch.setattr(part("disk"), "ABANDONED", -1.0)
+    assert run("delete-bake", shot, "--object", "Arm", "--in-place")[0] == 0
+    assert [Path(f"{shot}{number}").read_bytes() for number in (1, 2)] == [baked, before]
+    assert not list(shot.parent.glob("*.earlier.*"))
+
+
+def test_a_file_of_a_newer_blender_is_not_replaced(shot, run, stand_in, monkeypatch):  # noqa: F811
+    version = bpy.app.version_string.split(".")
+    content = bytearray(shot.read_bytes())
+    monkeypatch.setattr(part("main"), "bpy", Newer())
+    code, _, errors = run("bake", shot, "--object", "Arm", "--in-place")
+    assert code == 2 and f"is of Blender 99.0, of which {version[0]}.{version[1]} keeps only a part" in errors
+    assert shot.read_bytes() == content
+
+
+class Newer:
+    """bpy, of which the open file is of a version that is not out yet."""
+
+    def __getattr__(self, name):
+        return (
+            self
+            if name == "data"
+            else (99, 0, 0)
+            if name == "version"
+            else getattr(bpy.data, name, None) or getattr(bpy, name)
+        )
+
+
+def test_python_in_a_file_is_told_of_or_runs(shot, run, stand_in):  # noqa: F811
+    driver = bpy.data.objects["Arm Rig"].driver_add("location", 2).driver
+    driver.expression = "sum([frame, 1.0])"  # more than Blender's own simple expressions
+    bpy.ops.wm.save_mainfile()
+    output = shot.parent / "baked.blend"
+    told = "warning: The file has Python"
+    assert told in run("bake", shot, "--object", "Arm", "-o", output)[1]
+    assert told not in run("bake", shot, "--object", "Arm", "-o", output, "--enable-autoexec")[1]
