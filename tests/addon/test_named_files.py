@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Files that a command line names: nothing is written over what it reads, or over what somebody saved meanwhile."""
 
+import errno
 import json
 import os
 import signal
@@ -152,3 +153,27 @@ def test_python_in_a_file_is_told_of_or_runs(shot, run, stand_in):  # noqa: F811
     told = "warning: The file has Python"
     assert told in run("bake", shot, "--object", "Arm", "-o", output)[1]
     assert told not in run("bake", shot, "--object", "Arm", "-o", output, "--enable-autoexec")[1]
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_point_cache_changes_with_the_blend_that_plays_it(shot, run, stand_in, monkeypatch, fails):  # noqa: F811
+    """As when one character of several is refused, or the disk is full in the end."""
+    cache, blend_file = shot.parent / "Arm.pc2", part("blend_file")
+    bake = ("bake", shot, "--object", "Arm", "--in-place", "--format", "pc2", "--output-file", cache)
+    assert run(*bake)[0] == 0
+    before, blend = cache.read_bytes(), shot.read_bytes()
+    there = sorted(path.name for path in shot.parent.iterdir())
+    with monkeypatch.context() as patch:
+        save = blend_file.save
+
+        def save_then(path):
+            assert cache.read_bytes() == before
+            if fails:
+                raise OSError(errno.ENOSPC, "No space left", str(path))
+            save(path)
+
+        patch.setattr(blend_file, "save", save_then)
+        code, _, errors = run(*bake, "--frames", 1, 5)
+    assert code == (75 if fails else 0), errors
+    assert (cache.read_bytes() == before) == fails == (shot.read_bytes() == blend)
+    assert {path.name for path in shot.parent.iterdir()} - set(there) <= {"shot ü.blend2"}

@@ -7,10 +7,11 @@ import argparse
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 from itertools import combinations
 from pathlib import Path
+from types import MappingProxyType
 
 import bpy
 import numpy as np
@@ -61,11 +62,17 @@ def run_job(args: argparse.Namespace) -> None:
     files = output_files(args, objects, folder)
     for obj in objects:  # everything that may be refused, before any work
         apply_settings(args, obj)
-    for obj in objects:
-        done = work_on(args, obj, folder, files)
-        say(done)
-        args.done.append(done)
-    seconds = save(args) if args.output or args.in_place else 0.0
+    beside: dict[Path, Path] = {}  # point caches, and where they are until the .blend is saved
+    try:
+        for obj in objects:
+            done = work_on(args, obj, folder, files)
+            say(done)
+            args.done.append(done)
+            beside |= done.job.outcome.beside
+        seconds = save(args, beside) if args.output or args.in_place else 0.0
+    finally:
+        for written in beside.values():
+            disk.discard(written)
     for job in (done.job for done in args.done):
         print_table(job, seconds)
         if job.input.kept:  # it is saved now
@@ -386,8 +393,8 @@ def _reconciled(objects: list) -> list[bpy.types.Object]:
     return objects
 
 
-def save(args: argparse.Namespace) -> float:
-    """Save the .blend; returns the seconds it took."""
+def save(args: argparse.Namespace, beside: Mapping[Path, Path] = MappingProxyType({})) -> float:
+    """Save the .blend, and then give the files of `beside` their names; returns the seconds it took."""
     began = time.perf_counter()
     if args.in_place and args.opened != file_state(Path(bpy.data.filepath)):
         text = "'{path}' was saved by another program meanwhile: nothing was written. Run it again, or say -o"
@@ -395,5 +402,7 @@ def save(args: argparse.Namespace) -> float:
     with signals.delayed():
         blend_file.save(args.output.absolute() if args.output else Path(bpy.data.filepath))
         args.saved = True
+        for path, written in beside.items():
+            disk.replace(written, path)
     print(f"saved {args.output or bpy.data.filepath}")
     return time.perf_counter() - began

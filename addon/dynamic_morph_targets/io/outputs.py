@@ -83,7 +83,7 @@ def replacing(path: Path, in_folder: bool = False) -> Iterator[Path]:
     in_folder: it is in a folder of its own. Other files that are written there, such as textures, come along to the
     folder of `path`, except those that it has already. Raises OSError.
     """
-    disk.remove_abandoned(path.parent, rf"{re.escape(path.stem)}\.[0-9a-f]{{16}}\.part{re.escape(path.suffix)}@?")
+    remove_abandoned(path)
     partial = partial_of(path)
     written = partial / path.name if in_folder else partial
     with disk.named(path, partial):
@@ -123,6 +123,11 @@ def partial_of(path: Path) -> Path:
     by the next one that writes `path`; also with the `@` behind it that Blender adds.
     """
     return path.with_name(f"{path.stem}.{secrets.token_hex(8)}.part{path.suffix}")
+
+
+def remove_abandoned(path: Path) -> None:
+    """Remove what processes that were killed have left of `path`."""
+    disk.remove_abandoned(path.parent, rf"{re.escape(path.stem)}\.[0-9a-f]{{16}}\.part{re.escape(path.suffix)}@?")
 
 
 def _sync(path: Path) -> None:

@@ -124,7 +124,9 @@ class Writer:
                 undo.callback(new.take_back)
                 new.add()
                 self._new.append(new)
-                self.outcome.size += new.size + (cache.stat().st_size if cache else 0)
+                self.outcome.size += new.size
+                if cache:
+                    self.outcome.size += self.outcome.beside.get(cache, cache).stat().st_size
 
     def show_keys(self) -> None:
         """Make the new bakes play in the place of the old ones and of Live."""

@@ -22,7 +22,7 @@ from ..core.keys import as_keys, splice
 from ..core.message import Message
 from ..core.rehearsal import Rehearsal
 from ..core.rig_samples import RigSamples
-from ..io import disk, model_file, paths, point_cache
+from ..io import disk, model_file, outputs, paths, point_cache
 from .job_data import BakeInput, Outcome, Progress
 
 if TYPE_CHECKING:  # they need the engine
@@ -322,10 +322,13 @@ def _point_cache(given: BakeInput, outcome: Outcome, sink: str, name: str, point
     """Write the file that plays the bake of the mesh `name`."""
     fps = given.settings.fps
     default = paths.cache_path(given.caches, name, baked.digest(bake, points, fps), sink)
-    file = given.cache_files.get(name, default)
-    if not file.exists():
-        outcome.new_files.append(file)
-    disk.save(file, point_cache.CACHES[sink](bake, points, fps))
+    file = written = given.cache_files.get(name, default)
+    if name in given.cache_files:  # the earlier file plays until the .blend is saved
+        outputs.remove_abandoned(file)
+        written = outcome.beside[file] = outputs.partial_of(file)
+    if not written.exists():
+        outcome.new_files.append(written)
+    disk.save(written, point_cache.CACHES[sink](bake, points, fps))
     return file
 
 

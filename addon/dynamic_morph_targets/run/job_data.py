@@ -122,4 +122,5 @@ class Outcome:
     content_id: str = ""  # hash of everything that the bake was made from
     written: list[tuple[Bake, Path | None]] = field(default_factory=list)
     new_files: list[Path] = field(default_factory=list)  # new files of point caches
+    beside: dict[Path, Path] = field(default_factory=dict)  # of each that has another path until the .blend is saved
     size: int = 0  # size of the written data in bytes
