@@ -193,3 +193,36 @@ def test_a_bake_is_read_back_as_it_was_written(soft_arm, tmp_path, sink):
     for row in range(len(bake.frames)):
         assert np.abs(found.displacement(row) - bake.displacement(row)).max() < 1e-6
         assert np.abs(dry_of(found).displacement(row) - dry_of(bake).displacement(row)).max() < 1e-6
+
+
+@pytest.mark.parametrize(("first", "second"), [("MODES", "PC2"), ("PC2", "MODES"), ("FRAMES", "MDD")])
+def test_the_influence_goes_along(scene, soft_arm, tmp_path, first, second):
+    """From shape keys to a point cache and back: set, and keyed."""
+    bake_influence = part("bake_influence")
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink=first)
+    owner, name = bake_influence.influence(soft_arm)
+    setattr(owner, name, 0.25)
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink=second)
+    owner, name = bake_influence.influence(soft_arm)
+    assert getattr(owner, name) == 0.25
+    for frame, influence in ((1, 0.0), (11, 1.0)):
+        setattr(owner, name, influence)
+        owner.keyframe_insert(name, frame=frame)
+    for sink in (first, second):
+        written(soft_arm, smooth_bake(soft_arm), tmp_path, sink=sink)
+        for frame, influence in ((1, 0.0), (6, 0.5), (11, 1.0), (15, 1.0)):
+            scene.frame_set(frame)
+            owner, name = bake_influence.influence(soft_arm)
+            assert getattr(owner, name) == pytest.approx(influence, abs=1e-6)
+
+
+def test_a_driver_of_the_influence_that_goes_is_named(soft_arm, tmp_path):
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink="PC2")
+    part("skin").cache_modifier(soft_arm).driver_add("factor").driver.expression = "0.5"
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink="MDD")
+    assert soft_arm.animation_data.drivers
+    new = part("bake").NewBake(soft_arm, smooth_bake(soft_arm))
+    new.add()
+    new.show()
+    (told,) = new.remove_old()
+    assert "The driver of Bake Influence of 'Arm' was removed" in told

@@ -496,3 +496,91 @@ def test_a_key_whose_mute_is_driven_is_refused(soft_arm):
     with pytest.raises(part("errors").SinkError, match="flexed.*has a driver"):
         part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
     assert not soft_arm.dynamorph.bake.keys
+
+
+def keyed_in_the_bake(obj):
+    """The artist has pressed Tab on the bake's strip and keyed another key there."""
+    data = keys_of(obj).animation_data
+    track = data.nla_tracks[-1]
+    track.select = track.strips[0].select = True
+    data.nla_tracks.active = track
+    data.use_tweak_mode = True
+    smile = keys_of(obj).key_blocks["smile"]
+    for frame, value in ((1, 0.0), (10, 1.0), (20, 0.2)):
+        smile.value = value
+        smile.keyframe_insert("value", frame=frame)
+    data.use_tweak_mode = False
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_keys_that_the_artist_has_set_in_the_bake_s_strip_stay(scene, soft_arm, again):
+    bake = part("bake")
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm))
+    keyed_in_the_bake(soft_arm)
+    second = hand_made_bake(soft_arm, seed=2)
+    if again:
+        bake.write_keys(soft_arm, second)
+    else:
+        bake.free(soft_arm)
+    keys = keys_of(soft_arm)
+    for frame, value in ((1, 0.0), (10, 1.0), (20, 0.2)):
+        scene.frame_set(frame)
+        assert keys.key_blocks["smile"].value == pytest.approx(value)
+    own = {
+        curve.data_path
+        for action in bpy.data.actions
+        for _, curve in bake._curves(action)
+        if "smile" in curve.data_path
+    }
+    assert own == {'key_blocks["smile"].value'}
+    if not again:
+        assert [block.name for block in keys.key_blocks] == ["Basis", "flexed", "smile"]
+        assert (
+            len([action for action in bpy.data.actions if "key_blocks" in str(bake._curves(action)[0][1].data_path)])
+            == 1
+        )
+    else:
+        keys.key_blocks["smile"].mute = True
+        assert_shows(soft_arm, second)
+        bake.free(soft_arm)
+        keys.key_blocks["smile"].mute = False
+        scene.frame_set(10)
+        assert keys.key_blocks["smile"].value == pytest.approx(1.0)
+
+
+def test_a_copy_of_the_bake_s_action_with_a_name_of_the_artist_s_stays(soft_arm):
+    bake = part("bake")
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm))
+    data = keys_of(soft_arm).animation_data
+    mine, copy = soft_arm.dynamorph.bake.action.copy(), soft_arm.dynamorph.bake.action.copy()
+    mine.name = "Mine"
+    for action in (mine, copy):
+        track = data.nla_tracks.new()
+        track.strips.new(action.name, 100, action)
+    name = copy.name
+    bake.free(soft_arm)
+    assert "Mine" in bpy.data.actions and name not in bpy.data.actions
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_a_baked_key_that_the_artist_has_sculpted_stays_without_effect(scene, soft_arm, again):
+    """Its value was that of the old motion: on top of a new bake, the skin would be somewhere else."""
+    bake, second = part("bake"), hand_made_bake(soft_arm, seed=2)
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm))
+    scene.frame_set(7)
+    block = keys_of(soft_arm).key_blocks["Dynamorph Mode 02"]
+    for point in block.points:
+        point.co.z += 1.0
+    shape = [tuple(point.co) for point in block.points]
+    if again:
+        new = bake.NewBake(soft_arm, second)
+        new.add()
+        new.show()
+        told = new.remove_old()
+        assert_shows(soft_arm, second)
+    else:
+        told = bake.free(soft_arm)
+    assert len(told) == 1 and "'Dynamorph Mode 02' of 'Arm' was edited after the bake: it stays" in told[0]
+    kept = [block for block in keys_of(soft_arm).key_blocks if [tuple(point.co) for point in block.points] == shape]
+    scene.frame_set(9)
+    assert len(kept) == 1 and kept[0].value == 0.0

@@ -339,7 +339,8 @@ def run_delete_bake(args: argparse.Namespace) -> None:
         bake.check(obj)
         baked = obj.dynamorph.bake
         removed = f"{len(baked.keys)} baked keys" + (" and what plays the point cache" if baked.cache else "")
-        bake.free(obj)
+        for text in bake.free(obj):
+            print(f"{obj.name}: warning: {text}")
         print(f"{obj.name}: {removed} removed")
     save(args)
 

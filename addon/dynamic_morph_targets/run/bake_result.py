@@ -148,12 +148,16 @@ class Writer:
             return
         obj = self.request.target.find()
         left = [(free, piece) for piece in self._left_behind()]
+        told: list[str] = []
         with self.request.scene.as_context():
             for remove, *what in ((live_key.remove_hidden, obj), *left, *((new.remove_old,) for new in self._new)):
                 try:
-                    remove(*what)
+                    told += remove(*what) or ()
                 except Exception as bug:
                     logger.log_bug(bug)
+        self.outcome.warnings += told
+        record = obj.dynamorph.bake
+        record.warnings = "\n".join(filter(None, [record.warnings, *told]))
 
     def store(self) -> None:
         """Store the model and the findings with the object."""

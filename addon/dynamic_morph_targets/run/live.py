@@ -310,7 +310,7 @@ def remove_soft_skin(obj: bpy.types.Object) -> None:
     turn_off(obj)
     bake.free(obj)
     muting.show_target(obj, "")
-    left = {target.region for target in obj.dynamorph.targets if target.auto_region}
+    left = regions.automatic_regions(obj, obj.dynamorph.targets)
     obj.dynamorph.targets.clear()
     regions.update(obj, left)
     storage.forget_model(obj)

@@ -46,7 +46,8 @@ class DYNAMORPH_OT_free_bake(SoftSkinOperator, Operator):
             live_key.remove(obj)
         bake.check_free(obj)
         beside.keep_bake(obj)
-        bake.free(obj)
+        for text in bake.free(obj):
+            self.report({"WARNING"}, translated(text, rpt_))
 
 
 class JobOperator(SoftSkinOperator):

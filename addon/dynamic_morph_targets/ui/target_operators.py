@@ -119,7 +119,7 @@ class DYNAMORPH_OT_remove_target(TargetOperator, Operator):
             target = settings.active_target
             if target.name == settings.sculpt.shown.name:
                 muting.show_target(obj, "")
-            left = [target.region] * target.auto_region
+            left = regions.automatic_regions(obj, [target])
             settings.targets.remove(settings.active_target_index)
             settings.active_target_index -= 1
             regions.update(obj, left)

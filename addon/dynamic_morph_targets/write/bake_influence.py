@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..scene import animation
 from ..scene.skin import cache_modifier, followers
 
 SHAPES, MOTION = "Dynamorph Shapes", "Dynamorph"  # the tracks from bottom to top, and the Action's slots
@@ -89,7 +90,32 @@ def keep_influence(old, new):
     if not (curve and new):
         return
     new.influence = old.influence
-    copy = new.fcurves.find("influence")
+    _copy_points(curve, new.fcurves.find("influence"))
+
+
+def carry_influence(obj, old, new):
+    """The same for a bake that takes another form: one of the two is the modifier of a point cache, on `obj`."""
+    setattr(new, _property(new), getattr(old, _property(old)))
+    curve = _curve_of(obj, old)
+    if curve and len(curve.keyframe_points):
+        new.keyframe_insert(_property(new), frame=curve.keyframe_points[0].co[0])
+        _copy_points(curve, _curve_of(obj, new))
+
+
+def _property(owner) -> str:
+    return "influence" if hasattr(owner, "influence") else "factor"
+
+
+def _curve_of(obj, owner):
+    """The curve of the influence of a strip or of a modifier of `obj`, or None."""
+    if hasattr(owner, "influence"):
+        return owner.fcurves.find("influence")
+    data, path = obj.animation_data, owner.path_from_id("factor")
+    found = animation.curves(data.action, data.action_slot) if data else []
+    return next((curve for curve in found if curve.data_path == path), None)
+
+
+def _copy_points(curve, copy):
     copy.keyframe_points.clear()
     copy.extrapolation = curve.extrapolation
     copy.keyframe_points.add(len(curve.keyframe_points))

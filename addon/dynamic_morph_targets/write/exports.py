@@ -334,6 +334,7 @@ def _sampled_keys(obj, frames):
     animation = keys.animation_data
     before = animation.action, animation.action_slot, animation.use_nla, [d.mute for d in animation.drivers]
     names = [block.name for block in keys.key_blocks]
+    shown = {block.name: block.value for block in keys.key_blocks}
     values[:, [block.mute for block in keys.key_blocks]] = 0.0  # FBX knows no muted keys
     action = bpy.data.actions.new(obj.name)
     try:
@@ -353,4 +354,6 @@ def _sampled_keys(obj, frames):
         animation.use_nla = before[2]
         for driver, mute in zip(animation.drivers, before[3], strict=True):
             driver.mute = mute
+        for name, value in shown.items():
+            keys.key_blocks[name].value = value
         bpy.data.actions.remove(action)

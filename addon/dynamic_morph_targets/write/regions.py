@@ -123,15 +123,21 @@ def update(obj, left=()):
         obj.vertex_groups.active_index = obj.vertex_groups[active].index
 
 
+def automatic_regions(obj, targets) -> set[str]:
+    """The regions that are nobody's but ours: they were made here, and not painted since."""
+    groups = mesh_data.VertexGroups(obj)
+    return {target.region for target in targets if target.auto_region and not _is_painted(obj, target, groups)}
+
+
+def _is_painted(obj, target, groups) -> bool:
+    if not target.made_region or target.region not in obj.vertex_groups:
+        return False
+    return _digest(groups.weights([target.region])) != target.made_region
+
+
 def _not_painted(obj, automatic: list, groups) -> list:
     """The targets whose region is unchanged since it was made; the other regions belong to the artist from now on."""
-    painted = {
-        target.region
-        for target in automatic
-        if target.made_region
-        and target.region in obj.vertex_groups
-        and _digest(groups.weights([target.region])) != target.made_region
-    }
+    painted = {target.region for target in automatic if _is_painted(obj, target, groups)}
     for target in automatic:
         if target.region in painted:
             target.auto_region = False
