@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What helps to paint a map: holding selected bones, blurring, mirroring, and the colors of the stiffness map."""
 
+from functools import partial
+
 import bpy
 import numpy as np
 import pytest
@@ -188,3 +190,26 @@ def test_another_mesh_is_refused(scene, painted_arm):
     bpy.ops.object.mode_set(mode="OBJECT")
     activate(make_mesh(scene, "Plane", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)]))
     assert not OPS.hold_bones.poll() and not OPS.mirror_map.poll()
+
+
+@pytest.mark.fault("G07")
+def test_a_mesh_that_is_edited_on_another_object_is_refused(scene, soft_arm):
+    """Blender itself crashes when it enters Weight Paint on it."""
+    other = soft_arm.copy()
+    scene.collection.objects.link(other)
+    bpy.context.view_layer.objects.active = other
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.context.view_layer.objects.active = soft_arm
+    soft_arm.dynamorph.active_target_index = 1
+    for press in (
+        partial(OPS.paint_group, which="SOFT"),
+        partial(OPS.paint_group, which="STIFFNESS"),
+        OPS.sculpt_target,
+    ):
+        with pytest.raises(RuntimeError, match="is in Edit Mode on another object: leave it there first"):
+            press()
+    assert soft_arm.mode == "OBJECT" and other.mode == "EDIT"
+    bpy.context.view_layer.objects.active = other
+    bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.context.view_layer.objects.active = soft_arm
+    assert OPS.paint_group(which="SOFT") == {"FINISHED"}

@@ -243,10 +243,19 @@ def generating_before(obj, modifier) -> list:
     return [before for before in _modifiers_before(obj, modifier) if before.type in GENERATING]
 
 
+def edited_elsewhere(obj) -> str:
+    """Why `obj` cannot change its mode, or ''. Blender crashes when it enters Weight Paint then."""
+    if obj.mode == "EDIT" or not obj.data.is_editmode:
+        return ""
+    return Message("Mesh '{name}' is in Edit Mode on another object: leave it there first", name=obj.data.name)
+
+
 def mesh(obj) -> Iterator[Problem]:
     """Yields nothing when `obj` has a surface, and is not being edited."""
     if obj.mode == "EDIT":
         yield Problem("'{name}' is in Edit Mode: leave it first", "LEAVE_EDIT_MODE", name=obj.name)
+    elif obj.data.is_editmode:
+        yield Problem(edited_elsewhere(obj))
     elif not obj.data.polygons:
         yield Problem("Mesh '{name}' has no faces: model some, or choose the right object", name=obj.name)
 

@@ -10,7 +10,7 @@ from bpy.types import Operator
 
 from ..core.errors import SceneError
 from ..run import live
-from ..scene import skin
+from ..scene import checks, skin
 from ..scene.registration import of_classes
 from ..write import attachments, bake
 from .base import SoftSkinOperator, listed
@@ -90,6 +90,8 @@ class DYNAMORPH_OT_select_piece(PieceOperator, Operator):
             raise SceneError("'{name}' is hidden: show it to select it", name=shown.name)
         if bpy.context.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")
+        if refusal := checks.edited_elsewhere(shown):
+            raise SceneError(refusal)
         for other in bpy.context.selected_objects:
             other.select_set(False)
         shown.select_set(True)

@@ -76,6 +76,8 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
     def _enter(self, obj):
         if not obj.visible_get():
             raise SceneError("'{name}' is hidden: show it to paint on it", name=obj.name)
+        if refusal := checks.edited_elsewhere(obj):
+            raise SceneError(refusal)
         owned(obj.data)
         active, display = bpy.context.object, bpy.context.window_manager.dynamorph
         if obj.mode != "WEIGHT_PAINT":
