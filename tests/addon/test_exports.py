@@ -292,6 +292,16 @@ def test_a_muted_key_is_not_shown(scene, baked, tmp_path):
     assert off("FBX", written(obj, "FBX", tmp_path), exact) < CLOSE
 
 
+@pytest.mark.parametrize("key", ["GLTF", "FBX"])
+def test_an_export_leaves_the_values_of_keys(baked, tmp_path, key):
+    """Also of those that no other program knows to be muted."""
+    obj, _ = baked
+    blocks = keys_of(obj).key_blocks
+    blocks["smile"].value, blocks["smile"].mute, blocks["flexed"].value = 0.4, True, 0.7
+    written(obj, key, tmp_path)
+    assert (blocks["smile"].value, blocks["flexed"].value) == pytest.approx((0.4, 0.7))
+
+
 def test_the_button_writes_what_the_format_is_called(baked, tmp_path):
     obj, _ = baked
     bpy.context.view_layer.objects.active = obj

@@ -330,6 +330,21 @@ def test_targets_that_share_a_bone_form_one_set(bar):
     assert left not in bar.vertex_groups and "upper" in bar.vertex_groups
 
 
+def test_a_region_that_was_painted_outlives_its_target(bar):
+    """Other things of the artist's may use it by now."""
+    region = add(bar, "flexed", 1.0, lower=1.0).region
+    bar.vertex_groups[region].add(list(range(40)), 0.37, "REPLACE")
+    painted = group(bar, region)
+    bar.dynamorph.active_target_index = 1
+    OPS.remove_target()
+    np.testing.assert_array_equal(group(bar, region), painted)
+    other = add(bar, "flexed", 1.0, lower=1.0).region
+    bar.vertex_groups[other].add(list(range(40)), 0.37, "REPLACE")
+    bar.dynamorph.active_target_index = 0
+    OPS.remove_target()
+    assert not bar.dynamorph.targets and {region, other} <= set(bar.vertex_groups.keys())
+
+
 def test_a_target_counts_in_full_at_its_own_pose_whatever_other_limbs_do(bar):
     add(bar, "root", 1.0, lower=1.0, finger=-0.8)
     add(bar, "half", 1.0, lower=0.5)
