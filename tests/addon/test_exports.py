@@ -117,6 +117,13 @@ def test_a_point_cache_is_exported_as_a_surface_only(baked, tmp_path, sink):
     for key in ("GLTF", "FBX", "RAW"):
         with pytest.raises(errors.ExportError, match="'Arm' is a point cache.*bake to Shape Keys first"):
             export_actions.export(obj, key, tmp_path / "Arm.file", FRAMES)
+    content = file.read_bytes()
+    for spoiled in (content[:-1], content[:20], b"", None):  # Blender shows the plain skin then
+        file.unlink() if spoiled is None else file.write_bytes(spoiled)
+        for key in ("ALEMBIC", "USD"):
+            with pytest.raises(errors.ExportError, match=f"'{file.name}' of 'Arm' is missing or damaged: bring"):
+                written(obj, key, tmp_path)
+    file.write_bytes(content)
     paths = {key: written(obj, key, tmp_path) for key in ("ALEMBIC", "USD")}
     for key, path in paths.items():
         assert off(key, path, exact) < CLOSE

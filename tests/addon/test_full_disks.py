@@ -367,9 +367,14 @@ def test_textures_come_along_with_usd_or_not_at_all(textured, tmp_path, monkeypa
     assert names(folder) == []
     export(textured, path, "USD")
     assert names(folder) == ["Arm.usdc", "textures"] and names(folder / "textures") == ["skin.png"]
-    (folder / "textures" / "skin.png").write_bytes(EARLIER)  # Blender itself overwrites none either
     export(textured, path, "USD")
-    assert (folder / "textures" / "skin.png").read_bytes() == EARLIER
+    picture, before = (folder / "textures" / "skin.png").read_bytes(), path.read_bytes()
+    (folder / "textures" / "skin.png").write_bytes(EARLIER)  # of another character, or of before it was painted
+    with pytest.raises(part("errors").ExportError, match="skin.png' is not the file of that name of 'Arm.usdc'"):
+        export(textured, path, "USD")
+    assert (folder / "textures" / "skin.png").read_bytes() == EARLIER and path.read_bytes() == before
+    assert names(folder) == ["Arm.usdc", "textures"]
+    (folder / "textures" / "skin.png").write_bytes(picture)
     round_trips.imported(bpy.ops.wm.usd_import, path, import_textures_mode="IMPORT_NONE")
     (image,) = (image for image in bpy.data.images if image.source == "FILE")
     assert bpy.path.abspath(image.filepath) == str(folder / "textures" / "skin.png")

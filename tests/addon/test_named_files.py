@@ -177,3 +177,15 @@ def test_a_point_cache_changes_with_the_blend_that_plays_it(shot, run, stand_in,
     assert code == (75 if fails else 0), errors
     assert (cache.read_bytes() == before) == fails == (shot.read_bytes() == blend)
     assert {path.name for path in shot.parent.iterdir()} - set(there) <= {"shot ü.blend2"}
+
+
+def test_a_point_cache_that_is_gone_is_told(shot, run):  # noqa: F811
+    cache = shot.parent / "Arm.pc2"
+    assert run("bake", shot, "--object", "Arm", "--in-place", "--format", "pc2", "--output-file", cache)[0] == 0
+    assert "bake state: up to date" in run("info", shot, "--object", "Arm")[1]
+    content = cache.read_bytes()
+    for spoiled in (content[:-4], None):
+        cache.unlink() if spoiled is None else cache.write_bytes(spoiled)
+        assert "bake state: the point cache 'Arm.pc2' of 'Arm' is missing or" in run("info", shot, "--object", "Arm")[1]
+    cache.write_bytes(content)
+    assert "bake state: up to date" in run("info", shot, "--object", "Arm")[1]

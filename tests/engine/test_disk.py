@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Files are written whole or not at all, also where Windows locks them. Windows is faked."""
 
+import errno
 import os
 import time
 from pathlib import Path
 
 import pytest
 from dynamic_morph_targets.core.errors import FileInUseError, SinkError
-from dynamic_morph_targets.io import disk
+from dynamic_morph_targets.io import disk, outputs
 
 SHARING_VIOLATION = 32
 
@@ -44,6 +45,21 @@ def test_what_a_killed_process_left_is_cleared(tmp_path):
         os.utime(tmp_path / name, (0, 0))
     disk.save(tmp_path / "model", b"a")
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["model", *names[1:]])
+
+
+def test_another_user_s_file_in_a_folder_like_tmp_is_refused_before_the_work(tmp_path, monkeypatch):
+    """Only its owner may replace it there."""
+    path = tmp_path / "a.glb"
+    path.touch()
+    tmp_path.chmod(0o1777)
+    outputs.try_file(path)
+    monkeypatch.setattr(os, "geteuid", lambda: path.stat().st_uid + 1)
+    with pytest.raises(OSError, match="a.glb") as error:
+        outputs.try_file(path)
+    assert error.value.errno == errno.EPERM
+    outputs.try_file(tmp_path / "b.glb")
+    tmp_path.chmod(0o777)
+    outputs.try_file(path)
 
 
 # Windows -------------------------------------------------------------------------------------------------------------

@@ -7,14 +7,17 @@ Never touches bpy. `disk.save` does the same for bytes of our own.
 from __future__ import annotations
 
 import errno
+import filecmp
 import os
 import re
 import secrets
 import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from ..core.errors import ExportError
 from . import disk
 
 BLOCK = 4096  # bytes that a trial writes: a full disk still takes empty files
@@ -34,6 +37,8 @@ def try_file(path: Path, size: int = BLOCK) -> None:
     partial = partial_of(path)
     with disk.named(path, partial):
         try:
+            if os.path.lexists(path) and path.parent.stat().st_mode & stat.S_ISVTX:
+                _check_owner(path)
             if path.exists():
                 if not (path.is_file() or path.is_dir()):  # a device, a pipe
                     raise OSError(errno.EINVAL, "Not a file")
@@ -45,6 +50,13 @@ def try_file(path: Path, size: int = BLOCK) -> None:
                 os.fsync(file.fileno())
         finally:
             disk.discard(partial)
+
+
+def _check_owner(path: Path) -> None:
+    """Raises OSError where only the owner of a file may replace it, as in /tmp."""
+    users = os.geteuid()  # Windows has no such folders
+    if users not in (0, path.lstat().st_uid, path.parent.stat().st_uid):
+        raise OSError(errno.EPERM, os.strerror(errno.EPERM), str(path))
 
 
 def _try_to_open(path: Path) -> None:
@@ -81,7 +93,7 @@ def replacing(path: Path, in_folder: bool = False) -> Iterator[Path]:
     takes the place of `path`; when it raises, nothing is left of it. Until then the earlier file stands.
 
     in_folder: it is in a folder of its own. Other files that are written there, such as textures, come along to the
-    folder of `path`, except those that it has already. Raises OSError.
+    folder of `path`, except those that it has already. Raises OSError, and ExportError when it has another one there.
     """
     remove_abandoned(path)
     partial = partial_of(path)
@@ -136,14 +148,21 @@ def _sync(path: Path) -> None:
 
 
 def _move_others(written: Path, folder: Path) -> None:
-    """Move all other files beside `written` to the same place in `folder`; if one cannot be moved, none is."""
+    """Move all other files beside `written` to the same place in `folder`; if one cannot be moved, none is. Raises
+    ExportError when another file has the place of one.
+    """
     moved: list[Path] = []
+    parts = [part for part in sorted(written.parent.rglob("*")) if part != written]
+    targets = [folder / part.relative_to(written.parent) for part in parts]
+    for part, target in zip(parts, targets, strict=True):
+        if part.is_file() and target.exists() and not filecmp.cmp(part, target, shallow=False):
+            text = "'{file}' is not the file of that name of '{name}': move it, or export to another folder"
+            raise ExportError(text, file=target, name=written.name)
     try:
-        for part in sorted(written.parent.rglob("*")):
-            target = folder / part.relative_to(written.parent)
+        for part, target in zip(parts, targets, strict=True):
             if part.is_dir():
                 target.mkdir(exist_ok=True)
-            elif part != written and not target.exists():
+            elif not target.exists():
                 disk.replace(part, target)
                 moved.append(target)
     except OSError:

@@ -10,6 +10,8 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 
+import numpy as np
+
 from . import glb
 
 FBX, FBX_END = b"Kaydara FBX Binary  \0", bytes.fromhex("f85a8c6adef5d97eece90ce3758f290b")
@@ -35,4 +37,18 @@ def _npz(path: Path) -> bool:
         return False
 
 
-CHECKS = {".fbx": _fbx, ".glb": glb.is_whole, ".npz": _npz}
+def _pc2(path: Path) -> bool:
+    with path.open("rb") as file:
+        head = file.read(32)
+    points, frames = np.frombuffer(head.ljust(32, b"\0"), "<i4")[[4, 7]]
+    return head[:11] == b"POINTCACHE2" and path.stat().st_size == 32 + 12 * int(points) * int(frames)
+
+
+def _mdd(path: Path) -> bool:
+    with path.open("rb") as file:
+        head = file.read(8)
+    frames, points = np.frombuffer(head.ljust(8, b"\0"), ">i4")
+    return path.stat().st_size == 8 + (4 + 12 * int(points)) * int(frames) > 8
+
+
+CHECKS = {".fbx": _fbx, ".glb": glb.is_whole, ".npz": _npz, ".pc2": _pc2, ".mdd": _mdd}

@@ -234,6 +234,7 @@ class Writer:
             obj.dynamorph.simulation.rehearsed = outcome.rehearsed
         record.content_id = outcome.content_id
         record.digest = baked.digest(outcome.bake)
+        record.lost = ""
         staleness.look_at_animation(obj)
 
 

@@ -93,6 +93,7 @@ def _look_at_animations() -> None:
     for obj in skin.soft_skins(bpy.context.scene.objects):
         if obj.dynamorph.bake.exists and obj.is_editable:
             staleness.look_at_animation(obj)
+            staleness.look_for_caches(obj)
             bake_influence.share_strip(obj)
 
 
@@ -107,8 +108,9 @@ def _leave_pose(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 
 
 @persistent
-def _watch_influence(*_args: object) -> None:
-    """load_post too: a file that is opened ends all subscriptions."""
+def _begin(*_args: object) -> None:
+    """load_post too: a file that is opened ends all subscriptions, and its caches may be gone."""
+    events.soon(_look_at_animations, PATIENCE)
     bpy.msgbus.clear_by_owner(OWNER)
     bpy.msgbus.subscribe_rna(key=(bpy.types.NlaStrip, "influence"), owner=OWNER, args=(), notify=_influence_changed)
 
@@ -120,7 +122,7 @@ def _influence_changed() -> None:
 
 HANDLERS = {
     "load_pre": _before_load,
-    "load_post": _watch_influence,
+    "load_post": _begin,
     "undo_post": _after_undo,
     "redo_post": _after_undo,
     "save_pre": _before_save,
@@ -135,7 +137,7 @@ LISTENERS = {events.Event.CAGE_CHANGED: look_soon}
 def register() -> None:
     events.add(HANDLERS)
     events.subscribe(LISTENERS)
-    _watch_influence()
+    _begin()
 
 
 def unregister() -> None:

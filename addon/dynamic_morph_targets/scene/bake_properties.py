@@ -214,6 +214,7 @@ class DynamorphBake(PropertyGroup):
     summary: StringProperty(name="Result", description="What the last bake made")
     warnings: StringProperty(name="Warnings", description="Warnings of the last bake, one per line")
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
+    lost: StringProperty(name="Lost", description="Point caches that are missing as last seen, one per line")
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
     off_final: FloatProperty(
         name="Off Final",

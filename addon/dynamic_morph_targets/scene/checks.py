@@ -16,7 +16,7 @@ import bpy
 from ..core.errors import SceneError
 from ..core.message import Message
 from .references import rig_of
-from .skin import cache_modifier
+from .skin import cache_modifier, edited_elsewhere
 from .skinning import armature_for, armature_modifiers, beyond_bones, deforming_bones, main_modifier
 
 # Modifiers that may change the number of vertices. Before the Armature they break the match with the shape keys.
@@ -241,13 +241,6 @@ def active_targets(obj) -> list:
 def generating_before(obj, modifier) -> list:
     """The modifiers before the Armature that may change the number of vertices."""
     return [before for before in _modifiers_before(obj, modifier) if before.type in GENERATING]
-
-
-def edited_elsewhere(obj) -> str:
-    """Why `obj` cannot change its mode, or ''. Blender crashes when it enters Weight Paint then."""
-    if obj.mode == "EDIT" or not obj.data.is_editmode:
-        return ""
-    return Message("Mesh '{name}' is in Edit Mode on another object: leave it there first", name=obj.data.name)
 
 
 def mesh(obj) -> Iterator[Problem]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import bpy
 
 from ..core.errors import SceneError
+from ..core.message import Message
 from .references import rig_of
 
 
@@ -125,6 +126,13 @@ def cache_modifier(obj):
     file = obj.dynamorph.bake.cache
     caches = (modifier for modifier in obj.modifiers if modifier.type == "MESH_CACHE") if file else ()
     return next((modifier for modifier in caches if re.split(r"[/\\]", modifier.filepath)[-1] == file), None)
+
+
+def edited_elsewhere(obj) -> str:
+    """Why `obj` cannot change its mode, or ''. Blender crashes when it enters Weight Paint then."""
+    if obj.mode == "EDIT" or not obj.data.is_editmode:
+        return ""
+    return Message("Mesh '{name}' is in Edit Mode on another object: leave it there first", name=obj.data.name)
 
 
 def followers(obj) -> list:

@@ -2,13 +2,15 @@
 """What a model and a bake were made from, and what has changed since, as sentences for the panels.
 
 Only settings are compared, so panels can do it whenever they draw. `storage.show_stale` examines the mesh and
-`look_at_animation` the animation, a while after an edit.
+`look_at_animation` the animation, and `look_for_caches` the files, a while after an edit.
 """
 
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import asdict
+from pathlib import Path
 from zlib import crc32
 
 import bpy
@@ -18,6 +20,7 @@ from ..core import records
 from ..core.errors import RecordError, SceneError, sentence
 from ..core.message import Message
 from ..core.settings import ENGINE, FREE_SETTINGS, SimulationSettings
+from ..io import whole
 from . import animation, run_settings, skin, skinning
 from .plain import plain
 from .references import KEY_REFERENCE
@@ -35,6 +38,29 @@ def look_at_animation(obj):
     seen = records.animation_text(animation.animation(obj)) if record.exists else ""
     if record.animation != seen:
         record.animation = seen
+
+
+def look_for_caches(obj):
+    """Examine the files of the bake's point caches, so that `outdated` knows whether they are there."""
+    lost = "\n".join(lost_caches(obj))
+    if obj.dynamorph.bake.lost != lost:
+        obj.dynamorph.bake.lost = lost
+
+
+def lost_caches(obj) -> list[Message]:
+    """The point caches of the bake of `obj` that are missing or damaged, as sentences."""
+    found = []
+    for mesh in (obj, *followers(obj)):
+        modifier = skin.cache_modifier(mesh)
+        if modifier is None:
+            continue
+        path = Path(bpy.path.abspath(modifier.filepath, library=mesh.library))
+        with suppress(OSError):
+            if whole.is_whole(path):
+                continue
+        text = "the point cache '{file}' of '{name}' is missing or damaged"
+        found.append(Message(text, file=path.name, name=mesh.name))
+    return found
 
 
 def model_changes(obj) -> list[str]:
@@ -81,7 +107,7 @@ def outdated(obj) -> list[str]:
     ]
     if seen and len(seen) != len(then["animation"]):
         found.append("parents changed")
-    return found
+    return found + record.lost.splitlines()
 
 
 def _kept_range(then: dict, now: dict, is_patch: bool) -> dict:

@@ -10,7 +10,7 @@ from bpy.types import Operator
 
 from ..core.errors import SceneError
 from ..run import live
-from ..scene import checks, skin
+from ..scene import skin
 from ..scene.registration import of_classes
 from ..write import attachments, bake
 from .base import SoftSkinOperator, listed
@@ -90,7 +90,7 @@ class DYNAMORPH_OT_select_piece(PieceOperator, Operator):
             raise SceneError("'{name}' is hidden: show it to select it", name=shown.name)
         if bpy.context.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")
-        if refusal := checks.edited_elsewhere(shown):
+        if refusal := skin.edited_elsewhere(shown):
             raise SceneError(refusal)
         for other in bpy.context.selected_objects:
             other.select_set(False)

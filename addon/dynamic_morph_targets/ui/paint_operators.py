@@ -76,7 +76,7 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
     def _enter(self, obj):
         if not obj.visible_get():
             raise SceneError("'{name}' is hidden: show it to paint on it", name=obj.name)
-        if refusal := checks.edited_elsewhere(obj):
+        if refusal := skin.edited_elsewhere(obj):
             raise SceneError(refusal)
         owned(obj.data)
         active, display = bpy.context.object, bpy.context.window_manager.dynamorph

@@ -10,8 +10,6 @@ as far as its influence says. In its place there may be a point cache: a Mesh Ca
 from __future__ import annotations
 
 import os
-import re
-from collections import Counter
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
@@ -28,6 +26,7 @@ from ..scene.references import basis_hash, key_points, key_reach
 from ..scene.skin import cache_modifier, followers
 from .bake_influence import MOTION, SHAPES, carry_influence, keep_influence, strip_of
 from .bake_reading import baked_names
+from .bake_removal import clear_unused, remove_keys, remove_modifier
 from .before import Before
 from .muting import leave_to_live, mute_targets, unmute_targets
 from .reconcile import reconcile
@@ -176,7 +175,7 @@ class NewBake:
         if self._action:
             bpy.data.actions.remove(self._action)
         obj.active_shape_key_index = self._active_index
-        _clear_unused(keys, self._had_animation_data)
+        clear_unused(keys, self._had_animation_data)
         if self._followed is None:
             leave(obj)
 
@@ -216,8 +215,8 @@ class NewBake:
         obj, record = self._obj, self._obj.dynamorph.bake
         told = self._carry_influence()
         if self._old_cache:
-            _remove_modifier(obj, obj.modifiers[self._old_cache])
-        told += _remove_keys(obj, self._old, self._old_action, self._old_index)
+            remove_modifier(obj, obj.modifiers[self._old_cache])
+        told += remove_keys(obj, self._old, self._old_action, self._old_index)
         record.active_index = obj.active_shape_key_index
         blocks = obj.data.shape_keys.key_blocks
         for reference, name, key in zip(record.keys, self._names, self._keys, strict=True):
@@ -292,56 +291,20 @@ def check_free(obj):
 def _free(obj, names) -> list[Message]:
     record, keys, told = obj.dynamorph.bake, obj.data.shape_keys, []
     if record.exists and keys:
-        told = _remove_keys(obj, names, record.action, record.active_index)
-        _clear_unused(keys, record.had_animation_data)
+        told = remove_keys(obj, names, record.action, record.active_index)
+        clear_unused(keys, record.had_animation_data)
     if obj.dynamorph.live.key.name:
         leave_to_live(obj)
     else:
         unmute_targets(obj, record.muted)
     modifier = cache_modifier(obj)
     if modifier:
-        _remove_modifier(obj, modifier)
+        remove_modifier(obj, modifier)
     record.cache = record.summary = record.warnings = record.verdict = ""
     record.keys.clear()
     record.action = None
     record.off_final = -1.0
     return told
-
-
-def _remove_keys(obj, names, action, active_index: int) -> list[Message]:
-    """Remove these shape keys with the Action and its strips; what is the artist's in them stays. active_index: of the
-    key that is active afterwards, if the active one is among them. Returns what the artist should know.
-    """
-    blocks = obj.data.shape_keys.key_blocks
-    active = obj.active_shape_key.name if obj.active_shape_key else ""
-    told = []
-    for block in _edited(blocks, names, action):
-        block.value = 0.0  # that of the old motion, on top of the new one
-        text = "'{key}' of '{name}' was edited after the bake: it stays, at the value 0"
-        told.append(Message(text, key=block.name, name=obj.name))
-    _remove(obj, [blocks[name] for name in names], action)
-    index = blocks.find(active)
-    obj.active_shape_key_index = index if index >= 0 else min(active_index, len(blocks) - 1)
-    return told
-
-
-def _edited(blocks, names, action) -> list:
-    """The keys that a bake's Action moves, and that are not among its keys any more: the artist has sculpted them."""
-    paths = {curve.data_path for _, curve in _curves(action) if _is_baked(curve)} if action else ()
-    return [block for block in blocks if block.name not in names and f"{block.path_from_id()}.value" in paths]
-
-
-def _remove_modifier(obj, modifier):
-    modifier.driver_remove("factor")
-    obj.modifiers.remove(modifier)
-
-
-def _clear_unused(keys, had_animation_data: bool):
-    """Remove the animation data of shape keys that had none, unless something else is in it now."""
-    animation = keys.animation_data
-    unused = animation and not (animation.action or animation.nla_tracks or animation.drivers)
-    if unused and not had_animation_data:
-        keys.animation_data_clear()
 
 
 def _add_key(obj, key: Key):
@@ -419,60 +382,3 @@ def _play_cache(obj, file: Path, bake: Bake, skin):
         variable.name = "skin"
         variable.targets[0].id = skin
         variable.targets[0].data_path = cache_modifier(skin).path_from_id("factor")
-
-
-def _remove(obj, blocks, action):
-    """Remove shape keys, and the Action with its strips and the tracks that become empty; also the copies of the Action
-    that Blender makes for duplicated strips. One in which the artist has animated other keys keeps their curves.
-    """
-    keys = obj.data.shape_keys
-    actions = [action] if action else []
-    tracks = keys.animation_data.nla_tracks if keys.animation_data and action else []
-    paths = {f"{block.path_from_id()}.value" for block in blocks}
-    kept: Counter = Counter()  # strips that play what the artist has keyed in them, by Action
-    for track in list(tracks):
-        for strip in list(track.strips):
-            if strip.action and strip.action not in actions and _is_copy(strip.action, action, paths):
-                actions.append(strip.action)
-            if strip.action in actions and _others(strip.action, paths, strip.action_slot):
-                kept[strip.action] += 1
-            elif strip.action in actions:
-                track.strips.remove(strip)
-                if all(left.type == "TRANSITION" for left in track.strips):
-                    tracks.remove(track)
-                    break
-    for name in [block.name for block in blocks]:  # by name: each removal moves the others in memory
-        obj.shape_key_remove(keys.key_blocks[name])
-    for each in actions:
-        recorded = obj.dynamorph.bake.action == each  # the record counts as a user
-        if each.users == int(recorded):
-            bpy.data.actions.remove(each)
-        elif kept[each] and each.users == kept[each] + int(recorded):  # nobody else plays it
-            others = _others(each, paths)
-            for bag, curve in _curves(each):
-                if curve not in others:
-                    bag.fcurves.remove(curve)
-
-
-def _curves(action) -> list[tuple]:
-    """All curves of an Action, each with the list that it is in."""
-    bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
-    return [(bag, curve) for bag in bags for curve in bag.fcurves]
-
-
-def _is_baked(curve) -> bool:
-    """Whether a curve moves a key with the name of a baked one."""
-    return curve.data_path.startswith('key_blocks["Dynamorph ')
-
-
-def _others(action, paths: set[str], slot=None) -> list:
-    """The curves of an Action, or of one slot of it, that move neither these paths nor baked keys."""
-    found = [curve for bag, curve in _curves(action) if slot is None or bag.slot == slot]
-    return [curve for curve in found if not (curve.data_path in paths or _is_baked(curve))]
-
-
-def _is_copy(copy, action, paths: set[str]) -> bool:
-    """Whether an Action is a copy that Blender has made and named, with curves of these paths alone."""
-    moved = {curve.data_path for _, curve in _curves(copy)}
-    stems = {re.sub(r"\.\d+$", "", each.name) for each in (copy, action)}
-    return bool(moved) and moved <= paths and len(stems) == 1

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..core.errors import ExportError
 from ..io import glb, outputs, point_cache, whole
-from ..scene import animation, checks, skin
+from ..scene import animation, checks, skin, staleness
 from ..scene.references import key_points, rig_of
 from ..scene.skin import followers
 from . import actions, bake, bake_reading, export_process
@@ -124,6 +124,8 @@ def check_bake(obj, key: str):
     shown = skin.cache_modifier(obj) if record.cache else keys
     if not shown:
         raise ExportError("'{name}' has no bake to export: press Bake first", name=obj.name)
+    for text in staleness.lost_caches(obj) if chosen.surface else ():
+        raise ExportError("{what}: bring the file back, or bake again", what=text)
     if record.cache and not chosen.surface:
         raise ExportError(
             "The bake of '{name}' is a point cache, {format} writes shape keys: bake to Shape Keys first, or choose "
