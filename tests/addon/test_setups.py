@@ -770,3 +770,11 @@ def test_the_preferences_show_the_engine(chosen, monkeypatch):
 class _Drawing:
     def __init__(self, preferences, layout):
         self.bl_rna, self.layout = preferences.bl_rna, layout
+
+
+def test_a_setup_replaces_no_file_of_another_kind(soft_arm, tmp_path):
+    path = tmp_path / "shot.blend"
+    path.write_bytes(b"mine")
+    with pytest.raises(RuntimeError, match="A setup is a .json, 'shot.blend' is not"):
+        bpy.ops.dynamorph.save_setup(filepath=str(path))
+    assert path.read_bytes() == b"mine"

@@ -3,6 +3,7 @@
 
 import threading
 from dataclasses import replace
+from functools import partial
 
 import bpy
 import pytest
@@ -94,6 +95,20 @@ def test_a_point_cache_that_nothing_plays_is_removed(soft_arm, leg, stand_in, tm
     with pytest.raises(part("errors").SinkError):
         when_computed(baking(soft_arm, leg, folder=tmp_path), stand_in, lambda: refuse(leg))
     assert not list(tmp_path.rglob("*.pc2"))
+
+
+def test_point_caches_go_where_the_blend_was_saved_meanwhile(soft_arm, stand_in, tmp_path):
+    """Or they would be left behind when its folder moves."""
+    folders = [tmp_path / name for name in "AB"]
+    for folder in folders:
+        folder.mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(folders[0] / "shot.blend"))
+    soft_arm.dynamorph.output.sink = "PC2"
+    save = partial(bpy.ops.wm.save_as_mainfile, filepath=str(folders[1] / "shot.blend"))
+    when_computed(baking(soft_arm), stand_in, save)
+    (cache,) = tmp_path.rglob("*.pc2")
+    assert cache.parent == folders[1] / "dynamorph_caches"
+    assert bpy.path.abspath(soft_arm.modifiers[0].filepath) == str(cache)
 
 
 @pytest.mark.fault("F11")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -119,6 +120,7 @@ class Writer:
             return
         obj = self.request.target.find()
         with self.progress.stage("write keys"), self.request.scene.as_context():
+            self._move_caches()
             for each, (keys, cache) in zip((obj, *self._pieces()), self.outcome.written, strict=True):
                 new = NewBake(each, keys, None if each == obj else obj, cache)
                 undo.callback(new.take_back)
@@ -127,6 +129,21 @@ class Writer:
                 self.outcome.size += new.size
                 if cache:
                     self.outcome.size += self.outcome.beside.get(cache, cache).stat().st_size
+
+    def _move_caches(self) -> None:
+        """Put point caches beside the .blend, which may have been saved elsewhere meanwhile. Raises OSError."""
+        given, outcome, folder = self.given, self.outcome, self.request.folder or blend_folder()
+        for k, (keys, file) in enumerate(outcome.written):
+            if file is None or folder is None or file.parent.parent != given.caches or folder == given.caches:
+                continue
+            moved = folder / file.parent.name / file.name
+            if not moved.exists():
+                outcome.new_files.append(moved)
+            with file.open("rb") as content:
+                disk.save(moved, iter(partial(content.read, 2**20), b""))
+            if file in outcome.new_files:
+                disk.discard(file)
+            outcome.written[k] = keys, moved
 
     def show_keys(self) -> None:
         """Make the new bakes play in the place of the old ones and of Live."""

@@ -11,6 +11,7 @@ from bpy.props import BoolProperty, StringProperty
 from bpy.types import FileHandler, Operator
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
+from ..core.errors import SetupError
 from ..io import paths
 from ..run.live import remove_soft_skin
 from ..scene import skin
@@ -39,6 +40,8 @@ class DYNAMORPH_OT_save_setup(SoftSkinOperator, ExportHelper, Operator):
 
     def apply(self, obj):
         path = Path(bpy.path.abspath(self.filepath))
+        if path.suffix.lower() != self.filename_ext:  # a script may name any file
+            raise SetupError("A setup is a .json, '{file}' is not: choose another name", file=path.name)
         setups.write(path, setups.of_object(obj))
         self.report({"INFO"}, rpt_("Setup of '{name}' saved as '{file}'").format(name=obj.name, file=path.name))
 
