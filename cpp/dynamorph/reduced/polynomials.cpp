@@ -127,6 +127,7 @@ std::vector<VectorXd> target_coordinates(const SoftBody& body, const std::vector
                                          const MatrixXd& U) {
   check_size("basis", U.rows(), body.rest.size());
   if (U.cols() == 0) throw std::invalid_argument("basis: expected at least one mode");
+  if (U.cols() > U.rows()) throw std::invalid_argument("basis: more modes than degrees of freedom");
   if (!U.allFinite()) throw std::invalid_argument("basis: must be finite");
   const VectorXd mass = repeated(body.volumes.rowwise().sum());
   const auto norm = [&](const VectorXd& u) { return std::sqrt(u.cwiseAbs2().dot(mass)); };
