@@ -54,18 +54,15 @@ def test_a_page_does_not_replace_a_report(shot, run):  # noqa: F811
     assert run("collect", folder, "-o", folder / "all.html")[0] == 0  # its own .json is none
 
 
-@pytest.mark.parametrize("kind", ["protected", "pipe"])
+@pytest.mark.parametrize("kind", ["another user's", "a pipe"])
 def test_a_report_that_is_refused_is_not_written(shot, run, monkeypatch, kind):  # noqa: F811
-    """As root every file can be opened."""
     report = shot.parent / "report.json"
-    if kind == "pipe":
+    if kind == "a pipe":
         os.mkfifo(report)
     else:
         report.write_text("mine")
-        outputs = part("outputs")
-        monkeypatch.setattr(
-            outputs, "_try_to_open", lambda path: (_ for _ in ()).throw(PermissionError(13, "No", path))
-        )
+        shot.parent.chmod(0o1777)  # as /tmp
+        monkeypatch.setattr(os, "geteuid", lambda: report.stat().st_uid + 1)
     code, _, errors = run("check", shot, "--object", "Arm", "--report", report)
     assert code == 2 and "report.json" in errors
     assert report.is_fifo() or report.read_text() == "mine"
@@ -87,15 +84,17 @@ def test_what_was_saved_during_a_bake_stays(shot, run, stand_in, monkeypatch):  
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("moment", ["_keep", "print_table", "record"])
+@pytest.mark.parametrize("moment", ["replace", "print_table", "record"])
 def test_a_signal_once_the_file_is_replaced(shot, run, stand_in, monkeypatch, number, moment):  # noqa: F811
     """It waits for the earlier version, and the message is right."""
-    where = {"_keep": "blend_file", "print_table": "commands", "record": "main"}[moment]
+    where = {"replace": "disk", "print_table": "commands", "record": "main"}[moment]
     before, work = shot.read_bytes(), getattr(part(where), moment)
 
     def interrupted(*arguments):
-        os.kill(os.getpid(), number)
-        return work(*arguments)
+        done = work(*arguments)
+        if moment != "replace" or arguments[-1] == shot:
+            os.kill(os.getpid(), number)
+        return done
 
     monkeypatch.setattr(bpy.context.preferences.filepaths, "save_version", 1)
     with monkeypatch.context() as patch:
@@ -111,13 +110,25 @@ def test_a_signal_once_the_file_is_replaced(shot, run, stand_in, monkeypatch, nu
 
 
 def test_an_earlier_version_that_a_killed_process_left_is_kept(shot, run, stand_in, monkeypatch):  # noqa: F811
-    before = shot.read_bytes()
+    before, disk = shot.read_bytes(), part("disk")
+    replace = disk.replace
+
+    class Killed(BaseException):
+        pass
+
+    def killed(new, path):
+        if path.suffix == ".blend1":
+            raise Killed
+        replace(new, path)
+
     monkeypatch.setattr(bpy.context.preferences.filepaths, "save_version", 2)
     with monkeypatch.context() as patch:
-        patch.setattr(part("blend_file"), "_keep", lambda *_: None)  # it was killed there
-        assert run("bake", shot, "--object", "Arm", "--in-place")[0] == 0
+        patch.setattr(disk, "replace", killed)
+        with pytest.raises(Killed):
+            run("bake", shot, "--object", "Arm", "--in-place")
     baked = shot.read_bytes()
-    monkeypatch.setattr(part("disk"), "ABANDONED", -1.0)
+    assert baked != before and not Path(f"{shot}1").exists()
+    monkeypatch.setattr(disk, "ABANDONED", -1.0)
     assert run("delete-bake", shot, "--object", "Arm", "--in-place")[0] == 0
     assert [Path(f"{shot}{number}").read_bytes() for number in (1, 2)] == [baked, before]
     assert not list(shot.parent.glob("*.earlier.*"))

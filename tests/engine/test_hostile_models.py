@@ -8,14 +8,16 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import asdict, replace
 from functools import cache
+from math import comb
 
 import dynamorph
 import numpy as np
 import pytest
 from dynamic_morph_targets.core import build as building
+from dynamic_morph_targets.core import memory
 from dynamic_morph_targets.core.character import Character
 from dynamic_morph_targets.core.errors import ModelFileError
 from dynamic_morph_targets.core.model import Model
@@ -86,6 +88,42 @@ def test_what_a_build_writes_is_read(kind):
     again, described = load(arrays, meta).to_arrays()
     assert described == meta
     assert all(np.array_equal(again[name], arrays[name]) for name in arrays)
+
+
+def test_a_small_file_that_takes_much_memory_is_refused_at_once(monkeypatch):
+    """The inertia has a tensor for each pair of bones that move one node together, which no build makes so many of."""
+    arrays, meta = stored("modes")
+    bones, shape = 60, arrays["node_weights"].shape
+    arrays = arrays | {
+        "node_weights": np.full((shape[0], bones + 1), 1.0 / (bones + 1)),
+        "parents": np.arange(bones) - 1,
+        "rest": np.tile(np.eye(4), (bones, 1, 1)),
+    }
+    meta = meta | {"bone_names": [f"bone {b}" for b in range(bones)]}
+    tensors = 61 * 62 / 2 * (18 * arrays["basis"].shape[1] + 9 * comb(arrays["basis"].shape[1], 2))
+    for room, fits in ((20 * tensors, True), (12 * tensors, False)):
+        monkeypatch.setattr(memory, "room", lambda room=room: memory.Room(np.inf, room))
+        began = time.perf_counter()
+        with nullcontext() if fits else pytest.raises(ModelFileError, match="needs more memory than is free"):
+            load(arrays, meta)
+        assert fits or time.perf_counter() - began < REFUSED_WITHIN
+
+
+def test_more_modes_than_degrees_of_freedom_are_refused_at_once():
+    arrays, meta = stored("linear")
+    rows = len(arrays["basis"])
+    for columns, words in ((rows + 1, "more modes than degrees of freedom"), (20_000, "more memory than is free")):
+        began = time.perf_counter()
+        with pytest.raises(ModelFileError, match=words):
+            load(arrays | {"basis": np.zeros((rows, columns))}, meta)
+        assert time.perf_counter() - began < REFUSED_WITHIN
+
+
+def test_more_sets_than_targets_are_refused():
+    arrays, meta = stored("modes")
+    sets = len(arrays["displacements"]) + 1
+    with pytest.raises(ModelFileError, match="more sets than targets"):
+        load(arrays | {"shares": np.full((len(arrays["tets"]), sets), 1.0 / sets)}, meta)
 
 
 def other_shapes(array: np.ndarray) -> dict[str, np.ndarray]:

@@ -17,11 +17,14 @@ from math import comb, inf
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from .errors import MemoryShortError, SceneError
 from .message import Message
 from .settings import ModelSettings, OutputSettings, SimulationSettings
 
 GIGABYTE = 2**30
+COUNTED = 2000  # bones up to which pairs of them are counted; of more there may be as many as all nodes together have
 # What to lower, by the part of the work that takes the memory.
 REMEDIES = {
     "nodes": Message("lower Cage Nodes"),
@@ -82,6 +85,21 @@ def bake_bytes(
     if output and output.sink == "FRAMES" and not output.tolerance:
         found["keys"] = 48.0 * size.vertices * frames / output.every
     return found
+
+
+def inertia_bytes(node_weights: np.ndarray, modes: int) -> float:
+    """What the inertia of a stored model takes at most: a tensor for each pair of bones that move one node together.
+
+    node_weights: (n, B + 1).
+    """
+    moves, columns = node_weights != 0.0, node_weights.shape[1]
+    if columns <= COUNTED:
+        together = moves.T.astype(np.float32) @ moves.astype(np.float32)
+        pairs = int(np.count_nonzero(np.triu(together)))
+    else:
+        counts = moves.sum(axis=1)
+        pairs = min(int((counts * (counts + 1) // 2).sum()), comb(columns + 1, 2))
+    return 16.0 * pairs * (18 * modes + 9 * comb(modes, 2))
 
 
 def _tables(size: Size, settings: ModelSettings) -> tuple[float, float, float]:

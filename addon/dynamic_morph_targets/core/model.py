@@ -11,7 +11,7 @@ from typing import Any
 import dynamorph
 import numpy as np
 
-from . import model_schema
+from . import memory, model_schema
 from .character import Character, Skeleton
 from .errors import ModelFileError, SceneError
 from .settings import Material, ModelSettings
@@ -130,6 +130,8 @@ class Model:
             return
         body = self.soft_body()
         if self.settings.solver == "REDUCED" and not self.only_cage:
+            if memory.inertia_bytes(self.node_weights, self.basis.shape[1]) > memory.room().free:
+                raise model_schema.damaged("it needs more memory than is free")
             lame_lambda, lame_mu = Material().lame()
             targets = [
                 dynamorph.MorphTarget("", shape, lame_lambda=lame_lambda, lame_mu=lame_mu, density=Material.density)

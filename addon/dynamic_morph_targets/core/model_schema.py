@@ -68,6 +68,8 @@ def check(arrays: dict[str, np.ndarray], settings: ModelSettings, described: dic
     bones = len(described["bone_names"])
     _check_shapes(arrays, _forms(arrays, settings, only_cage), bones)
     _check_numbers(arrays, bones)
+    if settings.method != "STATIC" and arrays["region_weights"].shape[1] > len(arrays["displacements"]):
+        raise damaged("more sets than targets")
 
 
 def _forms(arrays: dict[str, np.ndarray], settings: ModelSettings, only_cage: bool) -> dict[str, str]:
