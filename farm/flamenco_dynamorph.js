@@ -90,7 +90,7 @@ function authorTask(name, command, ...blendfile) {
 }
 
 function joined(...names) {
-    return names.filter(Boolean).join(" ");
+    return names.filter(Boolean).join(" ").replace(/[\\/]/g, "_");  // a part of the name of a file
 }
 
 // [""] without names: one task for all characters, or one bake of the file as it is.

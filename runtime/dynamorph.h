@@ -59,9 +59,10 @@ static int dm_number(const char** text, const char* end) {
 static const char* dm_array_in(const unsigned char* bytes, size_t size, dm_array* out) {
   if (size < 12 || memcmp(bytes, "\x93NUMPY", 6)) return "the clip is damaged: an array has no header";
   const int wide = bytes[6] > 1 ? 4 : 2;
-  const size_t length = dm_read(bytes + 8, wide), begin = 8 + (size_t)wide + length;
+  const size_t length = dm_read(bytes + 8, wide);
+  if (length > size - 8 - (size_t)wide) return "the clip is damaged: an array is cut off";
+  const size_t begin = 8 + (size_t)wide + length;
   const char *text = (const char*)bytes + 8 + wide, *end = text + length;
-  if (begin > size) return "the clip is damaged: an array is cut off";
   static const char kind[] = "{'descr': '<f4', 'fortran_order': False, 'shape': (";
   if (length < sizeof kind || memcmp(text, kind, sizeof kind - 1)) return "the clip has an array of another type";
   text += sizeof kind - 1;
@@ -76,7 +77,7 @@ static const char* dm_array_in(const unsigned char* bytes, size_t size, dm_array
     if (count > size / (size_t)out->shape[axis]) return "the clip is damaged: an array has an impossible shape";
     count *= (size_t)out->shape[axis];
   }
-  if (count * sizeof(float) != size - begin) return "the clip is damaged: an array does not fit its shape";
+  if (count != (size - begin) / sizeof(float) || (size - begin) % sizeof(float)) return "the clip is damaged: an array does not fit its shape";
   if ((uintptr_t)(bytes + begin) % sizeof(float)) return "the file's bytes must be aligned to four";
   out->data = (const float*)(bytes + begin);
   return NULL;
@@ -91,14 +92,15 @@ static const char* dm_find(const unsigned char* bytes, size_t size, const char* 
     if (end-- == 0) return cut;
   size_t at = dm_read(bytes + end + 16, 4);
   for (uint32_t left = dm_read(bytes + end + 10, 2); left; --left) {
-    if (at + 46 > size || memcmp(bytes + at, "PK\1\2", 4)) return cut;
+    if (size < 46 || at > size - 46 || memcmp(bytes + at, "PK\1\2", 4)) return cut;
     const unsigned char* entry = bytes + at;
     const size_t length = dm_read(entry + 28, 2), stored = dm_read(entry + 24, 4), local = dm_read(entry + 42, 4);
-    at += 46 + length + dm_read(entry + 30, 2) + dm_read(entry + 32, 2);
-    if (at > size) return cut;
+    const size_t whole = 46 + length + dm_read(entry + 30, 2) + dm_read(entry + 32, 2);
+    if (whole > size - at) return cut;
+    at += whole;
     if (length != strlen(name) || memcmp(entry + 46, name, length)) continue;
     if (dm_read(entry + 10, 2) != 0) return "the clip is compressed: write it with Dynamorph, or numpy.savez";
-    if (local + 30 > size) return cut;
+    if (local > size - 30) return cut; /* size is at least 46 */
     const size_t begin = local + 30 + dm_read(bytes + local + 26, 2) + dm_read(bytes + local + 28, 2);
     if (begin > size || stored > size - begin) return cut;
     return dm_array_in(bytes + begin, stored, out);

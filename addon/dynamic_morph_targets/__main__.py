@@ -2,8 +2,12 @@
 """`python -m dynamic_morph_targets`: the command line without Blender, on the bpy wheel."""
 
 import os
-import shutil
 import sys
+
+if __name__ == "__main__" and sys.path[:1] == [os.getcwd()]:  # noqa: PTH109 - pathlib may be in there too
+    del sys.path[0]  # a stranger's .blend may have brought a bpy.py into the current folder
+
+import shutil
 from typing import NoReturn
 
 
@@ -33,5 +37,10 @@ def leave(code: int) -> NoReturn:
     os._exit(code)
 
 
-if __name__ == "__main__":
+def script() -> NoReturn:
+    """The command `dynamorph` of the wheel."""
     leave(run())
+
+
+if __name__ == "__main__":
+    script()

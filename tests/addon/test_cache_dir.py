@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A folder that processes share: models are built once, bakes are resumed, and nothing is confused."""
 
+import os
+
 import bpy
 import numpy as np
 import pytest
@@ -199,3 +201,14 @@ def test_an_undo_between_two_chunks_stops_a_bake(coarse, folder, monkeypatch):
     with pytest.raises(part("errors").SceneError, match="was undone"):
         part("batch").run_all(batch)
     assert not coarse.dynamorph.bake.keys
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_what_never_ends_is_not_read(coarse, folder, kind):
+    baked(coarse, folder, "BUILD")
+    (model,) = folder.glob("*.dynamorph")
+    model.unlink()
+    os.mkfifo(model) if kind == "pipe" else model.symlink_to("/dev/zero")
+    coarse.dynamorph.model.content_id = ""
+    with pytest.raises(OSError, match="Not a file"):
+        baked(coarse, folder, "BUILD")

@@ -471,7 +471,7 @@ def test_stiffness_group(soft_arm):
     stiffness = extract.character(soft_arm).stiffness
     np.testing.assert_allclose(stiffness[:5], [1.0, 3.0, 3.0, 9.0, 1.0])
     soft_arm.dynamorph.stiffness_factor = float("nan")
-    with pytest.raises(errors.SceneError, match="Stiffness Factor is not a number"):
+    with pytest.raises(errors.SceneError, match="Stiffness Factor is nan, but must be a number from 0.01 to 100"):
         extract.character(soft_arm)
     soft_arm.dynamorph.stiffness_group = "Gone"
     soft_arm.dynamorph.stiffness_factor = 4.0

@@ -441,6 +441,65 @@ def test_a_table_that_no_reader_takes(shot, run, tmp_path, content):
     assert code == 2 and "'track.csv': expected 2 or 3 or 4 numbers with commas between them in every line" in told
 
 
+def test_numbers_that_are_too_large_to_fit_anything(shot, run, tmp_path):
+    rows = [f"{frame / 24},{1e308 * (-1) ** frame},0,0" for frame in range(48)]
+    (tmp_path / "track.csv").write_text("\n".join(rows))
+    arguments = ("fit", shot, "--all", "--in-place", "--target", "flexed", "--oscillation", tmp_path / "track.csv")
+    code, _, told = run(*arguments)
+    assert code == 2 and "some times or positions are not numbers" in told
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_a_report_that_never_ends_is_not_read(shot, run, kind):
+    report = shot.parent / "report.json"
+    os.mkfifo(report) if kind == "pipe" else report.symlink_to("/dev/zero")
+    code, _, told = run("collect", shot.parent, "-o", shot.parent / "all.html")
+    assert code == 2 and "report.json" in told
+
+
+def test_a_folder_of_reports_is_not_made_on_the_way_out(shot, run):
+    """`..` after a folder that the name of an object would make."""
+    victim = shot.parent / "settings.json"
+    victim.write_text("mine")
+    report = shot.parent / "out" / "shot a" / ".." / ".." / "settings.json"
+    code, _, told = run("check", shot, "--object", "Arm", "--report", report)
+    assert code == 2 and "there is no folder" in told
+    assert victim.read_text() == "mine" and not (shot.parent / "out").exists()
+
+
+def test_python_of_the_current_folder_is_not_imported(tmp_path):
+    for name in ("bpy", "numpy", "shutil", "pathlib"):
+        (tmp_path / f"{name}.py").write_text("open('ran', 'w').close()\nraise SystemExit('it ran')")
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "addon")}
+    command = [sys.executable, "-m", "dynamic_morph_targets", "info", "nowhere.blend"]
+    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 2 and "there is no file 'nowhere.blend'" in done.stderr
+    assert not (tmp_path / "ran").exists()
+
+
+STORED = [  # group, property and a value that no button sets
+    ("model", "modes", -1), ("model", "law", 99), ("model", "cage_nodes", 0), ("model", "cage_grading", float("nan")),
+    ("simulation", "preroll", 2**31 - 1), ("simulation", "samples", 0), ("simulation", "substeps", -1),
+    ("simulation", "scheme", -1), ("simulation", "gravity", float("inf")), ("output", "every", 0),
+    ("target", "stiffness", -1.0), ("target", "poisson", 0.5), ("target", "radius", float("nan")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("group, name, value", STORED)
+def test_values_that_a_stranger_s_file_has_stored_are_refused(shot, run, stand_in, group, name, value):
+    """Blender limits what is set, and not what a file has."""
+    settings = bpy.data.objects["Arm"].dynamorph
+    owner = settings.targets[1] if group == "target" else getattr(settings, group)
+    stored = owner.bl_system_properties_get(do_create=True) if hasattr(owner, "bl_system_properties_get") else owner
+    stored[name] = value
+    bpy.ops.wm.save_mainfile()
+    setting = owner.bl_rna.properties[name].name
+    for command in (["check"], ["build", "-o", shot.parent / "out.blend"], ["bake", "-o", shot.parent / "out.blend"]):
+        code, out, told = run(command[0], shot, "--object", "Arm", *command[1:])
+        assert code == 2 and f"'Arm': {setting} is " in out + told and "set it again" in out + told
+    assert stand_in.built == 0
+
+
 # What a bake becomes ------------------------------------------------------------------------------------------------
 
 

@@ -244,6 +244,15 @@ def test_flamenco_bakes_each_character_and_wedge(compiled):
     assert {task["type"] for task in tasks.values()} == {"blender"}
 
 
+def test_flamenco_names_no_file_elsewhere(compiled):
+    """By the name of an object, as a stranger's .blend may have it."""
+    tasks = compiled(characters="a/../../../etc/x")
+    (bake,) = (task for name, task in tasks.items() if name.startswith("bake "))
+    asked = flamenco_asks(bake)
+    assert asked.object == ["a/../../../etc/x"]
+    assert asked.report.name == asked.output.stem + ".json" == "walk a_.._.._.._etc_x.json"
+
+
 def test_flamenco_says_what_the_command_line_knows(addon, compiled):
     tasks = compiled(characters="Arm")
     assert list(tasks) == ["check Arm", "build Arm", "bake walk Arm", "collect"]

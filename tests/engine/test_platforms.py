@@ -34,6 +34,7 @@ from dynamic_morph_targets.io import paths
         ("CON.blend", "CON_blend"),
         ("Console", "Console"),
         ("x" * 255, "x" * 63),
+        ("\U0001f9cc" * 63, "\U0001f9cc" * 45),
     ],
 )
 def test_a_name_of_blenders_names_a_file_on_every_system(name, cleaned):
@@ -44,6 +45,7 @@ def test_a_name_of_blenders_names_a_file_on_every_system(name, cleaned):
 def test_upper_and_lower_case_name_one_file_except_on_linux(monkeypatch, system, shared):
     monkeypatch.setattr(sys, "platform", system)
     assert paths.is_shared([Path("/out/Körper.abc"), Path("/out/KÖRPER.abc")]) == shared
+    assert paths.is_shared([Path("/out/Ko\u0308rper.abc"), Path("/out/K\u00f6rper.abc")]) == shared
     assert paths.is_shared([Path("/out/Body.abc"), Path("/out/Body.abc")])
     assert not paths.is_shared([Path("/out/Body.abc"), Path("/out/Shirt.abc")])
 

@@ -339,7 +339,7 @@ def try_file(path: Path | None, makes_folder: bool = False) -> None:
     """Try one of them, if it is named."""
     if path is None:
         return
-    if makes_folder:
+    if makes_folder and ".." not in path.parts:  # which would lead out of a folder that the name of an object made
         path.absolute().parent.mkdir(parents=True, exist_ok=True)
     check_folder(path.absolute())
     outputs.try_file(path.absolute())

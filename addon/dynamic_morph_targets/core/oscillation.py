@@ -14,6 +14,7 @@ import numpy as np
 from .errors import FitError
 from .settings import Material
 
+LARGEST = 1e60  # seconds or meters; squares of larger ones may be too large for a float
 REST = 0.05  # fraction of the amplitude at which an oscillation has settled
 
 
@@ -78,7 +79,7 @@ def _track(times: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.nda
             times=times.shape,
             positions=positions.shape,
         )
-    if not (np.isfinite(times).all() and np.isfinite(positions).all()):
+    if not ((np.abs(times) < LARGEST).all() and (np.abs(positions) < LARGEST).all()):  # as no NaN is
         raise FitError("some times or positions are not numbers: remove those samples")
     if not (np.diff(times) > 0).all():
         raise FitError("times must increase from sample to sample: sort them and remove repeated ones")

@@ -82,7 +82,7 @@ class CacheDir:
     def _read(path: Path) -> tuple[dict[str, np.ndarray], dict] | None:
         """(arrays, metadata) of a file, or None. A damaged file counts as missing and is written again."""
         with suppress(FileNotFoundError, errors.ModelFileError):
-            return model_file.unpack(path.read_bytes())
+            return model_file.unpack(disk.read(path))
         return None
 
 

@@ -14,6 +14,7 @@ CACHE_FOLDER = "dynamorph_caches"  # beside the .blend
 OBJECT = "{object}"  # in the name of a file that each mesh has one of
 UNSAFE = re.compile(r"[\x00-,./:-@[-^`{-\xfe]")  # in the names of files, as bpy.path.clean_name has them
 DEVICE = re.compile(r"con|prn|aux|nul|com\d|lpt\d", re.IGNORECASE)  # Windows would write to it, whatever the suffix
+LONGEST_BYTES = 180  # of 255 that most systems take: a hash and a suffix follow
 LONGEST = 63  # characters: names in Blender 5 may be as long as the name of a file may be at all
 
 
@@ -22,7 +23,7 @@ def clean_name(name: str) -> str:
 
     It is that of `bpy.path.clean_name`, which threads must not call, except for what no file can be named.
     """
-    cleaned = UNSAFE.sub("_", name)[:LONGEST]
+    cleaned = UNSAFE.sub("_", name)[:LONGEST].encode()[:LONGEST_BYTES].decode(errors="ignore")
     return f"{cleaned}_" if DEVICE.fullmatch(cleaned) else cleaned
 
 

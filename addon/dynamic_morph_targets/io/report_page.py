@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..core.errors import CollectError
+from . import disk
 
 Check = Callable[[object], bool]
 
@@ -77,7 +78,7 @@ def read(folder: Path) -> dict[str, dict]:
     reports = {}
     for path in sorted(folder.glob("*.json")):
         try:
-            found = json.loads(path.read_text(encoding="utf-8"))
+            found = json.loads(disk.read(path).decode())
             json.dumps([[[[found]]]], indent=1)  # as deep as it is written again
             if not isinstance(found, dict) or "characters" not in found:
                 continue

@@ -10,10 +10,27 @@ import numpy as np
 from ..core.character import Skeleton, Target
 from ..core.geometry import turned
 from .checks import Problem, active_targets
+from .plain import fits, plain, wanted
 from .references import key_points
 
 SAME_POSE = np.radians(0.5)  # the engine cannot interpolate between targets that are nearer than this over all bones
 PLAUSIBLE = (0.02, 20.0)  # meters from corner to corner; a body of another size is probably unintended
+
+
+def settings(obj) -> Iterator[Problem]:
+    """Values that no button sets, as a damaged .blend, or a stranger's, may have them."""
+    authored = obj.dynamorph
+    for group in (authored, authored.model, authored.simulation, authored.output, *authored.targets):
+        for name, value in plain(group).items():
+            prop = group.bl_rna.properties[name]
+            if not all(fits(prop, each) for each in (value if isinstance(value, list) else [value])):
+                yield Problem(
+                    "'{name}': {setting} is {value}, but must be {wanted}: set it again",
+                    name=obj.name,
+                    setting=prop.name,
+                    value=value,
+                    wanted=wanted(prop, getattr(prop, "array_length", 0)),
+                )
 
 
 def shapes(obj) -> Iterator[Problem]:

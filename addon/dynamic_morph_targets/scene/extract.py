@@ -49,6 +49,7 @@ def character(obj, without_targets=False) -> Character:
     modifier = armature_modifier(obj)
     if not obj.dynamorph.targets:
         raise SceneError("'{name}' is no soft skin: select it and press Add Soft Skin", name=obj.name)
+    refuse(data_checks.settings(obj))
     refuse(checks.problems(obj))
     if not without_targets:
         refuse(checks.next_steps(obj))

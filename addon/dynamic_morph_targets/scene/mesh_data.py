@@ -127,8 +127,6 @@ def stiffness(obj, groups: VertexGroups) -> np.ndarray:
     settings = obj.dynamorph
     if not settings.stiffness_group:
         return np.ones(len(obj.data.vertices))
-    if not np.isfinite(settings.stiffness_factor):
-        raise SceneError("'{name}': the Stiffness Factor is not a number: set it again", name=obj.name)
     return settings.stiffness_factor ** _painted(obj, groups, "Stiffness", settings.stiffness_group)
 
 

@@ -17,3 +17,35 @@ def plain(group, skip=()) -> dict:
         value = getattr(group, prop.identifier)
         out[prop.identifier] = list(value) if getattr(prop, "is_array", False) else value
     return out
+
+
+def fits(prop, value) -> bool:
+    """Whether a property of a group, or each number of an array, takes the value unchanged."""
+    if prop.type == "BOOLEAN":
+        return type(value) is bool
+    if prop.type == "ENUM":
+        return is_text(value) and value in prop.enum_items
+    if prop.type == "STRING":
+        return is_text(value)
+    # Comparing refuses NaN, infinity and integers too long for a float as well.
+    return type(value) in ((int,) if prop.type == "INT" else (int, float)) and prop.hard_min <= value <= prop.hard_max
+
+
+def is_text(value) -> bool:
+    """Whether Blender can store it: text without lone surrogates and zeros."""
+    try:
+        return isinstance(value, str) and b"\0" not in value.encode()
+    except UnicodeEncodeError:
+        return False
+
+
+def wanted(prop, count: int) -> str:
+    """What `fits` accepts, in words; count: of an array, otherwise 0."""
+    if prop.type in ("BOOLEAN", "STRING"):
+        return {"BOOLEAN": "true or false", "STRING": "a text"}[prop.type]
+    if prop.type == "ENUM":
+        return f"one of {', '.join(prop.enum_items.keys())}"
+    if count:
+        return f"{count} numbers"
+    whole = "whole " if prop.type == "INT" else ""
+    return f"a {whole}number from {prop.hard_min:.6g} to {prop.hard_max:.6g}"

@@ -29,7 +29,7 @@ from ..io import disk
 from ..scene import checks, rig_motion
 from ..scene.bake_properties import DynamorphOutput, DynamorphSimulation
 from ..scene.model_properties import DynamorphMode, DynamorphModel, DynamorphPiece
-from ..scene.plain import plain
+from ..scene.plain import fits, is_text, plain, wanted
 from ..scene.properties import DynamorphSettings
 from ..scene.references import KEY_REFERENCE
 from ..scene.target_properties import DynamorphBonePose, DynamorphTarget
@@ -215,7 +215,7 @@ def write(path: Path, setup: dict):
 def read(path: Path) -> dict:
     """A setup that has passed `check`. Raises SetupError, OSError."""
     try:
-        setup = json.loads(path.read_text(encoding="utf-8-sig"))
+        setup = json.loads(disk.read(path).decode("utf-8-sig"))
         check(setup)
     except (SetupError, ValueError, RecursionError) as error:
         reason = str(error) if isinstance(error, SetupError) else f"This is not a Dynamorph setup ({error})"
@@ -256,14 +256,14 @@ def check(setup):
 
 def _check_target(target):
     name = target.get("name") if isinstance(target, dict) else None
-    if not _is_text(name):
+    if not is_text(name):
         raise SetupError("A target has no name")
     where = f"Target '{name}'"
     bones, pose = target.get("bones", []), target.get("pose", {})
     _check_values(where, DynamorphTarget, _simple(target))
-    if not isinstance(bones, list) or not all(map(_is_text, bones)):
+    if not isinstance(bones, list) or not all(map(is_text, bones)):
         raise SetupError("{where}: bones must be a list of names", where=where)
-    if not isinstance(pose, dict) or not all(map(_is_text, pose)):
+    if not isinstance(pose, dict) or not all(map(is_text, pose)):
         raise SetupError("{where}: pose must have an entry for each bone", where=where)
     matrices = {"rig_world": target["rig_world"]} if "rig_world" in target else {}
     for bone, values in pose.items():
@@ -280,7 +280,7 @@ def _check_target(target):
 
 def _check_piece(where: str, piece):
     names = [piece.get(kind, "") for kind in ("object", "group")] if isinstance(piece, dict) else []
-    if not all(map(_is_text, names)) or not any(names):
+    if not all(map(is_text, names)) or not any(names):
         raise SetupError("{where} names neither an object nor a vertex group", where=where)
     _check_values(where, DynamorphPiece, _simple(piece))
 
@@ -307,36 +307,5 @@ def _check_values(where: str, kind, values):
                 where=where,
                 name=name,
                 value=value,
-                wanted=_wanted(prop, count),
+                wanted=wanted(prop, count),
             )
-
-
-def fits(prop, value) -> bool:
-    """Whether a property of a group, or each number of an array, takes the value unchanged."""
-    if prop.type == "BOOLEAN":
-        return type(value) is bool
-    if prop.type == "ENUM":
-        return _is_text(value) and value in prop.enum_items
-    if prop.type == "STRING":
-        return _is_text(value)
-    # Comparing refuses NaN, infinity and integers too long for a float as well.
-    return type(value) in ((int,) if prop.type == "INT" else (int, float)) and prop.hard_min <= value <= prop.hard_max
-
-
-def _is_text(value) -> bool:
-    """Whether Blender can store it: text without lone surrogates and zeros."""
-    try:
-        return isinstance(value, str) and b"\0" not in value.encode()
-    except UnicodeEncodeError:
-        return False
-
-
-def _wanted(prop, count: int) -> str:
-    if prop.type in ("BOOLEAN", "STRING"):
-        return {"BOOLEAN": "true or false", "STRING": "a text"}[prop.type]
-    if prop.type == "ENUM":
-        return f"one of {', '.join(prop.enum_items.keys())}"
-    if count:
-        return f"{count} numbers"
-    whole = "whole " if prop.type == "INT" else ""
-    return f"a {whole}number from {prop.hard_min:.6g} to {prop.hard_max:.6g}"

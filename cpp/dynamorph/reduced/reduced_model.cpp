@@ -207,6 +207,8 @@ void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
     return;
   }
   now.pairs.setZero(rows);
+  blend.change.resize(r);  // here, so that only the first step allocates
+  blend.pair_changes.resize(rows);
   double* pair = now.pairs.data();
   for (Eigen::Index k = 0; k < r; ++k) {
     *pair++ = now.v(k) * now.v(k);
@@ -224,8 +226,6 @@ void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
     blend.anchored = true;
     return;
   }
-  blend.change.resize(r);
-  blend.pair_changes.resize(rows);
   for (Eigen::Index k = 0; k < r; ++k) blend.change[k] = float(now.v(k) - anchor.v(k));
   for (Eigen::Index p = 0; p < rows; ++p) blend.pair_changes[p] = float(now.pairs(p) - anchor.pairs(p));
   now.linear = anchor.linear;
