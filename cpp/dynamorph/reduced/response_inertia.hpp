@@ -39,7 +39,7 @@ class ResponseInertia {
     VectorXd growth;  ///< of each bone or node: its mean square scale, less one
     VectorXd scales;  ///< (rows) the mean square scale of each response
     MatrixXd between, gram;
-    Eigen::LLT<MatrixXd> corner;
+    Eigen::LLT<MatrixXd> corner{MatrixXd()};  // or a move would read what Eigen leaves unset
     Eigen::SelfAdjointEigenSolver<MatrixXd> eigen;
     std::vector<int> active;  ///< terms
     std::vector<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>> targets;
