@@ -41,9 +41,10 @@ export UBSAN_OPTIONS=print_stacktrace=1:halt_on_error=1
 core=core_$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
 build address "-fsanitize=address,undefined -fno-sanitize-recover=undefined" engine_tests "$core"
 check "memory errors and undefined behavior, C++ tests" build/sanitize/address/engine_tests
-# Left out: children that run out of "memory"; programs linked or emulated without a sanitizer.
+# Left out: children that run out of "memory"; programs linked or emulated without a sanitizer; bytes of a release build.
 check "memory errors and undefined behavior, tests/engine" preloaded "$python" -m pytest -k "not memory" tests/engine \
-  --ignore=tests/engine/test_examples.py --ignore=tests/engine/test_instruction_sets.py
+  --ignore=tests/engine/test_examples.py --ignore=tests/engine/test_instruction_sets.py \
+  --ignore=tests/engine/test_golden.py
 DYNAMORPH_FUZZ_MINUTES=$minutes DYNAMORPH_FUZZ_BUILD="under sanitizers" check \
   "memory errors and undefined behavior, random input" preloaded "$python" -m pytest tests/engine/test_fuzz.py \
   tests/engine/test_defects.py

@@ -354,7 +354,7 @@ def test_a_motion_amount_that_is_not_a_number_is_refused(playing):
     play(playing, range(1, 4))
     playing.dynamorph.targets["flexed"].influence = float("nan")
     stopped(playing, "reset the gains")
-    with pytest.raises(part("errors").SceneError, match="motion amount of target 'flexed' is not a number"):
+    with pytest.raises(part("errors").SceneError, match="Motion Amount of target 'flexed' is nan, but must be"):
         baked(playing)
 
 

@@ -178,7 +178,7 @@ def test_a_point_cache_changes_with_the_blend_that_plays_it(shot, run, stand_in,
         save = blend_file.save
 
         def save_then(path):
-            assert cache.read_bytes() == before
+            assert cache.read_bytes() != before
             if fails:
                 raise OSError(errno.ENOSPC, "No space left", str(path))
             save(path)

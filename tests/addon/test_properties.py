@@ -43,7 +43,8 @@ def test_materials_stay_physical(soft_arm, field, value):
     target = soft_arm.dynamorph.targets[0]
     setattr(target, field, value)
     if np.isnan(value):
-        with pytest.raises(part("errors").SceneError, match=f"'Arm': {field} of target 'Neutral'"):
+        name = target.bl_rna.properties[field].name
+        with pytest.raises(part("errors").SceneError, match=f"'Arm': {name} of target 'Neutral' is nan"):
             part("extract").character(soft_arm)
     else:
         assert np.isfinite(getattr(target, field)) and getattr(target, field) >= 0.0

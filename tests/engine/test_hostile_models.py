@@ -100,23 +100,29 @@ def test_a_small_file_that_takes_much_memory_is_refused_at_once(monkeypatch):
         "rest": np.tile(np.eye(4), (bones, 1, 1)),
     }
     meta = meta | {"bone_names": [f"bone {b}" for b in range(bones)]}
-    tensors = 61 * 62 / 2 * (18 * arrays["basis"].shape[1] + 9 * comb(arrays["basis"].shape[1], 2))
-    for room, fits in ((20 * tensors, True), (12 * tensors, False)):
-        monkeypatch.setattr(memory, "room", lambda room=room: memory.Room(np.inf, room))
+    sets, modes = arrays["shares"].shape[1], arrays["basis"].shape[1]
+    needed = 8 * (sets + 1) * (61 * 62 // 2) * (18 * modes + 9 * comb(modes, 2))
+    for most, free, refusal in ((2, 2, None), (2, 0.5, MemoryError), (0.5, 0.5, ModelFileError)):
+        room = memory.Room(most * needed, free * needed)
+        monkeypatch.setattr(memory, "room", lambda room=room: room)
         began = time.perf_counter()
-        with nullcontext() if fits else pytest.raises(ModelFileError, match="needs more memory than is free"):
+        with nullcontext() if refusal is None else pytest.raises(refusal):
             load(arrays, meta)
-        assert fits or time.perf_counter() - began < REFUSED_WITHIN
+        assert refusal is None or time.perf_counter() - began < REFUSED_WITHIN
+    few = arrays["node_weights"]  # a cage has a little of nearly all bones at each node, which the engine leaves out
+    few[:, 3:] = 1e-4
+    assert memory.inertia_bytes(few, modes, sets) < 0.01 * needed
 
 
-def test_more_modes_than_degrees_of_freedom_are_refused_at_once():
+def test_more_modes_than_degrees_of_freedom_are_refused():
     arrays, meta = stored("linear")
     rows = len(arrays["basis"])
-    for columns, words in ((rows + 1, "more modes than degrees of freedom"), (20_000, "more memory than is free")):
-        began = time.perf_counter()
+    for columns, words in (
+        (rows + 1, "more modes than degrees of freedom"),
+        (20_000, "more memory|more modes"),
+    ):
         with pytest.raises(ModelFileError, match=words):
             load(arrays | {"basis": np.zeros((rows, columns))}, meta)
-        assert time.perf_counter() - began < REFUSED_WITHIN
 
 
 def test_more_sets_than_targets_are_refused():

@@ -65,10 +65,9 @@ def run_job(args: argparse.Namespace) -> None:
     beside: dict[Path, Path] = {}  # point caches, and where they are until the .blend is saved
     try:
         for obj in objects:
-            done = work_on(args, obj, folder, files)
+            done = work_on(args, obj, folder, files, beside)
             say(done)
             args.done.append(done)
-            beside |= done.job.outcome.beside
         seconds = save(args, beside) if args.output or args.in_place else 0.0
     finally:
         for written in beside.values():
@@ -79,9 +78,11 @@ def run_job(args: argparse.Namespace) -> None:
             disk.discard(job.input.kept)
 
 
-def work_on(args: argparse.Namespace, obj: bpy.types.Object, folder: Path, files: dict[str, Path]) -> Done:
+def work_on(
+    args: argparse.Namespace, obj: bpy.types.Object, folder: Path, files: dict[str, Path], beside: dict[Path, Path]
+) -> Done:
     """Build or bake one object, and write its file for other programs if that is asked for; folder, files: where what
-    is written goes.
+    is written goes; beside: gets the point caches that wait for the .blend.
     """
     caches = cache_dir.CacheDir(args.cache_dir.absolute()) if args.cache_dir else None
     rebuild = args.goal == "BUILD" and caches is None
@@ -90,6 +91,7 @@ def work_on(args: argparse.Namespace, obj: bpy.types.Object, folder: Path, files
     job = Job(obj, goal, frames, args.substeps, folder, rebuild=rebuild, cache_dir=caches, cache_files=files)
     tick = Progress(args.progress == "openjd")
     batch.run(job, tick)
+    beside |= job.outcome.beside
     warnings = list(job.warnings)
     if export_process.leaves_python_out():
         option = "--enable-autoexec" if hasattr(args, "enable_autoexec") else "-y before -c"
@@ -170,7 +172,8 @@ def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], fold
         try:
             refuse_shared(named_files(args) | {"--output-file": path})
         except InputError:
-            args.report = None  # perhaps it is that file
+            if args.report and paths.is_shared((args.report, path)):
+                args.report = None
             raise
         if not chosen:  # otherwise `check_place` does
             outputs.try_file(path)
@@ -210,7 +213,7 @@ def file_state(path: Path) -> tuple[int, ...] | None:
         found = path.stat()
     except OSError:
         return None
-    return found.st_mtime_ns, found.st_size, found.st_ino
+    return found.st_mtime_ns, found.st_size
 
 
 def check_folder(path: Path) -> None:
@@ -396,15 +399,14 @@ def _reconciled(objects: list) -> list[bpy.types.Object]:
 
 
 def save(args: argparse.Namespace, beside: Mapping[Path, Path] = MappingProxyType({})) -> float:
-    """Save the .blend, and then give the files of `beside` their names; returns the seconds it took."""
+    """Save the .blend, and give the files of `beside` their names; returns the seconds it took."""
     began = time.perf_counter()
     if args.in_place and args.opened != file_state(Path(bpy.data.filepath)):
         text = "'{path}' was saved by another program meanwhile: nothing was written. Run it again, or say -o"
         raise FileInUseError(text, path=bpy.data.filepath)
     with signals.delayed():
-        blend_file.save(args.output.absolute() if args.output else Path(bpy.data.filepath))
+        with outputs.placed(beside):
+            blend_file.save(args.output.absolute() if args.output else Path(bpy.data.filepath))
         args.saved = True
-        for path, written in beside.items():
-            disk.replace(written, path)
     print(f"saved {args.output or bpy.data.filepath}")
     return time.perf_counter() - began

@@ -300,9 +300,13 @@ def open_file(args: argparse.Namespace, opens_file: bool) -> None:
     if not opens_file and bpy.data.filepath:
         args.file = Path(bpy.data.filepath)
         args.opened = file_state(args.file)
-    refuse_shared(named_files(args) | ({"--report": report} if report else {}))
+    files = named_files(args)
+    if report:
+        for title, path in files.items():
+            refuse_shared({title: path, "--report": report})
     try_file(report, makes_folder=True)
     args.report = report
+    refuse_shared(files)
     try_outputs(args)
     if args.run == run_collect:
         return
@@ -339,7 +343,12 @@ def try_file(path: Path | None, makes_folder: bool = False) -> None:
     """Try one of them, if it is named."""
     if path is None:
         return
-    if makes_folder and ".." not in path.parts:  # which would lead out of a folder that the name of an object made
+    if makes_folder and _all_there(path.absolute()):
         path.absolute().parent.mkdir(parents=True, exist_ok=True)
     check_folder(path.absolute())
     outputs.try_file(path.absolute())
+
+
+def _all_there(path: Path) -> bool:
+    """Whether each folder before a `..` is there: one that the name of an object would make leads somewhere else."""
+    return all(Path(*path.parts[:k]).is_dir() for k, part in enumerate(path.parts) if part == "..")

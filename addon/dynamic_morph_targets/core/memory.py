@@ -24,6 +24,7 @@ from .message import Message
 from .settings import ModelSettings, OutputSettings, SimulationSettings
 
 GIGABYTE = 2**30
+LIGHTEST = 0.01  # as kNegligible of pose/skinning.cpp
 COUNTED = 2000  # bones up to which pairs of them are counted; of more there may be as many as all nodes together have
 # What to lower, by the part of the work that takes the memory.
 REMEDIES = {
@@ -87,19 +88,20 @@ def bake_bytes(
     return found
 
 
-def inertia_bytes(node_weights: np.ndarray, modes: int) -> float:
+def inertia_bytes(node_weights: np.ndarray, modes: int, sets: int) -> float:
     """What the inertia of a stored model takes at most: a tensor for each pair of bones that move one node together.
 
-    node_weights: (n, B + 1).
+    node_weights: (n, B + 1), of which the engine leaves out what is below LIGHTEST of a node's sum.
     """
-    moves, columns = node_weights != 0.0, node_weights.shape[1]
+    moves = node_weights >= LIGHTEST * node_weights.sum(axis=1, keepdims=True)
+    columns = node_weights.shape[1]
     if columns <= COUNTED:
         together = moves.T.astype(np.float32) @ moves.astype(np.float32)
         pairs = int(np.count_nonzero(np.triu(together)))
     else:
         counts = moves.sum(axis=1)
         pairs = min(int((counts * (counts + 1) // 2).sum()), comb(columns + 1, 2))
-    return 16.0 * pairs * (18 * modes + 9 * comb(modes, 2))
+    return 8.0 * (sets + 1) * pairs * (18 * modes + 9 * comb(modes, 2))
 
 
 def _tables(size: Size, settings: ModelSettings) -> tuple[float, float, float]:

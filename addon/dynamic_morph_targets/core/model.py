@@ -130,8 +130,12 @@ class Model:
             return
         body = self.soft_body()
         if self.settings.solver == "REDUCED" and not self.only_cage:
-            if memory.inertia_bytes(self.node_weights, self.basis.shape[1]) > memory.room().free:
-                raise model_schema.damaged("it needs more memory than is free")
+            room = memory.room()
+            needed = memory.inertia_bytes(self.node_weights, self.basis.shape[1], self.region_weights.shape[1])
+            if needed > room.most:
+                raise model_schema.damaged("it needs more memory than there is")
+            if needed > room.free:
+                raise MemoryError
             lame_lambda, lame_mu = Material().lame()
             targets = [
                 dynamorph.MorphTarget("", shape, lame_lambda=lame_lambda, lame_mu=lame_mu, density=Material.density)

@@ -13,7 +13,7 @@ import re
 import secrets
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -111,6 +111,31 @@ def replacing(path: Path, in_folder: bool = False) -> Iterator[Path]:
             disk.replace(written, path)
         finally:
             disk.remove(partial)
+
+
+@contextmanager
+def placed(written: Mapping[Path, Path]) -> Iterator[None]:
+    """Files have their names in the block; if it raises, the earlier files have them again. written: name -> where it
+    is now. Raises OSError.
+    """
+    begun: list[tuple[Path, Path]] = []
+    try:
+        for path, now in written.items():
+            earlier = partial_of(path)
+            begun.append((path, earlier))
+            if path.exists():
+                disk.replace(path, earlier)
+            disk.replace(now, path)
+        yield
+    except BaseException:
+        for path, earlier in begun:
+            if earlier.exists():
+                disk.replace(earlier, path)
+            elif not written[path].exists():  # it has the place, and there was none before
+                disk.discard(path)
+        raise
+    for _, earlier in begun:
+        disk.discard(earlier)
 
 
 def why_not(path: Path, text: str, size: int = BLOCK) -> OSError | None:

@@ -41,12 +41,14 @@ def is_shared(files: Iterable[Path]) -> bool:
 
 
 def _identity(file: Path) -> object:
+    name = os.path.realpath(file)
+    if sys.platform != "linux":
+        name = unicodedata.normalize("NFC", name).casefold()
     try:
         there = file.stat()
     except OSError:
-        name = os.path.realpath(file)
-        return name if sys.platform == "linux" else unicodedata.normalize("NFC", name).casefold()
-    return there.st_dev, there.st_ino
+        return name
+    return (there.st_dev, there.st_ino) if there.st_ino else name  # which some network drives have none of
 
 
 def cache_path(folder: Path, name: str, content: str, sink: str) -> Path:

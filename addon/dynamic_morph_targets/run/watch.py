@@ -89,12 +89,15 @@ def _look_at_meshes() -> float | None:
     return None
 
 
-def _look_at_animations() -> None:
+def _look_at_animations() -> float | None:
+    if rig_motion.render_runs():
+        return PATIENCE  # seconds from now
     for obj in skin.soft_skins(bpy.context.scene.objects):
         if obj.dynamorph.bake.exists and obj.is_editable:
             staleness.look_at_animation(obj)
             staleness.look_for_caches(obj)
             bake_influence.share_strip(obj)
+    return None
 
 
 @persistent

@@ -20,6 +20,11 @@ def curves(action, slot) -> list:
     return list(channels.fcurves) if channels else []
 
 
+def remove_curve(action, slot, curve):
+    """Remove one of `curves`."""
+    anim_utils.action_get_channelbag_for_slot(action, slot).fcurves.remove(curve)
+
+
 def keys_of(obj):
     """The shape keys of `obj` by name; empty when the artist has removed all of them."""
     return obj.data.shape_keys.key_blocks if obj.data.shape_keys else {}

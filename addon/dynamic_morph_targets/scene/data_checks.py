@@ -20,15 +20,18 @@ PLAUSIBLE = (0.02, 20.0)  # meters from corner to corner; a body of another size
 def settings(obj) -> Iterator[Problem]:
     """Values that no button sets, as a damaged .blend, or a stranger's, may have them."""
     authored = obj.dynamorph
-    for group in (authored, authored.model, authored.simulation, authored.output, *authored.targets):
+    whole = [(each, "'{name}': {setting}") for each in (authored, authored.model, authored.simulation, authored.output)]
+    targets = [(each, "'{name}': {setting} of target '{target}'") for each in authored.targets]
+    for group, text in whole + targets:
         for name, value in plain(group).items():
             prop = group.bl_rna.properties[name]
             if not all(fits(prop, each) for each in (value if isinstance(value, list) else [value])):
                 yield Problem(
-                    "'{name}': {setting} is {value}, but must be {wanted}: set it again",
+                    f"{text} is {{value}}, but must be {{wanted}}: set it again",
                     name=obj.name,
                     setting=prop.name,
-                    value=value,
+                    target=group.name,
+                    value="unknown" if value == "" else value,
                     wanted=wanted(prop, getattr(prop, "array_length", 0)),
                 )
 

@@ -215,14 +215,6 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
             target=target.name,
         )
     material = target.material()
-    for field, value in (*vars(material).items(), ("motion amount", target.influence)):
-        if not np.isfinite(value):  # property limits do not restrict Python or drivers
-            raise SceneError(
-                "'{name}': {field} of target '{target}' is not a number: set it again",
-                name=obj.name,
-                field=field,
-                target=target.name,
-            )
     neutral = target == obj.dynamorph.targets[0]
     shape = np.zeros((len(obj.data.vertices), 3)) if neutral else target_shape(obj, target.name, groups)
     local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)

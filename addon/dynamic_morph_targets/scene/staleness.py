@@ -56,7 +56,7 @@ def lost_caches(obj) -> list[Message]:
             continue
         path = Path(bpy.path.abspath(modifier.filepath, library=mesh.library))
         with suppress(OSError):
-            if whole.is_whole(path):
+            if path.is_file() and path.suffix.lower() in whole.CHECKS and whole.is_whole(path):
                 continue
         text = "the point cache '{file}' of '{name}' is missing or damaged"
         found.append(Message(text, file=path.name, name=mesh.name))

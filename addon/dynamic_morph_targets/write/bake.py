@@ -26,7 +26,7 @@ from ..scene.references import basis_hash, key_points, key_reach
 from ..scene.skin import cache_modifier, followers
 from .bake_influence import MOTION, SHAPES, carry_influence, keep_influence, strip_of
 from .bake_reading import baked_names
-from .bake_removal import clear_unused, remove_keys, remove_modifier
+from .bake_removal import GROUP, clear_unused, remove_keys, remove_modifier
 from .before import Before
 from .muting import leave_to_live, mute_targets, unmute_targets
 from .reconcile import reconcile
@@ -216,7 +216,7 @@ class NewBake:
         told = self._carry_influence()
         if self._old_cache:
             remove_modifier(obj, obj.modifiers[self._old_cache])
-        told += remove_keys(obj, self._old, self._old_action, self._old_index)
+        told += remove_keys(obj, self._old, self._old_action, self._old_index, self._names)
         record.active_index = obj.active_shape_key_index
         blocks = obj.data.shape_keys.key_blocks
         for reference, name, key in zip(record.keys, self._names, self._keys, strict=True):
@@ -233,12 +233,16 @@ class NewBake:
         new = cache_modifier(obj) if self._cache else strip_of(obj.data.shape_keys, self._action)
         if self._skin or not old or not new or old.bl_rna == new.bl_rna:
             return []
-        carry_influence(obj, old, new)
+        told = []
+        if not carry_influence(obj, old, new):
+            told.append(
+                Message("The animation of Bake Influence of '{name}' could not be carried along", name=obj.name)
+            )
         drivers = obj.animation_data.drivers if obj.animation_data and self._old_cache else ()
         if any(driver.data_path == old.path_from_id("factor") for driver in drivers):
             text = "The driver of Bake Influence of '{name}' was removed: only that of a point cache can have one"
-            return [Message(text, name=obj.name)]
-        return []
+            told.append(Message(text, name=obj.name))
+        return told
 
 
 def ensure_basis(obj):
@@ -329,16 +333,18 @@ def _add_curves(keys, action, names, frames, values: list[Key]):
         channels = strip.channelbag(slot, ensure=True)
         for name, curve in zip(names, curves, strict=True):
             if curve is not None:
-                add_curve(channels, name, times, curve)
+                add_curve(channels, name, times, curve, GROUP)
         _add_track(animation, title, action, slot, times)
 
 
-def add_curve(channels, name: str, times, values):
-    """A curve of the value of the key `name`, linear between the times; runs of equal values keep only their ends."""
+def add_curve(channels, name: str, times, values, group=""):
+    """A curve of the value of the key `name`, linear between the times; runs of equal values keep only their ends.
+    group: of the curve, if any.
+    """
     points = np.column_stack([times, values]).astype(np.float32)
     same = points[1:, 1] == points[:-1, 1]
     points = points[~(np.r_[False, same] & np.r_[same, False])]
-    curve = channels.fcurves.new(f'key_blocks["{bpy.utils.escape_identifier(name)}"].value')
+    curve = channels.fcurves.new(f'key_blocks["{bpy.utils.escape_identifier(name)}"].value', group_name=group)
     curve.keyframe_points.add(len(points))
     curve.keyframe_points.foreach_set("co", points.ravel())
     curve.keyframe_points.foreach_set("interpolation", np.full(len(points), LINEAR, np.int32))

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 
 from ..scene import animation
@@ -93,13 +95,32 @@ def keep_influence(old, new):
     _copy_points(curve, new.fcurves.find("influence"))
 
 
-def carry_influence(obj, old, new):
-    """The same for a bake that takes another form: one of the two is the modifier of a point cache, on `obj`."""
-    setattr(new, _property(new), getattr(old, _property(old)))
-    curve = _curve_of(obj, old)
-    if curve and len(curve.keyframe_points):
+def carry_influence(obj, old, new) -> bool:
+    """The same for a bake that takes another form: one of the two is the modifier of a point cache, on `obj`. Returns
+    whether all of it could be written.
+    """
+    value, curve = getattr(old, _property(old)), _curve_of(obj, old)
+    points = curve and len(curve.keyframe_points)
+    if not points:
+        _remove_curve(obj, new)  # of an earlier bake
+        setattr(new, _property(new), value)
+        return True
+    setattr(new, _property(new), value)
+    with suppress(RuntimeError, TypeError):  # the object's Action is linked
         new.keyframe_insert(_property(new), frame=curve.keyframe_points[0].co[0])
-        _copy_points(curve, _curve_of(obj, new))
+    copy = _curve_of(obj, new)
+    if copy is None:
+        return False
+    _copy_points(curve, copy)
+    _remove_curve(obj, old)
+    return True
+
+
+def _remove_curve(obj, owner):
+    """Of a modifier alone: that of a strip goes with it."""
+    curve = None if hasattr(owner, "influence") else _curve_of(obj, owner)
+    if curve and obj.animation_data.action.is_editable:
+        animation.remove_curve(obj.animation_data.action, obj.animation_data.action_slot, curve)
 
 
 def _property(owner) -> str:

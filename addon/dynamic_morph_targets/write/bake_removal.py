@@ -10,19 +10,23 @@ import bpy
 
 from ..core.message import Message
 
+LONG_NAME = 58  # bytes, of 63 in Blender 4.5
+GROUP = "Dynamorph"  # of the curves of baked keys, which tells them from the artist's in the same Action
 
-def remove_keys(obj, names, action, active_index: int) -> list[Message]:
+
+def remove_keys(obj, names, action, active_index: int, new=()) -> list[Message]:
     """Remove these shape keys with the Action and its strips; what is the artist's in them stays. active_index: of the
-    key that is active afterwards, if the active one is among them. Returns what the artist should know.
+    key that is active afterwards, if the active one is among them; new: keys of the bake that takes the place. Returns
+    what the artist should know.
     """
     blocks = obj.data.shape_keys.key_blocks
     active = obj.active_shape_key.name if obj.active_shape_key else ""
     told = []
-    for block in _edited(blocks, names, action):
+    for block in _edited(blocks, (*names, *new), action):
         block.value = 0.0  # that of the old motion, on top of the new one
         text = "'{key}' of '{name}' was edited after the bake: it stays, at the value 0"
         told.append(Message(text, key=block.name, name=obj.name))
-    _remove(obj, [blocks[name] for name in names], action)
+    _remove(obj, [blocks[name] for name in names], action, {f"{blocks[name].path_from_id()}.value" for name in new})
     index = blocks.find(active)
     obj.active_shape_key_index = index if index >= 0 else min(active_index, len(blocks) - 1)
     return told
@@ -47,9 +51,10 @@ def _edited(blocks, names, action) -> list:
     return [block for block in blocks if block.name not in names and f"{block.path_from_id()}.value" in paths]
 
 
-def _remove(obj, blocks, action):
+def _remove(obj, blocks, action, new: set[str]):
     """Remove shape keys, and the Action with its strips and the tracks that become empty; also the copies of the Action
-    that Blender makes for duplicated strips. One in which the artist has animated other keys keeps their curves.
+    that Blender makes for duplicated strips. One in which the artist has animated other keys keeps their curves. new:
+    paths of the keys of the bake that takes the place.
     """
     keys = obj.data.shape_keys
     actions = [action] if action else []
@@ -58,7 +63,7 @@ def _remove(obj, blocks, action):
     kept: Counter = Counter()  # strips that play what the artist has keyed in them, by Action
     for track in list(tracks):
         for strip in list(track.strips):
-            if strip.action and strip.action not in actions and _is_copy(strip.action, action, paths):
+            if strip.action and strip.action not in actions and _is_copy(strip.action, action, paths, new):
                 actions.append(strip.action)
             if strip.action in actions and _others(strip.action, paths, strip.action_slot):
                 kept[strip.action] += 1
@@ -87,8 +92,8 @@ def _curves(action) -> list[tuple]:
 
 
 def _is_baked(curve) -> bool:
-    """Whether a curve moves a key with the name of a baked one."""
-    return curve.data_path.startswith('key_blocks["Dynamorph ')
+    """Whether a bake has made a curve; those of older versions are in no group."""
+    return curve.data_path.startswith('key_blocks["Dynamorph ') or (curve.group and curve.group.name == GROUP)
 
 
 def _others(action, paths: set[str], slot=None) -> list:
@@ -97,8 +102,10 @@ def _others(action, paths: set[str], slot=None) -> list:
     return [curve for curve in found if not (curve.data_path in paths or _is_baked(curve))]
 
 
-def _is_copy(copy, action, paths: set[str]) -> bool:
-    """Whether an Action is a copy that Blender has made and named, with curves of these paths alone."""
-    moved = {curve.data_path for _, curve in _curves(copy)}
-    stems = {re.sub(r"\.\d+$", "", each.name) for each in (copy, action)}
-    return bool(moved) and moved <= paths and len(stems) == 1
+def _is_copy(copy, action, paths: set[str], new: set[str]) -> bool:
+    """Whether an Action is a copy that Blender has made and named, with a bake's curves alone."""
+    moved = _curves(copy)
+    stem, own = (re.sub(r"\.\d+$", "", each.name) for each in (copy, action))
+    is_named = stem == own or (len(copy.name.encode()) > LONG_NAME and own.startswith(stem))  # Blender cuts long ones
+    is_new = any(curve.data_path in new for _, curve in moved)
+    return bool(moved) and is_named and not is_new and not _others(copy, paths)

@@ -41,8 +41,8 @@ def save(path: Path):
     Raises OSError.
     """
     with _blender_keeping_none() as versions:
-        _keep_abandoned(path, versions)
-        earlier = path.with_name(f"{path.stem}.{secrets.token_hex(8)}.earlier{path.suffix}")
+        # The time is in the name, because the file has the times of what it is a link to.
+        earlier = path.with_name(f"{path.stem}.{int(time.time()):08x}{secrets.token_hex(4)}.earlier{path.suffix}")
         try:
             with outputs.replacing(path) as partial:
                 _write_whole(partial, path)
@@ -53,6 +53,7 @@ def save(path: Path):
             raise
         if earlier.exists():
             _keep(earlier, path, versions)
+        _keep_abandoned(path, versions)
 
 
 def damage(path: Path) -> str:
@@ -169,23 +170,25 @@ def _link(path: Path, name: Path):
 
 
 def _keep_abandoned(path: Path, versions: int):
-    """The same for what a process that was killed before that has left, an hour later: until then it may be at it."""
-    ours = re.compile(rf"{re.escape(path.stem)}\.[0-9a-f]{{16}}\.earlier{re.escape(path.suffix)}")
+    """`_keep` for what a process that was killed before has left, an hour later: until then it may be at it."""
+    ours = re.compile(rf"{re.escape(path.stem)}\.([0-9a-f]{{8}})[0-9a-f]{{8}}\.earlier{re.escape(path.suffix)}")
     with suppress(OSError):
-        for left in [each for each in path.parent.iterdir() if ours.fullmatch(each.name)]:
-            if time.time() - left.stat().st_ctime < disk.ABANDONED:
-                continue
-            if path.exists() and left.samefile(path):  # nothing has replaced it
-                disk.discard(left)
-            elif versions:
-                _keep(left, path, versions)
+        for left in sorted(path.parent.iterdir()):
+            found = ours.fullmatch(left.name)
+            if found and time.time() - int(found[1], 16) > disk.ABANDONED:
+                names = [Path(f"{path}{number}") for number in range(1, versions + 1)]
+                newer = [name for name in names if name.exists() and name.stat().st_mtime >= left.stat().st_mtime]
+                if left.samefile(path) or (names and newer == names):
+                    disk.discard(left)
+                elif names:
+                    _keep(left, path, versions, len(newer))
 
 
-def _keep(earlier: Path, path: Path, versions: int):
-    """Make what was at `path` its first earlier version, and each earlier version the next one; if one of them cannot
-    be replaced, as when another program has it open, a version more. Raises OSError.
+def _keep(earlier: Path, path: Path, versions: int, newer: int = 0):
+    """Make what was at `path` its first earlier version, or one after `newer` of them, and each after it the next one;
+    if one of them cannot be replaced, as when another program has it open, a version more. Raises OSError.
     """
-    names = [Path(f"{path}{number}") for number in range(1, versions + 1)]
+    names = [Path(f"{path}{number}") for number in range(newer + 1, versions + 1)]
     try:
         for older, newer in zip(names[:0:-1], names[-2::-1], strict=True):
             if newer.exists():
