@@ -200,3 +200,51 @@ def test_a_point_cache_that_is_gone_is_told(shot, run):  # noqa: F811
         assert "bake state: the point cache 'Arm.pc2' of 'Arm' is missing or" in run("info", shot, "--object", "Arm")[1]
     cache.write_bytes(content)
     assert "bake state: up to date" in run("info", shot, "--object", "Arm")[1]
+
+
+def test_an_older_version_pushes_out_no_newer_one(soft_arm, tmp_path, monkeypatch):
+    """That a killed process has left, and that is found when there are newer ones."""
+    path, save = tmp_path / "shot.blend", part("blend_file").save
+    monkeypatch.setattr(bpy.context.preferences.filepaths, "save_version", 2)
+    left = tmp_path / f"shot.{'0' * 16}.earlier.blend"
+    left.write_bytes(b"old")
+    os.utime(left, (1.0, 1.0))
+    path.write_bytes(b"newer")
+    Path(f"{path}1").write_bytes(b"new")
+    save(path)
+    assert [Path(f"{path}{number}").read_bytes() for number in (1, 2)] == [b"newer", b"new"] and not left.exists()
+    Path(f"{path}2").unlink()
+    left.write_bytes(b"old")
+    os.utime(left, (1.0, 1.0))
+    Path(f"{path}1").unlink()
+    save(path)
+    assert Path(f"{path}1").exists() and Path(f"{path}2").read_bytes() == b"old" and not left.exists()
+
+
+def test_a_clash_of_other_files_is_reported(shot, run, stand_in):  # noqa: F811
+    report = shot.parent / "reports" / ".." / "r.json"
+    (shot.parent / "reports").mkdir()
+    assert run("bake", shot, "--object", "Arm", "-o", shot, "--report", report)[0] == 2
+    assert "--in-place" in json.loads(report.read_text())["error"]
+    assert run("check", shot, "--object", "Arm", "--report", shot.parent / "reports" / ".." / "new" / "r.json")[0] == 0
+    assert (shot.parent / "new" / "r.json").exists()
+
+
+def test_a_point_cache_that_is_in_use_leaves_all_as_it_was(shot, run, stand_in, monkeypatch):  # noqa: F811
+    """As on Windows, when another Blender plays it."""
+    cache, disk = shot.parent / "Arm.pc2", part("disk")
+    bake = ("bake", shot, "--object", "Arm", "--in-place", "--format", "pc2", "--output-file", cache)
+    assert run(*bake)[0] == 0
+    before, replace = (cache.read_bytes(), shot.read_bytes()), disk.replace
+
+    def refuse(new, path):
+        if path == cache and ".part." in new.name and new.read_bytes() != before[0]:
+            raise disk.in_use(path)
+        replace(new, path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(disk, "replace", refuse)
+        code, _, errors = run(*bake, "--frames", 1, 5)
+    assert code == 75 and "another program has it open" in errors
+    assert (cache.read_bytes(), shot.read_bytes()) == before
+    assert not list(shot.parent.glob("*.part.*"))

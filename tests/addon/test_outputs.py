@@ -226,3 +226,20 @@ def test_a_driver_of_the_influence_that_goes_is_named(soft_arm, tmp_path):
     new.show()
     (told,) = new.remove_old()
     assert "The driver of Bake Influence of 'Arm' was removed" in told
+
+
+def test_a_curve_of_an_earlier_cache_does_not_move_the_influence_of_the_next(scene, soft_arm, tmp_path):
+    bake_influence = part("bake_influence")
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink="PC2")
+    modifier, name = bake_influence.influence(soft_arm)
+    for frame, influence in ((1, 0.0), (11, 1.0)):
+        setattr(modifier, name, influence)
+        modifier.keyframe_insert(name, frame=frame)
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink="MODES")
+    strip, name = bake_influence.influence(soft_arm)
+    strip.fcurves.find(name).keyframe_points.clear()
+    strip.influence = 0.25
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink="PC2")
+    for frame in (1, 11):
+        scene.frame_set(frame)
+        assert bake_influence.influence(soft_arm)[0].factor == 0.25

@@ -579,3 +579,37 @@ def test_a_baked_key_that_the_artist_has_sculpted_stays_without_effect(scene, so
     kept = [block for block in keys_of(soft_arm).key_blocks if [tuple(point.co) for point in block.points] == shape]
     scene.frame_set(9)
     assert len(kept) == 1 and kept[0].value == 0.0
+
+
+def test_a_baked_key_that_was_renamed_and_sculpted_stays_without_effect(scene, soft_arm):
+    bake, second = part("bake"), hand_made_bake(soft_arm, seed=2)
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm))
+    block = keys_of(soft_arm).key_blocks["Dynamorph Mode 02"]
+    block.name = "mine"
+    for point in block.points:
+        point.co.z += 1.0
+    bake.write_keys(soft_arm, second)
+    assert_shows(soft_arm, second)
+    assert keys_of(soft_arm).key_blocks["mine"].value == 0.0
+    assert len(keys_of(soft_arm).animation_data.nla_tracks) == 2
+
+
+def test_nothing_is_told_of_a_baked_key_that_was_deleted(soft_arm):
+    bake = part("bake")
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm))
+    soft_arm.shape_key_remove(keys_of(soft_arm).key_blocks["Dynamorph Mode 02"])
+    new = bake.NewBake(soft_arm, hand_made_bake(soft_arm, seed=2))
+    new.add()
+    new.show()
+    assert new.remove_old() == []
+
+
+def test_copies_of_strips_go_with_the_bake_of_an_object_with_a_long_name(soft_arm):
+    """Blender 4.5 cuts names at 63 bytes."""
+    soft_arm.name = "x" * 60
+    bake, before = part("bake"), fingerprint(soft_arm)
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm))
+    track = keys_of(soft_arm).animation_data.nla_tracks.new()
+    track.strips.new("copy", 100, soft_arm.dynamorph.bake.action.copy())
+    bake.free(soft_arm)
+    assert fingerprint(soft_arm) == before

@@ -331,20 +331,23 @@ def _add_curves(keys, action, names, frames, values: list[Key]):
             continue
         slot = action.slots.new(keys.id_type, title)
         channels = strip.channelbag(slot, ensure=True)
+        group = channels.groups.new(GROUP)
         for name, curve in zip(names, curves, strict=True):
             if curve is not None:
-                add_curve(channels, name, times, curve, GROUP)
+                add_curve(channels, name, times, curve, group)
         _add_track(animation, title, action, slot, times)
 
 
-def add_curve(channels, name: str, times, values, group=""):
+def add_curve(channels, name: str, times, values, group=None):
     """A curve of the value of the key `name`, linear between the times; runs of equal values keep only their ends.
     group: of the curve, if any.
     """
     points = np.column_stack([times, values]).astype(np.float32)
     same = points[1:, 1] == points[:-1, 1]
     points = points[~(np.r_[False, same] & np.r_[same, False])]
-    curve = channels.fcurves.new(f'key_blocks["{bpy.utils.escape_identifier(name)}"].value', group_name=group)
+    curve = channels.fcurves.new(f'key_blocks["{bpy.utils.escape_identifier(name)}"].value')
+    if group:
+        curve.group = group
     curve.keyframe_points.add(len(points))
     curve.keyframe_points.foreach_set("co", points.ravel())
     curve.keyframe_points.foreach_set("interpolation", np.full(len(points), LINEAR, np.int32))
