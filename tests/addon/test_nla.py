@@ -256,6 +256,62 @@ def test_delete_bake_removes_every_strip_of_the_bake(soft_arm, copy_action):
     assert fingerprint(soft_arm) == before
 
 
+def make_meta(owner):
+    """Put the strips of each track of shape keys or of a rig into a Meta strip, as Ctrl-G does."""
+    area = bpy.context.window.screen.areas[0]
+    before, area.type = area.type, "NLA_EDITOR"
+    area.spaces.active.dopesheet.show_only_selected = False
+    for strip in part("animation").strips(owner.animation_data.nla_tracks):
+        strip.select = True
+    region = next(region for region in area.regions if region.type == "WINDOW")
+    with bpy.context.temp_override(window=bpy.context.window, area=area, region=region):
+        assert bpy.ops.nla.meta_add() == {"FINISHED"}
+    area.type = before
+
+
+@pytest.mark.parametrize("copy_action", [False, True])
+def test_strips_in_meta_strips_are_removed_too(soft_arm, copy_action):
+    before = fingerprint(soft_arm)
+    for remove in (part("bake").free, lambda obj: part("bake").write_keys(obj, hand_made_bake(obj))):
+        part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
+        again(soft_arm, 30, copy_action)
+        make_meta(keys_of(soft_arm))
+        make_meta(keys_of(soft_arm))  # one within another
+        assert [strip.strips[0].type for strip in strips_of(soft_arm)] == ["META", "META"]
+        remove(soft_arm)
+    assert [strip.type for strip in strips_of(soft_arm)] == ["CLIP", "CLIP"]
+    part("bake").free(soft_arm)
+    assert fingerprint(soft_arm) == before
+    assert not [action.name for action in bpy.data.actions if action.name.startswith("Dynamorph")]
+
+
+def test_strips_of_others_stay_in_a_meta_strip(baked):
+    """Blender cannot take a strip out of a Meta strip: that of the bake stays there, and plays nothing."""
+    obj, _ = baked
+    smile(obj)
+    make_meta(keys_of(obj))
+    part("bake").free(obj)
+    (meta,) = strips_of(obj)
+    assert [(strip.name, strip.action and strip.action.name) for strip in meta.strips] == [
+        ("Dynamorph", None),
+        ("Smile", "Smile"),
+    ]
+    assert not [action.name for action in bpy.data.actions if action.name.startswith("Dynamorph")]
+
+
+def test_what_plays_in_a_meta_strip_of_the_rig_is_noticed(soft_arm):
+    rig = rig_of(soft_arm)
+    action, rig.animation_data.action = rig.animation_data.action, None
+    strip_of(rig, action)
+    make_meta(rig)
+    digests = [part("animation").animation(soft_arm)]
+    action.layers[0].strips[0].channelbags[0].fcurves[0].keyframe_points[0].co.y += 1.0
+    digests.append(part("animation").animation(soft_arm))
+    rig.animation_data.nla_tracks[0].strips[0].mute = True
+    digests.append(part("animation").animation(soft_arm))
+    assert len(set(map(str, digests))) == 3
+
+
 def test_another_bake_takes_the_place_of_every_strip(baked):
     obj, bake = baked
     again(obj, 30, copy_action=True)
@@ -264,14 +320,20 @@ def test_another_bake_takes_the_place_of_every_strip(baked):
     assert_plays(obj, bake, lambda frame: frame, (1, 10, 20, 35))
 
 
-def test_strips_of_others_stay(baked):
-    obj, _ = baked
+def smile(obj):
+    """Add a strip of the artist to the track of the motion; returns the shape keys."""
     keys, action = keys_of(obj), bpy.data.actions.new("Smile")
     slot = action.slots.new(keys.id_type, "Smile")
     channels = action.layers.new("Layer").strips.new(type="KEYFRAME").channelbag(slot, ensure=True)
     channels.fcurves.new('key_blocks["smile"].value').keyframe_points.insert(1, 0.5)
     strip = keys.animation_data.nla_tracks[1].strips.new("Smile", 60, action)
     strip.action_slot = slot
+    return keys
+
+
+def test_strips_of_others_stay(baked):
+    obj, _ = baked
+    keys = smile(obj)
     part("bake").free(obj)
     assert [s.name for track in keys.animation_data.nla_tracks for s in track.strips] == ["Smile"]
     assert "Smile" in bpy.data.actions

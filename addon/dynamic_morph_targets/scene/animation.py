@@ -25,6 +25,15 @@ def remove_curve(action, slot, curve):
     anim_utils.action_get_channelbag_for_slot(action, slot).fcurves.remove(curve)
 
 
+def strips(tracks, muted=True) -> list:
+    """The strips of NLA tracks, followed by those in Meta strips; muted: also those that do not play."""
+    found = []
+    for group in (track for track in tracks if muted or not track.mute):
+        inside = [strip for strip in group.strips if muted or not strip.mute]
+        found += [*inside, *strips(inside, muted)]
+    return found
+
+
 def keys_of(obj):
     """The shape keys of `obj` by name; empty when the artist has removed all of them."""
     return obj.data.shape_keys.key_blocks if obj.data.shape_keys else {}
@@ -50,8 +59,8 @@ def _played_keys(obj) -> set[str]:
     animation = obj.data.shape_keys and obj.data.shape_keys.animation_data
     if not animation:
         return set()
-    strips = [strip for track in animation.nla_tracks if not track.mute for strip in track.strips if not strip.mute]
-    found = [curve for player in (animation, *strips) for curve in curves(player.action, player.action_slot)]
+    players = animation, *strips(animation.nla_tracks, muted=False)
+    found = [curve for player in players for curve in curves(player.action, player.action_slot)]
     return _keys_at(obj, {curve.data_path for curve in found})
 
 
@@ -86,10 +95,10 @@ def _animation_hash(data) -> str:
     if data is None:
         return ""
     digest = hashlib.blake2b(digest_size=8)
-    strips = [strip for track in data.nla_tracks if not track.mute for strip in track.strips if not strip.mute]
-    for strip in strips:
+    playing = strips(data.nla_tracks, muted=False)
+    for strip in playing:
         digest.update(repr([getattr(strip, name) for name in STRIP_FIELDS]).encode())
-    for player in (data, *strips):
+    for player in (data, *playing):
         for curve in curves(player.action, player.action_slot):
             digest.update(f"{curve.data_path}[{curve.array_index}] {curve.extrapolation} {curve.mute}".encode())
             for name, width in (("co", 2), ("handle_left", 2), ("handle_right", 2), ("interpolation", 1)):

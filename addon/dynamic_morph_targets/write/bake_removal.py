@@ -9,6 +9,7 @@ from collections import Counter
 import bpy
 
 from ..core.message import Message
+from ..scene.animation import strips
 
 LONG_NAME = 58  # bytes, of 63 in Blender 4.5
 GROUP = "Dynamorph"  # of the curves of baked keys, which tells them from the artist's in the same Action
@@ -63,11 +64,14 @@ def _remove(obj, blocks, action, new: set[str]):
     kept: Counter = Counter()  # strips that play what the artist has keyed in them, by Action
     for track in list(tracks):
         for strip in list(track.strips):
-            if strip.action and strip.action not in actions and _is_copy(strip.action, action, paths, new):
-                actions.append(strip.action)
-            if strip.action in actions and _others(strip.action, paths, strip.action_slot):
-                kept[strip.action] += 1
-            elif strip.action in actions:
+            played = [each for each in (strip, *strips([strip])) if each.action]
+            for copy in {each.action for each in played} - set(actions):
+                if _is_copy(copy, action, paths, new):
+                    actions.append(copy)
+            baked = [each for each in played if each.action in actions]
+            if len(baked) < len(played) or any(_others(each.action, paths, each.action_slot) for each in baked):
+                kept.update(each.action for each in baked)  # Blender cannot take one strip out of a Meta strip
+            elif baked:
                 track.strips.remove(strip)
                 if all(left.type == "TRANSITION" for left in track.strips):
                     tracks.remove(track)
@@ -76,13 +80,14 @@ def _remove(obj, blocks, action, new: set[str]):
         obj.shape_key_remove(keys.key_blocks[name])
     for each in actions:
         recorded = obj.dynamorph.bake.action == each  # the record counts as a user
-        if each.users == int(recorded):
+        if each.users > kept[each] + int(recorded):  # somebody else plays it
+            continue
+        others = _others(each, paths)
+        for bag, curve in _curves(each) if others else ():
+            if curve not in others:
+                bag.fcurves.remove(curve)
+        if not others:
             bpy.data.actions.remove(each)
-        elif kept[each] and each.users == kept[each] + int(recorded):  # nobody else plays it
-            others = _others(each, paths)
-            for bag, curve in _curves(each):
-                if curve not in others:
-                    bag.fcurves.remove(curve)
 
 
 def _curves(action) -> list[tuple]:

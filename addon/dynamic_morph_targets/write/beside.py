@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 
 from ..core.errors import SceneError
-from ..scene import skin
+from ..scene import animation, skin
 from ..scene.model_store import PACKED
 from . import bake, comparison
 
@@ -138,7 +138,7 @@ def _remove_copies(collection):
 def _played(keys) -> list[bpy.types.Action]:
     """The Actions of the NLA strips of shape keys, one for each strip."""
     tracks = keys.animation_data.nla_tracks if keys.animation_data else ()
-    return [strip.action for track in tracks for strip in track.strips if strip.action]
+    return [strip.action for strip in animation.strips(tracks) if strip.action]
 
 
 def _width(copies, body, right: np.ndarray) -> float:
