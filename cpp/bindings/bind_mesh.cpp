@@ -246,7 +246,7 @@ glued.)")
            "mesh"_a, "vertices"_a, "triangles"_a, R"(Finds the glued tetrahedra.
 
 vertices (V, 3): meters. triangles (T, 3): the outward-facing skin in the mesh, open or closed. Raises ValueError on
-wrong shapes or indices.)")
+wrong shapes or indices, and on skin far larger than the mesh.)")
       .def_property_readonly(
           "glued", [](const MeshCut& self) { return to_array(self.glued()); }, "Which tetrahedra are glued, bool (m,).")
       .def("cut", &MeshCut::cut, py::call_guard<py::gil_scoped_release>(),

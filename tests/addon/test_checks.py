@@ -53,6 +53,10 @@ def envelope_multiply(obj):
         bone.use_envelope_multiply = True
 
 
+def parent_that_deforms(obj):
+    obj.parent, obj.parent_type = rig_of(obj), "ARMATURE"
+
+
 def shared_mesh(obj):
     other = bpy.data.objects.new("Other", obj.data)
     bpy.context.scene.collection.objects.link(other)
@@ -74,6 +78,7 @@ PUT_RIGHT = [
     (absolute_keys, "RELATIVE_KEYS"),
     (no_armature, "ADD_ARMATURE"),
     (empty_armature_modifier, "ADD_ARMATURE"),
+    (parent_that_deforms, "PARENT_OBJECT"),
     (shared_mesh, "SINGLE_USER"),
     (pinned_key, "UNPIN"),
 ]

@@ -185,8 +185,9 @@ def test_influence_counts(game_arm, tmp_path):
     assert farthest(round_trips.Gltf(batch.path).morphed("Arm", "Bend"), exact, same_order=False) < CLOSE
 
 
-def test_faces_that_an_action_moves_are_in_its_clip(game_arm, tmp_path):
-    """An Action may have slots for the shape keys too; drivers count as well."""
+@pytest.mark.parametrize("assigned", [False, True])
+def test_faces_that_an_action_moves_are_in_its_clip(game_arm, tmp_path, assigned):
+    """An Action may have slots for the shape keys too, which may have it assigned; drivers count as well."""
     pytest.importorskip("pygltflib")
     obj, keys = game_arm, keys_of(game_arm)
     bend = bpy.data.actions["Bend"]
@@ -196,12 +197,33 @@ def test_faces_that_an_action_moves_are_in_its_clip(game_arm, tmp_path):
         keys.key_blocks["smile"].value = (frame - 1) / 11
         keys.key_blocks["smile"].keyframe_insert("value", frame=frame)
     keys.key_blocks["smile"].value = 0.0
-    keys.animation_data.action = None
+    if not assigned:
+        keys.animation_data.action = None
     file = round_trips.Gltf(exported(obj, tmp_path))
     keys.animation_data.action = bend
     keys.animation_data.action_slot = bend.slots[-1]
     exact = alone(obj, "Bend", BEND, loop=False)["Arm"]
     assert farthest(file.surfaces("Arm", len(BEND), "Bend"), exact, same_order=False) < CLOSE
+
+
+def test_a_clip_whose_action_another_rig_plays_too(game_arm, tmp_path):
+    """Shift-D without Duplicate Actions lets both rigs use one slot."""
+    pytest.importorskip("pygltflib")
+    exact = alone(game_arm, "Bend", BEND, loop=False)["Arm"]
+    copy = rig_of(game_arm).copy()
+    bpy.context.scene.collection.objects.link(copy)
+    assert len(bpy.data.actions["Bend"].slots[0].users()) == 2
+    file = round_trips.Gltf(exported(game_arm, tmp_path))
+    assert farthest(file.surfaces("Arm", len(BEND), "Bend"), exact, same_order=False) < CLOSE
+
+
+def test_actions_of_one_name_are_refused(game_arm, tmp_path):
+    library = tmp_path / "clips.blend"
+    bpy.data.libraries.write(str(library), {bpy.data.actions["Wave"]})
+    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
+        wanted.actions = ["Wave"]
+    with pytest.raises(part("errors").SceneError, match="two Actions 'Wave'"):
+        part("actions").clips_of(game_arm)
 
 
 def test_the_buttons_write_clips(game_arm, tmp_path, capfd):

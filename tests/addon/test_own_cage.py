@@ -109,8 +109,9 @@ def test_a_deleted_cage_is_missed_or_forgotten(caged):
         (lambda box: setattr(box, "hide_viewport", True), "'Box' is disabled in viewports"),
         (lambda box: box.modifiers.new("Build", "BUILD"), "'Box'.*has 1 holes.*Fill Holes"),
         (lambda box: setattr(box, "scale", (0.5, 0.5, 0.4)), "'Box' leaves out .* of 'Arm'.*enlarge"),
+        (lambda box: setattr(box, "scale", (1e-4, 1e-4, 1e-4)), "'Box' leaves out .* of 'Arm'.*enlarge"),
     ],
-    ids=["empty", "disabled", "open", "too small"],
+    ids=["empty", "disabled", "open", "too small", "in another unit"],
 )
 def test_an_unusable_cage_is_refused_with_its_name(caged, spoil, words):
     box = box_of(caged)

@@ -14,6 +14,7 @@ from dynamic_morph_targets.core import oscillation
 from dynamic_morph_targets.core.errors import FitError, ModelFileError
 from dynamic_morph_targets.io import model_file
 from fuzzing import EDIT, corpus, edited, target
+from hypothesis import example
 from hypothesis import strategies as st
 
 EDITS = st.lists(EDIT, min_size=1, max_size=5)
@@ -238,6 +239,7 @@ SPOIL = st.tuples(
 
 @pytest.mark.filterwarnings("ignore")  # NumPy's, of such numbers
 @target(st.sampled_from(sorted(PREPARED.calls)), st.lists(SPOIL, min_size=1, max_size=2), examples=400)
+@example("MeshCut", [(0, "scaled", 0.515625, 0.0)])  # took all memory
 def test_any_argument_is_taken_or_refused(name, spoils):
     """A crash ends this process, a wrong exception fails; what is taken ends soon."""
     call, arguments = PREPARED.calls[name]

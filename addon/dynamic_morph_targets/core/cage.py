@@ -166,11 +166,12 @@ class _Filled:
 
 
 def _filled(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray, report: Report) -> _Filled:
+    warnings = _outside(cage, mesh, surface)  # first: skin far larger than its cage would take all memory to part
     mesh, embedding, glued = _parted(cage, mesh, surface)
     fill = dynamorph.fill_fractions(mesh, surface, cage.triangles, progress=report)
     by_bones = cage.settings.hold == "BONES"
     pinned = _pinned(cage, mesh, surface) if by_bones else np.zeros(len(mesh.nodes), bool)
-    return _Filled(mesh, embedding, fill, pinned, glued, _outside(cage, embedding))
+    return _Filled(mesh, embedding, fill, pinned, glued, warnings)
 
 
 def _together(
@@ -230,13 +231,14 @@ def moved(character: Character) -> np.ndarray:
     return farthest / max(farthest.max(), 1e-300)
 
 
-def _outside(character: Character, embedding: dynamorph.Embedding) -> list[str]:
+def _outside(character: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> list[str]:
     """Reports which part of the skin the artist's own cage leaves out. Raises dynamorph.Error when that is most of
     it.
     """
     if character.cage is None:
         return []
     size = np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
+    embedding = dynamorph.embed(mesh, surface)
     left = float((embedding.distances > 1e-5 * size)[character.pieces == 0].mean())
     if left > MOSTLY:
         raise dynamorph.Error(

@@ -143,11 +143,11 @@ class ActionsExport(batch.Batch):
             stack.enter_context(frames_kept())
             stack.enter_context(actions.laid_out(rig_of(obj), self.clips))
             copies = stack.enter_context(stand_ins((obj, *pieces)))
-            for copy, bake in zip(copies, bakes, strict=True):
+            for mesh, copy, bake in zip((obj, *pieces), copies, bakes, strict=True):
                 skin = None if copy == copies[0] else copies[0]
                 live_key.remove(copy)
                 if copy.data.shape_keys:
-                    actions.lay_out(copy.data.shape_keys, self.clips)
+                    actions.lay_out(copy.data.shape_keys, self.clips, mesh.data.shape_keys)
                 write_keys(copy, bake, skin)
             frames = self.clips[0].first, self.clips[-1].last
             write_file(copies[0], self.key, self.path, frames, self.clips, without=(obj, *pieces))

@@ -34,6 +34,12 @@ def strips(tracks, muted=True) -> list:
     return found
 
 
+def played(data) -> list:
+    """The F-curves that animation data play: of their Action and of their strips."""
+    players = data, *strips(data.nla_tracks, muted=False)
+    return [curve for player in players for curve in curves(player.action, player.action_slot)]
+
+
 def keys_of(obj):
     """The shape keys of `obj` by name; empty when the artist has removed all of them."""
     return obj.data.shape_keys.key_blocks if obj.data.shape_keys else {}
@@ -59,9 +65,7 @@ def _played_keys(obj) -> set[str]:
     animation = obj.data.shape_keys and obj.data.shape_keys.animation_data
     if not animation:
         return set()
-    players = animation, *strips(animation.nla_tracks, muted=False)
-    found = [curve for player in players for curve in curves(player.action, player.action_slot)]
-    return _keys_at(obj, {curve.data_path for curve in found})
+    return _keys_at(obj, {curve.data_path for curve in played(animation)})
 
 
 def _keys_at(obj, paths) -> set[str]:

@@ -59,7 +59,7 @@ def problems(obj) -> Iterator[Problem]:
             yield from _modifier(obj, modifier)
         main = main_modifier(obj).object
         for armature in dict.fromkeys((main, *(modifier.object for modifier in modifiers))):
-            yield from _armature(armature)
+            yield from armature_state(armature)
             if armature == main or deforming_bones(obj, armature):
                 yield from _bones(obj, armature)
     yield from _keys(obj)
@@ -191,20 +191,18 @@ def follower(obj, piece) -> Iterator[Problem]:
     """What prevents the mesh object `piece` from moving with the soft skin `obj`."""
     body, armature = obj.name, rig_of(obj)
     modifiers = armature_modifiers(piece)
+    if piece.type != "MESH":
+        text = "'{name}' is no mesh, or its library is missing: restore that, or remove it from the Attachments"
+        yield Problem(text, name=piece.name)
+        return
     if piece == obj:
         yield Problem("'{body}' cannot be attached to itself: remove it from the Attachments", body=body)
     elif not modifiers:
-        yield Problem(
-            "'{name}' has no Armature modifier with an armature: skin it to '{armature}', or choose Rigid",
-            name=piece.name,
-            armature=armature.name,
-        )
+        text = "'{name}' has no Armature modifier with an armature: skin it to '{armature}', or choose Rigid"
+        yield Problem(text, name=piece.name, armature=armature.name)
     elif all(modifier.object != armature for modifier in modifiers):
-        yield Problem(
-            "'{name}' is moved by another armature: choose '{armature}' in its Armature modifier, or Rigid",
-            name=piece.name,
-            armature=armature.name,
-        )
+        text = "'{name}' is moved by another armature: choose '{armature}' in its Armature modifier, or Rigid"
+        yield Problem(text, name=piece.name, armature=armature.name)
     if piece.dynamorph.targets:
         yield Problem("'{name}' is a soft skin of its own: choose Own Cage", name=piece.name)
     elif piece.dynamorph.follows not in (None, obj):
@@ -288,7 +286,8 @@ def _modifier(obj, modifier):
         )
 
 
-def _armature(armature):
+def armature_state(armature) -> Iterator[Problem]:
+    """Whether the armature shows its pose."""
     name = armature.name
     if armature.mode == "EDIT":
         yield Problem("Armature '{name}' is in Edit Mode: leave it first", "LEAVE_EDIT_MODE", name=name)
@@ -401,7 +400,10 @@ def refuse(problems):
 
 def skinning_problems(obj) -> Iterator[Problem]:
     """Yields nothing when there is an Armature modifier with an armature."""
-    if not armature_modifiers(obj):
+    if obj.parent_type == "ARMATURE" and armature_modifiers(obj):
+        text = "'{name}' is deformed twice, by its parent and by its Armature modifier: set Parent Type to Object"
+        yield Problem(text, "PARENT_OBJECT", name=obj.name)
+    elif not armature_modifiers(obj):
         yield Problem(
             "'{name}' has no Armature modifier with an armature: add one, or parent the mesh to it",
             "ADD_ARMATURE" if armature_for(obj) else "",
@@ -412,5 +414,5 @@ def skinning_problems(obj) -> Iterator[Problem]:
 def rig(obj, modifier) -> Iterator[Problem]:
     """Whether Blender skins `obj` as it will be simulated: the Armature modifier, its armature and its bones."""
     yield from _modifier(obj, modifier)
-    yield from _armature(modifier.object)
+    yield from armature_state(modifier.object)
     yield from _bones(obj, modifier.object)

@@ -235,7 +235,7 @@ def _own_cage(obj, rig, to_bind) -> OwnCage | None:
     cage = obj.dynamorph.model.cage_object
     if cage is None:
         return None
-    if cage.name not in bpy.context.scene.objects:
+    if cage.name not in bpy.context.scene.objects or cage.type != "MESH":  # or its library is missing
         raise SceneError(
             "Cage Object '{cage}' of '{name}' is not in the scene any more: choose another",
             cage=cage.name,

@@ -20,12 +20,17 @@ def rig_of(obj):
 
     That has a deforming bone with a vertex group; if none has, the first that has an armature.
     """
-    rigs = [m.object for m in obj.modifiers if m.type == "ARMATURE" and m.object]
+    rigs = [m.object for m in obj.modifiers if m.type == "ARMATURE" and is_armature(m.object)]
     if len(rigs) < 2:
         return rigs[0] if rigs else None
     groups = set(obj.vertex_groups.keys())
     skins = (rig for rig in rigs if any(bone.use_deform and bone.name in groups for bone in rig.data.bones))
     return next(skins, rigs[0])
+
+
+def is_armature(obj) -> bool:
+    """Whether it is an armature object; one whose library is missing is an empty."""
+    return obj is not None and obj.type == "ARMATURE"
 
 
 def rest_skeleton(armature) -> Skeleton:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from .references import rig_of
+from .references import is_armature, rig_of
 
 SKINNING_FIELDS = ("use_deform_preserve_volume", "use_multi_modifier", "vertex_group", "invert_vertex_group")
 
@@ -42,7 +42,7 @@ def main_modifier(obj):
 
 def armature_modifiers(obj) -> list:
     """The Armature modifiers of `obj` that have an armature."""
-    return [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE" and modifier.object]
+    return [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE" and is_armature(modifier.object)]
 
 
 def armature_for(obj):

@@ -56,6 +56,10 @@ def clips_of(obj) -> list[Clip]:
         raise SceneError("The scene stretches time, clips have their own: set Time Stretching to 100 (Output tab)")
     found, first = [], 1
     for action in bpy.data.actions:
+        if any(action.name == clip.name for clip in found):  # one of them is linked
+            raise SceneError(
+                "There are two Actions '{name}', one of them linked: rename the local one", name=action.name
+            )
         begin, end = math.floor(action.frame_range[0]), math.ceil(action.frame_range[1])
         if end > begin and _slot(action, rig):
             last = first + end - begin
@@ -89,16 +93,19 @@ def laid_out(rig, clips: Sequence[Clip]) -> Iterator[None]:
                 track.is_solo = True
         animation.use_nla = before[2]
         animation.action = before[0]
-        if before[1]:
-            animation.action_slot = before[1]
+        if before[0]:
+            animation.action_slot = before[1]  # None too: Blender has chosen one
         if not had:
             rig.animation_data_clear()
         for path, value in values.items():
             _set(rig, path, value)
 
 
-def lay_out(owner, clips: Sequence[Clip]):
-    """Make the clips strips of `owner`, an armature object or shape keys, on which nothing else then plays."""
+def lay_out(owner, clips: Sequence[Clip], original=None):
+    """Make the clips strips of `owner`, an armature object or shape keys, on which nothing else then plays. original:
+    what `owner` is a copy of, if it is one; its slots are those that count.
+    """
+    slots = [_slot(_action(clip), original or owner) for clip in clips]  # before the owner is no user of its slot
     animation = owner.animation_data or owner.animation_data_create()
     for track in animation.nla_tracks:
         track.mute = True
@@ -107,11 +114,9 @@ def lay_out(owner, clips: Sequence[Clip]):
         for strip in track.strips:
             strip.name = ASIDE  # no two have the same name, and FBX writes it
     animation.action, animation.use_nla = None, True
-    for clip in clips:
-        action = _action(clip)
-        slot = _slot(action, owner)
+    for clip, slot in zip(clips, slots, strict=True):
         if slot:
-            _fill(animation.nla_tracks.new(), clip, action, slot)
+            _fill(animation.nla_tracks.new(), clip, _action(clip), slot)
 
 
 def _action(clip: Clip):
@@ -132,14 +137,14 @@ def _fill(track, clip: Clip, action, slot):
 
 
 def _slot(action, owner):
-    """The slot of an Action that moves `owner`, for an armature object its bones; preferably one with its name. Or
-    None.
+    """The slot of an Action that moves `owner`, for an armature object its bones; preferably the one that it plays,
+    or one with its name. Or None.
     """
     fitting = [slot for slot in action.slots if slot.target_id_type in {owner.id_type, "UNSPECIFIED"}]
     fitting = [
         slot for slot in fitting if not slot.users() or owner in slot.users()
     ]  # otherwise it belongs to another character
-    for slot in sorted(fitting, key=lambda slot: slot.name_display != owner.name):
+    for slot in sorted(fitting, key=lambda slot: (owner not in slot.users(), slot.name_display != owner.name)):
         paths = (curve.data_path for curve in animation.curves(action, slot))
         if any(_has(owner, path) for path in paths if owner.id_type == "KEY" or path.startswith(POSE)):
             return slot

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain
 
 import bpy
 import numpy as np
@@ -232,7 +233,7 @@ def _refusal(obj, other) -> str:
     """Why a mesh cannot belong to the body of `obj`, or ''."""
     if other.dynamorph.targets:
         return "It is a soft skin of its own"
-    for problem in (*checks.follower(obj, other), *checks.mesh(other), *checks.order(other)):
+    for problem in chain(checks.follower(obj, other), checks.mesh(other), checks.order(other)):
         return problem.text
     try:
         bake.check(other, needs_keys=False)

@@ -22,6 +22,7 @@ from ..core.errors import SinkError
 from ..core.message import Message
 from ..core.slider_keys import Key, scaled_keys
 from ..scene import animation, checks
+from ..scene.animation import played
 from ..scene.references import basis_hash, key_points, key_reach
 from ..scene.skin import cache_modifier, followers
 from .bake_influence import MOTION, SHAPES, carry_influence, keep_influence, strip_of
@@ -50,21 +51,31 @@ def check(obj, needs_keys=True):
     check_not_edited(obj)
     if not (keys and keys.animation_data):
         return
+    check_not_tweaked(obj)
     animation = keys.animation_data
     solo = next((track.name for track in animation.nla_tracks if track.is_solo), None)
     paths = {f'key_blocks["{bpy.utils.escape_identifier(target.name)}"].mute' for target in obj.dynamorph.targets[1:]}
     driven = next((driver.data_path for driver in animation.drivers if driver.data_path in paths), None)
+    keyed = next((curve.data_path for curve in played(animation) if curve.data_path in paths), None)
     text = ""
-    if animation.use_tweak_mode:
-        text = "The shape keys of '{name}' are in NLA tweak mode: leave it first (Tab in the NLA editor)"
-    elif not animation.use_nla:
+    if not animation.use_nla:
         text = "NLA is turned off for the shape keys of '{name}': turn it on (Key in the NLA editor)"
     elif solo is not None:
         text = "NLA track '{track}' of the shape keys of '{name}' is solo: turn its star off"
     elif driven is not None:
         text = "'{name}': {key} has a driver, so a bake cannot mute the key: remove the driver"
+    elif keyed is not None:
+        text = "'{name}': {key} is animated, so a bake cannot mute the key: delete its keyframes"
     if text:
-        raise SinkError(text, name=obj.name, track=solo, key=driven)
+        raise SinkError(text, name=obj.name, track=solo, key=driven or keyed)
+
+
+def check_not_tweaked(obj):
+    """Refuse shape keys whose Action Blender lets nobody change. Raises SinkError."""
+    keys = obj.data.shape_keys
+    if keys and keys.animation_data and keys.animation_data.use_tweak_mode:
+        text = "The shape keys of '{name}' are in NLA tweak mode: leave it first (Tab in the NLA editor)"
+        raise SinkError(text, name=obj.name)
 
 
 def check_cache(obj, folder: Path | None):
@@ -224,7 +235,20 @@ class NewBake:
             if name != key.name and key.name not in blocks:
                 blocks[index].name = key.name  # the curves' paths follow
             reference.refer_to(blocks, index)
-        return told
+        return told + self._overridden()
+
+    def _overridden(self) -> list[Message]:
+        """Keyframes of the artist's on baked keys, such as a keying set adds, which play instead of the bake."""
+        keys = self._obj.data.shape_keys
+        paths = {f"{keys.key_blocks[key.name].path_from_id()}.value": key.name for key in self._obj.dynamorph.bake.keys}
+        curves = played(keys.animation_data) if keys.animation_data else ()
+        others = {
+            (paths[c.data_path], c.id_data.name) for c in curves if c.data_path in paths and c.id_data != self._action
+        }
+        text = (
+            "'{key}' of '{name}' has keyframes in Action '{action}', which play instead of the bake: delete them there"
+        )
+        return [Message(text, key=key, name=self._obj.name, action=action) for key, action in sorted(others)]
 
     def _carry_influence(self) -> list[Message]:
         """Between shape keys and a point cache; what follows takes it from the soft skin."""
@@ -374,7 +398,7 @@ def _play_cache(obj, file: Path, bake: Bake, skin):
     modifier = cache_modifier(obj)
     if modifier is None:
         modifier = obj.modifiers.new(MOTION, "MESH_CACHE")
-        obj.modifiers.move(len(obj.modifiers) - 1, 0)  # it holds the surface that the others deform
+        obj.modifiers.move(obj.modifiers.find(modifier.name), 0)  # it holds the surface that the others deform
     render, samples = bpy.context.scene.render, baked.samples_per_frame(bake)
     modifier.cache_format = file.suffix[1:].upper()
     modifier.filepath = str(file)

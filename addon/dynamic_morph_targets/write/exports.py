@@ -46,12 +46,17 @@ class Format:
 
 
 def check_place(obj, key: str, path: Path, frames: tuple[int, int]):
-    """Refuse, before any work, what cannot be written. Raises ExportError, SinkError, OSError."""
+    """Refuse, before any work, what cannot be written. Raises ExportError, SinkError, SceneError, OSError."""
     chosen = FORMATS[key]
     if not chosen.is_available:
         raise ExportError("This Blender was built without {format}: choose another format", format=chosen.label)
     bake.check_not_edited(obj)
-    hidden = next((other for other in (obj, rig_of(obj), *followers(obj)) if other and not other.visible_get()), None)
+    if rig_of(obj):
+        checks.refuse(checks.armature_state(rig_of(obj)))
+    for mesh in () if chosen.surface else meshes_together(obj):
+        bake.check_not_tweaked(mesh)
+    shown = (obj, rig_of(obj), *_followers(obj))
+    hidden = next((other for other in shown if other and not other.visible_get()), None)
     if hidden:
         raise ExportError("'{name}' is hidden, so Blender exports nothing of it: show it", name=hidden.name)
     if not path.parent.is_dir():
@@ -228,7 +233,12 @@ def left_out(obj) -> list:
 
 def _meshes_of(obj) -> list:
     rig = rig_of(obj)
-    return list(dict.fromkeys((obj, *followers(obj), *(checks.meshes_on(rig) if rig else ()))))
+    return list(dict.fromkeys((obj, *_followers(obj), *(checks.meshes_on(rig) if rig else ()))))
+
+
+def _followers(obj) -> list:
+    """Those that are in some scene: an attachment keeps the data of one that was deleted."""
+    return [mesh for mesh in followers(obj) if mesh.users_scene]
 
 
 def _together(obj, without=()) -> list:
@@ -324,6 +334,7 @@ def _sampled(obj, frames):
 def _sampled_keys(obj, frames):
     """The values that all keys have, whatever moves them, as plain curves of one Action: exporters look no further."""
     scene, keys = bpy.context.scene, obj.data.shape_keys
+    stretch = scene.render.frame_map_old / scene.render.frame_map_new
     times = np.arange(frames[0], frames[1] + 1)
     values = np.empty((len(times), len(keys.key_blocks)), np.float32)
     window = bpy.context.window_manager
@@ -343,7 +354,7 @@ def _sampled_keys(obj, frames):
         slot = action.slots.new(keys.id_type, obj.name)
         channels = action.layers.new("Layer").strips.new(type="KEYFRAME").channelbag(slot, ensure=True)
         for name, column in zip(names[1:], values.T[1:], strict=True):
-            bake.add_curve(channels, name, times, column)
+            bake.add_curve(channels, name, times * stretch, column)
         for driver in animation.drivers:
             driver.mute = True
         animation.use_nla = False
@@ -351,8 +362,8 @@ def _sampled_keys(obj, frames):
         yield
     finally:
         animation.action = before[0]
-        if before[1]:
-            animation.action_slot = before[1]
+        if before[0]:
+            animation.action_slot = before[1]  # None too: Blender has chosen one
         animation.use_nla = before[2]
         for driver, mute in zip(animation.drivers, before[3], strict=True):
             driver.mute = mute

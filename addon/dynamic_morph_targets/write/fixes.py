@@ -80,7 +80,16 @@ def _add_armature_modifier(obj):
     empty = [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE"]
     modifier = empty[0] if empty else obj.modifiers.new("Armature", "ARMATURE")
     modifier.object = skinning.armature_for(obj)
+    if obj.parent_type == "ARMATURE":
+        _parent_as_object(obj)
     obj.modifiers.move(obj.modifiers.find(modifier.name), 0)
+
+
+def _parent_as_object(obj):
+    """The parent moves it as a whole from now on, and does not deform it."""
+    world = obj.matrix_world.copy()
+    obj.parent_type = "OBJECT"
+    obj.matrix_world = world
 
 
 def _move_below(obj):
@@ -122,6 +131,10 @@ FIXES = {
         "Add Armature Modifier",
         "Add an Armature modifier with the parent, or the only armature that has bones named like the vertex groups",
         _add_armature_modifier,
+    ),
+    "PARENT_OBJECT": Fix(
+        "Parent as Object", "Let the parent move the mesh as a whole, and the Armature modifier deform it",
+        _parent_as_object,
     ),
     "MOVE_BELOW": Fix(
         "Move below Armature",

@@ -123,9 +123,12 @@ def find(obj, written: np.ndarray | None = None):
         return None
     block = keys.key_blocks.get(reference.name)
     if block is None and written is not None:
-        same = (k for k, other in enumerate(keys.key_blocks) if np.array_equal(key_points(other).ravel(), written))
-        index = next(same, None)
-        if index is not None:
+        blocks = list(keys.key_blocks)
+        alike = [k for k, other in enumerate(blocks) if np.array_equal(key_points(other).ravel(), written)]
+        is_empty = np.array_equal(key_points(keys.reference_key).ravel(), written)
+        same = [k for k in alike if blocks[k] != keys.reference_key and (k == reference.key_index or not is_empty)]
+        if len(same) == 1:  # otherwise it may be a key of the artist's
+            index = same[0]
             reference.refer_to(keys.key_blocks, index)
             block = keys.key_blocks[index]
     return block

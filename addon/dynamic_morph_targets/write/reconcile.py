@@ -61,9 +61,14 @@ def _follow_keys(blocks, references) -> list:
             reference.refer_to(blocks, index)
             taken.add(index)
     free = {i: key_hash(block) for i, block in enumerate(blocks) if i not in taken} if lost else {}
+    empty = key_hash(blocks[0]) if lost else ""  # a shape that tells no key from another: it must be at its place
     gone = []
     for reference in lost:
-        same = [i for i, digest in free.items() if digest == reference.key_hash]
+        same = [
+            i
+            for i, digest in free.items()
+            if digest == reference.key_hash and (digest != empty or i == reference.key_index)
+        ]
         if not same:
             gone.append(reference)
             continue

@@ -17,6 +17,8 @@ constexpr double infinity = std::numeric_limits<double>::infinity();
 
 std::pair<int, int> edge(int a, int b) { return {std::min(a, b), std::max(a, b)}; }
 
+constexpr size_t kMostAdded = 4'000'000;  // triangles; a cage of a million tets needs fewer
+
 constexpr double slack = 1e-9;  // so that no line slips through between two triangles
 
 /// Distance along the line from p to triangle abc, infinite if the line misses it (Moller and Trumbore 1997).
@@ -111,6 +113,7 @@ void InteriorGraph::close(const Points& vertices, const Triangles& triangles) {
 
 /// Halves triangles at their longest edge. Both triangles at an edge get the same midpoint.
 void InteriorGraph::refine(double spacing) {
+  const size_t most = triangles_.size() + kMostAdded;
   std::map<std::pair<int, int>, int> middles;
   for (size_t t = 0; t < triangles_.size();) {
     const Triangle corners = triangles_[t];
@@ -120,6 +123,9 @@ void InteriorGraph::refine(double spacing) {
       ++t;
       continue;
     }
+    if (triangles_.size() == most)
+      throw std::invalid_argument("triangles: far larger than the tets, of size " + std::to_string(spacing) +
+                                  ": give both in the same unit");
     const int a = corners[longest], b = corners[(longest + 1) % 3], c = corners[(longest + 2) % 3];
     const auto [middle, is_new] = middles.emplace(edge(a, b), size());
     if (is_new) points_.push_back((points_[a] + points_[b]) / 2);

@@ -24,7 +24,8 @@ class InteriorGraph {
 
   /// The skin: vertices and triangles, which may face either way. It may be open, and it may have seams: vertices at
   /// the same place at open edges count as one. Edges longer than `spacing` (meters) get points in between. Throws
-  /// std::invalid_argument when a triangle names a vertex that does not exist.
+  /// std::invalid_argument when a triangle names a vertex that does not exist, and when millions of points would be
+  /// added, as when the skin is in another unit than the spacing.
   InteriorGraph(const Points& vertices, const Triangles& triangles, double spacing);
 
   int size() const { return int(points_.size()); }

@@ -205,6 +205,14 @@ TEST_CASE("seams and long edges change nothing about what is glued") {
         MeshCut(mesh, skin.vertices, skin.triangles).cut().tets);
 }
 
+TEST_CASE("skin far larger than the mesh is refused, before it takes the memory") {
+  const Skin skin = fork(0.03);
+  const TetMesh mesh = block(skin, 0.06);
+  for (double scale : {1e4, 1e5})
+    CHECK_THROWS_WITH_AS(MeshCut(mesh, scale * skin.vertices, skin.triangles), doctest::Contains("same unit"),
+                         std::invalid_argument);
+}
+
 TEST_CASE("a mesh without skin has nothing to cut, and a stray vertex is carried by the nearest tet") {
   const TetMesh mesh = scenes::bar(3, 1, 1, 0.1);
   Points stray(1, 3);

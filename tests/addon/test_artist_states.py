@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""States that artists leave a character in: what is theirs stays, and what cannot work is refused by name."""
+
+import bpy
+import numpy as np
+import pytest
+import round_trips
+from builders import activate, add_key, hand_made_bake, keys_of, make_arm, make_soft, part, refused, rig_of
+from robustness import OPS, coarse
+from test_exports import CLOSE, EVERY, off, posed, written
+from test_pieces import add_piece, make_sleeve
+
+pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+
+
+@pytest.fixture
+def built(scene):
+    """The soft arm with a coarse model."""
+    obj = coarse(make_soft(make_arm(scene)))
+    activate(obj)
+    OPS.build()
+    return obj
+
+
+def baked(obj):
+    part("bake").write_keys(obj, hand_made_bake(obj))
+    return obj
+
+
+def shapes(obj) -> dict:
+    """The points of each key."""
+    return {key.name: part("references").key_points(key).copy() for key in keys_of(obj).key_blocks}
+
+
+# Live ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frames", [(), (5, 6)], ids=["at rest", "moving"])
+@pytest.mark.parametrize("how", ["deleted", "renamed"])
+def test_live_never_takes_a_key_of_the_artist_for_its_own(built, frames, how):
+    """At rest the shown key is like the Basis, and like one that is not sculpted yet."""
+    add_key(built, "to do", np.zeros((len(built.data.vertices), 3)))
+    before = shapes(built)
+    OPS.live()
+    for frame in frames:
+        bpy.context.scene.frame_set(frame)
+    keys = keys_of(built).key_blocks
+    if how == "deleted":
+        built.shape_key_remove(keys["Dynamorph Live"])
+    else:
+        keys["Dynamorph Live"].name = "mine"
+    for frame in (10, 11, 12):
+        bpy.context.scene.frame_set(frame)
+    if part("live").is_on(built):
+        OPS.live()
+    after = shapes(built)
+    assert all(np.array_equal(after[name], points) for name, points in before.items())
+    assert not keys["flexed"].mute
+
+
+# Bakes ---------------------------------------------------------------------------------------------------------------
+
+
+def test_a_point_cache_comes_first_also_where_a_modifier_is_last_for_good(built, tmp_path):
+    """As Shade Auto Smooth adds one."""
+    smooth = built.modifiers.new("Smooth by Angle", "NODES")
+    smooth.use_pin_to_last = True
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    obj = bpy.data.objects["Arm"]
+    obj.dynamorph.output.sink = "PC2"
+    OPS.bake()
+    assert [modifier.type for modifier in obj.modifiers] == ["MESH_CACHE", "ARMATURE", "NODES"]
+
+
+def test_a_bake_s_action_that_is_assigned_goes_with_it(soft_arm):
+    """An artist has chosen it to see its curves."""
+    data = keys_of(baked(soft_arm)).animation_data
+    data.action = soft_arm.dynamorph.bake.action
+    data.action_slot = data.action.slots[0]
+    baked(soft_arm)
+    assert data.action is None
+    part("bake").free(soft_arm)
+    assert not [action.name for action in bpy.data.actions if action.name.startswith("Dynamorph")]
+
+
+def test_keyframes_on_baked_keys_are_told(built):
+    """A keying set adds them, and they play instead of the bake."""
+    OPS.bake()
+    keys_of(built).key_blocks[built.dynamorph.bake.keys[0].name].keyframe_insert("value", frame=3)
+    OPS.bake()
+    assert "has keyframes in Action" in built.dynamorph.bake.warnings
+
+
+def test_an_animated_mute_of_a_target_is_refused(soft_arm):
+    keys_of(soft_arm).key_blocks["flexed"].keyframe_insert("mute", frame=1)
+    with pytest.raises(part("errors").SinkError, match="is animated.*delete its keyframes"):
+        baked(soft_arm)
+
+
+# Exports -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("key", ["GLTF", "FBX"])
+def test_an_export_in_tweak_mode_is_refused_and_changes_nothing(soft_arm, tmp_path, key):
+    data = keys_of(baked(soft_arm)).animation_data
+    data.nla_tracks[1].select = data.nla_tracks[1].strips[0].select = True
+    data.nla_tracks.active = data.nla_tracks[1]
+    data.use_tweak_mode = True
+    actions = len(bpy.data.actions)
+    with pytest.raises(part("errors").SinkError, match="tweak mode: leave it first"):
+        written(soft_arm, key, tmp_path)
+    assert data.use_tweak_mode and data.use_nla and len(bpy.data.actions) == actions
+
+
+def test_an_export_leaves_a_slot_unassigned(soft_arm, tmp_path):
+    keys = keys_of(soft_arm)
+    keys.key_blocks["smile"].keyframe_insert("value", frame=1)
+    keys.animation_data.action_slot = None
+    written(baked(soft_arm), "GLTF", tmp_path)
+    assert keys.animation_data.action and keys.animation_data.action_slot is None
+
+
+@pytest.mark.parametrize("state", ["REST", "EDIT"])
+def test_an_export_of_a_rig_that_shows_no_pose_is_refused(soft_arm, tmp_path, state):
+    rig = rig_of(baked(soft_arm))
+    if state == "REST":
+        rig.data.pose_position = "REST"
+    else:
+        activate(rig)
+        bpy.ops.object.mode_set(mode="EDIT")
+    with pytest.raises(part("errors").SceneError, match="rest position|Edit Mode"):
+        written(soft_arm, "ALEMBIC", tmp_path)
+
+
+def test_a_deleted_attachment_does_not_stop_an_export(built, tmp_path):
+    sleeve = make_sleeve(built)
+    add_piece(built, sleeve)
+    OPS.bake()
+    bpy.context.scene.collection.objects.unlink(sleeve)
+    assert written(built, "GLTF", tmp_path).stat().st_size
+
+
+@pytest.mark.parametrize("name", ["GLTF by pygltflib", "FBX"])
+def test_stretched_time_is_exported_in_step(soft_arm, tmp_path, name):
+    bpy.context.scene.render.frame_map_new = 200
+    baked(soft_arm)
+    exact = posed("Arm")
+    assert np.ptp(exact, axis=0).max() > 0.01 and len(exact) == len(EVERY)
+    assert off(name, written(soft_arm, name.split()[0], tmp_path), exact) < CLOSE
+
+
+# Skinning ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("modifier", [False, True])
+def test_a_parent_of_type_armature_is_mended(soft_arm, modifier):
+    """It deforms like a modifier."""
+    rig, before = rig_of(soft_arm), round_trips.shown("Arm", EVERY)
+    world = soft_arm.matrix_world.copy()
+    soft_arm.parent, soft_arm.parent_type, soft_arm.matrix_world = rig, "ARMATURE", world
+    if not modifier:
+        soft_arm.modifiers.remove(soft_arm.modifiers["Armature"])
+    (problem,) = list(part("checks").skinning_problems(soft_arm))
+    part("fixes").FIXES[problem.fix].apply(soft_arm)
+    assert list(part("checks").problems(soft_arm)) == []
+    assert round_trips.shown("Arm", EVERY) == pytest.approx(before, abs=1e-5)
+
+
+def test_a_rig_whose_library_is_missing_is_told(built, tmp_path):
+    """Blender puts an empty in its place. The bake plays on, and can be removed."""
+    library = tmp_path / "rig.blend"
+    rig = rig_of(baked(built))
+    name = rig.name
+    bpy.data.libraries.write(str(library), {rig})
+    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
+        wanted.objects = [name]
+    bpy.data.objects.remove(rig)
+    bpy.context.scene.collection.objects.link(wanted.objects[0])
+    built.modifiers["Armature"].object = wanted.objects[0]
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    library.unlink()
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
+    obj = bpy.data.objects["Arm"]
+    activate(obj)
+    assert obj.modifiers["Armature"].object.type == "EMPTY"
+    refused(OPS.bake, "no Armature modifier with an armature")
+    part("bake").free(obj)
+    assert list(keys_of(obj).key_blocks.keys()) == ["Basis", "flexed", "smile"]
