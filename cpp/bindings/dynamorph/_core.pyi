@@ -79,7 +79,7 @@ class MeshCut:
         Finds the glued tetrahedra.
         
         vertices (V, 3): meters. triangles (T, 3): the outward-facing skin in the mesh, open or closed. Raises ValueError on
-        wrong shapes or indices.
+        wrong shapes or indices, and on skin far larger than the mesh.
         """
     def cut(self) -> TetMesh:
         """
