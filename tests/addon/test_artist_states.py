@@ -58,6 +58,28 @@ def test_live_never_takes_a_key_of_the_artist_for_its_own(built, frames, how):
     assert not keys["flexed"].mute
 
 
+@pytest.mark.parametrize("frames", [(), (3, 4)], ids=["at rest", "moving"])
+@pytest.mark.parametrize("from_mix", [False, True])
+def test_live_takes_no_key_that_was_made_beside_its_own(built, frames, from_mix):
+    """Such as a snapshot of what Live shows. When Live's key is deleted, it moves to its place."""
+    OPS.live()
+    for frame in frames:
+        bpy.context.scene.frame_set(frame)
+    built.shape_key_add(name="mine", from_mix=from_mix)
+    bpy.context.view_layer.update()
+    before = shapes(built)["mine"]
+    built.shape_key_remove(keys_of(built).key_blocks["Dynamorph Live"])
+    bpy.context.view_layer.update()
+    bpy.context.scene.frame_set(10)
+    assert not part("live").is_on(built)
+    assert np.array_equal(shapes(built)["mine"], before)
+
+
+def test_the_key_of_live_is_no_target(built):
+    OPS.live()
+    refused(OPS.add_target, "belongs to Live", key="Dynamorph Live")
+
+
 # Bakes ---------------------------------------------------------------------------------------------------------------
 
 
@@ -81,6 +103,57 @@ def test_a_bake_s_action_that_is_assigned_goes_with_it(soft_arm):
     assert data.action is None
     part("bake").free(soft_arm)
     assert not [action.name for action in bpy.data.actions if action.name.startswith("Dynamorph")]
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_keys_of_the_artist_in_a_bake_s_action_that_is_assigned_stay(soft_arm, again):
+    """Blender gives them a slot of their own."""
+    data = keys_of(baked(soft_arm)).animation_data
+    action = data.action = soft_arm.dynamorph.bake.action
+    smile = keys_of(soft_arm).key_blocks["smile"]
+    for frame, smile.value in ((1, 0.0), (10, 1.0)):
+        smile.keyframe_insert("value", frame=frame)
+    if again:
+        baked(soft_arm)
+    part("bake").free(soft_arm)
+    assert data.action == action and action.users == 1
+    assert [curve.data_path for curve in part("animation").played(data)] == ['key_blocks["smile"].value']
+    bpy.context.scene.frame_set(1)
+    assert smile.value == 0.0
+
+
+def test_a_mesh_that_two_soft_skins_carry_along_is_refused(built):
+    """Both bakes would play on it, and Delete Bake would leave one there."""
+    sleeve, second = make_sleeve(built), coarse(make_soft(make_arm(bpy.context.scene, "Second")))
+    second.modifiers["Armature"].object = rig_of(built)
+    for obj in (built, second):
+        add_piece(obj, sleeve)
+    refused(OPS.bake_all, "'Sleeve' is attached to 'Arm' and to 'Second'")
+    assert sleeve.data.shape_keys is None and not built.dynamorph.bake.exists
+
+
+def test_an_animated_mute_of_an_attachment_s_key_is_refused(built):
+    sleeve = make_sleeve(built)
+    add_piece(built, sleeve)
+    sleeve.shape_key_add(name="Basis")
+    sleeve.shape_key_add(name="flexed").keyframe_insert("mute", frame=1)
+    refused(OPS.bake, "'Sleeve': .*mute is animated")
+    refused(OPS.live, "'Sleeve': .*mute is animated")
+
+
+def test_influence_that_strips_animate_is_told(built, tmp_path):
+    """It cannot be carried from a point cache to shape keys."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    obj = bpy.data.objects["Arm"]
+    obj.dynamorph.output.sink = "PC2"
+    OPS.bake()
+    obj.modifiers["Dynamorph"].keyframe_insert("factor", frame=1)
+    data = obj.animation_data
+    data.nla_tracks.new().strips.new("Fade", 1, data.action).action_slot = data.action_slot
+    data.action = None
+    obj.dynamorph.output.sink = "MODES"
+    OPS.bake()
+    assert "could not be carried along" in obj.dynamorph.bake.warnings
 
 
 def test_keyframes_on_baked_keys_are_told(built):
@@ -149,6 +222,16 @@ def test_stretched_time_is_exported_in_step(soft_arm, tmp_path, name):
     assert off(name, written(soft_arm, name.split()[0], tmp_path), exact) < CLOSE
 
 
+@pytest.mark.parametrize("name", ["GLTF by pygltflib", "FBX"])
+def test_an_animated_mute_is_exported(soft_arm, tmp_path, name):
+    smile = keys_of(baked(soft_arm)).key_blocks["smile"]
+    smile.value = 1.0
+    for frame, smile.mute in ((1, True), (10, False), (16, True)):
+        smile.keyframe_insert("mute", frame=frame)
+    exact = posed("Arm")
+    assert off(name, written(soft_arm, name.split()[0], tmp_path), exact) < CLOSE
+
+
 # Skinning ------------------------------------------------------------------------------------------------------------
 
 
@@ -186,3 +269,46 @@ def test_a_rig_whose_library_is_missing_is_told(built, tmp_path):
     refused(OPS.bake, "no Armature modifier with an armature")
     part("bake").free(obj)
     assert list(keys_of(obj).key_blocks.keys()) == ["Basis", "flexed", "smile"]
+
+
+def test_a_parent_is_mended_where_a_constraint_places_the_mesh_too(soft_arm):
+    mark = bpy.data.objects.new("Mark", None)
+    bpy.context.scene.collection.objects.link(mark)
+    mark.location = 1.0, 2.0, 3.0
+    follow = soft_arm.constraints.new("COPY_LOCATION")
+    follow.target, follow.use_offset = mark, True
+    soft_arm.parent, soft_arm.parent_type = rig_of(soft_arm), "ARMATURE"
+    bpy.context.view_layer.update()
+    before = soft_arm.matrix_world.copy()
+    part("fixes").FIXES["PARENT_OBJECT"].apply(soft_arm)
+    bpy.context.view_layer.update()
+    assert soft_arm.matrix_world == before
+
+
+# Targets -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_key_that_moves_to_the_place_of_a_deleted_one_is_no_target(soft_arm):
+    """Neither of them is sculpted yet."""
+    for name in ("deleted", "mine"):
+        add_key(soft_arm, name, np.zeros((len(soft_arm.data.vertices), 3)))
+    rig_of(soft_arm).pose.bones["upper"].rotation_euler.y = 0.9
+    OPS.add_target(key="deleted")
+    soft_arm.shape_key_remove(keys_of(soft_arm).key_blocks["deleted"])
+    part("reconcile").reconcile(soft_arm)
+    assert soft_arm.dynamorph.targets[-1].name == "deleted"
+    (problem,) = list(part("checks").problems(soft_arm))
+    assert "the shape key of target 'deleted' is gone" in problem.text
+
+
+# Sculpting -----------------------------------------------------------------------------------------------------------
+
+
+def test_sculpting_leaves_the_other_armature_modifier_as_it_was(soft_arm):
+    other = soft_arm.modifiers.new("Second", "ARMATURE")
+    other.object, other.show_in_editmode, other.show_on_cage = rig_of(soft_arm), True, True
+    soft_arm.modifiers["Armature"].show_in_editmode = False
+    soft_arm.dynamorph.active_target_index = 1
+    OPS.sculpt_target()
+    OPS.finish_sculpt()
+    assert other.show_in_editmode and other.show_on_cage and not soft_arm.modifiers["Armature"].show_in_editmode

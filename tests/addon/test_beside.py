@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from builders import evaluated_points, fingerprint, hand_made_bake, part, refused
 from layout import drawn
+from test_nla import smile
 from test_outputs import written
 from test_pieces import add_piece, make_sleeve
 
@@ -174,6 +175,34 @@ def test_the_copy_of_a_deleted_body_goes_when_the_file_is_saved(baked, tmp_path)
     bpy.ops.object.delete()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
     assert [obj.type for obj in bpy.context.scene.objects] == ["ARMATURE"] and not bpy.data.collections
+
+
+@pytest.mark.parametrize("saved", [True, False])
+def test_what_is_deleted_while_it_stands_there_is_not_taken_for_a_copy(baked, tmp_path, saved):
+    """Two eyes have one mesh, which the other one keeps."""
+    left = make_sleeve(baked, "Left")
+    right = left.copy()
+    right.name = "Right"
+    bpy.context.scene.collection.objects.link(right)
+    for eye in (left, right):
+        add_piece(baked, eye, "RIGID")
+    OPS.compare_beside()
+    bpy.context.scene.collection.objects.unlink(left)
+    if saved:
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
+    else:
+        OPS.compare_beside()
+    assert bpy.data.objects["Right"].type == "MESH" and bpy.data.objects["Right"].data.vertices
+
+
+def test_an_action_of_the_artist_s_stays_whose_strip_was_deleted_meanwhile(baked):
+    keys = smile(baked)
+    OPS.compare_beside()
+    track = keys.animation_data.nla_tracks[1]
+    track.strips.remove(track.strips["Smile"])
+    OPS.compare_beside()
+    assert "Smile" in bpy.data.actions
 
 
 def test_when_there_is_nothing_to_compare(soft_arm):

@@ -218,6 +218,50 @@ def test_strips_count_and_so_do_parents(scene, soft_arm, stand_in):
     assert looked(soft_arm) == ["parents changed"]
 
 
+def add_noise(data):
+    curve_of(data.id_data).modifiers.new("NOISE").strength = 2.0
+
+
+def fade(data):
+    data.action_influence = 0.5
+
+
+def fade_strip(data):
+    data.nla_tracks[0].strips[0].fcurves.find("influence").keyframe_points[0].co.y = 0.5
+
+
+def solo(data):
+    data.nla_tracks[0].is_solo = True
+
+
+def turn_off(data):
+    data.use_nla = False
+
+
+@pytest.mark.parametrize("change", [add_noise, fade, fade_strip, solo, turn_off])
+def test_whatever_else_changes_what_the_rig_plays_counts(soft_arm, stand_in, change):
+    data = rig_of(soft_arm).animation_data
+    strip = data.nla_tracks.new().strips.new("walk", 1, data.action)
+    strip.action_slot, strip.use_animated_influence, strip.influence = data.action_slot, True, 1.0
+    strip.keyframe_insert("influence", frame=1)
+    bpy.ops.dynamorph.bake()
+    assert looked(soft_arm) == []
+    change(data)
+    assert looked(soft_arm) == ['animation of "Arm Rig" changed']
+
+
+def test_an_animated_influence_counts_as_it_is_keyed(scene, soft_arm, stand_in):
+    """Not as it is at the present frame."""
+    data = rig_of(soft_arm).animation_data
+    strip = data.nla_tracks.new().strips.new("walk", 1, data.action)
+    strip.action_slot, strip.use_animated_influence = data.action_slot, True
+    for frame, strip.influence in ((1, 0.2), (20, 0.9)):
+        strip.keyframe_insert("influence", frame=frame)
+    bpy.ops.dynamorph.bake()
+    scene.frame_set(10)
+    assert looked(soft_arm) == []
+
+
 def test_a_renamed_rig_is_the_same(baked):
     rig_of(baked).name = "Skeleton"
     assert looked(baked) == []

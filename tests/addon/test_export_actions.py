@@ -226,6 +226,23 @@ def test_actions_of_one_name_are_refused(game_arm, tmp_path):
         part("actions").clips_of(game_arm)
 
 
+@pytest.mark.parametrize("linked_is_clip", [True, False])
+def test_only_one_of_two_actions_of_one_name_is_a_clip(game_arm, tmp_path, linked_is_clip):
+    """The clip that is laid out is the local one."""
+    library, other = tmp_path / "clips.blend", bpy.data.actions["A Pose"]
+    linked, local = (bpy.data.actions["Wave"], other) if linked_is_clip else (other, bpy.data.actions["Wave"])
+    linked.name, local.name = "Same", "Kept"
+    bpy.data.libraries.write(str(library), {linked})
+    linked.name, local.name = "Former", "Same"
+    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
+        wanted.actions = ["Same"]
+    if linked_is_clip:
+        with pytest.raises(part("errors").SceneError, match="two Actions 'Same'"):
+            part("actions").clips_of(game_arm)
+    else:
+        assert [clip.name for clip in part("actions").clips_of(game_arm)] == ["Bend", "Same"]
+
+
 def test_the_buttons_write_clips(game_arm, tmp_path, capfd):
     activate(game_arm)
     OPS.bake()

@@ -285,6 +285,18 @@ def test_strips_in_meta_strips_are_removed_too(soft_arm, copy_action):
     assert not [action.name for action in bpy.data.actions if action.name.startswith("Dynamorph")]
 
 
+def test_influence_counts_in_a_meta_strip(baked):
+    """It is shown, and a new bake takes it along."""
+    obj, bake = baked
+    strips_of(obj)[1].influence = 0.25
+    make_meta(keys_of(obj))
+    strip, name = part("bake_influence").influence(obj)
+    assert getattr(strip, name) == 0.25
+    assert_plays(obj, bake, lambda frame: frame, (1, 10, 20), lambda frame: 0.25)
+    part("bake").write_keys(obj, bake)
+    assert_plays(obj, bake, lambda frame: frame, (1, 10, 20), lambda frame: 0.25)
+
+
 def test_strips_of_others_stay_in_a_meta_strip(baked):
     """Blender cannot take a strip out of a Meta strip: that of the bake stays there, and plays nothing."""
     obj, _ = baked

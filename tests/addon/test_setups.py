@@ -607,6 +607,9 @@ def test_copies_that_are_refused_change_nothing(scene, rich):
     bad.scale = (1, 1, 1)
     bad.data.vertices[3].co.x = float("nan")
     is_refused("'Bad' has vertices whose coordinates are not numbers")
+    bad.data, own = rich.data, bad.data
+    is_refused("Mesh 'Arm' is shared by 2 objects")
+    bad.data = own
     bad.data.clear_geometry()
     is_refused("no faces")
     rich.data.shape_keys.key_blocks["flexed"].name = "Basis 2"

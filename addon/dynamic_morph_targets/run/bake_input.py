@@ -79,7 +79,7 @@ def read(request: Request) -> BakeInput:
         check(obj)
         given.followers = extract.followers(obj, character)
         for follower in handles(given.followers):
-            check(follower.find(), needs_keys=False)
+            check(follower.find(), obj)
     given.warnings = extract.warnings(obj, character) + extract.far_followers(character, given.followers)
     if given.is_bake and request.stored:
         _read_output(given, obj, request.folder)

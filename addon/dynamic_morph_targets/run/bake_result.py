@@ -83,7 +83,7 @@ class Writer:
             pieces = self._pieces()
             check(obj)
             for piece in pieces:
-                check(piece, needs_keys=False)
+                check(piece, obj)
             for piece in skin.followers(obj):
                 check_not_edited(piece)
             for piece in self._left_behind():

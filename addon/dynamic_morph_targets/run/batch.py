@@ -18,6 +18,7 @@ from ..core.errors import Cancelled, SceneError
 from ..core.message import joined
 from ..core.rig_samples import RigSamples
 from ..core.time_left import TimeLeft
+from .bake_input import handles
 from .bake_result import write_all
 from .job import Job
 
@@ -93,6 +94,7 @@ class Batch:
         for job in self.jobs:
             self._at = job
             job.read()
+            self._check_shared(job)
             yield from self._turn(reading=True)
         for job in self.jobs:
             if job.computation.needs_cage:
@@ -102,6 +104,18 @@ class Batch:
                     yield from self._turn(reading=True)
         for job in self.jobs:
             yield from self._sampled(job, seconds)
+
+    def _check_shared(self, job: Job) -> None:
+        """Refuse a mesh that another job, which was read before, carries along too. Raises SceneError."""
+        for other in self.jobs[: self.jobs.index(job)]:
+            shared = {*handles(job.input.followers)}.intersection(handles(other.input.followers))
+            if shared and other.request.target != job.request.target:
+                raise SceneError(
+                    "'{name}' is attached to '{one}' and to '{other}': remove it from the Attachments of one of them",
+                    name=shared.pop().name,
+                    one=other.name,
+                    other=job.name,
+                )
 
     def compute(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
         """The second part, for which the rest of the rigs is read. Nothing is written."""

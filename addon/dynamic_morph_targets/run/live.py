@@ -14,7 +14,7 @@ from ..core import engine, errors, logger
 from ..core.message import Message, joined
 from ..scene import events, references, staleness
 from ..scene.skin import followers, soft_skins
-from ..write import bake, live_key, muting, regions, storage
+from ..write import bake, live_key, muting, reconcile, regions, storage
 from .session import Session, simulation_settings, way_to_skin
 
 SCRUBBED = 0.02  # seconds between two checks whether the artist still drags through the timeline
@@ -181,6 +181,8 @@ def _edited(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
             del sessions[obj.session_uid]
         if is_on(obj) and live_key.find(obj, session.tissue.skin.written) is None:
             turn_off(obj)
+        elif is_on(obj):
+            reconcile.note_others(obj.data.shape_keys.key_blocks, obj.dynamorph.live)
 
 
 def _may_reskin(update: bpy.types.DepsgraphUpdate) -> bool:

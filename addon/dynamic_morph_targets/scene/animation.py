@@ -11,6 +11,7 @@ import numpy as np
 from bpy_extras import anim_utils
 
 from . import skinning
+from .plain import plain
 from .references import rig_of
 
 
@@ -83,6 +84,7 @@ STRIP_FIELDS = (
     "frame_start", "frame_end", "action_frame_start", "action_frame_end", "scale", "repeat", "use_reverse",
     "blend_type", "extrapolation", "blend_in", "blend_out", "influence",
 )  # fmt: skip
+USUAL = {"use_nla": True, "action_blend_type": "REPLACE", "action_extrapolation": "HOLD", "action_influence": 1.0}
 
 
 def animation(obj) -> list[tuple[str, str]]:
@@ -99,14 +101,20 @@ def _animation_hash(data) -> str:
     if data is None:
         return ""
     digest = hashlib.blake2b(digest_size=8)
+    unusual = {name: getattr(data, name) for name, usual in USUAL.items() if getattr(data, name) != usual}
+    unusual |= {track.name: "solo" for track in data.nla_tracks if track.is_solo}
+    digest.update(repr(unusual).encode() if unusual else b"")
     playing = strips(data.nla_tracks, muted=False)
     for strip in playing:
-        digest.update(repr([getattr(strip, name) for name in STRIP_FIELDS]).encode())
+        fields = [name for name in STRIP_FIELDS if not (name == "influence" and strip.use_animated_influence)]
+        digest.update(repr([getattr(strip, name) for name in fields]).encode())
     for player in (data, *playing):
-        for curve in curves(player.action, player.action_slot):
+        for curve in (*curves(player.action, player.action_slot), *getattr(player, "fcurves", ())):
             digest.update(f"{curve.data_path}[{curve.array_index}] {curve.extrapolation} {curve.mute}".encode())
             for name, width in (("co", 2), ("handle_left", 2), ("handle_right", 2), ("interpolation", 1)):
                 values = np.empty(width * len(curve.keyframe_points), np.float32 if width == 2 else np.int32)
                 curve.keyframe_points.foreach_get(name, values)
                 digest.update(values.tobytes())
+            for modifier in curve.modifiers:
+                digest.update(repr(plain(modifier, skip=("active", "show_expanded"))).encode())
     return digest.hexdigest()

@@ -31,6 +31,9 @@ class DynamorphLive(PropertyGroup):
     """Simulation during playback, shown by one shape key that is rewritten at each frame."""
 
     key: PointerProperty(name="Key", description="The shape key that Live rewrites", type=DynamorphKey)
+    others: StringProperty(
+        name="Other Keys", description="Names of the other shape keys, by which a renamed Key is told from them"
+    )
     muted: CollectionProperty(name="Muted", description="Target keys that Live muted", type=DynamorphKey)
     lent: BoolProperty(
         name="In Preview",

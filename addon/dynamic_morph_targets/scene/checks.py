@@ -15,7 +15,7 @@ import bpy
 
 from ..core.errors import SceneError
 from ..core.message import Message
-from .references import rig_of
+from .references import is_armature, rig_of
 from .skin import cache_modifier, edited_elsewhere
 from .skinning import armature_for, armature_modifiers, beyond_bones, deforming_bones, main_modifier
 
@@ -400,7 +400,7 @@ def refuse(problems):
 
 def skinning_problems(obj) -> Iterator[Problem]:
     """Yields nothing when there is an Armature modifier with an armature."""
-    if obj.parent_type == "ARMATURE" and armature_modifiers(obj):
+    if is_armature(obj.parent) and obj.parent_type == "ARMATURE" and armature_modifiers(obj):
         text = "'{name}' is deformed twice, by its parent and by its Armature modifier: set Parent Type to Object"
         yield Problem(text, "PARENT_OBJECT", name=obj.name)
     elif not armature_modifiers(obj):

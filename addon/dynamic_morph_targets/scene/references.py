@@ -117,12 +117,14 @@ class KeyReference:
     """Mixin: a shape key, found again after a rename. The group's own `name` is the key's name."""
 
     key_index: IntProperty(name="Key Index", description="Place of the shape key in the list", override=OVERRIDE)
+    key_count: IntProperty(name="Key Count", description="Number of shape keys in the list", override=OVERRIDE)
     key_hash: StringProperty(name="Key Hash", description="Identifies the sculpted shape", override=OVERRIDE)
 
     def refer_to(self, blocks, index: int):
         """Point at `blocks[index]`. Writes only what changed, because writing tags the object for evaluation."""
         block = blocks[index]
-        for field, value in (("name", block.name), ("key_index", index), ("key_hash", key_hash(block))):
+        values = {"name": block.name, "key_index": index, "key_count": len(blocks), "key_hash": key_hash(block)}
+        for field, value in values.items():
             if getattr(self, field) != value:
                 setattr(self, field, value)
 

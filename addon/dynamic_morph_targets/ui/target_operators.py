@@ -70,6 +70,8 @@ class DYNAMORPH_OT_add_target(SoftSkinOperator, Operator):
             )
         if block.name in settings.bake.keys:
             raise SceneError("'{name}' belongs to the bake: select another shape key", name=block.name)
+        if block.name == settings.live.key.name:
+            raise SceneError("'{name}' belongs to Live: select another shape key", name=block.name)
         pose = rig_motion.current_pose(obj)
         capture(self, obj, targets.add(obj, block), pose)
         regions.update(obj)

@@ -56,12 +56,12 @@ def clips_of(obj) -> list[Clip]:
         raise SceneError("The scene stretches time, clips have their own: set Time Stretching to 100 (Output tab)")
     found, first = [], 1
     for action in bpy.data.actions:
-        if any(action.name == clip.name for clip in found):  # one of them is linked
-            raise SceneError(
-                "There are two Actions '{name}', one of them linked: rename the local one", name=action.name
-            )
         begin, end = math.floor(action.frame_range[0]), math.ceil(action.frame_range[1])
         if end > begin and _slot(action, rig):
+            if bpy.data.actions.get(action.name) != action:  # it is linked
+                raise SceneError(
+                    "There are two Actions '{name}', one of them linked: rename the local one", name=action.name
+                )
             last = first + end - begin
             found.append(Clip(action.name, begin, first, last, action.use_cyclic))
             first = last + 2

@@ -236,7 +236,7 @@ def _refusal(obj, other) -> str:
     for problem in chain(checks.follower(obj, other), checks.mesh(other), checks.order(other)):
         return problem.text
     try:
-        bake.check(other, needs_keys=False)
+        bake.check(other, obj)
     except errors.SinkError as error:
         return str(error)
     return ""

@@ -35,15 +35,16 @@ from .reconcile import reconcile
 LINEAR = 1  # the value of Keyframe.interpolation for foreach_set
 
 
-def check(obj, needs_keys=True):
+def check(obj, skin=None):
     """Refuse, before any work, data to which a bake cannot be written. Raises SinkError.
 
-    needs_keys: a Basis must exist already, unless the neutral target is alone: then it is created.
+    skin: the soft skin that `obj` is to follow, if it is none itself. Its Basis is created if there is none; that of a
+    soft skin if the neutral target is alone.
     """
     if obj.type != "MESH":
         raise SinkError("'{name}' is not a mesh: select the character's mesh object", name=obj.name)
     keys = obj.data.shape_keys
-    if keys is None and needs_keys and len(obj.dynamorph.targets) != 1:
+    if keys is None and skin is None and len(obj.dynamorph.targets) != 1:
         raise SinkError("'{name}' has no shape keys: add a Basis first", name=obj.name)
     check_local(obj, obj.data, *filter(None, [keys]))
     for problem in checks.shared_mesh(obj):
@@ -53,8 +54,9 @@ def check(obj, needs_keys=True):
         return
     check_not_tweaked(obj)
     animation = keys.animation_data
+    targets = (skin or obj).dynamorph.targets[1:]
     solo = next((track.name for track in animation.nla_tracks if track.is_solo), None)
-    paths = {f'key_blocks["{bpy.utils.escape_identifier(target.name)}"].mute' for target in obj.dynamorph.targets[1:]}
+    paths = {f'key_blocks["{bpy.utils.escape_identifier(target.name)}"].mute' for target in targets}
     driven = next((driver.data_path for driver in animation.drivers if driver.data_path in paths), None)
     keyed = next((curve.data_path for curve in played(animation) if curve.data_path in paths), None)
     text = ""
@@ -138,7 +140,7 @@ class NewBake:
 
     def __init__(self, obj, bake: Bake, skin=None, cache: Path | None = None):
         """Changes nothing yet. Raises SinkError."""
-        check(obj, needs_keys=skin is None)
+        check(obj, skin)
         reconcile(obj)
         if bake.modes.shape[1] != len(obj.data.vertices):
             text = "Mesh '{name}' has {count} vertices, the bake {expected}: bake again"

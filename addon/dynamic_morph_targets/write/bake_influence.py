@@ -66,7 +66,7 @@ def _strips(keys, action, title: str) -> list:
     """The strips that play the slot of a bake's `action`, which may be None."""
     if action is None or keys is None or keys.animation_data is None:
         return []
-    strips = [strip for track in keys.animation_data.nla_tracks for strip in track.strips if strip.action == action]
+    strips = [strip for strip in animation.strips(keys.animation_data.nla_tracks) if strip.action == action]
     return [strip for strip in strips if strip.action_slot and strip.action_slot.name_display == title]
 
 
@@ -104,7 +104,7 @@ def carry_influence(obj, old, new) -> bool:
     if not points:
         _remove_curve(obj, new)  # of an earlier bake
         setattr(new, _property(new), value)
-        return True
+        return not _is_in_strips(obj, old)
     setattr(new, _property(new), value)
     with suppress(RuntimeError, TypeError):  # the object's Action is linked
         new.keyframe_insert(_property(new), frame=curve.keyframe_points[0].co[0])
@@ -134,6 +134,12 @@ def _curve_of(obj, owner):
     data, path = obj.animation_data, owner.path_from_id("factor")
     found = animation.curves(data.action, data.action_slot) if data else []
     return next((curve for curve in found if curve.data_path == path), None)
+
+
+def _is_in_strips(obj, owner) -> bool:
+    """Whether strips of the NLA animate the influence of a modifier of `obj`."""
+    data = None if hasattr(owner, "influence") else obj.animation_data
+    return bool(data) and owner.path_from_id("factor") in {curve.data_path for curve in animation.played(data)}
 
 
 def _copy_points(curve, copy):

@@ -78,8 +78,12 @@ def _remove(obj, blocks, action, new: set[str]):
                     break
     for name in [block.name for block in blocks]:  # by name: each removal moves the others in memory
         obj.shape_key_remove(keys.key_blocks[name])
-    if keys.animation_data and keys.animation_data.action in actions:  # chosen in an editor to see its curves
-        keys.animation_data.action = None
+    data = keys.animation_data
+    if data and data.action in actions:  # chosen in an editor, to see its curves or to key others
+        if _others(data.action, paths, data.action_slot):
+            kept[data.action] += 1
+        else:
+            data.action = None
     for each in actions:
         recorded = obj.dynamorph.bake.action == each  # the record counts as a user
         if each.users > kept[each] + int(recorded):  # somebody else plays it

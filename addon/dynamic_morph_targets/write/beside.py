@@ -16,6 +16,7 @@ from ..core.errors import SceneError
 from ..scene import animation, skin
 from ..scene.model_store import PACKED
 from . import bake, comparison
+from .bake_influence import MOTION, SHAPES
 
 GAP = 1.15  # widths of the body from its middle to that of the copy
 
@@ -116,11 +117,12 @@ def _copy(obj, plain: bool):
         comparison.show(copy, plain)
     copy.property_unset("dynamorph")
     copy.pop(PACKED, None)
+    copy.dynamorph.live.beside = obj  # which tells it from what the bones carry along
     return copy
 
 
 def _copies(collection) -> list:
-    return [each for each in collection.objects if not each.users_scene]
+    return [each for each in collection.objects if each.dynamorph.live.beside]
 
 
 def _remove_copies(collection):
@@ -136,9 +138,10 @@ def _remove_copies(collection):
 
 
 def _played(keys) -> list[bpy.types.Action]:
-    """The Actions of the NLA strips of shape keys, one for each strip."""
+    """The Actions of bakes that the NLA strips of shape keys play, one for each strip."""
     tracks = keys.animation_data.nla_tracks if keys.animation_data else ()
-    return [strip.action for strip in animation.strips(tracks) if strip.action]
+    slots = [(strip.action, strip.action_slot) for strip in animation.strips(tracks)]
+    return [action for action, slot in slots if slot and slot.name_display in (SHAPES, MOTION)]
 
 
 def _width(copies, body, right: np.ndarray) -> float:

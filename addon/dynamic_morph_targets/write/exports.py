@@ -337,18 +337,21 @@ def _sampled_keys(obj, frames):
     stretch = scene.render.frame_map_old / scene.render.frame_map_new
     times = np.arange(frames[0], frames[1] + 1)
     values = np.empty((len(times), len(keys.key_blocks)), np.float32)
+    muted = np.empty(values.shape, bool)
     window = bpy.context.window_manager
     window.progress_begin(0, len(times))  # beside the pointer: Blender's exporters leave no room for more
     for k, (row, frame) in enumerate(zip(values, times, strict=True)):
         window.progress_update(k)
         scene.frame_set(int(frame))
         keys.key_blocks.foreach_get("value", row)
+        keys.key_blocks.foreach_get("mute", muted[k])
     window.progress_end()
     animation = keys.animation_data
     before = animation.action, animation.action_slot, animation.use_nla, [d.mute for d in animation.drivers]
     names = [block.name for block in keys.key_blocks]
-    shown = {block.name: block.value for block in keys.key_blocks}
-    values[:, [block.mute for block in keys.key_blocks]] = 0.0  # FBX knows no muted keys
+    shown = {block.name: (block.value, block.mute) for block in keys.key_blocks}
+    values[muted] = 0.0  # FBX knows no muted keys
+    keys.key_blocks.foreach_set("mute", muted.all(axis=0))
     action = bpy.data.actions.new(obj.name)
     try:
         slot = action.slots.new(keys.id_type, obj.name)
@@ -367,6 +370,6 @@ def _sampled_keys(obj, frames):
         animation.use_nla = before[2]
         for driver, mute in zip(animation.drivers, before[3], strict=True):
             driver.mute = mute
-        for name, value in shown.items():
-            keys.key_blocks[name].value = value
+        for name, (value, mute) in shown.items():
+            keys.key_blocks[name].value, keys.key_blocks[name].mute = value, mute
         bpy.data.actions.remove(action)

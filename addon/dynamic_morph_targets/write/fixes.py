@@ -87,9 +87,7 @@ def _add_armature_modifier(obj):
 
 def _parent_as_object(obj):
     """The parent moves it as a whole from now on, and does not deform it."""
-    world = obj.matrix_world.copy()
     obj.parent_type = "OBJECT"
-    obj.matrix_world = world
 
 
 def _move_below(obj):

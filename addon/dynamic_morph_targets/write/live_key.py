@@ -10,7 +10,7 @@ import numpy as np
 from ..scene.references import key_points
 from ..scene.skin import followers
 from . import bake, muting
-from .reconcile import reconcile
+from .reconcile import note_others, reconcile
 
 NAME = "Dynamorph Live"
 
@@ -23,7 +23,7 @@ def add(obj, target_names, pieces=()):
     """
     bake.check(obj)
     for piece in pieces:
-        bake.check(piece, needs_keys=False)
+        bake.check(piece, obj)
     _add(obj, target_names)
     for piece in pieces:
         _add(piece, target_names, skin=obj)
@@ -41,6 +41,7 @@ def _add(obj, target_names, skin=None):
     block.relative_key = obj.data.shape_keys.reference_key
     obj.active_shape_key_index = active
     obj.dynamorph.live.key.refer_to(blocks, blocks.find(block.name))
+    note_others(blocks, obj.dynamorph.live)
     muting.mute_targets(obj, obj.dynamorph.live.muted, target_names, skin)
 
 
@@ -71,7 +72,7 @@ def _remove(obj):
         index = blocks.find(active)
         obj.active_shape_key_index = index if index >= 0 else len(blocks) - 1
     muting.unmute_targets(obj, record.muted)
-    record.key.name = ""
+    record.key.name = record.others = ""
     if not obj.dynamorph.bake.exists:
         bake.leave(obj)
 
@@ -123,14 +124,11 @@ def find(obj, written: np.ndarray | None = None):
         return None
     block = keys.key_blocks.get(reference.name)
     if block is None and written is not None:
-        blocks = list(keys.key_blocks)
+        blocks, others = keys.key_blocks, obj.dynamorph.live.others.split("\n")
         alike = [k for k, other in enumerate(blocks) if np.array_equal(key_points(other).ravel(), written)]
-        is_empty = np.array_equal(key_points(keys.reference_key).ravel(), written)
-        same = [k for k in alike if blocks[k] != keys.reference_key and (k == reference.key_index or not is_empty)]
-        if len(same) == 1:  # otherwise it may be a key of the artist's
-            index = same[0]
-            reference.refer_to(keys.key_blocks, index)
-            block = keys.key_blocks[index]
+        if len(alike) == 1 and blocks[alike[0]].name not in others:  # otherwise it may be a key of the artist's
+            reference.refer_to(blocks, alike[0])
+            block = blocks[alike[0]]
     return block
 
 

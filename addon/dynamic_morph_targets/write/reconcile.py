@@ -22,9 +22,10 @@ def reconcile(obj):
         _follow_keys(blocks, settings.bake.muted)
         _follow_baked_keys(blocks, settings.bake)
         _follow_keys(blocks, settings.live.muted)
-        for reference in (settings.live.key, settings.sculpt.key, settings.sculpt.shown):
+        for reference in (settings.sculpt.key, settings.sculpt.shown):
             if reference.name:
                 _follow_keys(blocks, [reference])
+        _follow_live_key(blocks, settings.live)
     _follow_groups(obj)
     rig = rig_of(obj)
     if rig and rig.mode != "EDIT":  # in Edit Mode the armature's bones lag behind
@@ -50,8 +51,23 @@ def _follow_baked_keys(blocks, bake):
         reference.name = ""
 
 
-def _follow_keys(blocks, references) -> list:
-    """Returns the references whose key is gone."""
+def _follow_live_key(blocks, live):
+    """Live writes to its key and removes it: one that was there beside it, or has no shape, may be the artist's."""
+    if live.key.name in blocks or (live.key.name and live.key.key_hash != key_hash(blocks[0])):
+        _follow_keys(blocks, [live.key], live.others.split("\n"))
+        note_others(blocks, live)
+
+
+def note_others(blocks, live):
+    """Note the names of the keys beside the one of Live, if that is there under its name."""
+    names = blocks.keys()
+    others = "\n".join(name for name in names if name != live.key.name)
+    if live.key.name in names and live.others != others:
+        live.others = others
+
+
+def _follow_keys(blocks, references, others=()) -> list:
+    """Returns the references whose key is gone. others: names of keys that none of them has become."""
     lost, taken = [], {0}
     for reference in references:
         index = blocks.find(reference.name)
@@ -60,15 +76,16 @@ def _follow_keys(blocks, references) -> list:
         else:
             reference.refer_to(blocks, index)
             taken.add(index)
-    free = {i: key_hash(block) for i, block in enumerate(blocks) if i not in taken} if lost else {}
+    free = (
+        {i: key_hash(block) for i, block in enumerate(blocks) if i not in taken and block.name not in others}
+        if lost
+        else {}
+    )
     empty = key_hash(blocks[0]) if lost else ""  # a shape that tells no key from another: it must be at its place
     gone = []
     for reference in lost:
-        same = [
-            i
-            for i, digest in free.items()
-            if digest == reference.key_hash and (digest != empty or i == reference.key_index)
-        ]
+        in_place = reference.key_index if reference.key_count in (0, len(blocks)) else -1  # 0: of older versions
+        same = [i for i, digest in free.items() if digest == reference.key_hash and (digest != empty or i == in_place)]
         if not same:
             gone.append(reference)
             continue

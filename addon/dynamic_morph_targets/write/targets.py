@@ -15,7 +15,7 @@ from ..core import engine
 from ..core.character import Character, Skeleton
 from ..core.errors import SceneError
 from ..core.geometry import turned
-from ..scene import animation, checks, data_checks, extract, mesh_data, rig_motion
+from ..scene import animation, checks, data_checks, extract, mesh_data, rig_motion, skinning
 from ..scene.plain import plain
 from ..scene.references import KEY_REFERENCE, key_points, rest_skeleton, rig_of
 from . import regions
@@ -258,9 +258,9 @@ def finish_sculpting(obj):
     remembered, rig = obj.dynamorph.sculpt, rig_of(obj)
     _make_active(obj)
     obj.show_only_shape_key = remembered.was_pinned
-    for modifier in obj.modifiers:
-        if modifier.type == "ARMATURE":
-            modifier.show_in_editmode, modifier.show_on_cage = remembered.in_editmode, remembered.on_cage
+    modifier = skinning.main_modifier(obj)
+    if modifier:
+        modifier.show_in_editmode, modifier.show_on_cage = remembered.in_editmode, remembered.on_cage
     if remembered.was_posing and rig and rig.visible_get():
         _make_active(rig)
         bpy.ops.object.mode_set(mode="POSE")

@@ -51,6 +51,7 @@ def check(source, others, replace: bool):
                 rig=rig.name,
             )
     for obj in others:
+        checks.refuse(checks.shared_mesh(obj))
         if not (obj.is_editable and obj.data.is_editable):
             raise SceneError(
                 "'{name}' is linked: make it and its mesh local (Object > Relations > Make Local)", name=obj.name
