@@ -4,14 +4,21 @@
 import os
 import sys
 
-if __name__ == "__main__" and sys.path[:1] == [os.getcwd()]:  # noqa: PTH109 - pathlib may be in there too
+try:
+    here = os.getcwd()  # noqa: PTH109 - pathlib may be in there too
+except FileNotFoundError:  # it was deleted
+    here = ""
+if __name__ == "__main__" and sys.path[:1] == [here]:
     del sys.path[0]  # a stranger's .blend may have brought a bpy.py into the current folder
 
-import shutil
+from contextlib import suppress
 from typing import NoReturn
 
 
 def run() -> int:
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed: a file that is opened later would take its place
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 - as long as this runs
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded, whose last digits depend on it
     try:
         import bpy
@@ -30,10 +37,13 @@ def run() -> int:
 
 def leave(code: int) -> NoReturn:
     """End this process, for scripts too: as it tears itself down, bpy 4.5 may wait for ever for a thread of its own."""
-    if bpy := sys.modules.get("bpy"):
-        shutil.rmtree(bpy.app.tempdir, ignore_errors=True)  # which it would have done
-    sys.stdout.flush()
-    sys.stderr.flush()
+    if "bpy" in sys.modules:
+        from .write import export_child
+
+        export_child.remove_temporary()  # which it would have done
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError):  # `main` has told
+            stream.flush()
     os._exit(code)
 
 

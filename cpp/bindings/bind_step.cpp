@@ -43,7 +43,8 @@ auto changing(InTurn<Stepper>& stepper, const Function& function) {
 /// bones (J, B, 3, 4).
 template <class Stepper>
 void balance_targets_in(InTurn<Stepper>& stepper, const FloatArray& bones) {
-  check_shape("bones", bones, {-1, -1, 3, 4});
+  const auto& model = stepper.model();
+  check_shape("bones", bones, {py::ssize_t(model.targets().size()), py::ssize_t(model.body().skin.cols()), 3, 4});
   std::vector<Transforms> frames;
   const py::ssize_t count = bones.shape(1);
   for (py::ssize_t j = 0; j < bones.shape(0); ++j) frames.push_back(transforms(bones.data() + 12 * count * j, count));
@@ -102,6 +103,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
             changing(s, [&] {
               Transforms frame;
               VectorXd w;
+              s.forget();  // so that a state resumes bit for bit, between any two calls
               for (py::ssize_t i = 0; i < steps; ++i) {
                 frame = Eigen::Map<const Transforms>(bones.data() + i * count * 12, count, 12);
                 w = Eigen::Map<const VectorXd>(weights.data() + i * weights.shape(1), weights.shape(1));

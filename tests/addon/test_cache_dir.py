@@ -48,9 +48,10 @@ def stopped(obj, folder, monkeypatch, stretches):
             batch.run(job.Job(obj, "BAKE", cache_dir=cache_dir.CacheDir(folder)))
 
 
-@pytest.mark.parametrize("basis", ["MODES", "RESPONSES"])
-def test_a_stopped_bake_is_resumed(coarse, folder, monkeypatch, basis):
-    coarse.dynamorph.model.basis = basis
+@pytest.mark.parametrize("changes", [{"basis": "MODES"}, {"basis": "RESPONSES"}, {"solver": "FULL", "cage_nodes": 800}])
+def test_a_stopped_bake_is_resumed(coarse, folder, monkeypatch, changes):
+    for name, value in changes.items():
+        setattr(coarse.dynamorph.model, name, value)
     monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 5)
     stopped(coarse, folder, monkeypatch, stretches=2)
     assert len(list(folder.glob("*.unfinished"))) == 1

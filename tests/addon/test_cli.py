@@ -132,7 +132,13 @@ def test_large_models_follow_the_output(shot, run, stand_in, tmp_path, monkeypat
             ["bake", "{shot}", "--object", "Arm", "--frames", "9", "2", "-o", "{out}"],
             "frame 2 comes before the first 9",
         ),
+        (["bake", "{shot}", "--object", "Arm", "--frames", "1", "1048575", "-o", "{out}"], "no frames beyond"),
+        (["bake", "{shot}", "--object", "Arm", "--frames", "0", str(10**11), "-o", "{out}"], "no frames beyond"),
+        (["bake", "{shot}", "--object", "Arm", "--frames", "-9", "9", "--format", "gltf"], "no frames before 0"),
+        (["bake", "{shot}", "--object", "Arm", "--frames", "1", str(10**11), "--format", "usd"], "no frames beyond"),
         (["bake", "{shot}", "--object", "Arm Rig", "-o", "{out}"], "'Arm Rig' is not a mesh"),
+        (["bake", "{shot}", "--all", "-o", "/"], "'/' cannot be the name of a file"),
+        (["collect", "{shot}", "-o", "/"], "'/' cannot be the name of a file"),
         (["nonsense"], "invalid choice"),
         ([], "required"),
     ],
@@ -210,6 +216,40 @@ def test_ctrl_c_and_a_scheduler_s_signal(shot, run, stand_in, number, code, word
     assert shot.read_bytes() == content
 
 
+@pytest.mark.fault("C02")
+@pytest.mark.parametrize("where", ["handler", "driver", "operator"])
+@pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 75)])
+def test_a_signal_while_blender_calls_python(shot, run, stand_in, monkeypatch, number, code, where):
+    """Blender prints what its handlers, drivers and operators raise, and goes on."""
+    before = signal.signal(number, signal.default_int_handler)  # ignored where the tests run in the background
+    output = shot.parent / "baked.blend"
+
+    def interrupted(*_arguments, **_options):
+        os.kill(os.getpid(), number)
+        return 0.0
+
+    @bpy.app.handlers.persistent
+    def loaded(*_arguments):
+        bpy.app.driver_namespace["interrupted"] = interrupted
+        if where == "handler":
+            interrupted()
+
+    if where == "driver":
+        driver = bpy.data.objects["Arm Rig"].driver_add("location", 0).driver
+        driver.expression = "interrupted()"
+        bpy.ops.wm.save_mainfile()
+    monkeypatch.setattr("io_scene_fbx.export_fbx_bin.save", interrupted)
+    bpy.app.handlers.load_post.append(loaded)
+    try:
+        form = ("--format", "fbx") if where == "operator" else ("-o", output)
+        found, _, errors = run("bake", shot, "--object", "Arm", "--enable-autoexec", *form)
+    finally:
+        bpy.app.handlers.load_post.remove(loaded)
+        signal.signal(number, before)
+    assert found == code and "nothing was saved" in errors
+    assert {path.suffix for path in shot.parent.iterdir()} <= {".blend", ".blend1"} and not output.exists()
+
+
 def test_ctrl_break_is_how_windows_ends_a_process(shot, run, stand_in, monkeypatch):
     """Another signal stands in for the one that Windows alone has; SIGTERM keeps its handler there."""
     monkeypatch.setattr(signal, "SIGBREAK", signal.SIGUSR1, raising=False)
@@ -257,6 +297,37 @@ def test_blenders_own_ctrl_c_handler(shot, run, monkeypatch):
     monkeypatch.setattr(signal, "signal", lambda number, handler: install(number, handler) and None)
     assert run("info", shot)[0] == 0
     install(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.mark.parametrize(
+    "where, code",
+    [(">/dev/full", 75), (">/dev/full 2>&1", 75), (">&-", 0), (">/dev/null 2>&-", 0), ("2>&1 | true", 75)],
+)
+def test_a_log_that_cannot_be_written(shot, stand_in, where, code):
+    """Its disk is full, it is closed, or who reads it has ended: no result is lost, and the report says the same."""
+    report = shot.parent / "report.json"
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "addon")}
+    command = f'"{sys.executable}" -m dynamic_morph_targets check "{shot}" --all --report "{report}"'
+    first, *pipe = where.partition("|")
+    script = f"set -o pipefail; {command} {first} {''.join(pipe)}"
+    done = subprocess.run(["bash", "-c", script], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == code == json.loads(report.read_text())["exit_code"], done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_current_folder_that_was_deleted(tmp_path):
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "addon")}
+    command = (
+        f'cd "{tmp_path}" && rmdir "{tmp_path}" && "{sys.executable}" -m dynamic_morph_targets info /nowhere.blend'
+    )
+    done = subprocess.run(["bash", "-c", command], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "there is no file '/nowhere.blend'" in done.stderr
+
+
+def test_an_object_that_is_named_twice(shot, run):
+    caches = "--format", "pc2", "--output-file", shot.parent / "arm.pc2"
+    assert run("bake", shot, "--object", "Arm", "--object", "Arm", *caches, "-o", shot.parent / "baked.blend")[0] == 0
+    assert sorted(path.name for path in shot.parent.iterdir()) == ["arm.pc2", "baked.blend", shot.name]
 
 
 @pytest.mark.parametrize("arguments, code", [(["-h"], 0), (["info", "nowhere.blend"], 2), (["bake"], 2)])

@@ -351,6 +351,24 @@ def test_usd_has_the_frames_that_were_asked_for(baked, tmp_path):
     assert (bpy.context.scene.frame_start, bpy.context.scene.frame_end) == FRAMES
 
 
+@pytest.mark.fault("A07")
+@pytest.mark.parametrize("key", ["GLTF", "FBX", "ALEMBIC", "USD", "RAW"])
+def test_frames_before_0_are_written_or_refused(baked, tmp_path, key):
+    """No scene of Blender has them, whose range most exporters take."""
+    obj, _ = baked
+    path = tmp_path / f"arm{part('exports').FORMATS[key].suffix}"
+    export = part("export_actions").export
+    if key in ("ALEMBIC", "RAW"):
+        export(obj, key, path, (-10, 10))
+        assert path.is_file()
+        return
+    with pytest.raises(
+        part("errors").ExportError, match="no frames before 0, 'Arm' is to begin at -10: choose Alembic"
+    ):
+        export(obj, key, path, (-10, 10))
+    assert not path.exists()
+
+
 def test_refused(baked, tmp_path):
     obj, _ = baked
     errors, export_actions = part("errors"), part("export_actions")

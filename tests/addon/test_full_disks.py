@@ -19,6 +19,7 @@ import pytest
 import round_trips
 from builders import activate, fingerprint, hand_made_bake, part
 from test_cli import run, shot  # noqa: F401
+from test_kills import environment
 
 # Files that Blender's exporters in Python leave open when the disk is full fail again when they are forgotten.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -500,6 +501,20 @@ def test_a_protected_file_is_not_replaced(shot, run, stand_in, tmp_path):  # noq
     assert output.read_bytes() == EARLIER
 
 
+@pytest.mark.parametrize("key", ["alembic", "usd"])
+def test_a_read_only_temporary_folder_is_found_before_the_work(shot, run, stand_in, key):  # noqa: F811
+    """These are written from a copy of the scene that is put there."""
+    folder = bpy.app.tempdir
+    mounted(("--bind",), folder, folder)
+    try:
+        subprocess.run(["mount", "-o", "remount,ro,bind", folder], check=True)
+        code, _, told = run(*bake(shot, "--format", key))
+        assert code == 2 and folder in told and "Read-only file system" in told and "Traceback" not in told
+        assert stand_in.built == 0 and names(shot.parent) == [shot.name]
+    finally:
+        subprocess.run(["umount", "--lazy", folder], check=True)
+
+
 def test_the_export_on_a_full_disk_is_told_before_the_work(shot, run, stand_in, disk):  # noqa: F811
     fill(disk)
     code, _, told = run(*bake(shot, "--format", "alembic", "--output-file", disk / "arm.abc"))
@@ -667,3 +682,18 @@ def test_a_blend_of_another_name(shot, run, stand_in, tmp_path, name):  # noqa: 
     assert run("build", output, "--object", "Arm", "--in-place")[0] == 0
     bpy.ops.wm.open_mainfile(filepath=str(output))
     assert "Arm" in bpy.data.objects
+
+
+def test_a_temporary_folder_that_all_share_is_not_emptied(tmp_path):
+    """Blender takes it where it cannot make one of its own."""
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    mounted(("-t", "tmpfs"), shared, "-o", "nr_inodes=3", "tmpfs")
+    try:
+        (shared / "show").mkdir()
+        (shared / "show" / "take").write_bytes(EARLIER)
+        command = [sys.executable, "-m", "dynamic_morph_targets", "info", "nowhere.blend"]
+        done = subprocess.run(command, env=environment() | {"TMPDIR": str(shared)}, capture_output=True, check=False)
+        assert done.returncode == 2 and (shared / "show" / "take").read_bytes() == EARLIER
+    finally:
+        subprocess.run(["umount", "--lazy", str(shared)], check=True)

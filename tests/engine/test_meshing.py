@@ -289,6 +289,30 @@ def test_a_failing_mesher_becomes_an_error(monkeypatch, children, fault, message
     assert all(child.returncode is not None for child in children)  # none is left running
 
 
+@pytest.mark.fault("F12")
+def test_a_full_disk_is_no_fault_of_the_mesh(monkeypatch, children, tmp_path):
+    """Where the temporary files are. A file of limited size stands in for it: what fits is a part of the answer."""
+    opened = []
+
+    def limited():
+        opened.append((tmp_path / f"{len(opened)}").open("w+b"))
+        return opened[-1]
+
+    class Child(subprocess.Popen):
+        def __init__(self, *arguments, **options):
+            super().__init__(*arguments, **options, preexec_fn=limit)
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+    monkeypatch.setattr(subprocess, "Popen", Child)
+    monkeypatch.setattr(meshing.tempfile, "TemporaryFile", limited)
+    with pytest.raises(OSError, match="File too large"):
+        dynamorph.mesh_body(*box(), 300)
+    assert len(children) == 1  # no other resolution is tried
+    assert all(child.returncode is not None for child in children)
+
+
 @pytest.mark.fault("C03", "C07")
 @pytest.mark.parametrize("fault", ["crash once", "hang once"])
 def test_another_cage_is_tried(monkeypatch, fault):

@@ -407,8 +407,10 @@ def swing(model, count):
     return rig, np.tile([0.5, 0.5, 0.0], (count, 1))
 
 
-def test_state_resumes_bit_for_bit():
-    model, _, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.FORCES, True)
+@pytest.mark.fault("C01")
+@pytest.mark.parametrize("reduced", [False, True])
+def test_state_resumes_bit_for_bit(reduced):
+    model, _, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.FORCES, reduced)
     rig, weights = swing(model, 20)
     simulation = simulation_of(model)
     simulation.start(rig[0], rig[1], weights[0])
@@ -465,6 +467,24 @@ def test_a_crowd_steps_its_characters_as_each_would_alone():
         crowd.advance(rig[frames[1:]], weights[frames[1:, :9]])
 
 
+def test_bones_that_carry_nothing_do_not_count_in_a_crowd():
+    """Also where the rig jumps, and a character is stepped alone."""
+    nodes, tets = bar((4, 1, 1), (0.4, 0.1, 0.1))
+    count, weights = np.ones(len(tets)), np.eye(2)[np.zeros(len(nodes), int)]
+    body = dynamorph.SoftBody(dynamorph.TetMesh(nodes, tets), count, count, count[:, None], nodes[:, 0] < 1e-9, weights)
+    targets = [dynamorph.MorphTarget("rest", np.zeros_like(nodes), density=1000.0, **lame(1e5, 0.3))]
+    full = dynamorph.FullModel(body, targets, dynamorph.Law.STVK, dynamorph.Blending.EVEN)
+    tables = dynamorph.reduce(full, dynamorph.make_basis(full, 4).U)
+    model = dynamorph.ReducedModel(body, targets, tables, dynamorph.Blending.EVEN)
+    crowd = dynamorph.Crowd(model, 1 / 120, 10, teleport=0.2)
+    rig, weights = np.tile(TWO_BONES, (10, 1, 1, 1)), np.ones((10, 1))
+    crowd.start(rig, rig, weights)
+    rig[:, 1] = np.nan
+    rig[9, 0, 0, 3] = 50.0
+    assert crowd.advance(rig[None], weights[None])["alone"] == 1
+    assert np.abs(crowd.coordinates).max() < 1e-9
+
+
 # Bad input ---------------------------------------------------------------------------------------------------------
 
 
@@ -515,6 +535,25 @@ def test_a_bone_that_collapses_leaves_the_state_finite(reduced):
     simulation.start(rig[0], rig[1], weights[0])
     simulation.advance(rig[1:], weights[1:])
     assert np.isfinite(simulation.coordinates).all()
+
+
+@pytest.mark.fault("R03")
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize("scale", [(1, 1, 0), (1, 0, 0), (1, 1, 1e-9)])
+def test_a_bone_that_is_flat_at_the_start_is_at_rest(scale, single):
+    """Scaled to zero along an axis, and turned: the determinant is round-off, and so would be the past."""
+    model, _, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, True, cells=(4, 1, 1), modes=6)
+    simulation = simulation_of(model)
+    for seed in range(20):
+        posed, rest = (turn.as_matrix() for turn in Rotation.random(2, random_state=seed))
+        rig = np.array([np.concatenate([bones(), bones(translation=(0.3, 0.1, 0))])] * 2)
+        for k in range(2):
+            flat = Rotation.from_euler("z", 0.01 * k).as_matrix() @ posed @ np.diag(scale)
+            rig[k, 1, :, :3] = (flat.astype(np.float32) if single else flat) @ rest.T
+        for after in rig:
+            simulation.start(rig[0], after, np.eye(3)[0])
+            for past in simulation.state[1]:
+                assert np.array_equal(past, rig[0].reshape(-1, 12))
 
 
 def test_regions_that_do_not_overlap_have_the_body_s_modes():

@@ -121,6 +121,8 @@ def test_a_missing_engine_says_for_which_systems_it_is_there(told):
         ("Linux", "/lib/x86_64-linux-gnu/libc.so.6: version `GLIBC_2.28' not found", "glibc 2.28 or newer"),
         ("Linux", "Error loading shared library ld-linux-x86-64.so.2: No such file", "glibc 2.28 or newer"),
         ("Linux", "wrong ELF class: ELFCLASS32", "made for this Blender and system"),
+        ("Linux", "_core.so: failed to map segment from shared object", "Memory is short: close other programs"),
+        ("Linux", "_core.so: cannot allocate memory in static TLS block", "made for this Blender and system"),
     ],
 )  # fmt: skip
 def test_each_loader_is_told_with_its_remedy(told, system, error, remedy):

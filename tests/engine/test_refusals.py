@@ -39,7 +39,7 @@ def rest(full, **changed):
     ("option", "value"),
     [
         *(("h", h) for h in (0.0, -1.0, np.nan, np.inf)),
-        *(("tolerance", tolerance) for tolerance in (0.0, -1e-6, 1.0, np.nan)),
+        *(("tolerance", tolerance) for tolerance in (0.0, -1e-6, 1.0, 5e-324, np.nan)),
         ("max_iterations", 0),
         ("max_iterations", -1),
         ("teleport", -1.0),
@@ -58,6 +58,16 @@ def test_options_that_no_step_can_be_taken_with(stepper, option, value):
             dynamorph.ReducedSimulation(reduced(full), **options)
         else:
             dynamorph.Crowd(reduced(full), size=3, **options)
+
+
+@pytest.mark.parametrize("stepper", ["reduced", "crowd"])
+def test_poses_that_take_no_bytes_are_counted_first(stepper):
+    """A billion poses of no bone would take all memory."""
+    full, _ = cantilever((2, 1, 1), (0.2, 0.1, 0.1))
+    model = reduced(full)
+    made = dynamorph.ReducedSimulation(model, 0.01) if stepper == "reduced" else dynamorph.Crowd(model, 0.01, 3)
+    with pytest.raises(ValueError, match=r"bones: expected shape \(1, 1, 3, 4\), got \(1099511627776, 0, 3, 4\)"):
+        made.balance_targets(np.zeros((2**40, 0, 3, 4)))
 
 
 # Models ------------------------------------------------------------------------------------------------------------

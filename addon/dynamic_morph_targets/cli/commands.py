@@ -22,7 +22,7 @@ from ..core.settings import MOST_SUBSTEPS, VARIANTS, Material, ModelSettings
 from ..io import cache_dir, disk, outputs, paths, point_cache, report_page
 from ..run import batch, expected_error, export_actions, final_comparison
 from ..run.job import Job
-from ..scene import checks, extract, mesh_data, model_store, skin, staleness
+from ..scene import checks, extract, mesh_data, model_store, run_settings, skin, staleness
 from ..write import bake, blend_file, export_process, exports, losses
 from ..write.reconcile import reconcile
 from . import signals
@@ -177,8 +177,11 @@ def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], fold
             raise
         if not chosen:  # otherwise `check_place` does
             outputs.try_file(path)
-    frames = tuple(args.frames or (bpy.context.scene.frame_start, bpy.context.scene.frame_end))
+    scene = bpy.context.scene
     for obj in objects if chosen else ():
+        frames = scene.frame_start, scene.frame_end  # of clips the size alone is wanted
+        if args.clips != "actions":
+            frames = run_settings.frame_range(obj, scene, args.frames)
         exports.check_place(obj, chosen_format, files[obj.name], frames)
     return files
 
@@ -389,7 +392,7 @@ def chosen_objects(args: argparse.Namespace) -> list[bpy.types.Object]:
     missing = [name for name in args.object if name not in bpy.context.scene.objects]
     if missing:
         raise InputError(f"scene '{bpy.context.scene.name}' has no object named '{missing[0]}'")
-    return _reconciled([bpy.context.scene.objects[name] for name in args.object])
+    return _reconciled([bpy.context.scene.objects[name] for name in dict.fromkeys(args.object)])
 
 
 def _reconciled(objects: list) -> list[bpy.types.Object]:

@@ -21,6 +21,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -76,11 +77,8 @@ def main(argv: Sequence[str], opens_file: bool = False) -> int:
         args = parser(opens_file).parse_args(with_new_names(argv))
     except SystemExit as end:  # argparse has printed why; Blender must not be ended by it
         return end.code if isinstance(end.code, int) else BAD_INPUT
-    try:
-        with signals.raised():
-            return _run(args, opens_file)
-    finally:
-        sys.stdout.flush()
+    with signals.raised():
+        return _run(args, opens_file)
 
 
 def with_new_names(argv: Sequence[str]) -> list[str]:
@@ -99,8 +97,11 @@ def _run(args: argparse.Namespace, opens_file: bool) -> int:
     """Run the command and write its report; returns its exit code."""
     args.done, args.saved, code, error = [], False, DONE, ""
     try:
-        open_file(args, opens_file)
-        args.run(args)
+        with signals.heeded():
+            open_file(args, opens_file)
+            signals.check()
+            args.run(args)
+            sys.stdout.flush()  # its disk may be full, too
     except signals.Preempted:
         remedy = "it was saved before" if args.saved else "nothing was saved: run it again. With --cache-dir it resumes"
         code, error = TRY_AGAIN, f"stopped by a signal, {remedy}"
@@ -113,10 +114,10 @@ def _run(args: argparse.Namespace, opens_file: bool) -> int:
     except engine.expected_errors() as failure:
         code, error = BAD_INPUT, f"error: {errors.sentence(failure)}"
     except Exception as fault:  # a bug: the report is written nevertheless
-        traceback.print_exc()
+        with suppress(OSError):
+            traceback.print_exc()
         code, error = FAULT, f"fault: {type(fault).__name__}: {fault}"
-    if error:
-        print(f"dynamorph: {error}", file=sys.stderr)
+    tell(error)
     if getattr(args, "report", None):
         signals.ignore()  # the work is done, or has failed
         try:
@@ -124,9 +125,18 @@ def _run(args: argparse.Namespace, opens_file: bool) -> int:
         except (OSError, errors.SinkError) as failure:  # the second for a path that is too long
             unwritten, text = outcome(failure)
             if text != error:
-                print(f"dynamorph: {text}", file=sys.stderr)
+                tell(text)
             return code or unwritten
     return code
+
+
+def tell(error: str) -> None:
+    """Print it, if there is one and somebody who reads it."""
+    with suppress(OSError):
+        sys.stdout.flush()
+    with suppress(OSError):
+        if error:
+            print(f"dynamorph: {error}", file=sys.stderr, flush=True)
 
 
 def outcome(failure: OSError | MemoryError | errors.SinkError) -> tuple[int, str]:
@@ -176,7 +186,7 @@ def add_command(
     chosen.add_argument("--all", action="store_true", help="every soft skin of the file")
     if writes:
         target = sub.add_mutually_exclusive_group(required=name not in ("build", "bake"))
-        target.add_argument("-o", "--output", type=path_of, metavar="FILE", help="the .blend to write")
+        target.add_argument("-o", "--output", type=file_of, metavar="FILE", help="the .blend to write")
         target.add_argument("--in-place", action="store_true", help="overwrite the .blend that was opened")
     return sub
 
@@ -212,7 +222,7 @@ def add_report(command: Callable[..., argparse.ArgumentParser]) -> None:
     report = command("report", run_report, "simulate by several methods and compare them", writes=False)
     report.add_argument("--methods", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="METHOD",
                         help=f"which to compare, each in quotes; all by default: {', '.join(VARIANTS)}")  # fmt: skip
-    report.add_argument("--json", type=path_of, metavar="FILE", help="also write all figures, in meters and seconds")
+    report.add_argument("--json", type=file_of, metavar="FILE", help="also write all figures, in meters and seconds")
     add_shot(report)
 
 
@@ -234,7 +244,7 @@ def add_collect(commands: argparse._SubParsersAction) -> None:
     collected.set_defaults(run=run_collect)
     collected.add_argument("folder", type=path_of, help="the folder with the files of --report")
     collected.add_argument("--expect", type=int, metavar="N", help="how many reports there should be")
-    collected.add_argument("-o", "--page", type=path_of, metavar="FILE", required=True,
+    collected.add_argument("-o", "--page", type=file_of, metavar="FILE", required=True,
                            help="the HTML to write, with a .json of the same name beside it")  # fmt: skip
 
 
@@ -252,7 +262,7 @@ def add_model(sub: argparse.ArgumentParser) -> None:
 
 
 def add_report_file(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("--report", type=path_of, metavar="FILE", help="write the outcome as JSON, even after a failure")
+    sub.add_argument("--report", type=file_of, metavar="FILE", help="write the outcome as JSON, even after a failure")
 
 
 def path_of(text: str) -> Path:
@@ -263,6 +273,14 @@ def path_of(text: str) -> Path:
     except UnicodeEncodeError:
         pass
     raise argparse.ArgumentTypeError(f"{text!r} cannot be the name of a file")
+
+
+def file_of(text: str) -> Path:
+    """A parser that refuses the root of a disk as well, which has no name."""
+    path = path_of(text)
+    if path.is_absolute() and not path.name:
+        raise argparse.ArgumentTypeError(f"{text!r} cannot be the name of a file")
+    return path
 
 
 def add_shot(sub: argparse.ArgumentParser) -> None:

@@ -15,6 +15,7 @@ from ..core import baked, engine
 from ..core.time_left import TimeLeft, clock
 from ..run.batch import Batch
 from ..run.job import Job
+from . import signals
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,7 @@ class Progress:
         self.time_left = TimeLeft()
 
     def __call__(self, job: Job | Batch) -> None:
+        signals.check()
         self.time_left.learn(time.monotonic(), job.fraction)
         percent = int(100 * job.fraction) // self.step * self.step
         if percent > self.percent:

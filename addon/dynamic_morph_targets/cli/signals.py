@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+_raised: list[int] = []  # in the present block
+
 
 class Preempted(BaseException):
     """A scheduler needs the machine for something else."""
@@ -18,6 +20,7 @@ def raised() -> Iterator[None]:
     """They raise KeyboardInterrupt and Preempted in the block. Blender swallows the first Ctrl-C unless a handler of
     Python is in place.
     """
+    _raised.clear()
     before = _handle(_raise)
     try:
         yield
@@ -30,6 +33,7 @@ def raised() -> Iterator[None]:
 @contextmanager
 def delayed() -> Iterator[None]:
     """Within `raised`: they wait until the block has ended."""
+    check()
     caught: list[int] = []
     _handle(lambda number, _frame: caught.append(number))
     try:
@@ -38,6 +42,25 @@ def delayed() -> Iterator[None]:
         _handle(_raise)
     if caught:
         _raise(caught[0], None)
+
+
+@contextmanager
+def heeded() -> Iterator[None]:
+    """Within `raised`: they leave the block, whatever Blender has made of them."""
+    try:
+        yield
+    except Exception:
+        check()
+        raise
+    check()
+
+
+def check() -> None:
+    """Raise once more what has come while Blender called Python: a handler, a driver, an operator. It prints what these
+    raise, and goes on.
+    """
+    if _raised:
+        raise _error(_raised[0])
 
 
 def ignore() -> None:
@@ -54,4 +77,9 @@ def _handle(handler: Callable[[int, FrameType | None], object] | signal.Handlers
 def _raise(number: int, _frame: FrameType | None) -> None:
     """Only once: another one would end what the first one has led to."""
     ignore()
-    raise KeyboardInterrupt if number == signal.SIGINT else Preempted
+    _raised.append(number)
+    raise _error(number)
+
+
+def _error(number: int) -> BaseException:
+    return KeyboardInterrupt() if number == signal.SIGINT else Preempted()

@@ -26,6 +26,8 @@ REMEDIES = {
     "Security, and restart",
     r"DLL load failed": "Let the virus scanner allow it. If that does not help, install the Dynamorph extension made "
     "for this processor, and restart",
+    r"map segment|Cannot allocate memory": "Memory is short: close other programs or raise the limit (ulimit -v), "
+    "and restart",
 }
 _threads, _told = 0, True  # what the user wants, and whether the engine knows; 0 is its own choice
 

@@ -18,15 +18,9 @@ def output_settings(obj) -> OutputSettings:
     return replace(chosen, tolerance=unit_scale() * chosen.tolerance)
 
 
-def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSettings:
-    """The run that `obj` requests in `scene`; frames (start, end) and substeps override it. Substeps are rounded up to
-    a multiple of the samples per frame. Raises SceneError.
-
-    The scene's gravity is taken as m/s^2 whatever its unit scale. Blender's own simulations take it as Blender units
-    per s^2.
-    """
-    chosen = obj.dynamorph.simulation
-    fps = scene.render.fps / scene.render.fps_base
+def frame_range(obj, scene, frames=None) -> tuple[int, int]:
+    """The first frame and the last that are requested; frames: instead of those of `obj`. Raises SceneError."""
+    chosen, blenders = obj.dynamorph.simulation, scene.bl_rna.properties["frame_current"]
     own = (scene.frame_start, scene.frame_end) if chosen.use_scene_range else (chosen.start, chosen.end)
     start, end = frames or own
     if end < start:
@@ -36,6 +30,26 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
             end=end,
             start=start,
         )
+    if start < blenders.hard_min or end > blenders.hard_max:
+        raise SceneError(
+            "'{name}': Blender has no frames beyond {first} and {last}: change the range",
+            name=obj.name,
+            first=blenders.hard_min,
+            last=blenders.hard_max,
+        )
+    return start, end
+
+
+def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSettings:
+    """The run that `obj` requests in `scene`; frames (start, end) and substeps override it. Substeps are rounded up to
+    a multiple of the samples per frame. Raises SceneError.
+
+    The scene's gravity is taken as m/s^2 whatever its unit scale. Blender's own simulations take it as Blender units
+    per s^2.
+    """
+    chosen = obj.dynamorph.simulation
+    fps = scene.render.fps / scene.render.fps_base
+    start, end = frame_range(obj, scene, frames)
     substeps = substeps or chosen.steps_per_frame(fps)
     if substeps > MOST_SUBSTEPS:
         raise SceneError(

@@ -7,6 +7,7 @@ The extension is not part of it, as it would show Live again.
 
 import json
 import os
+import re
 import shutil
 import sys
 import traceback
@@ -72,6 +73,15 @@ def positions(mesh):
     return found
 
 
+def remove_temporary():
+    """Delete the temporary folder of this process. Where Blender could not make one, as on a full disk, it takes the
+    one that all share.
+    """
+    folder = Path(bpy.app.tempdir)
+    if re.fullmatch(r"blender_\w{6}", folder.name) and folder != Path(os.environ.get("TMPDIR", "")):
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 def main():
     code = 1
     try:
@@ -79,7 +89,7 @@ def main():
         code = 0
     except Exception:
         traceback.print_exc()
-    shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
+    remove_temporary()
     sys.stderr.flush()
     os._exit(code)  # bpy 4.5 may wait for ever for a thread of its own as it ends
 

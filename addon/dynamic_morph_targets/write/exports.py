@@ -28,7 +28,8 @@ class Format:
     """suffix: of its files; write(obj, collection, path, frames, takes), collection: the name of the one that holds the
     character, raises RuntimeError, OSError, MemoryError; skins: whether it contains armature and keys, and so a clip
     for each Action; surface: whether it contains the resulting surface; has_parts: whether other files belong to it;
-    option: of bpy.app.build_options that it needs.
+    scenes: whether its frames are those of the scene, of which none is before 0; option: of bpy.app.build_options that
+    it needs.
     """
 
     label: str
@@ -38,6 +39,7 @@ class Format:
     skins: bool = False
     surface: bool = False
     has_parts: bool = False
+    scenes: bool = False
     option: str = ""
 
     @property
@@ -50,6 +52,14 @@ def check_place(obj, key: str, path: Path, frames: tuple[int, int]):
     chosen = FORMATS[key]
     if not chosen.is_available:
         raise ExportError("This Blender was built without {format}: choose another format", format=chosen.label)
+    if chosen.scenes and frames[0] < 0:
+        raise ExportError(
+            "{format} has no frames before 0, '{name}' is to begin at {first}: choose {others}, or move the animation",
+            format=chosen.label,
+            name=obj.name,
+            first=frames[0],
+            others=" or ".join(each.label for each in FORMATS.values() if not each.scenes and each.is_available),
+        )
     bake.check_not_edited(obj)
     if rig_of(obj):
         checks.refuse(checks.armature_state(rig_of(obj)))
@@ -65,6 +75,8 @@ def check_place(obj, key: str, path: Path, frames: tuple[int, int]):
         )
     outputs.try_file(path)
     outputs.check_space(path, _size(obj, chosen, frames))
+    if chosen.surface:  # written by another process, from a copy of the scene that is put there
+        outputs.try_folder(Path(bpy.app.tempdir))
 
 
 def write_file(obj, key: str, path: Path, frames: tuple[int, int], takes=(), without=()):
@@ -198,13 +210,14 @@ def _fps() -> float:
 
 
 FORMATS = {
-    "GLTF": Format("glTF", ".glb", "Morph targets and bones, for engines and the web", _write_gltf, skins=True),
+    "GLTF": Format("glTF", ".glb", "Morph targets and bones, for engines and the web", _write_gltf, skins=True,
+                   scenes=True),
     "FBX": Format("FBX", ".fbx", "Morph targets and bones, for engines and other packages", _write_fbx,
-                  skins=True),
+                  skins=True, scenes=True),
     "ALEMBIC": Format("Alembic", ".abc", "The posed surface at every frame", _write_alembic,
                       surface=True, option="alembic"),
     "USD": Format("USD", ".usdc", "The posed surface at every frame", _write_usd, surface=True,
-                  has_parts=True, option="usd"),
+                  has_parts=True, scenes=True, option="usd"),
     "RAW": Format("Raw Clip", ".npz", "Modes and their values, for NumPy and runtime/dynamorph.h", _write_raw),
 }  # fmt: skip
 

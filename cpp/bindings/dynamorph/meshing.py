@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import errno
 import functools
 import heapq
+import io
 import itertools
 import math
 import os
@@ -25,7 +27,7 @@ import numpy as np
 from dynamorph._core import Cancelled, Error, TetMesh, closed_surface, make_cage, points_on_bones, tetrahedralize
 
 TRY_THIS = "Change the cage resolution a little, or clean the mesh (Mesh > Clean Up > Merge by Distance)."
-EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER, EXIT_MESHER = 10, 11, 12, 13  # 1 and 2 are Python's own
+EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER, EXIT_MESHER, EXIT_DISK = 10, 11, 12, 13, 14  # 1 and 2 are Python's own
 # On Windows exit codes from here up are exceptions, and 3 is abort; elsewhere a signal gives a negative code.
 WINDOWS_CRASH, WINDOWS_ABORT = 0xC0000000, 3
 # TetGen fails, crashes or hangs unpredictably. A slightly coarser or finer cage usually works.
@@ -215,6 +217,9 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
             f"Meshing needed more than {memory_limit_gb:g} GB of memory, or than this process may take. Lower the cage "
             "resolution."
         )
+    if code == EXIT_DISK:
+        number = getattr(errno, message)
+        raise OSError(number, os.strerror(number), tempfile.gettempdir())
     if code < 0 or code == WINDOWS_ABORT or code >= WINDOWS_CRASH:
         name = signal.Signals(-code).name if code < 0 else f"{code:#x}"
         raise _MesherFailed(f"The mesher crashed on this mesh ({name}). {TRY_THIS}")
@@ -236,14 +241,25 @@ def _child() -> None:
             arrays = _filled(cage, body, bones, pin_radius, target_nodes)
         else:
             arrays = _wrapped(body, moved, bones, pin_radius, target_nodes, thickness, resolution)
-        for array in arrays:
-            np.save(sys.stdout.buffer, array, allow_pickle=False)
+        _answer(arrays)
     except (Error, ValueError) as error:
         print(error, file=sys.stderr)
         codes: dict[type[Exception], int] = {_MesherFailed: EXIT_MESHER, Error: EXIT_ERROR}
         sys.exit(codes.get(type(error), EXIT_CALLER))
     except MemoryError:
         sys.exit(EXIT_MEMORY)
+    except OSError as error:
+        print(errno.errorcode.get(error.errno or 0, "EIO"), file=sys.stderr)
+        sys.exit(EXIT_DISK)
+
+
+def _answer(arrays: Iterable[np.ndarray]) -> None:
+    """Raises OSError on a full disk, of which `np.save` to a file does not tell."""
+    content = io.BytesIO()
+    for array in arrays:
+        np.save(content, array, allow_pickle=False)
+    with open(1, "wb", closefd=False) as answer:
+        answer.write(content.getbuffer())
 
 
 def _load_pair() -> tuple[np.ndarray, np.ndarray]:

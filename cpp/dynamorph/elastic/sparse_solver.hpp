@@ -22,6 +22,8 @@ class SparseSolver {
  public:
   /// Returns false when H is not positive definite.
   bool solve(const SparseMatrix& H, const VectorXd& b, VectorXd& x);
+  /// Factors again at the next solve, so that results do not depend on what was solved before.
+  void forget() { fit_ = false; }
 
  private:
   /// Whether x meets the accuracy after at most `most` iterations. Also returns false at negative curvature.

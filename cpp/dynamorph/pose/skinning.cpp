@@ -2,6 +2,7 @@
 #include "dynamorph/pose/skinning.hpp"
 
 #include <Eigen/LU>
+#include <cmath>
 
 namespace dynamorph {
 
@@ -46,6 +47,16 @@ void pull_back(const SkinFrame& frame, VectorXd& f) {
     f.segment<3>(3 * i) = transform(frame.nodes, i).leftCols<3>().transpose() * f.segment<3>(3 * i).eval();
 }
 
+namespace {
+
+/// Whether a transform flattens what it moves, as far as single precision can tell: its inverse is round-off.
+bool is_flat(const Eigen::Matrix4d& transform) {
+  const Matrix3d A = transform.topLeftCorner<3, 3>();
+  return !(std::abs(A.determinant()) > 1e-5 * std::pow(A.norm(), 3));
+}
+
+}  // namespace
+
 Transforms extrapolate_back(const Transforms& now, const Transforms& next, int k) {
   Transforms past = now;
   for (Eigen::Index b = 0; b < now.rows(); ++b) {
@@ -54,8 +65,9 @@ Transforms extrapolate_back(const Transforms& now, const Transforms& next, int k
     there.topRows<3>() = transform(next, b);
     // A bone that collapses or springs up stays at rest, because its motion could extrapolate to anything.
     const double growth = there.topLeftCorner<3, 3>().determinant() / here.topLeftCorner<3, 3>().determinant();
-    if (!(growth > 0.1 && growth < 10)) continue;
+    if (!(growth > 0.1 && growth < 10) || is_flat(here) || is_flat(there)) continue;
     const Eigen::Matrix4d back = here * there.inverse();
+    if (!(back.topLeftCorner<3, 3>().norm() < 10)) continue;
     for (int i = 0; i < k; ++i) here = back * here;
     Eigen::Map<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>>(past.data() + 12 * b) = here.topRows<3>();
   }

@@ -137,13 +137,13 @@ void Crowd::step_eight(int index, const double* bones, const double* weights, Cr
   eight.q[0].swap(scratch_.q);
   eight.bones[0].swap(scratch_.bones);
 
-  const Index transforms = model().body().skin.cols(), targets = Index(model().targets().size());
+  const Index targets = Index(model().targets().size());
   for (int i = 0; i < count; ++i) {
     if (!(need >> i & 1)) continue;
     const int character = index * kLanes + i;
     alone_.set_state(before[i]);
     add(report, character, [&] {
-      return alone_.step(Eigen::Map<const Transforms>(bones + character * transforms * 12, transforms, 12),
+      return alone_.step(lane(eight, i).bones[0],  // without the bones that do not count
                          Eigen::Map<const VectorXd>(weights + character * targets, targets));
     });
     ++report.alone;

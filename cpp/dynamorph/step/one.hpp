@@ -34,6 +34,10 @@ struct One {
         return 0;
       }
     }
+    /// Makes the next result independent of earlier ones.
+    void forget() {
+      if constexpr (kSparse) factor_.forget();
+    }
 
    private:
     using DirectFactor = std::conditional_t<kArrow, ArrowFactor, DenseFactor>;

@@ -111,6 +111,7 @@ StepReport Simulation<Model>::solve_static(const Transforms& bones, const Vector
   }
   if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
   load(at_rest(q, bones, options_.gravity), 1, external);
+  forget();
   values(quadratic_.hessian).setZero();
   quadratic_.origin = VectorXd::Zero(model_->dofs());
   quadratic_.round_off = 1e-15 * quadratic_.g.norm();

@@ -65,6 +65,10 @@ class Simulation {
   StepReport solve_static(const Transforms& bones, const VectorXd& weights, VectorXd& q,
                           const VectorXd& external = VectorXd());
 
+  /// Drops the factors of earlier steps, which save time: the steps that follow depend on the state alone, to the last
+  /// bit. Call it where the state is copied, and after it is set.
+  void forget() { newton_.solver.forget(); }
+
   const Model& model() const { return *model_; }
   const std::shared_ptr<const Model>& shared_model() const { return model_; }
   const StepOptions& options() const { return options_; }

@@ -22,7 +22,8 @@ void check(const StepOptions& options) {
   if (options.scheme != Scheme::implicit_euler && options.scheme != Scheme::bdf2)
     refuse("scheme", "one of Scheme's values", int(options.scheme));
   if (!options.gravity.allFinite()) throw std::invalid_argument("gravity: expected three finite numbers");
-  if (!(options.tolerance > 0 && options.tolerance < 1)) refuse("tolerance", "between 0 and 1", options.tolerance);
+  if (!(options.tolerance >= 1e-100 && options.tolerance < 1))  // it divides by it
+    refuse("tolerance", "between 1e-100 and 1", options.tolerance);
   if (options.max_iterations < 1) refuse("max_iterations", "at least 1", options.max_iterations);
   if (!(options.teleport >= 0)) refuse("teleport", "0, for never, or a distance in meters", options.teleport);
 }
