@@ -312,3 +312,10 @@ def test_sculpting_leaves_the_other_armature_modifier_as_it_was(soft_arm):
     OPS.sculpt_target()
     OPS.finish_sculpt()
     assert other.show_in_editmode and other.show_on_cage and not soft_arm.modifiers["Armature"].show_in_editmode
+
+
+def test_modifiers_move_below_an_armature_that_is_pinned_to_last(soft_arm):
+    soft_arm.modifiers["Armature"].use_pin_to_last = True
+    soft_arm.modifiers.new("Subdivision", "SUBSURF")
+    OPS.fix(problem="MOVE_BELOW")
+    assert soft_arm.modifiers.keys() == ["Armature", "Subdivision"]

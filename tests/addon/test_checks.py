@@ -84,6 +84,15 @@ PUT_RIGHT = [
 ]
 
 
+def test_a_shared_mesh_is_made_single_user_in_edit_mode_too(soft_arm):
+    shared_mesh(soft_arm)
+    activate(soft_arm)
+    bpy.ops.object.mode_set(mode="EDIT")
+    meshes = set(bpy.data.meshes)
+    OPS.fix(problem="SINGLE_USER")
+    assert found(soft_arm) == [] and {soft_arm.data} == set(bpy.data.meshes) - meshes
+
+
 @pytest.mark.fault("K01", "M17")
 @pytest.mark.parametrize("spoil, fix", PUT_RIGHT, ids=lambda value: getattr(value, "__name__", ""))
 def test_one_button_puts_it_right_and_undo_brings_it_back(soft_arm, spoil, fix):

@@ -54,6 +54,29 @@ def test_selected_bones_hold_their_skin(soft_arm):
     assert 2 <= border.sum() <= 8 and np.abs(np.diff(rings)).max() < 0.55
 
 
+@pytest.mark.parametrize("of_bone", [False, True])
+def test_a_new_map_takes_no_group_that_is_there(soft_arm, of_bone):
+    """Neither what the artist keeps in a group called Soft, nor the skin weights of such a bone."""
+    if of_bone:
+        rig_of(soft_arm).data.bones["lower"].name = "Soft"
+    else:
+        paint(soft_arm, "Soft", 0.25 + 0.0 * points(soft_arm)[:, 2])
+        soft_arm.dynamorph.soft_group = ""
+    before = weights(soft_arm, "Soft")
+    select_bones(soft_arm, "Soft" if of_bone else "lower")
+    OPS.hold_bones()
+    assert soft_arm.dynamorph.soft_group == "Soft 1" and np.array_equal(weights(soft_arm, "Soft"), before)
+
+
+def test_a_locked_map_stays_as_it_is(painted_arm):
+    select_bones(painted_arm, "lower")
+    painted_arm.vertex_groups["Soft"].lock_weight = True
+    before = weights(painted_arm, "Soft")
+    refused(OPS.hold_bones, "vertex group 'Soft' is locked")
+    refused(OPS.mirror_map, "vertex group 'Soft' is locked")
+    assert np.array_equal(weights(painted_arm, "Soft"), before)
+
+
 def test_what_is_held_already_stays_so(soft_arm):
     paint(soft_arm, "Mine", 0.25 + 0.0 * points(soft_arm)[:, 2])
     soft_arm.dynamorph.soft_group = "Mine"

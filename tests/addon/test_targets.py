@@ -246,6 +246,25 @@ def test_finish_puts_back_what_was_shown(soft_arm, mode, pinned):
     refused(OPS.finish_sculpt, "No target is being sculpted")
 
 
+@pytest.mark.parametrize("pinned", [False, True])
+def test_removing_a_soft_skin_ends_its_sculpting(soft_arm, pinned):
+    """There is no button then that would show all shape keys again."""
+    modifier = soft_arm.modifiers["Armature"]
+    soft_arm.show_only_shape_key, modifier.show_on_cage = pinned, pinned
+    OPS.sculpt_target()
+    OPS.remove_soft_skin()
+    assert (soft_arm.show_only_shape_key, modifier.show_in_editmode, modifier.show_on_cage) == (pinned, False, pinned)
+    assert not soft_arm.dynamorph.sculpt.active
+
+
+def test_finish_of_a_hidden_mesh(soft_arm):
+    OPS.sculpt_target()
+    soft_arm.hide_viewport = True
+    refused(OPS.finish_sculpt, "'Arm' is hidden: show it")
+    soft_arm.hide_viewport = False
+    assert OPS.finish_sculpt() == {"FINISHED"} and soft_arm.mode == "OBJECT"
+
+
 def test_finish_after_the_artist_left_by_hand(soft_arm):
     pose_by_hand(soft_arm, lower=0.7)
     pose_mode(soft_arm)
@@ -519,6 +538,37 @@ def test_duplicating_a_target(scene, soft_arm, capfd):
     assert [plain(bone) for bone in source.pose] == [plain(bone) for bone in copy.pose]
     with pytest.raises(part("errors").SceneError, match="have the same pose"):
         part("extract").character(soft_arm)
+
+
+@pytest.mark.parametrize("how", ["keyed", "driven"])
+def test_what_animates_a_target_follows_it_in_the_list(soft_arm, how):
+    """Blender's paths name a place in the list, where another target may be soon."""
+    settings = soft_arm.dynamorph
+    for key in ("smile", "third", "fourth"):
+        if key != "smile":
+            add_key(soft_arm, key, 0.01)
+        OPS.add_target(key=key)
+    for name, amount in (("flexed", 0.9), ("smile", 0.2), ("third", 0.3)):
+        target = settings.targets[names(soft_arm).index(name)]
+        if how == "keyed":
+            target.influence = amount
+            target.keyframe_insert("influence", frame=1)
+        else:
+            target.driver_add("influence").driver.expression = str(amount)
+
+    def amounts():
+        bpy.context.scene.frame_set(2)
+        return {target.name: round(target.influence, 3) for target in settings.targets[1:]}
+
+    settings.active_target_index = names(soft_arm).index("third")
+    OPS.move_target(direction="UP")
+    assert amounts() == {"flexed": 0.9, "third": 0.3, "smile": 0.2, "fourth": 1.0}
+    settings.active_target_index = names(soft_arm).index("flexed")
+    OPS.remove_target()
+    assert amounts() == {"third": 0.3, "smile": 0.2, "fourth": 1.0}
+    settings.active_target_index = names(soft_arm).index("third")
+    OPS.duplicate_target()
+    assert {**amounts(), "third copy": None} == {"third": 0.3, "third copy": None, "smile": 0.2, "fourth": 1.0}
 
 
 def test_the_bones_of_a_target(soft_arm):

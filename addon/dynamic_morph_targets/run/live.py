@@ -14,7 +14,7 @@ from ..core import engine, errors, logger
 from ..core.message import Message, joined
 from ..scene import events, references, staleness
 from ..scene.skin import followers, soft_skins
-from ..write import bake, live_key, muting, reconcile, regions, storage
+from ..write import bake, live_key, muting, reconcile, regions, storage, targets
 from .session import Session, simulation_settings, way_to_skin
 
 SCRUBBED = 0.02  # seconds between two checks whether the artist still drags through the timeline
@@ -311,6 +311,7 @@ def remove_soft_skin(obj: bpy.types.Object) -> None:
     """Remove its targets, model and bake; shape keys and settings stay. Raises SinkError."""
     turn_off(obj)
     bake.free(obj)
+    targets.show_as_before(obj)
     muting.show_target(obj, "")
     left = regions.automatic_regions(obj, obj.dynamorph.targets)
     obj.dynamorph.targets.clear()

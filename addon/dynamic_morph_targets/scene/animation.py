@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import hashlib
+import re
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -24,6 +26,30 @@ def curves(action, slot) -> list:
 def remove_curve(action, slot, curve):
     """Remove one of `curves`."""
     anim_utils.action_get_channelbag_for_slot(action, slot).fcurves.remove(curve)
+
+
+def follow_list(obj, path: str, before: list[int]):
+    """Let the curves and drivers of a list's elements follow them: Blender tells the elements apart by their place.
+
+    before: where each element was. What animates an element that is gone is removed.
+    """
+    data = obj.animation_data
+    now, element = {old: new for new, old in enumerate(before)}, re.compile(rf"{re.escape(path)}\[(\d+)\]")
+
+    def follow(curves, remove):
+        for curve in curves:
+            found = element.match(curve.data_path)
+            place = now.get(int(found[1]), -1) if found else None
+            if place == -1:
+                remove(curve)
+            elif found and place != int(found[1]):
+                curve.data_path = f"{path}[{place}]{curve.data_path[found.end() :]}"
+
+    if data:
+        players = {(each.action, each.action_slot) for each in (data, *strips(data.nla_tracks))}
+        for action, slot in players:
+            follow(curves(action, slot), partial(remove_curve, action, slot))
+        follow(list(data.drivers), data.drivers.remove)
 
 
 def strips(tracks, muted=True) -> list:

@@ -86,7 +86,7 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
             obj.select_set(True)
             bpy.ops.object.mode_set(mode="WEIGHT_PAINT", toggle=True)  # remembers the mesh's own mode
         settings, field = obj.dynamorph, PAINTED[self.which].field
-        name = getattr(settings, field) or PAINTED[self.which].name
+        name = _map_name(obj, self.which)
         known = name in obj.vertex_groups
         if not known:
             _write_groups(name, _start(obj, self.which))
@@ -108,6 +108,18 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
             storage.show_stale(obj)
 
 
+def _map_name(obj, which: str) -> str:
+    """The vertex group of a map. A new one is named like no bone and no group of the meshes in the cage, because what
+    is written there would be skin weights, or the artist's.
+    """
+    painted, rig = PAINTED[which], references.rig_of(obj)
+    if chosen := getattr(obj.dynamorph, painted.field):
+        return chosen
+    taken = {group.name for mesh in (obj, *skin.clothes_in(obj)) for group in mesh.vertex_groups}
+    taken |= {bone.name for bone in rig.data.bones} if rig else set()
+    return targets.free_name(taken, painted.name) if painted.name in taken else painted.name
+
+
 def _start(obj, which: str) -> dict[int, np.ndarray]:
     """Weights (V,) of a new group, by session_uid of each mesh that gets one. A new softness map starts from the hold
     by thickness: 1 everywhere would make thin parts soft.
@@ -124,9 +136,17 @@ def _softness_of_hold(obj) -> dict[int, np.ndarray]:
 
 
 def _write_groups(name: str, weights: dict[int, np.ndarray]):
-    """`_write_group` for each mesh, by session_uid."""
+    """`_write_group` for each mesh, by session_uid. Raises SceneError, and then nothing is written."""
+    for mesh in map(skin.find, weights):
+        _check_unlocked(mesh, name)
     for uid, values in weights.items():
         _write_group(skin.find(uid), name, values)
+
+
+def _check_unlocked(obj, name: str):
+    """Raises SceneError."""
+    if name in obj.vertex_groups and obj.vertex_groups[name].lock_weight:
+        raise SceneError("'{name}': vertex group '{group}' is locked: unlock it first", name=obj.name, group=name)
 
 
 def _write_group(obj, name: str, weights: np.ndarray):
@@ -163,7 +183,7 @@ class DYNAMORPH_OT_hold_to_group(SoftSkinOperator, Operator):
     def apply(self, obj):
         bake.check_not_edited(obj)
         owned(obj.data)
-        name = obj.dynamorph.soft_group or PAINTED["SOFT"].name
+        name = _map_name(obj, "SOFT")
         _write_groups(name, _softness_of_hold(obj))
         obj.dynamorph.soft_group = name
         obj.vertex_groups.active_index = obj.vertex_groups[name].index
@@ -180,7 +200,7 @@ class DYNAMORPH_OT_hold_bones(SoftSkinOperator, Operator):
         bake.check_not_edited(obj)
         owned(obj.data)
         held = _held_by_bones(obj)
-        name = obj.dynamorph.soft_group or PAINTED["SOFT"].name
+        name = _map_name(obj, "SOFT")
         known = {obj.session_uid: mesh_data.group_weights(obj, [name])[:, 0]}
         weights = known if name in obj.vertex_groups else _start(obj, "SOFT")
         weights[obj.session_uid] = np.minimum(weights[obj.session_uid], 1.0 - held)
@@ -246,6 +266,7 @@ class DYNAMORPH_OT_mirror_map(SoftSkinOperator, Operator):
         if not overwritten.any():
             raise SceneError("'{name}' is not symmetric about its X axis: paint the other side yourself", name=obj.name)
         name = obj.vertex_groups.active.name
+        _check_unlocked(obj, name)
         weights = mesh_data.group_weights(obj, [name])[:, 0]
         _write_group(obj, name, np.where(overwritten, weights[partners], weights))
         alone = int(np.count_nonzero(partners < 0))

@@ -122,8 +122,7 @@ class DYNAMORPH_OT_remove_target(TargetOperator, Operator):
             if target.name == settings.sculpt.shown.name:
                 muting.show_target(obj, "")
             left = regions.automatic_regions(obj, [target])
-            settings.targets.remove(settings.active_target_index)
-            settings.active_target_index -= 1
+            targets.remove(obj, settings.active_target_index)
             regions.update(obj, left)
             return
         remove_soft_skin(obj)
@@ -147,8 +146,7 @@ class DYNAMORPH_OT_move_target(TargetOperator, Operator):
         wanted = index + (1 if self.direction == "DOWN" else -1)
         if not 1 <= wanted < len(settings.targets):
             return {"CANCELLED"}
-        settings.targets.move(index, wanted)
-        settings.active_target_index = wanted
+        targets.move(obj, index, wanted)
         return {"FINISHED"}
 
 

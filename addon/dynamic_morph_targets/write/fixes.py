@@ -72,6 +72,7 @@ def _leave_edit_mode(obj):
 
 
 def _make_single_user(obj):
+    _leave_edit_mode(obj)  # where an object takes no other mesh, and Blender does not say so
     obj.data = obj.data.copy()
 
 
@@ -92,6 +93,7 @@ def _parent_as_object(obj):
 
 def _move_below(obj):
     *_, armature = skinning.armature_modifiers(obj)
+    armature.use_pin_to_last = False  # nothing can be below one that is pinned
     for modifier in reversed(checks.generating_before(obj, armature)):  # each moves next to it, which keeps the order
         obj.modifiers.move(obj.modifiers.find(modifier.name), obj.modifiers.find(armature.name))
 

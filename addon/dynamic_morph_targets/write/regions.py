@@ -132,7 +132,8 @@ def automatic_regions(obj, targets) -> set[str]:
 def _is_painted(obj, target, groups) -> bool:
     if not target.made_region or target.region not in obj.vertex_groups:
         return False
-    return _digest(groups.weights([target.region])) != target.made_region
+    locked = obj.vertex_groups[target.region].lock_weight  # by the artist, who keeps it as it is
+    return locked or _digest(groups.weights([target.region])) != target.made_region
 
 
 def _not_painted(obj, automatic: list, groups) -> list:

@@ -117,9 +117,27 @@ def add(obj, block, after: int | None = None):
     target.auto_region = settings.model.hold == "THICKNESS"  # otherwise all share the body, as before
     settings.active_target_index = len(settings.targets) - 1
     if after is not None:
-        settings.targets.move(settings.active_target_index, after + 1)
-        settings.active_target_index = after + 1
+        move(obj, settings.active_target_index, after + 1)
     return settings.active_target
+
+
+def move(obj, index: int, wanted: int):
+    """Move a target to another place in the list, and select it there."""
+    settings = obj.dynamorph
+    order = list(range(len(settings.targets)))
+    order.insert(wanted, order.pop(index))
+    settings.targets.move(index, wanted)
+    settings.active_target_index = wanted
+    animation.follow_list(obj, "dynamorph.targets", order)
+
+
+def remove(obj, index: int):
+    """Remove a target other than the neutral one, and select the one above it."""
+    settings = obj.dynamorph
+    order = [place for place in range(len(settings.targets)) if place != index]
+    settings.targets.remove(index)
+    settings.active_target_index = index - 1
+    animation.follow_list(obj, "dynamorph.targets", order)
 
 
 def start_as(source, target):
@@ -257,13 +275,20 @@ def finish_sculpting(obj):
     """Leave the mode, and show what was shown before `begin_sculpting`."""
     remembered, rig = obj.dynamorph.sculpt, rig_of(obj)
     _make_active(obj)
-    obj.show_only_shape_key = remembered.was_pinned
-    modifier = skinning.main_modifier(obj)
-    if modifier:
-        modifier.show_in_editmode, modifier.show_on_cage = remembered.in_editmode, remembered.on_cage
+    show_as_before(obj)
     if remembered.was_posing and rig and rig.visible_get():
         _make_active(rig)
         bpy.ops.object.mode_set(mode="POSE")
+
+
+def show_as_before(obj):
+    """Undo what `begin_sculpting` has changed in what is shown, if a target is being sculpted. The mode stays."""
+    remembered, modifier = obj.dynamorph.sculpt, skinning.main_modifier(obj)
+    if not remembered.active:
+        return
+    obj.show_only_shape_key = remembered.was_pinned
+    if modifier:
+        modifier.show_in_editmode, modifier.show_on_cage = remembered.in_editmode, remembered.on_cage
     remembered.active = False
 
 
@@ -334,6 +359,8 @@ def _make_active(obj):
     for other in (objects.active, obj):  # each object may be in a different mode
         objects.active = other
         if other and other.mode != "OBJECT":
+            if not bpy.ops.object.mode_set.poll():
+                raise SceneError("'{name}' is hidden: show it to leave its mode", name=other.name)
             bpy.ops.object.mode_set(mode="OBJECT")
     obj.select_set(True)
 
