@@ -54,7 +54,8 @@ install_packages() {
 
 find_python() { # version
   local candidate
-  for candidate in "python$1" /usr/bin/"python$1" "$HOME"/.pyenv/versions/"$1".*/bin/python; do
+  # The system's own first: it is what a newcomer has.
+  for candidate in /usr/bin/"python$1" "python$1" "$HOME"/.pyenv/versions/"$1".*/bin/python; do
     # A shim may exist without the Python behind it, and a Python without its headers.
     if "$candidate" -c 'import sys, sysconfig, pathlib, ensurepip
 assert "%d.%d" % sys.version_info[:2] == sys.argv[1]
