@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first. `make help` lists them.
-.PHONY: help setup build test gui-test demo gallery figures materials bench bench-docs robustness believable believable-docs \
-	convergence accuracy bakes farm-demo golden fuzz soak faults coverage sanitize stubs format lint wheels platforms extension \
-	repository sdist version reliability clean
+.PHONY: help setup build module test gui-test demo gallery figures materials bench bench-docs robustness believable \
+	believable-docs convergence accuracy bakes farm-demo golden fuzz soak faults coverage sanitize stubs format lint wheels \
+	platforms extension repository sdist version reliability clean
 
 started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
@@ -15,13 +15,15 @@ before_wheels = $(if $(filter native,$(platforms)),build,setup)
 before_packing = $(if $(or $(filter native,$(platforms)),$(wildcard dist/wheels/dynamorph-*.whl)),$(before_wheels),wheels)
 c_sources = $(shell find cpp tests/cpp tests/benchmarks -name '*.[ch]pp')
 workflows = $(wildcard .github/workflows/*.yml) farm/github_actions.yml
+define configure
+@mkdir -p build
+@$(tools)cmake -S . -B $(build) -G Ninja -DCMAKE_MAKE_PROGRAM=$(tools)ninja -DDYNAMORPH_TESTS=ON \
+	-DDYNAMORPH_PYTHONS="$(pythons)" --log-level=WARNING >build/configure.log || { cat build/configure.log; exit 1; }
+endef
+compile = $(python) tools/compile.py $(jobs) "$(filter-out build module,$(MAKECMDGOALS))"
 # numpy.bool: the same stub with NumPy 1, which has no such name.
 stubgen = $(python) -W ignore -m pybind11_stubgen dynamorph._core --exit-code \
 	--enum-class-locations '.*:dynamorph._core' --ignore-unresolved-names 'numpy\.bool'
-
-# The packages and the Python environments that the rest needs, in .venv. More is in groups: see tools/setup.sh.
-setup:
-	@tools/setup.sh
 
 # What can be made: each target with the comment above it.
 help:
@@ -29,12 +31,19 @@ help:
 		/^[a-z-]+:/ { printf "make %s\n%s", substr($$0, 1, index($$0, ":") - 1), text } \
 		!/^#|\?=/ { text = "" }' Makefile
 
+# The packages and the Python environments that the rest needs, in .venv. More is in groups: see tools/setup.sh.
+setup:
+	@tools/setup.sh
+
 # The engine with its C++ tests, and its Python module for every Python in .venv.
 build: setup
-	@mkdir -p build
-	@$(tools)cmake -S . -B $(build) -G Ninja -DCMAKE_MAKE_PROGRAM=$(tools)ninja -DDYNAMORPH_TESTS=ON \
-		-DDYNAMORPH_PYTHONS="$(pythons)" --log-level=WARNING >build/configure.log || { cat build/configure.log; exit 1; }
-	@$(tools)cmake --build $(build) -j$(jobs) -- --quiet -k 0
+	$(configure)
+	@$(compile)
+
+# The engine's Python module for the first Python in .venv, which is all that the demo needs.
+module: setup
+	$(configure)
+	@$(compile) core_$(word 2,$(subst /, ,$(python)))
 
 # All tests under every Python in .venv. A change must pass `make lint test`, which says at its end how long it took.
 test: build
@@ -47,7 +56,7 @@ gui-test: build
 	@$(python) tools/gui_test.py
 
 # Bakes sample_blends/bulging_cylinder.blend, and renders it to out/.
-demo: build
+demo: module
 	@$(python) sample_blends/demo.py
 
 # docs/gallery.md with its moving pictures, one of which is the README's; takes about 10 minutes. only="Husky" films
@@ -73,7 +82,7 @@ golden: build
 bench: build
 	@tools/setup.sh bench
 	@$(tools)cmake $(build) -DDYNAMORPH_BENCHMARKS=ON --log-level=WARNING >build/configure.log || { cat build/configure.log; exit 1; }
-	@$(tools)cmake --build $(build) -j$(jobs) --target engine_benchmarks -- --quiet
+	@$(compile) engine_benchmarks
 	@$(python) tests/benchmarks/run.py
 
 # docs/performance.md from the last `make bench`.
@@ -220,8 +229,9 @@ repository: $(before_packing)
 # The engine's sources in dist/, with TetGen's, for pip install on any system.
 sdist: setup
 	@mkdir -p build dist
-	@$(python) -c 'from scikit_build_core.build import build_sdist; build_sdist("dist")' >build/sdist.log 2>&1 || \
-		{ cat build/sdist.log; exit 1; }
+	@$(python) -c 'from scikit_build_core.build import build_sdist; print("dist/" + build_sdist("dist"))' \
+		>build/sdist.log 2>&1 || { cat build/sdist.log; exit 1; }
+	@tail -n 1 build/sdist.log
 
 # The version. new=0.2.0 opens that version in CHANGELOG.md, or dates it if it is open; then it is ready to be tagged.
 new ?=

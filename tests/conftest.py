@@ -1,5 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Faults: which of tests/faults.toml a test shows goes into pytest's report, from which docs/reliability.md is made."""
+"""For all tests: what fails is named at once. Which faults of tests/faults.toml a test shows goes into pytest's report,
+from which docs/reliability.md is made.
+"""
+
+import pytest
+
+
+class NameFailures:
+    def __init__(self, terminal):
+        self.terminal = terminal
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_runtest_logreport(self, report):
+        if report.failed:
+            self.terminal.write(f"\nFAILED {report.nodeid}\n")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_configure(config):
+    if terminal := config.pluginmanager.get_plugin("terminalreporter"):
+        config.pluginmanager.register(NameFailures(terminal))
 
 
 def pytest_collection_modifyitems(items):

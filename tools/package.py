@@ -53,9 +53,9 @@ def build_native_wheels(folder: Path) -> list[Path]:
 
 def make_wheels() -> None:
     DIST.mkdir(exist_ok=True)
-    for wheel in build_native_wheels(ROOT / "build/native_wheels"):
-        shutil.copy2(wheel, DIST)
+    wheels = [shutil.copy2(wheel, DIST / wheel.name) for wheel in build_native_wheels(ROOT / "build/native_wheels")]
     build_wheel(pythons()[0], ROOT / "addon", DIST)
+    print_table([*wheels, DIST / f"{ADDON.name}-{version()}-py3-none-any.whl"])
 
 
 def platform_of(wheel: Path) -> str:
@@ -125,7 +125,7 @@ def print_table(archives: list[Path]) -> None:
         with zipfile.ZipFile(archive) as files:
             pythons = sorted({Path(name).name.split("-")[2] for name in files.namelist() if name.endswith(".whl")})
         size = archive.stat().st_size / 1e6
-        print(f"{archive.relative_to(ROOT)!s:60} {size:5.1f} MB  {' '.join(pythons)}")
+        print(f"{archive.relative_to(ROOT)!s:60} {size:5.1f} MB  {' '.join(pythons)}".rstrip())
 
 
 def stage_extension(stage: Path, wheels: list[Path]) -> Path:

@@ -9,12 +9,21 @@ import sys
 import time
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 SUPPORTED = {"3.11": "Blender 4.5 LTS", "3.13": "Blender 5.2 LTS"}
+COUNTED = ("-o", "console_output_style=count")
+ROW = re.compile(r"([.sxXFE]*)(?: *\[ *(\d+)/(\d+)\])?")  # of pytest: a letter for each test, how many were done
 SUITES = ("tests/engine", "tests/addon")  # in separate processes: a crash of Blender does not lose the engine's results
+
+
+def say(text: str) -> None:
+    """One text at a time: two Pythons are tested at once."""
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
 
 
 def run_engine_tests() -> Counter:
@@ -33,17 +42,38 @@ def report_of(version: str, suite: str, name: str = "tests") -> Path:
     return ROOT / "build" / "reports" / f"{name}-{version}-{Path(suite).name}.xml"
 
 
+def follow(lines: Iterable[str], say: Callable[[str], None]) -> Iterator[str]:
+    """Says how far a run of pytest is, at every twentieth, and at once what fails. Yields the other lines.
+    lines: of a run with the options `COUNTED`."""
+    lines, failed, twentieth = iter(lines), 0, 0
+    for line in lines:
+        if line.startswith("FAILED "):  # by tests/conftest.py
+            say(line.rstrip())
+        elif row := ROW.fullmatch(line.rstrip("\n")):
+            failed += sum(row[1].count(letter) for letter in "FE")
+            done, tests = int(row[2] or 0), int(row[3] or 1)
+            if 20 * done // tests > twentieth:
+                twentieth = 20 * done // tests
+                say(f"{100 * done // tests} %, {done} of {tests} tests, {failed} failed")
+        else:
+            yield line
+            if line.startswith("==="):  # the tests are over
+                yield from lines
+
+
 def run_pytest(version: str, suite: str, *arguments: str, name: str = "tests") -> Counter:
-    """One folder of tests under one Python; prints what they say when they are done. name: as in `report_of`."""
+    """One folder of tests under one Python. Says how far it is, what has failed at once, and the rest when all is done.
+    name: as in `report_of`."""
     report = report_of(version, suite, name)
     report.parent.mkdir(parents=True, exist_ok=True)
     report.unlink(missing_ok=True)
-    run = subprocess.run(
-        [python_of(version), "-m", "pytest", "-rs", f"--junitxml={report}", *arguments, suite],
-        cwd=ROOT, check=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
+    run = subprocess.Popen(
+        [python_of(version), "-m", "pytest", "-rs", *COUNTED, f"--junitxml={report}", *arguments, suite],
+        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
     )  # fmt: skip
-    code = run.returncode
-    print(f"\n{version}, {suite}\n{run.stdout}", flush=True)
+    rest = "".join(follow(run.stdout, lambda text: say(f"Python {version} {suite}: {text}")))
+    code = run.wait()
+    say(f"\n{version}, {suite}\n{rest}")
     if not report.exists():
         print(f"{suite}: pytest died with exit code {code}")
         return Counter(failed=1)
@@ -72,14 +102,16 @@ def run_python(version: str) -> dict[str, Counter]:
 
 def main() -> int:
     start = time.monotonic()
+    print("The engine's C++ tests", flush=True)
     results = {"C++ engine": run_engine_tests()}
+    print(f"C++ engine: {describe(results['C++ engine'])}", flush=True)
     found = [version for version in SUPPORTED if python_of(version).exists()]
     missing = [
         f"Python {version} ({blender}): not run, no Python {version} was found by make setup"
         for version, blender in SUPPORTED.items()
         if version not in found
     ]
-    print(f"Tests under Python {' and '.join(found)}: each folder reports when it is done", flush=True)
+    print(f"Tests under Python {' and '.join(found)}: each folder says more of what failed when it is done", flush=True)
     with ThreadPoolExecutor() as pool:
         for of_version in pool.map(run_python, found):
             results |= of_version

@@ -13,7 +13,6 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-supported=(3.11 3.13) # Blender 4.5 LTS, Blender 5.2 LTS
 packages=(g++ make python3-dev python3-venv libeigen3-dev libspectra-dev libcgal-dev nlohmann-json3-dev doctest-dev
           libsm6 libxi6 libxfixes3 libxrender1 libxkbcommon0 libgl1 libegl1 libgl1-mesa-dri) # second line: bpy
 needs_coverage= needs_openjd= needs_wheels=
@@ -66,15 +65,16 @@ assert pathlib.Path(sysconfig.get_path("include"), "Python.h").exists()' "$1" 2>
   done
 }
 
-make_environment() { # version
+make_environment() { # version, the Blender that has it
   local environment=.venv/$1 python
   if [[ ! -x $environment/bin/python ]]; then
     python=$(find_python "$1")
     if [[ -z $python ]]; then
-      echo "setup: no Python $1 with headers and venv on PATH or under ~/.pyenv: what needs it is left out"
+      left_out+="setup: no Python $1 (with headers and venv), which $2 has: what needs it is left out"$'\n'
       return
     fi
     "$python" -m venv "$environment"
+    made=yes
   fi
   if ! cmp -s tools/requirements.txt "$environment/requirements.txt"; then
     echo "setup: installing tools/requirements.txt for Python $1"
@@ -105,13 +105,14 @@ make_tools_environment() { # name, of tools/NAME_requirements.txt
 }
 
 install_packages
-for version in "${supported[@]}"; do
-  make_environment "$version"
-done
+made= left_out=
+make_environment 3.11 "Blender 4.5 LTS"
+make_environment 3.13 "Blender 5.2 LTS"
 if ! compgen -G '.venv/3.*/bin/python' >/dev/null; then
-  echo "setup: Dynamorph needs Python ${supported[0]} or ${supported[1]}" >&2
+  echo "setup: Dynamorph needs Python 3.11 or 3.13, with headers and venv, on PATH or under ~/.pyenv" >&2
   exit 1
 fi
+[[ -z $made ]] || printf %s "$left_out" # once
 [[ -z $needs_openjd ]] || make_openjd_environment
 [[ -z $needs_coverage ]] || make_tools_environment coverage
 [[ -z $needs_wheels ]] || make_tools_environment wheels

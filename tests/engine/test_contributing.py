@@ -1,15 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a contributor reads is true: recipes name files that exist, and `make help` lists all targets."""
+"""What a contributor reads is true: recipes name files that exist, `make help` lists all targets, and what takes long
+says how far it is.
+"""
 
 import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
+sys.path.append(str(ROOT / "tools"))
+import run_tests  # noqa: E402
+
 FOLDERS = [ROOT, ROOT / "addon/dynamic_morph_targets", ROOT / "cpp/dynamorph"]  # that paths are relative to
 
 
@@ -32,6 +38,16 @@ def test_help_lists_every_target_with_a_text():
     shown = subprocess.run(["make", "help"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     described = dict(re.findall(r"^make (\S+)\n((?:    .+\n)+)", shown, re.MULTILINE))
     assert set(described) == set(targets[1].replace("\\\n", " ").split())
+
+
+def test_make_alone_is_make_help():
+    if shutil.which("make") is None:
+        pytest.skip("make is not installed")
+    alone, listed = (
+        subprocess.run(["make", *goal], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        for goal in ([], ["help"])
+    )
+    assert alone == listed
 
 
 def test_setup_refuses_a_group_that_it_does_not_have():
@@ -70,3 +86,72 @@ def test_setup_installs_what_few_need_where_it_is_named(tmp_path, groups, instal
         check=True,
     )
     assert (tmp_path / "build/openjd/requirements.txt").exists() == installed
+
+
+def test_setup_says_once_for_which_blender_there_is_no_python(tmp_path):
+    if shutil.which("bash") is None:
+        pytest.skip("bash is not installed")
+    (tmp_path / "packages").mkdir()
+    for name, text in (("dpkg-query", "#!/bin/bash\necho -n installed\n"), ("python3.98", PYTHON)):
+        (tmp_path / "packages" / name).write_text(text)
+        (tmp_path / "packages" / name).chmod(0o755)
+    shutil.copytree(ROOT / "tools", tmp_path / "tools")
+    setup = tmp_path / "tools/setup.sh"
+    setup.write_text(setup.read_text(encoding="utf-8").replace("3.11", "3.98").replace("3.13", "3.99"))
+    environment = os.environ | {"PATH": f"{tmp_path / 'packages'}:{os.environ['PATH']}"}
+    command = ["bash", setup]
+    said = [
+        subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout for _ in range(2)
+    ]
+    assert "no Python 3.99 (with headers and venv), which Blender 5.2 LTS has" in said[0]
+    assert said[1] == ""
+
+
+RULES = """rule make
+  command = touch $out
+rule fail
+  command = echo why; false
+"""
+
+
+@pytest.mark.parametrize("broken", [False, True])
+def test_compiling_says_how_far_it_is_and_nothing_when_all_is_done(tmp_path, broken):
+    if not Path(sys.executable).with_name("ninja").exists():
+        pytest.skip("ninja is not installed beside this Python")
+    (tmp_path / "build/cmake").mkdir(parents=True)
+    steps = [f"build step{k}: make" for k in range(40)] + ["build last: fail"] * broken
+    (tmp_path / "build/cmake/build.ninja").write_text(RULES + "\n".join(steps) + "\n")
+    shutil.copytree(ROOT / "tools", tmp_path / "tools")
+    command = [sys.executable, tmp_path / "tools/compile.py", "2", "demo"]
+    runs = [subprocess.run(command, capture_output=True, text=True, check=False) for _ in range(2)]
+    lines = runs[0].stdout.splitlines()
+    assert lines[0] == "compiling the engine for the first time, which takes some minutes; then make demo goes on"
+    assert (
+        len([line for line in lines if re.fullmatch(r"compiling: \[\d+/4[01]\], less than a minute left", line)]) == 10
+    )
+    if broken:
+        assert "why" in lines and runs[0].returncode and runs[1].returncode
+    else:
+        assert len(lines) == 11 and [run.returncode for run in runs] == [0, 0]
+        assert runs[1].stdout == ""
+
+
+TESTS = """
+import pytest
+@pytest.mark.parametrize("n", range(200))
+def test_some(n):
+    assert n != 20
+"""
+
+
+def test_tests_say_how_far_they_are_and_what_failed_at_once(tmp_path):
+    """As `make test` reads it from a pipe."""
+    shutil.copy(ROOT / "tests/conftest.py", tmp_path)
+    (tmp_path / "test_it.py").write_text(TESTS)
+    command = [sys.executable, "-m", "pytest", "-q", *run_tests.COUNTED, tmp_path]
+    run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    said = []
+    rest = "".join(run_tests.follow(run.stdout.splitlines(keepends=True), said.append))
+    assert said[0] == "FAILED test_it.py::test_some[20]"
+    assert said[-1] == "100 %, 200 of 200 tests, 1 failed"
+    assert "assert 20 != 20" in rest and "1 failed, 199 passed" in rest
