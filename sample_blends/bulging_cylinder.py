@@ -65,6 +65,7 @@ TARGETS = {
     "Back bend": (16, {"stiffness": 45e3, "mass_damping": 2.0, "stiffness_damping": 0.003}),
 }
 MODEL = {
+    "basis": "MODES",
     "modes": 13,
     "fit_to_shot": True,
     "cage_nodes": 416,
@@ -195,6 +196,7 @@ def animate(rig: bpy.types.Object) -> None:
 
 def add_push(rig: bpy.types.Object) -> None:
     """The jet of air. The same skin is in its reach, and so the same force acts, whether the limb is bulged or not."""
+    bpy.ops.rigidbody.world_add()  # empty: without one, Blender prints an error for every animated field
     bpy.ops.object.effector_add(type="WIND", rotation=(math.pi, 0, 0))
     wind = bpy.context.object
     wind.name = "Push"

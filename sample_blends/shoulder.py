@@ -76,7 +76,7 @@ PLACED_BY = {
     "Half fold": ("forearm",),
     "Folded": ("forearm",),
 }
-MODEL = {"modes": 19, "fit_to_shot": True, "cage_nodes": 2080, "pin_radius": 0.18}
+MODEL = {"basis": "MODES", "modes": 19, "fit_to_shot": True, "cage_nodes": 2080, "pin_radius": 0.18}
 
 README = """Shoulder
 
