@@ -36,7 +36,7 @@ LOW = 0.8  # files below it are listed
 TESTS = ("tests/engine", "tests/addon")
 # Those that look at the compiled engine itself, which counters change.
 LEFT_OUT = tuple(f"--ignore=tests/engine/test_{name}.py" for name in ("examples", "instruction_sets"))
-STEPS = "*golden*,*crowd*,*eight*,*lanes*"  # C++ tests that run what is compiled for each instruction set
+STEPS = "*golden*,*inertia*"  # C++ tests that run what is compiled for each instruction set
 # Data at the end of the processes that the tests start, and of those that end at once, too.
 STARTS = "import coverage\n\ncoverage.process_startup()\n"
 SETTINGS = f"""

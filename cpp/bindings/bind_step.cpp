@@ -3,7 +3,6 @@
 #include <memory>
 #include <mutex>
 
-#include "dynamorph/step/crowd.hpp"
 #include "dynamorph/step/simulation.hpp"
 #include "model_interface.hpp"
 
@@ -11,7 +10,7 @@ using namespace dynamorph;
 
 namespace {
 
-/// A Simulation or a Crowd for Python. The engine works without the GIL, so threads take turns, each for a whole call.
+/// A Simulation for Python. The engine works without the GIL, so threads take turns, each for a whole call.
 template <class Stepper>
 struct InTurn : Stepper {
   explicit InTurn(Stepper&& stepper) : Stepper(std::move(stepper)) {}
@@ -162,85 +161,10 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "simulation; raises Error for what is not finite.");
 }
 
-void bind_crowd(py::module_& m) {
-  using SharedCrowd = InTurn<Crowd>;
-  const auto poses = [](const Crowd& crowd, const char* name, const FloatArray& bones, py::ssize_t axes) {
-    std::vector<py::ssize_t> shape(axes - 4, -1);
-    shape.insert(shape.end(), {crowd.size(), py::ssize_t(crowd.model().body().skin.cols()), 3, 4});
-    check_shape(name, bones, shape);
-  };
-  const auto check_weights = [](const Crowd& crowd, const FloatArray& weights, std::vector<py::ssize_t> shape) {
-    shape.insert(shape.end(), {crowd.size(), py::ssize_t(crowd.model().targets().size())});
-    check_shape("weights", weights, shape);
-  };
-  py::class_<SharedCrowd>(m, "Crowd",
-                          "Steps many characters of one reduced model together, in world space and SI units.")
-      .def(py::init([](std::shared_ptr<ReducedModel> model, double h, int size, Scheme scheme, const Vector3d& gravity,
-                       double tolerance, int max_iterations, double teleport) {
-             return std::make_unique<SharedCrowd>(
-                 Crowd(model, {h, scheme, gravity, tolerance, max_iterations, teleport, {}}, size));
-           }),
-           "model"_a.none(false), "h"_a, "size"_a, py::kw_only(), "scheme"_a = Scheme::bdf2,
-           "gravity"_a = Vector3d(0, 0, 0), "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0,
-           "Takes the options of ReducedSimulation. size: number of characters, at most a million.")
-      .def("balance_targets", &balance_targets_in<Crowd>, "bones"_a,
-           "Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, "
-           "so that targets do not sag.")
-      .def(
-          "start",
-          [poses, check_weights](SharedCrowd& crowd, const FloatArray& now, const FloatArray& next,
-                                 const FloatArray& weights) {
-            poses(crowd, "now", now, 4);
-            poses(crowd, "next", next, 4);
-            check_weights(crowd, weights, {});
-            return changing(crowd, [&] { return crowd.start(now.data(), next.data(), weights.data()).converged; });
-          },
-          "now"_a, "next"_a, "weights"_a,
-          "Starts N characters from their static solutions at the bones `now` (N, B, 3, 4) and target weights (N, J). "
-          "Their past continues the motion from `now` to `next` backward. Returns False when a solution did not "
-          "converge.")
-      .def(
-          "advance",
-          [poses, check_weights](SharedCrowd& crowd, const FloatArray& bones, const FloatArray& weights) {
-            poses(crowd, "bones", bones, 5);
-            check_weights(crowd, weights, {bones.shape(0)});
-            const py::ssize_t steps = bones.shape(0);
-            CrowdReport all;
-            const auto begin = std::chrono::steady_clock::now();
-            changing(crowd, [&] {
-              for (py::ssize_t i = 0; i < steps; ++i) {
-                const CrowdReport report =
-                    crowd.step(bones.data() + i * bones.size() / steps, weights.data() + i * weights.size() / steps);
-                all.iterations += report.iterations;
-                all.alone += report.alone;
-                all.converged &= report.converged;
-              }
-            });
-            const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
-            return py::dict("steps"_a = steps, "iterations"_a = all.iterations, "alone"_a = all.alone,
-                            "converged"_a = all.converged, "seconds"_a = elapsed.count());
-          },
-          "bones"_a, "weights"_a,
-          "Takes one step of all characters to each of the bones (S, N, B, 3, 4) and target weights (S, N, J). Returns "
-          "a report on the steps: total iterations, steps of characters that had to be taken alone, converged, "
-          "seconds.")
-      .def_property_readonly(
-          "coordinates",
-          [](const SharedCrowd& crowd) {
-            return in_turn(crowd, [&] {
-              MatrixXd out(crowd.size(), crowd.model().dofs());
-              for (int i = 0; i < crowd.size(); ++i) out.row(i) = crowd.coordinates(i);
-              return out;
-            });
-          },
-          "A copy of the coordinates (N, r) after the last step.");
-}
-
 }  // namespace
 
 void bind_step(py::module_& m) {
   py::enum_<Scheme>(m, "Scheme").value("EULER", Scheme::implicit_euler).value("BDF2", Scheme::bdf2);
   bind_simulation_of<FullModel>(m, "FullSimulation");
   bind_simulation_of<ReducedModel>(m, "ReducedSimulation");
-  bind_crowd(m);
 }

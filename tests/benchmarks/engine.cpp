@@ -19,7 +19,6 @@
 #include "dynamorph/reduced/basis.hpp"
 #include "dynamorph/reduced/polynomial_kernels.hpp"
 #include "dynamorph/reduced/reduced_model.hpp"
-#include "dynamorph/step/crowd.hpp"
 #include "dynamorph/step/simulation.hpp"
 #include "machine_kernels.hpp"
 #ifdef __linux__
@@ -432,7 +431,6 @@ void rig(State& state) {
   }
   state.counters["nodes"] = double(model->body().mesh.nodes.rows());
   state.counters["bones"] = double(model->body().skin.cols());
-  state.counters["terms"] = double(model->modal_inertia().terms());
 }
 BENCHMARK(rig)
     ->ArgNames({"chain", "nodes"})
@@ -459,84 +457,6 @@ void surface(State& state) {
   state.counters["bytes"] = double(modes.size()) * sizeof(float);
 }
 BENCHMARK(surface)->ArgNames({"vertices", "r"})->Args({13000, 20});
-
-// --- Crowds ----------------------------------------------------------------------------------------------------------
-
-/// Characters of one model, StVK with r = 12 and three targets, each in a pose of its own: what they are at a step, as
-/// a window of the endless swing that moves on by a frame a step.
-struct Crowded {
-  static constexpr int kTargets = 3, kChain = 16;  // as Herbert, of the sample scenes
-  int size;
-  std::shared_ptr<const ReducedModel> model = reduced_model({kTargets, 12, Law::stvk, kChain, 2000});
-  PoseSpace space = pose_space(model->body().skin.cols(), kTargets);
-  Swing moving = swing(model->body(), kTargets);
-  std::vector<double> bones, weights = std::vector<double>(size_t(size * kTargets));
-
-  explicit Crowded(int size) : size(size) {
-    for (int i = 0; i < size + kFrames; ++i) {
-      const Transforms& frame = moving.bones[size_t(i % kFrames)];
-      bones.insert(bones.end(), frame.data(), frame.data() + frame.size());
-    }
-  }
-
-  const double* bones_at(int step) const { return bones.data() + (step % kFrames) * moving.bones[0].size(); }
-
-  /// Weights (size, J) at the poses of a step.
-  const double* weights_at(int step) {
-    VectorXd w(kTargets);
-    for (int i = 0; i < size; ++i) {
-      space.weights(moving.pose[size_t((i + step) % kFrames)], w);
-      std::copy_n(w.data(), kTargets, weights.data() + i * kTargets);
-    }
-    return weights.data();
-  }
-};
-
-void crowd(State& state) {
-  const OneCore pinned;
-  Crowded crowded(int(state.range(0)));
-  Crowd crowd(crowded.model, to_convergence(), crowded.size);
-  crowd.start(crowded.bones_at(0), crowded.bones_at(1), crowded.weights_at(0));
-  crowd.step(crowded.bones_at(1), crowded.weights_at(1));  // the first one waits for memory
-  int step = 1, alone = 0, iterations = 0;
-  for (auto _ : state) {
-    ++step;
-    const CrowdReport report = crowd.step(crowded.bones_at(step), crowded.weights_at(step));
-    alone += report.alone;
-    iterations += report.iterations;
-  }
-  state.counters["iterations"] =
-      benchmark::Counter(double(iterations) / crowded.size, benchmark::Counter::kAvgIterations);
-  state.counters["characters"] = double(crowded.size);
-  state.counters["alone"] = benchmark::Counter(alone, benchmark::Counter::kAvgIterations);
-}
-BENCHMARK(crowd)->ArgName("characters")->Arg(256)->Arg(5120);
-
-void one_by_one(State& state) {
-  const OneCore pinned;
-  Crowded crowded(int(state.range(0)));
-  const auto bones_of = [&](int character, int step) -> const Transforms& {
-    return crowded.moving.bones[size_t((character + step) % kFrames)];
-  };
-  const auto weights_of = [](const double* weights, int character) {
-    return VectorXd(Eigen::Map<const VectorXd>(weights + character * Crowded::kTargets, Crowded::kTargets));
-  };
-  const double* first = crowded.weights_at(0);
-  std::vector<Simulation<ReducedModel>> simulations;
-  for (int i = 0; i < crowded.size; ++i) {
-    simulations.emplace_back(crowded.model, to_convergence());
-    simulations.back().start(bones_of(i, 0), bones_of(i, 1), weights_of(first, i));
-  }
-  int step = 0;
-  const auto step_all = [&] {
-    const double* weights = crowded.weights_at(++step);
-    for (int i = 0; i < crowded.size; ++i) simulations[size_t(i)].step(bones_of(i, step), weights_of(weights, i));
-  };
-  step_all();  // as of the crowd
-  for (auto _ : state) step_all();
-  state.counters["characters"] = double(crowded.size);
-}
-BENCHMARK(one_by_one)->ArgName("characters")->Arg(256)->Arg(5120);
 
 }  // namespace
 

@@ -76,16 +76,6 @@ def fraction_of_bandwidth(engine: dict, _) -> float:
     return surface["bytes"] / surface["seconds"] / engine["bandwidth/kB:3072"]["per_second"]
 
 
-def characters_at_30_fps(work: str) -> Callable[[dict, dict], float]:
-    """How many are stepped in 1/30 s, when there are so many that their states do not fit in the caches."""
-
-    def count(engine: dict, _) -> float:
-        crowd = engine[f"{work}/characters:5120"]
-        return crowd["characters"] / crowd["seconds"] / 30
-
-    return count
-
-
 ROWS = [
     Row("polynomials of a target, r = 12", "s", None, seconds("polynomials/r:12")),
     Row("polynomials of a target, r = 19", "s", 0.08, seconds("polynomials/r:19")),
@@ -123,14 +113,6 @@ ROWS = [
     Row("live: our share of a frame, 4 substeps", "ms", 2, lambda _, p: p["live"]["median"]),
     Row("live: a frame with Blender's evaluation", "ms", None, lambda _, p: p["live"]["whole"]),
     Row("live: from another stiffness to its frame", "ms", None, lambda _, p: p["live_change"]["median"]),
-    Row("crowd at 30 fps on one core", "characters", 5000, characters_at_30_fps("crowd"), most=False),
-    Row(
-        "crowd / one by one",
-        "times",
-        3,
-        ratio(characters_at_30_fps("crowd"), characters_at_30_fps("one_by_one")),
-        most=False,
-    ),
 ]
 
 

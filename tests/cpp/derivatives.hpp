@@ -8,7 +8,7 @@
 
 #include "dynamorph/elastic/elasticity.hpp"
 #include "dynamorph/models/morph_target.hpp"
-#include "dynamorph/step/one.hpp"
+#include "dynamorph/step/hessian.hpp"
 
 namespace scenes {
 
@@ -49,7 +49,7 @@ auto evaluator(const Model& model, const typename Model::Blend& blend) {
     typename Model::Matrix K = model.zero();
     const double e = model.linearize(blend, q, f, K);
     CHECK(std::abs(e - model.energy(blend, q)) <= 1e-9 * (1e-12 + std::abs(e)));
-    One<typename Model::Matrix>::multiply(K, d, Kd);
+    multiply(K, d, Kd);
     return e;
   };
 }

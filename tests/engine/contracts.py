@@ -65,12 +65,8 @@ def scene() -> SimpleNamespace:
 
 
 def started(kind: str):
-    """A simulation of the bar that was started, or a crowd of three."""
+    """A simulation of the bar that was started."""
     s = scene()
-    if kind == "Crowd":
-        crowd = dynamorph.Crowd(s.reduced, 0.01, 3)
-        crowd.start(*(np.repeat(part[None], 3, 0) for part in (s.bones, s.next, s.weights)))
-        return crowd
     model = s.full if kind == "FullSimulation" else s.reduced
     simulation = getattr(dynamorph, kind)(model, 0.01)
     simulation.start(s.bones, s.next, s.weights)
@@ -80,18 +76,7 @@ def started(kind: str):
 def run_on(simulation):
     """What comes of a simulation that goes on."""
     s = scene()
-    if isinstance(simulation, dynamorph.Crowd):
-        first = (np.repeat(part[None], 3, 0) for part in (s.bones, s.next, s.weights))
-        report = simulation.start(*first), simulation.advance(*several(3))
-    else:
-        report = simulation.start(s.bones, s.next, s.weights), simulation.advance(s.next[None], s.weights[None])
-    return report, simulation
-
-
-def several(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Bones (1, N, B, 3, 4) and weights (1, N, J) of one step of a crowd."""
-    s = scene()
-    return np.repeat(s.next[None, None], count, 1), np.repeat(s.weights[None, None], count, 1)
+    return (simulation.start(s.bones, s.next, s.weights), simulation.advance(s.next[None], s.weights[None])), simulation
 
 
 def model_of(body):
@@ -119,7 +104,6 @@ USES: dict[str, Callable] = {
     "ReducedModel": lambda model: run_on(dynamorph.ReducedSimulation(model, 0.01)),
     "FullSimulation": run_on,
     "ReducedSimulation": run_on,
-    "Crowd": run_on,
     "TargetSet": lambda target_set: dynamorph.PoseSpace([target_set]).weights(scene().turned[None]),
     "PoseSpace": lambda space: (space.weights(scene().turned[None]), space.distances(scene().turned[None])),
     "Embedding": lambda embedding: (
@@ -174,12 +158,6 @@ def calls() -> dict[str, tuple[object, dict]]:
         "ReducedModel": (lib, {"body": s.body, "targets": s.targets, "tables": s.tables, "blending": s.blending}),
         "FullSimulation": (lib, {"model": s.full, **options, "keep_going": lambda: True}),
         "ReducedSimulation": (lib, {"model": s.reduced, **options, "keep_going": lambda: True}),
-        "Crowd": (lib, {"model": s.reduced, "size": 3, **options}),
-        "Crowd.advance": (lambda: started("Crowd"), dict(zip(("bones", "weights"), several(3), strict=True))),
-        "Crowd.balance_targets": (lambda: started("Crowd"), {"bones": np.repeat(s.bones[None], 2, 0)}),
-        "Crowd.start": (lambda: started("Crowd"), {"now": np.repeat(s.bones[None], 3, 0),
-                                                   "next": np.repeat(s.next[None], 3, 0),
-                                                   "weights": np.repeat(s.weights[None], 3, 0)}),
         "closed_surface": (lib, skin),
         "embed": (lib, {"mesh": s.mesh, "points": 0.9 * s.nodes}),
         "extend_to_nodes": (lib, {"mesh": s.mesh, "embedding": s.embedding,

@@ -105,7 +105,7 @@ def properties() -> list[tuple[str, str]]:
 @pytest.mark.parametrize(("name", "member"), properties())
 def test_a_result_outlives_what_it_came_from(name, member):
     made = getattr(dynamorph, name)(**contracts.calls()[name][1])
-    if name in ("FullSimulation", "ReducedSimulation", "Crowd"):
+    if name in ("FullSimulation", "ReducedSimulation"):
         contracts.run_on(made)
     result = getattr(made, member)
     before = numbers(result)
@@ -163,12 +163,12 @@ def test_a_simulation_is_not_changed_by_its_own_callback(kind, change):
     simulation.advance(s.next[None], s.weights[None])  # it goes on
 
 
-@pytest.mark.parametrize("kind", ["FullSimulation", "ReducedSimulation", "Crowd"])
+@pytest.mark.parametrize("kind", ["FullSimulation", "ReducedSimulation"])
 def test_threads_that_share_one_do_not_race(kind):
     """They take turns: what is read meanwhile is the state after a whole call, and all calls are made."""
     shared, alone = contracts.started(kind), contracts.started(kind)
     s = contracts.scene()
-    step = contracts.several(3) if kind == "Crowd" else (s.next[None], s.weights[None])
+    step = s.next[None], s.weights[None]
     states = [alone.coordinates]
     for _ in range(20):
         alone.advance(*step)

@@ -117,7 +117,7 @@ def qemu():
 
 def test_a_processor_without_avx_runs_the_baseline():
     """Whatever instruction it does not have would end the process."""
-    small = "*instruction set*,*sums of row products*,*a crowd that was not started*,*inertia of eight characters*"
+    small = "*instruction set*,*sums of row products*,*inertia of nodes*,*a force that is not finite*"
     found = run(*qemu(), TESTS, f"--test-case={small}")
     assert found.returncode == 0, found.stdout + found.stderr
     assert int(re.search(r"(\d+) passed", found.stdout)[1]) >= 5

@@ -109,9 +109,9 @@ GOOD = {
             [],
         ),
         (
-            "dynamorph/step/crowd.cpp",
+            "dynamorph/step/teleport.cpp",
             '#include "bindings/arrays.hpp"\n',
-            ["dynamorph/step/crowd.cpp includes bindings/arrays.hpp"],
+            ["dynamorph/step/teleport.cpp includes bindings/arrays.hpp"],
             [],
         ),
         (

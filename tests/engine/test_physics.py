@@ -446,45 +446,6 @@ def test_a_cut_in_the_root_motion_carries_the_past_along():
     assert np.abs(ends[2] - ends[0]).max() > np.abs(ends[0]).max()
 
 
-def test_a_crowd_steps_its_characters_as_each_would_alone():
-    model, _, size = sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, True)
-    rig, weights = swing(model, 40)
-    starts = np.arange(10) * 2  # everyone is somewhere else in the same swing
-    frames = starts + np.arange(20)[:, None]
-    crowd = dynamorph.Crowd(model, 1 / 120, len(starts), gravity=(0, 0, -9.81), teleport=0.15 * size)
-    crowd.start(rig[frames[0]], rig[frames[1]], weights[frames[0]])
-    report = crowd.advance(rig[frames[1:]], weights[frames[1:]])
-    assert report["converged"] and report["steps"] == 19 and report["alone"] == 0
-    for character, path in enumerate(frames.T):
-        simulation = simulation_of(model, gravity=(0, 0, -9.81))
-        simulation.start(rig[path[0]], rig[path[1]], weights[path[0]])
-        simulation.advance(rig[path[1:]], weights[path[1:]])
-        expected = simulation.coordinates
-        assert np.abs(crowd.coordinates[character] - expected).max() < 1e-4 * np.abs(expected).max()
-    with pytest.raises(ValueError, match=r"bones: expected shape \(any, 10, 2, 3, 4\), got \(19, 9, 2, 3, 4\)"):
-        crowd.advance(rig[frames[1:, :9]], weights[frames[1:]])
-    with pytest.raises(ValueError, match=r"weights: expected shape \(19, 10, 3\), got \(19, 9, 3\)"):
-        crowd.advance(rig[frames[1:]], weights[frames[1:, :9]])
-
-
-def test_bones_that_carry_nothing_do_not_count_in_a_crowd():
-    """Also where the rig jumps, and a character is stepped alone."""
-    nodes, tets = bar((4, 1, 1), (0.4, 0.1, 0.1))
-    count, weights = np.ones(len(tets)), np.eye(2)[np.zeros(len(nodes), int)]
-    body = dynamorph.SoftBody(dynamorph.TetMesh(nodes, tets), count, count, count[:, None], nodes[:, 0] < 1e-9, weights)
-    targets = [dynamorph.MorphTarget("rest", np.zeros_like(nodes), density=1000.0, **lame(1e5, 0.3))]
-    full = dynamorph.FullModel(body, targets, dynamorph.Law.STVK, dynamorph.Blending.EVEN)
-    tables = dynamorph.reduce(full, dynamorph.make_basis(full, 4).U)
-    model = dynamorph.ReducedModel(body, targets, tables, dynamorph.Blending.EVEN)
-    crowd = dynamorph.Crowd(model, 1 / 120, 10, teleport=0.2)
-    rig, weights = np.tile(TWO_BONES, (10, 1, 1, 1)), np.ones((10, 1))
-    crowd.start(rig, rig, weights)
-    rig[:, 1] = np.nan
-    rig[9, 0, 0, 3] = 50.0
-    assert crowd.advance(rig[None], weights[None])["alone"] == 1
-    assert np.abs(crowd.coordinates).max() < 1e-9
-
-
 # Bad input ---------------------------------------------------------------------------------------------------------
 
 

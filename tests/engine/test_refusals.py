@@ -34,7 +34,7 @@ def rest(full, **changed):
 
 
 @pytest.mark.fault("P02")
-@pytest.mark.parametrize("stepper", ["full", "reduced", "crowd"])
+@pytest.mark.parametrize("stepper", ["full", "reduced"])
 @pytest.mark.parametrize(
     ("option", "value"),
     [
@@ -54,18 +54,14 @@ def test_options_that_no_step_can_be_taken_with(stepper, option, value):
     with pytest.raises(ValueError, match=f"^{option}: "):
         if stepper == "full":
             dynamorph.FullSimulation(full, **options)
-        elif stepper == "reduced":
-            dynamorph.ReducedSimulation(reduced(full), **options)
         else:
-            dynamorph.Crowd(reduced(full), size=3, **options)
+            dynamorph.ReducedSimulation(reduced(full), **options)
 
 
-@pytest.mark.parametrize("stepper", ["reduced", "crowd"])
-def test_poses_that_take_no_bytes_are_counted_first(stepper):
+def test_poses_that_take_no_bytes_are_counted_first():
     """A billion poses of no bone would take all memory."""
     full, _ = cantilever((2, 1, 1), (0.2, 0.1, 0.1))
-    model = reduced(full)
-    made = dynamorph.ReducedSimulation(model, 0.01) if stepper == "reduced" else dynamorph.Crowd(model, 0.01, 3)
+    made = dynamorph.ReducedSimulation(reduced(full), 0.01)
     with pytest.raises(ValueError, match=r"bones: expected shape \(1, 1, 3, 4\), got \(1099511627776, 0, 3, 4\)"):
         made.balance_targets(np.zeros((2**40, 0, 3, 4)))
 
@@ -124,7 +120,6 @@ def test_a_model_needs_a_target_and_known_laws():
         lambda full: dynamorph.ReducedModel(None, [rest(full)], dynamorph.reduce(full, unit_modes(full, 2)), BLENDING),
         lambda full: dynamorph.FullSimulation(None, 0.01),
         lambda full: dynamorph.ReducedSimulation(None, 0.01),
-        lambda full: dynamorph.Crowd(None, 0.01, 3),
     ],
 )
 def test_none_is_no_model_and_no_body(call):

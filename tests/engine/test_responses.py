@@ -136,12 +136,6 @@ def test_what_does_not_fit_is_refused_by_name():
         dynamorph.make_response_basis(full, MODES, 0)
 
 
-def test_a_crowd_says_that_it_takes_modes_alone():
-    model, *_ = with_responses(dynamorph.Law.STVK, dynamorph.Blending.EVEN)
-    with pytest.raises(ValueError, match="it has responses, which a crowd does not support. Build it with modes alone"):
-        dynamorph.Crowd(model, 1 / 120, 3)
-
-
 def test_a_state_resumes_bit_for_bit():
     model, *_ = with_responses(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN)
     rig, weights = test_physics.swing(model, 20)

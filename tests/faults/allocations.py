@@ -61,7 +61,6 @@ class Scene:
         self.simulations = {
             "full": dm.FullSimulation(self.full, 0.01), "reduced": dm.ReducedSimulation(self.reduced, 0.01)
         }  # fmt: skip
-        self.crowd = dm.Crowd(self.reduced, 0.01, 3)
         self.poses = np.repeat(np.eye(4)[None], 2, 0)
         self.poses[1, 1:3, 1:3] = [[0.6, -0.8], [0.8, 0.6]]
         self.set = dm.TargetSet([1], ["a", "b"], [np.repeat(np.eye(4)[None], 2, 0), self.poses])
@@ -73,12 +72,6 @@ class Scene:
         simulation.start(self.bones, self.moved, self.weights)
         simulation.advance(self.moved[None], self.weights[None])
         return simulation.coordinates
-
-    def crowd_step(self):
-        first, second, weights = (np.repeat(each[None], 3, 0) for each in (self.bones, self.moved, self.weights))
-        self.crowd.start(first, second, weights)
-        self.crowd.advance(second[None], weights[None])
-        return self.crowd.coordinates
 
     def response_basis(self):
         basis = dm.make_response_basis(self.full, 3, 2)
@@ -103,7 +96,6 @@ def calls(scene: Scene) -> dict[str, Callable]:
         "response_basis": scene.response_basis,
         "full_step": lambda: scene.step("full"),
         "reduced_step": lambda: scene.step("reduced"),
-        "crowd_step": scene.crowd_step,
         "weights": lambda: scene.space.weights(scene.poses[None]),
         "model_file": lambda: dm.unpack_model(scene.model_file)[0]["nodes"],
     }
@@ -118,7 +110,6 @@ def constructors(scene: Scene) -> dict[str, Callable]:
         "ReducedModel": lambda: dm.ReducedModel(scene.body, scene.targets, scene.tables, even),
         "FullSimulation": lambda: dm.FullSimulation(scene.full, 0.01),
         "ReducedSimulation": lambda: dm.ReducedSimulation(scene.reduced, 0.01),
-        "Crowd": lambda: dm.Crowd(scene.reduced, 0.01, 3),
         "MeshCut": lambda: dm.MeshCut(scene.cage, scene.skin, scene.triangles),
         "PoseSpace": lambda: dm.PoseSpace([scene.set]),
     }

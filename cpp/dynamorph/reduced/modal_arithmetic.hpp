@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The arithmetic of modal_inertia: how the tensors of bones and of pairs of bones (modal_terms.hpp) are contracted.
-// Lanes are eight terms, or eight characters, in single precision; tests use one term in double.
+// Lanes are eight terms in single precision; tests use one term in double.
 #pragma once
 
 #include "dynamorph/simd/lanes.hpp"
@@ -57,23 +57,22 @@ DYNAMORPH_INLINE void contract_bones(const Lanes (*motion)[12], const Lanes& sig
   }
 }
 
-/// Computes the 9 coefficients of each mode. y: each mode's backward differences, numbers or lanes.
-template <class Lanes, class Y>
-DYNAMORPH_INLINE void take_slopes(const Coefficients<Lanes>& c, const Y* y, Index r, Lanes* slopes) {
+/// Computes the 9 coefficients of each mode. y: each mode's backward differences.
+template <class Lanes, class Number>
+DYNAMORPH_INLINE void take_slopes(const Coefficients<Lanes>& c, const Number* y, Index r, Lanes* slopes) {
   for (int e = 0; e < kSymmetric + kSkew; ++e) {
     const Lanes c0 = c.differences[0][e], c1 = c.differences[1][e], c2 = c.differences[2][e], c3 = c.differences[3][e];
     for (Index l = 0; l < r; ++l) {
-      const Y* own = y + kMoments * l;
+      const Number* own = y + kMoments * l;
       slopes[9 * l + e] = mul_add(own[0] * c0, own[1], c1) + mul_add(own[2] * c2, own[3], c3);
     }
   }
 }
 
-/// force += tensors : coefficients, and with kHeavy the same for the packed mass. It takes eight terms (Table: const
-/// Lanes*) or one term for eight characters (const float*). slopes: 9 coefficients of each mode.
-template <bool kHeavy, class Table, class Lanes>
-DYNAMORPH_INLINE void add_terms(Table table, Index r, const Lanes* __restrict slopes, const Coefficients<Lanes>& c,
-                                Lanes* __restrict force, Lanes* __restrict mass) {
+/// force += tensors : coefficients, and with kHeavy the same for the packed mass. slopes: 9 coefficients of each mode.
+template <bool kHeavy, class Lanes>
+DYNAMORPH_INLINE void add_terms(const Lanes* table, Index r, const Lanes* __restrict slopes,
+                                const Coefficients<Lanes>& c, Lanes* __restrict force, Lanes* __restrict mass) {
   constexpr int kEntries = kSymmetric + kSkew;
   for (Index k = 0; k < r; ++k) {
     const Lanes* own = slopes + kEntries * k;
@@ -83,7 +82,7 @@ DYNAMORPH_INLINE void add_terms(Table table, Index r, const Lanes* __restrict sl
     for (int e = 0; e < kSymmetric; ++e) sums[e % 3] = mul_add(sums[e % 3], table[e], own[e]);
     // Two loops, so that each keeps its coefficients in registers.
     if (kHeavy) {
-      Table row = table;
+      const Lanes* row = table;
       for (Index l = k; l < r; row += l == k ? kSymmetric : kEntries, ++l) {
         Lanes heavy[2] = {};
         for (int e = 0; e < kSymmetric; ++e) heavy[e % 2] = mul_add(heavy[e % 2], row[e], c.mass[e]);
@@ -108,37 +107,28 @@ DYNAMORPH_INLINE void add_terms(Table table, Index r, const Lanes* __restrict sl
   }
 }
 
-DYNAMORPH_INLINE void round_to(const double& from, double& to) { to = from; }
-template <class Value, class Single>
-DYNAMORPH_INLINE void round_to(const Value& from, Single& to) {
-  to_single(from, to);
-}
-
-template <class Value>
-DYNAMORPH_INLINE Value weigh(const double* coefficients, const Value& b0, const Value& b1, const Value& b2,
-                             const Value& b3, const Value& b4) {
+DYNAMORPH_INLINE double weigh(const double* coefficients, double b0, double b1, double b2, double b3, double b4) {
   return mul_add(
       mul_add(mul_add(mul_add(coefficients[0] * b0, coefficients[1], b1), coefficients[2], b2), coefficients[3], b3),
       coefficients[4], b4);
 }
 
-/// What one bone contributes to the terms (BoneMotion), for one character or for eight. bones: its twelve entries in
-/// each pose. coefficients (kMoments, kPoses), row-major. Only the sums are rounded, because each is as large as what
-/// it adds to the force.
-template <class Value, class Single>
-DYNAMORPH_INLINE void combine(const Value* const* bones, const double* coefficients, const double* centre,
+/// What one bone contributes to the terms (BoneMotion). bones: its twelve entries in each pose. coefficients (kMoments,
+/// kPoses), row-major. Only the sums are rounded, because each is as large as what it adds to the force.
+template <class Single>
+DYNAMORPH_INLINE void combine(const double* const* bones, const double* coefficients, const double* centre,
                               const double* gravity_offset, Single (*out)[12]) {
   for (int i = 0; i < 3; ++i) {
-    Value first[4];  // the row of the first difference, with its translation moved to the center
+    double first[4];  // the row of the first difference, with its translation moved to the center
     for (int j = 0; j < 4; ++j) {
       const int e = 4 * i + j;
-      const Value b0 = bones[0][e], b1 = bones[1][e], b2 = bones[2][e], b3 = bones[3][e], b4 = bones[4][e];
-      round_to(b0, out[0][e]);
+      const double b0 = bones[0][e], b1 = bones[1][e], b2 = bones[2][e], b3 = bones[3][e], b4 = bones[4][e];
+      out[0][e] = Single(b0);
       first[j] = weigh(coefficients, b0, b1, b2, b3, b4);
-      for (int m = 1; m < kMoments; ++m) round_to(weigh(coefficients + m * kPoses, b0, b1, b2, b3, b4), out[m + 1][e]);
+      for (int m = 1; m < kMoments; ++m) out[m + 1][e] = Single(weigh(coefficients + m * kPoses, b0, b1, b2, b3, b4));
     }
     first[3] += first[0] * centre[0] + first[1] * centre[1] + first[2] * centre[2] - gravity_offset[i];
-    for (int j = 0; j < 4; ++j) round_to(first[j], out[1][4 * i + j]);
+    for (int j = 0; j < 4; ++j) out[1][4 * i + j] = Single(first[j]);
   }
 }
 

@@ -65,9 +65,6 @@ ModalInertia::ModalInertia(const SoftBody& body, const MatrixXd& U) : r_(U.cols(
   for (Tensors& set : sets_)
     for (Group& group : set.groups)
       for (Bones& bones : group.bones) bones = {used(bones.first), used(bones.second)};
-  in_terms_ = used_.size();
-  for (Index b = 0; b < body.skin.cols(); ++b)
-    if (body.moments[b](3, 3) > 0) used(int(b));
 }
 
 int ModalInertia::used(int bone) {
@@ -97,23 +94,21 @@ void ModalInertia::tabulate(const SoftBody& body, const MatrixXd& U, int s, Tens
       for (Index i = 0; i < body.volumes.rows(); ++i)
         set.mass(p) += body.volumes(i, s) * U.col(k).segment<3>(3 * i).dot(U.col(l).segment<3>(3 * i));
   set.table.assign(set.groups.size() * entries(r_), FloatW{});
-  set.terms.resize(column.size() * entries(r_));
   Index next = 0;
   for (size_t g = 0; g < set.groups.size(); ++g)
     for (size_t lane = 0; lane < set.groups[g].bones.size(); ++lane, ++next)
-      for (Index e = 0; e < entries(r_); ++e)
-        set.table[g * entries(r_) + e][lane] = set.terms[next * entries(r_) + e] = float(sums(e, next));
+      for (Index e = 0; e < entries(r_); ++e) set.table[g * entries(r_) + e][lane] = float(sums(e, next));
 }
 
 void ModalInertia::evaluate(const InertialTarget& inertial, const SetDensities& densities, Result& out) const {
   const Index pairs = r_ * (r_ + 1) / 2;
   take_differences(inertial, out.differences);
-  out.bones.resize(in_terms_);
+  out.bones.resize(used_.size());
   const DifferenceCoefficients coefficients = coefficients_of_differences(inertial.coefficients);
-  for (size_t b = 0; b < in_terms_; ++b) {
+  for (size_t b = 0; b < used_.size(); ++b) {
     const double* poses[InertialTarget::kPoses];
     for (int n = 0; n < InertialTarget::kPoses; ++n) poses[n] = inertial.bones[n]->data() + 12 * used_[b];
-    combine_one(poses, coefficients.data(), centre_.data(), inertial.gravity_offset.data(), out.bones[b].values);
+    combine_poses(poses, coefficients.data(), centre_.data(), inertial.gravity_offset.data(), out.bones[b].values);
   }
 
   out.slopes.resize(9 * r_);
@@ -146,49 +141,6 @@ void ModalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
   }
   out.mass.triangularView<Eigen::StrictlyUpper>() = out.mass.transpose();
   out.damped.triangularView<Eigen::StrictlyUpper>() = out.damped.transpose();
-}
-
-void ModalInertia::evaluate(const EightInertialTarget& inertial, const DoubleW* density, const DoubleW* damping,
-                            EightInertia& out) const {
-  const Index pairs = r_ * (r_ + 1) / 2;
-  out.differences.resize(InertialTarget::kMoments * r_);
-  differences_of_eight(inertial.q.data(), r_, out.differences.data());
-  out.bones.resize((1 + InertialTarget::kMoments) * 12 * in_terms_);
-  const auto bone = [&](int b) {
-    return reinterpret_cast<FloatW(*)[12]>(&out.bones[(1 + InertialTarget::kMoments) * 12 * b]);
-  };
-  const DifferenceCoefficients coefficients = coefficients_of_differences(inertial.coefficients);
-  for (size_t b = 0; b < in_terms_; ++b) {
-    const DoubleW* poses[InertialTarget::kPoses];
-    for (int n = 0; n < InertialTarget::kPoses; ++n) poses[n] = inertial.bones[n] + 12 * b;
-    combine_eight(poses, coefficients.data(), centre_.data(), inertial.gravity_offset.data(), bone(int(b)));
-  }
-  out.slopes.resize(9 * r_);
-  out.sums.resize(r_ + pairs);
-  out.mass.assign(pairs, DoubleW{});
-  out.damped.assign(pairs, DoubleW{});
-  out.force.assign(r_, DoubleW{});
-  for (size_t s = 0; s < sets_.size(); ++s) {
-    const Tensors& set = sets_[s];
-    std::fill(out.sums.begin(), out.sums.end(), FloatW{});
-    for (size_t g = 0; g < set.groups.size(); ++g)
-      for (size_t t = 0; t < set.groups[g].bones.size(); ++t) {
-        const Bones& bones = set.groups[g].bones[t];
-        const float* table = set.terms.data() + (g * kLanes + t) * entries(r_);
-        add_term_of_eight(bone(bones.first), set.groups[g].signs[t] < 0 ? bone(bones.second) : nullptr,
-                          set.groups[g].largest_force, out.differences.data(), r_, table, out.slopes.data(),
-                          out.sums.data(), out.sums.data() + r_);
-      }
-    add_set_of_eight(density[s], damping[s], set.mass.data(), r_, out.sums.data(), out.sums.data() + r_,
-                     out.force.data(), out.mass.data(), out.damped.data());
-  }
-}
-
-int ModalInertia::terms() const {
-  size_t count = 0;
-  for (const Tensors& set : sets_)
-    for (const Group& group : set.groups) count += group.bones.size();
-  return int(count);
 }
 
 }  // namespace dynamorph

@@ -47,28 +47,6 @@ class ModalInertia {
   /// mass is within 4e-4 and the force within 7e-6 of a sum over the nodes; with few bones, both are within 1e-7.
   void evaluate(const InertialTarget& inertial, const SetDensities& densities, Result& out) const;
 
-  /// The same for eight characters, one per lane: coordinates (r), and twelve entries for each of used_bones().
-  struct EightInertialTarget {
-    std::array<const DoubleW*, InertialTarget::kMoments> q;
-    std::array<const DoubleW*, InertialTarget::kPoses> bones;
-    Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> coefficients;
-    Vector3d gravity_offset;
-  };
-  struct EightInertia {
-    LaneVector<DoubleW> mass, damped;  ///< packed upper triangles
-    LaneVector<DoubleW> force;
-    LaneVector<FloatW> bones, differences, sums, slopes;
-  };
-  /// density, damping: one for each target set.
-  void evaluate(const EightInertialTarget& inertial, const DoubleW* density, const DoubleW* damping,
-                EightInertia& out) const;
-
-  /// The bones that carry soft tissue.
-  const std::vector<int>& used_bones() const { return used_; }
-
-  /// Number of terms of all sets.
-  int terms() const;
-
  private:
   using Bones = std::pair<int, int>;  ///< (b, b) for one bone, (b, c) for a pair; places in used_
   /// Up to eight terms, side by side.
@@ -82,15 +60,13 @@ class ModalInertia {
     VectorXd mass;              ///< U^T M1 U, packed upper triangle
     std::vector<Group> groups;  ///< bones, then pairs, those with the largest force first
     LaneVector<FloatW> table;   ///< terms::entries of each group
-    std::vector<float> terms;   ///< the same, term after term
   };
   int used(int bone);  ///< its place in used_; adds it if it is missing
   void tabulate(const SoftBody& body, const MatrixXd& U, int set, Tensors& out) const;
 
   Eigen::Index r_;
   Vector3d centre_;        ///< of the body; rest positions are relative to it
-  std::vector<int> used_;  ///< those of the terms come first
-  size_t in_terms_;        ///< how many those are
+  std::vector<int> used_;  ///< the bones of the terms
   std::vector<Tensors> sets_;
 };
 

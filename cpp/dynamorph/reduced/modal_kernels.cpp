@@ -25,32 +25,13 @@ DYNAMORPH_INLINE float largest(const Coefficients<FloatW>& c) {
 }
 
 /// Adds the part of a force that does not depend on the coordinates.
-template <class Table>
-DYNAMORPH_INLINE void add_rigid(Table table, Index r, const Coefficients<FloatW>& c, FloatW* __restrict force) {
+DYNAMORPH_INLINE void add_rigid(const FloatW* table, Index r, const Coefficients<FloatW>& c, FloatW* __restrict force) {
   for (Index k = 0; k < r; ++k) {
     FloatW sums[3] = {};
     for (int e = 0; e < kRigid; ++e) sums[e % 3] = mul_add(sums[e % 3], table[e], c.rigid[e]);
     force[k] += (sums[0] + sums[1]) + sums[2];
     table += kRigid + kSymmetric + (kSymmetric + kSkew) * (r - k - 1);
   }
-}
-
-/// Adds to force (r) and packed mass, lane by lane. y: each mode's backward differences, numbers or lanes.
-/// largest_force: the largest part of the force that a term can have; infinite unless all are pairs.
-template <class Table, class Y>
-DYNAMORPH_INLINE void add_contribution(const FloatW (*motion)[12], const FloatW& sign, double largest_force, const Y* y,
-                                       Index r, Table table, FloatW* slopes, FloatW* force, FloatW* mass) {
-  Coefficients<FloatW> c;
-  contract_bones(motion, sign, c);
-  const float change = largest(c);
-  const bool pairs = largest_force < __builtin_huge_val();
-  if (pairs && change * largest_force < kUnnoticed) return;
-  if (pairs && change * largest_force < kSlight) return add_rigid(table, r, c, force);
-  take_slopes(c, y, r, slopes);
-  if (change > 1e-6F)  // Blender's bones are rigid only to single precision
-    add_terms<true>(table, r, slopes, c, force, mass);
-  else
-    add_terms<false>(table, r, slopes, c, force, mass);
 }
 
 /// Adds up the neighbors, the pairs of neighbors, or the halves of each of two vectors.
@@ -71,16 +52,17 @@ DYNAMORPH_INLINE Float8 added_halves(const Float8& a, const Float8& b) {
 
 void add_eight_terms(const FloatW (*motion)[12], const FloatW& sign, double largest_force, const float* y, Index r,
                      const FloatW* table, FloatW* slopes, FloatW* force, FloatW* mass) {
-  add_contribution(motion, sign, largest_force, y, r, table, slopes, force, mass);
-}
-
-void add_term_of_eight(const FloatW (*first)[12], const FloatW (*second)[12], double largest_force, const FloatW* y,
-                       Index r, const float* table, FloatW* slopes, FloatW* force, FloatW* mass) {
-  FloatW motion[1 + kMoments][12];
-  for (int m = 0; m <= kMoments; ++m)
-    for (int e = 0; e < 12; ++e) motion[m][e] = second ? first[m][e] - second[m][e] : first[m][e];
-  add_contribution(motion, FloatW{all_of(second ? -1.0F : 1.0F)}, second ? largest_force : __builtin_huge_val(), y, r,
-                   table, slopes, force, mass);
+  Coefficients<FloatW> c;
+  contract_bones(motion, sign, c);
+  const float change = largest(c);
+  const bool pairs = largest_force < __builtin_huge_val();
+  if (pairs && change * largest_force < kUnnoticed) return;
+  if (pairs && change * largest_force < kSlight) return add_rigid(table, r, c, force);
+  take_slopes(c, y, r, slopes);
+  if (change > 1e-6F)  // Blender's bones are rigid only to single precision
+    add_terms<true>(table, r, slopes, c, force, mass);
+  else
+    add_terms<false>(table, r, slopes, c, force, mass);
 }
 
 void add_lanes(const FloatW* sums, Index count, float* totals) {
@@ -94,35 +76,9 @@ void add_lanes(const FloatW* sums, Index count, float* totals) {
   }
 }
 
-void combine_one(const double* const* bones, const double* coefficients, const double* centre,
-                 const double* gravity_offset, float (*out)[12]) {
+void combine_poses(const double* const* bones, const double* coefficients, const double* centre,
+                   const double* gravity_offset, float (*out)[12]) {
   combine(bones, coefficients, centre, gravity_offset, out);
-}
-
-void combine_eight(const DoubleW* const* bones, const double* coefficients, const double* centre,
-                   const double* gravity_offset, FloatW (*out)[12]) {
-  combine(bones, coefficients, centre, gravity_offset, out);
-}
-
-void add_set_of_eight(const DoubleW& density, const DoubleW& damping, const double* constant, Index r,
-                      const FloatW* force_sums, const FloatW* mass_sums, DoubleW* force, DoubleW* mass,
-                      DoubleW* damped) {
-  for (Index k = 0; k < r; ++k) force[k] = mul_add(force[k], density, to_double(force_sums[k]));
-  for (Index p = 0; p < r * (r + 1) / 2; ++p) {
-    const DoubleW own = constant[p] + to_double(mass_sums[p]);
-    mass[p] = mul_add(mass[p], density, own);
-    damped[p] = mul_add(damped[p], damping, own);
-  }
-}
-
-void differences_of_eight(const DoubleW* const* q, Index r, FloatW* y) {
-  for (Index k = 0; k < r; ++k, y += kMoments) {
-    const DoubleW q0 = q[0][k], q1 = q[1][k], q2 = q[2][k], q3 = q[3][k];
-    to_single(q0, y[0]);
-    to_single(q0 - q1, y[1]);
-    to_single(q0 - 2 * q1 + q2, y[2]);
-    to_single(q0 - 3 * q1 + 3 * q2 - q3, y[3]);
-  }
 }
 
 }  // namespace dynamorph::DYNAMORPH_ISA

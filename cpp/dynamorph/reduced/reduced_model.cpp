@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/reduced/reduced_model.hpp"
 
-#include "dynamorph/reduced/eight_kernels.hpp"
 #include "dynamorph/reduced/polynomial_kernels.hpp"
 
 namespace dynamorph {
@@ -249,55 +248,6 @@ double ReducedModel::linearize(const Blend& blend, const VectorXd& z, VectorXd& 
   return blend.energy + blend.force.dot(blend.now.v) + energy + responses_.add(blend.responses, z, force, stiffness);
 }
 
-void ReducedModel::blend(EightBlend& out) const {
-  const Eigen::Index r = dofs(), pairs = layout_.pairs();
-  out.density.assign(body_->sets(), DoubleW{});
-  out.density_damping.assign(body_->sets(), DoubleW{});
-  out.centre.assign(r, DoubleW{});
-  out.rest_force.assign(r, DoubleW{});
-  out.stiffness.assign(pairs, DoubleW{});
-  out.damping.assign(pairs, DoubleW{});
-  out.rest_energy = DoubleW{};
-  for (size_t j = 0; j < targets_.size(); ++j) {
-    const DoubleW& w = out.weights[j];
-    if (all_zero(w)) continue;
-    const MorphTarget& target = targets_[j];
-    out.density[target.set] += w * target.density;
-    out.density_damping[target.set] += w * target.density * target.mass_damping;
-    add_scaled(w, stiffness_[j].data(), pairs, out.stiffness.data());
-    add_scaled(w * target.stiffness_damping, rest_stiffness_[j].data(), pairs, out.damping.data());
-    if (blending_ == Blending::even) {
-      add_scaled(w, coordinates_[j].data(), r, out.centre.data());
-    } else {
-      add_scaled(w, forces_[j].data(), r, out.rest_force.data());
-      out.rest_energy += w * energies_[j];
-    }
-  }
-}
-
-void ReducedModel::linearize(EightBlend& blend, const LaneVector<DoubleW>& z, DoubleW& energy,
-                             LaneVector<DoubleW>& force, LaneVector<DoubleW>& stiffness) const {
-  const Eigen::Index r = dofs(), rows = padded_pairs_;
-  blend.v.resize(r);
-  blend.pairs.assign(rows, FloatW{});
-  blend.linear.assign(rows, FloatW{});
-  blend.quadratic.assign(rows, FloatW{});
-  blend.product.resize(rows);
-  force.resize(r);
-  stiffness.resize(layout_.pairs());
-  dynamorph::expand(z.data(), blend.centre.data(), r, blend.v.data(), blend.pairs.data());
-  for (size_t j = 0; j < targets_.size() && layout_.nonlinear; ++j) {
-    if (all_zero(blend.weights[j])) continue;
-    FloatW w;
-    to_single(blend.weights[j], w);
-    add_orders(tables_[j].data(), rows, r, w, blend.v.data(), blend.pairs.data(), blend.product.data(),
-               blend.linear.data(), blend.quadratic.data());
-  }
-  contract(blend.stiffness.data(), blend.linear.data(), blend.quadratic.data(), z.data(), blend.centre.data(),
-           blend.rest_force.data(), r, force.data(), stiffness.data(), energy);
-  energy += blend.rest_energy;
-}
-
 void ReducedModel::inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const {
   ModalInertia::Result& modes = out.modes;
   if (const auto* nodal = std::get_if<NodalInertia>(&inertia_))
@@ -310,14 +260,6 @@ void ReducedModel::inertia(const InertialTarget& inertial, const SetDensities& d
   out.force.resize(dofs());
   out.force.head(layout_.r) = modes.force;
   response_inertia_.evaluate(inertial, densities, out.responses, out.mass, out.damped, out.force);
-}
-
-const ModalInertia& ReducedModel::modal_inertia() const {
-  if (body_->own_transforms)
-    throw std::invalid_argument("model: its nodes have their own transforms, which a crowd does not support");
-  if (responses_.count() > 0)
-    throw std::invalid_argument("model: it has responses, which a crowd does not support. Build it with modes alone");
-  return std::get<ModalInertia>(inertia_);
 }
 
 VectorXd ReducedModel::target(int j) const {

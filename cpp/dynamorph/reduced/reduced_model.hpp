@@ -63,14 +63,6 @@ class ReducedModel {
     std::vector<double> active_weights;
   };
 
-  /// The same for eight characters, one per lane. Matrices are packed upper triangles.
-  struct EightBlend {
-    LaneVector<DoubleW> weights, density, density_damping;  ///< (J), (sets), and (sets) times mass damping
-    LaneVector<DoubleW> centre, rest_force, stiffness, damping;
-    DoubleW rest_energy;
-    LaneVector<FloatW> v, pairs, product, linear, quadratic;  ///< scratch
-  };
-
   ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, const ReducedTables& tables,
                Blending blending);
 
@@ -86,14 +78,7 @@ class ReducedModel {
   void blend(const VectorXd& w, Blend& out) const;
   double energy(const Blend& blend, const VectorXd& z) const;
   double linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const;
-  /// Blends by out.weights, which must be set before.
-  void blend(EightBlend& out) const;
-  void linearize(EightBlend& blend, const LaneVector<DoubleW>& z, DoubleW& energy, LaneVector<DoubleW>& force,
-                 LaneVector<DoubleW>& stiffness) const;
   void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
-  /// Throws std::invalid_argument when it is not all inertia: the nodes have their own transforms, or there are
-  /// responses.
-  const ModalInertia& modal_inertia() const;
   void displacement(const VectorXd& z, VectorXd& u) const;
   void project_force(const VectorXd& f, VectorXd& out) const;
   VectorXd target(int j) const;

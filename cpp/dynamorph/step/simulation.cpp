@@ -42,7 +42,7 @@ template <class Model>
 Simulation<Model>::Simulation(std::shared_ptr<const Model> model, StepOptions options)
     : model_(std::move(model)), options_(options) {
   check(options_);
-  damped_ = elastic_.hessian = newton_.tangent = quadratic_.hessian = model_->zero();
+  damped_ = quadratic_.H = newton_.hessian.base = model_->zero();
 }
 
 template <class Model>
@@ -112,9 +112,9 @@ StepReport Simulation<Model>::solve_static(const Transforms& bones, const Vector
   if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
   load(at_rest(q, bones, options_.gravity), 1, external);
   forget();
-  values(quadratic_.hessian).setZero();
+  values(quadratic_.H).setZero();
   quadratic_.origin = VectorXd::Zero(model_->dofs());
-  quadratic_.round_off = 1e-15 * quadratic_.g.norm();
+  quadratic_.round_off_of_g = 1e-15 * quadratic_.g.norm();
   return minimize(q, kStaticIterations);
 }
 
@@ -188,13 +188,13 @@ StepReport Simulation<Model>::advance(const Transforms& bones, const VectorXd& w
 
   // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h and a constant, symmetric, positive C.
   values(damped_) = values(inertia_.damped) + values(blend_.damping);
-  values(quadratic_.hessian) = values(inertia_.mass) / rule.square + (rule.velocity[0] / h) * values(damped_);
+  values(quadratic_.H) = values(inertia_.mass) / rule.square + (rule.velocity[0] / h) * values(damped_);
   velocity_ = (rule.velocity[0] * next_ + rule.velocity[1] * state_.q[0] + rule.velocity[2] * state_.q[1]) / h;
-  Arithmetic::multiply(damped_, velocity_, resistance_);
+  multiply(damped_, velocity_, resistance_);
   quadratic_.g += resistance_;
   quadratic_.origin = next_;
   // Far from the world's origin, posed positions lose digits, and inertia multiplies the loss.
-  quadratic_.round_off =
+  quadratic_.round_off_of_g =
       1e-14 / rule.square * farthest(bones) *
       std::sqrt(model_->body().volume * blend_.mass.density.maxCoeff() * values(inertia_.mass).cwiseAbs().maxCoeff());
 
@@ -220,23 +220,23 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   elastic_.reference = quadratic_.origin.norm();
   // Single precision loses 1e-7 of a change, which must stay well below the tolerance.
   if constexpr (std::is_same_v<Model, ReducedModel>) blend_.near = std::min(0.03, 1e5 * options_.tolerance);
-  Potential<Arithmetic, decltype(quadratic_), decltype(elastic_)> potential(quadratic_, elastic_);
+  Potential<Matrix, decltype(quadratic_), decltype(elastic_)> potential(quadratic_, elastic_);
   const auto ask = [&] {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();
   };
-  const double nothing = options_.tolerance * model_->body().size * model_->metre();
-  const NewtonLimits limits{options_.tolerance, nothing, max_iterations};
-  const NewtonReport<Arithmetic> found = dynamorph::minimize(potential, newton_, q, 1, limits, ask);
+  const double negligible = options_.tolerance * model_->body().size * model_->metre();
+  const NewtonReport found =
+      dynamorph::minimize(potential, newton_, q, {options_.tolerance, negligible, max_iterations}, ask);
   if (found.broken)
     throw Error("A step failed because a force is not finite. Check the rig and the materials at this frame.");
   StepReport report;
   report.iterations = found.iterations;
-  report.converged = !found.open;
+  report.converged = found.converged;
   report.residual = found.residual;
-  report.energy = elastic_.energy;
+  report.energy = elastic_.value();
   if (found.unseen) {  // the last step is short: its third power does not count
-    Arithmetic::multiply(elastic_.hessian, newton_.direction, resistance_);
-    report.energy += newton_.direction.dot(elastic_.gradient + 0.5 * resistance_);
+    multiply(elastic_.hessian(), newton_.direction, resistance_);
+    report.energy += newton_.direction.dot(elastic_.gradient() + 0.5 * resistance_);
   }
   return report;
 }

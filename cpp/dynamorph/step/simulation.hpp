@@ -17,7 +17,6 @@
 #include "dynamorph/models/full_model.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/reduced/reduced_model.hpp"
-#include "dynamorph/step/one.hpp"
 #include "dynamorph/step/step_options.hpp"
 #include "dynamorph/step/terms.hpp"
 
@@ -83,7 +82,7 @@ class Simulation {
   const typename Model::Blend& blend() const { return blend_; }
 
  private:
-  using Arithmetic = One<typename Model::Matrix>;
+  using Matrix = typename Model::Matrix;
 
   void pose(const Transforms& bones, const VectorXd& weights);
   /// Takes a step that is posed and checked, and in which the rig does not jump.
@@ -103,11 +102,11 @@ class Simulation {
   std::array<Transforms, InertialTarget::kMoments> before_;  ///< bones before a jump, in case the step fails
   typename Model::Blend blend_;
   typename Model::Inertia inertia_;
-  typename Model::Matrix damped_;
+  Matrix damped_;
   VectorXd next_, velocity_, resistance_;  ///< coordinates of the step, bind-pose velocity, and damping at it
-  QuadraticTerm<Arithmetic> quadratic_;
-  ElasticTerm<Model, Arithmetic, const typename Model::Blend> elastic_;
-  NewtonScratch<Arithmetic> newton_;
+  QuadraticTerm<Matrix> quadratic_;
+  ElasticTerm<Model> elastic_;
+  NewtonScratch<Matrix> newton_;
   MatrixXd rest_gravity_;  ///< gravity in each target's own pose (dofs, J), or empty
   SkinFrame frame_;        ///< of the nodes, where external forces act
   VectorXd nodal_, projected_;

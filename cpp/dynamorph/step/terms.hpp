@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The terms of a step's potential, as newton.hpp needs them. To add one, contact for example, add a struct here and its
-// name to the lists of terms in Simulation and Crowd.
+// The terms of a step's potential, as newton.hpp needs them. To add one, add a struct here and its name to the list of
+// terms in Simulation.
 #pragma once
 
 #include "dynamorph/core/types.hpp"
@@ -10,59 +10,73 @@ namespace dynamorph {
 
 /// 1/2 d.H d + g.d with d = q - origin: inertia, damping, gravity, external forces. The origin is the predicted
 /// coordinates, so that g is a force and not the round-off of a large displacement.
-template <class Arithmetic>
+template <class Matrix>
 struct QuadraticTerm {
-  using Number = typename Arithmetic::Number;
-  using Vector = typename Arithmetic::Vector;
-  typename Arithmetic::Matrix hessian;  ///< H
-  Vector g, origin;
-  Number round_off{};  ///< of g
+  Matrix H;
+  VectorXd g, origin;
+  double round_off_of_g = 0;
 
-  Vector gradient;
-  Number energy{}, forces{}, length{}, resolution{};
-
-  void evaluate(const Vector& q) {
-    Arithmetic::subtract(q, origin, d_);
-    Arithmetic::multiply(hessian, d_, Hd_);
-    Arithmetic::sum(gradient, Hd_, g);
-    energy = 0.5 * Arithmetic::dot(d_, Hd_) + Arithmetic::dot(d_, g);
-    forces = Arithmetic::norm(Hd_) + Arithmetic::norm(g);
+  void at(const VectorXd& q) {
+    d_ = q - origin;
+    multiply(H, d_, Hd_);
+    gradient_ = Hd_ + g;
   }
-  Number longest(const Vector&, const Vector&) const { return Number() + 1.0; }
+  double value() const { return 0.5 * d_.dot(Hd_) + d_.dot(g); }
+  const VectorXd& gradient() const { return gradient_; }
+  const Matrix& hessian() const { return H; }
+  RoundOff round_off() const { return {Hd_.norm() + g.norm(), round_off_of_g, 0}; }
 
  private:
-  Vector d_, Hd_;
+  VectorXd d_, Hd_, gradient_;
 };
 
 /// E(q) in one pose: the elastic energy, and the energy of the hold.
-template <class Model, class Arithmetic, class Blend>
+template <class Model>
 struct ElasticTerm {
-  using Number = typename Arithmetic::Number;
-  using Vector = typename Arithmetic::Vector;
+  using Matrix = typename Model::Matrix;
   const Model* model;
-  Blend* blend;
-  Number reference{};  ///< norm of the quadratic term's origin, for the round-off
+  const typename Model::Blend* blend;
+  double reference = 0;  ///< norm of the quadratic term's origin, for the round-off
 
-  Vector gradient;
-  typename Arithmetic::Matrix hessian;
-  Number energy{}, forces{}, round_off{}, length{}, resolution{};
-
-  void evaluate(const Vector& q) {
-    if constexpr (Arithmetic::kLanes == 1) {
-      energy = model->linearize(*blend, q, gradient, hessian);
-    } else {
-      model->linearize(*blend, q, energy, gradient, hessian);
-      Arithmetic::subtract(q, blend->centre, from_centre_);
-      resolution = 1e-6 * Arithmetic::norm(from_centre_);  // the tables use them in single precision
-    }
-    forces = Arithmetic::norm(gradient);
-    length = Arithmetic::norm(q) + reference + 0.1 * model->body().size * model->metre();
-    round_off = 1e-14 * Arithmetic::largest(hessian) * length;  // terms of that size cancel in the force
+  void at(const VectorXd& q) {
+    q_ = q;
+    known_ = Known::nothing;
   }
-  Number longest(const Vector&, const Vector&) const { return Number() + 1.0; }
+  double value() {
+    if (known_ == Known::nothing) {
+      energy_ = model->energy(*blend, q_);
+      known_ = Known::energy;
+    }
+    return energy_;
+  }
+  const VectorXd& gradient() {
+    linearize();
+    return force_;
+  }
+  const Matrix& hessian() {
+    linearize();
+    return stiffness_;
+  }
+  RoundOff round_off() {
+    const double length = q_.norm() + reference + 0.1 * model->body().size * model->metre();
+    const double largest = values(hessian()).cwiseAbs().maxCoeff();  // terms of that size cancel in the force
+    return {force_.norm(), 1e-14 * largest * length, length};
+  }
 
  private:
-  Vector from_centre_;
+  /// Force and stiffness share nearly all of their arithmetic, the energy little of it.
+  void linearize() {
+    if (known_ == Known::all) return;
+    energy_ = model->linearize(*blend, q_, force_, stiffness_);
+    known_ = Known::all;
+  }
+
+  enum class Known { nothing, energy, all };
+  VectorXd q_;
+  Known known_ = Known::nothing;
+  double energy_ = 0;
+  VectorXd force_;
+  Matrix stiffness_;
 };
 
 }  // namespace dynamorph

@@ -6,7 +6,6 @@
 #include <limits>
 
 #include "dynamorph/reduced/static_solver.hpp"
-#include "dynamorph/step/crowd.hpp"
 #include "dynamorph/step/simulation.hpp"
 #include "reduced/motion.hpp"
 
@@ -337,10 +336,6 @@ TEST_CASE("responses that do not fit are refused by name") {
     for (double wrong : {0.0, -1.0, nan})
       refused("reach must have 8 positive values", [&](auto& t) { t.reach(4) = wrong; });
   }
-  const ResponseScene scene(body, all, Law::stvk, Blending::even, 8, 12);
-  CHECK_THROWS_WITH_AS(Crowd(scene.model, {}, 3),
-                       "model: it has responses, which a crowd does not support. Build it with modes alone",
-                       std::invalid_argument);
 }
 
 TEST_CASE("tables without responses make a model of modes alone, whatever else they say of responses") {

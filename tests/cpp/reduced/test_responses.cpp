@@ -7,7 +7,6 @@
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/reduced/static_solver.hpp"
-#include "dynamorph/step/crowd.hpp"
 #include "dynamorph/step/simulation.hpp"
 #include "reduced/motion.hpp"
 

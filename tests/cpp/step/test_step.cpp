@@ -7,7 +7,6 @@
 #include <cstdlib>
 
 #include "dynamorph/pose/pose_space.hpp"
-#include "dynamorph/step/crowd.hpp"
 #include "dynamorph/step/simulation.hpp"
 #include "scenes.hpp"
 
@@ -100,32 +99,6 @@ TEST_CASE("weights and distances in pose space allocate nothing, with radii or w
     space.weights(bent, out);
     space.distances(turned, out);
     CHECK(allocations == 0);
-  }
-}
-
-TEST_CASE("a step of a crowd allocates nothing") {
-  const auto body = scenes::two_bone_bar(2);
-  const auto model = scenes::reduced_model(body, scenes::targets(*body, 1), Law::stvk, Blending::even, 12);
-  constexpr int kCharacters = 11;
-  Crowd crowd(model, {1 / 240., Scheme::bdf2, Vector3d(0, 0, -9.81)}, kCharacters);
-  std::vector<double> bones, weights;
-  const auto pose = [&](int step) {
-    bones.clear();
-    weights.clear();
-    for (int i = 0; i < kCharacters; ++i) {
-      const Transforms rig = scenes::bent(0.01 * step + 0.05 * i);
-      bones.insert(bones.end(), rig.data(), rig.data() + rig.size());
-      for (double w : {1 - 0.02 * (step + i), 0.02 * (step + i), 1.0}) weights.push_back(w);
-    }
-  };
-  pose(0);
-  crowd.start(bones.data(), bones.data(), weights.data());
-  for (int step = 1; step <= 12; ++step) {
-    pose(step);
-    allocations = 0;
-    const CrowdReport report = crowd.step(bones.data(), weights.data());
-    CHECK(report.alone == 0);
-    if (step > 2) CHECK(allocations == 0);
   }
 }
 

@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// What no step can be taken with is refused when a simulation is made, by both kinds of models and by crowds.
+// What no step can be taken with is refused when a simulation is made, of both kinds of models.
 #include <doctest/doctest.h>
 
 #include <limits>
 
-#include "dynamorph/step/crowd.hpp"
 #include "dynamorph/step/simulation.hpp"
 #include "scenes.hpp"
 
@@ -43,7 +42,7 @@ TEST_CASE("options that no step can be taken with are refused by name") {
   CHECK(refused("scheme:", with(&StepOptions::scheme, Scheme(7))));
 }
 
-TEST_CASE("simulations and crowds check their options") {
+TEST_CASE("simulations check their options") {
   const auto body = scenes::two_bone_bar();
   const auto targets = scenes::targets(*body);
   const auto full = std::make_shared<FullModel>(body, targets, Law::linear, Blending::even);
@@ -51,5 +50,4 @@ TEST_CASE("simulations and crowds check their options") {
   const StepOptions impossible = with(&StepOptions::tolerance, 0.0);
   CHECK_THROWS_AS(Simulation<FullModel>(full, impossible), std::invalid_argument);
   CHECK_THROWS_AS(Simulation<ReducedModel>(reduced, impossible), std::invalid_argument);
-  CHECK_THROWS_AS(Crowd(reduced, impossible, 3), std::invalid_argument);
 }
