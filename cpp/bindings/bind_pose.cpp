@@ -6,10 +6,6 @@
 using namespace dynamorph;
 
 void bind_pose(py::module_& m) {
-  py::enum_<Kernel>(m, "Kernel")
-      .value("LINEAR", Kernel::linear)
-      .value("GAUSSIAN", Kernel::gaussian)
-      .value("THIN_PLATE", Kernel::thin_plate);
   const auto rotations = [](const char* name, const FloatArray& local) {
     check_shape(name, local, {-1, 4, 4});
     Rotations out(local.shape(0), 4);
@@ -19,12 +15,12 @@ void bind_pose(py::module_& m) {
   };
   py::class_<TargetSet>(m, "TargetSet", "Targets whose weights sum to one.")
       .def(py::init([rotations](std::vector<int> bones, std::vector<std::string> names,
-                                const std::vector<FloatArray>& poses, Kernel kernel, std::vector<double> radii) {
-             TargetSet set{std::move(bones), std::move(names), {}, kernel, std::move(radii)};
+                                const std::vector<FloatArray>& poses, std::vector<double> radii) {
+             TargetSet set{std::move(bones), std::move(names), {}, std::move(radii)};
              for (const FloatArray& pose : poses) set.poses.push_back(rotations("poses", pose));
              return set;
            }),
-           "bones"_a, "names"_a, "poses"_a, "kernel"_a = Kernel::linear, "radii"_a = std::vector<double>(),
+           "bones"_a, "names"_a, "poses"_a, "radii"_a = std::vector<double>(),
            "bones: indices of the bones; their local rotations place the targets. poses: for each target, the local "
            "transforms (B, 4, 4) of the whole skeleton. radii: for each target, the joint angle in radians at which it "
            "has faded out; 0, the default, means never. The first target gets the weight that the others lose, and its "

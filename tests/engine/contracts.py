@@ -141,7 +141,7 @@ def calls() -> dict[str, tuple[object, dict]]:
         "Thickness": (lib, {**skin, "progress": going}),
         "Thickness.at": (s.thickness, {"points": s.vertices}),
         "TargetSet": (lib, {"bones": [1], "names": ["a", "b"], "poses": [s.local, s.turned],
-                            "kernel": lib.Kernel.LINEAR, "radii": [0.0, 1.0]}),
+                            "radii": [0.0, 1.0]}),
         "PoseSpace": (lib, {"sets": [s.set]}),
         "PoseSpace.distances": (s.space, {"local": s.turned[None]}),
         "PoseSpace.weights": (s.space, {"local": s.turned[None]}),

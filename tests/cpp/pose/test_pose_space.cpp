@@ -16,7 +16,7 @@ Rotations hinge(double angle, double second = 0) {
   return pose;
 }
 
-TargetSet elbow(Kernel kernel) { return {{0}, {"straight", "half", "flexed"}, {hinge(0), hinge(1), hinge(2)}, kernel}; }
+TargetSet elbow() { return {{0}, {"straight", "half", "flexed"}, {hinge(0), hinge(1), hinge(2)}}; }
 
 VectorXd weights(const PoseSpace& space, const Rotations& pose) {
   VectorXd w(space.targets());
@@ -26,20 +26,18 @@ VectorXd weights(const PoseSpace& space, const Rotations& pose) {
 
 }  // namespace
 
-TEST_CASE("weights are cardinal, not negative, and sum to one for every kernel") {
-  for (Kernel kernel : {Kernel::linear, Kernel::gaussian, Kernel::thin_plate}) {
-    const PoseSpace space({elbow(kernel)});
-    for (int j = 0; j < 3; ++j) CHECK((weights(space, hinge(j)) - VectorXd::Unit(3, j)).cwiseAbs().maxCoeff() < 1e-9);
-    for (double angle = -3; angle < 3; angle += 0.13) {
-      const VectorXd w = weights(space, hinge(angle, 0.4));
-      CHECK(w.minCoeff() >= 0);
-      CHECK(w.sum() == doctest::Approx(1));
-    }
+TEST_CASE("weights are cardinal, not negative, and sum to one") {
+  const PoseSpace space({elbow()});
+  for (int j = 0; j < 3; ++j) CHECK((weights(space, hinge(j)) - VectorXd::Unit(3, j)).cwiseAbs().maxCoeff() < 1e-9);
+  for (double angle = -3; angle < 3; angle += 0.13) {
+    const VectorXd w = weights(space, hinge(angle, 0.4));
+    CHECK(w.minCoeff() >= 0);
+    CHECK(w.sum() == doctest::Approx(1));
   }
 }
 
-TEST_CASE("the linear kernel is the driver's hat function in one dimension, constant outside") {
-  const PoseSpace space({elbow(Kernel::linear)});
+TEST_CASE("weights are the driver's hat function in one dimension, constant outside") {
+  const PoseSpace space({elbow()});
   CHECK(weights(space, hinge(0.25))(0) == doctest::Approx(0.75));
   CHECK(weights(space, hinge(0.25))(1) == doctest::Approx(0.25));
   CHECK(weights(space, hinge(1.7))(2) == doctest::Approx(0.7));
@@ -48,15 +46,15 @@ TEST_CASE("the linear kernel is the driver's hat function in one dimension, cons
 }
 
 TEST_CASE("weights ignore the quaternion's sign and bones that the set does not name") {
-  const PoseSpace space({elbow(Kernel::linear)});
+  const PoseSpace space({elbow()});
   const VectorXd w = weights(space, hinge(0.6));
   CHECK((weights(space, -hinge(0.6)) - w).norm() < 1e-12);
   CHECK((weights(space, hinge(0.6, 1.1)) - w).norm() < 1e-12);
 }
 
 TEST_CASE("independent sets are laid end to end, each summing to one") {
-  TargetSet wrist{{1}, {"open", "bent"}, {hinge(0, 0), hinge(0, 1)}, Kernel::linear};
-  const PoseSpace space({elbow(Kernel::linear), wrist});
+  TargetSet wrist{{1}, {"open", "bent"}, {hinge(0, 0), hinge(0, 1)}};
+  const PoseSpace space({elbow(), wrist});
   const VectorXd w = weights(space, hinge(1.5, 0.25));
   CHECK(w.head(3).sum() == doctest::Approx(1));
   CHECK(w(3) == doctest::Approx(0.75));
@@ -64,7 +62,7 @@ TEST_CASE("independent sets are laid end to end, each summing to one") {
 }
 
 TEST_CASE("a target fades out at its radius, smoothly, and the neutral gets what it loses") {
-  TargetSet set = elbow(Kernel::linear);
+  TargetSet set = elbow();
   const PoseSpace endless({set});
   set.radii = {0.1, 0, 0.8};  // the neutral's own means nothing
   const PoseSpace space({set});
@@ -87,7 +85,7 @@ TEST_CASE("a target fades out at its radius, smoothly, and the neutral gets what
 }
 
 TEST_CASE("a radius is an angle, also where the set measures chords") {
-  TargetSet set{{0}, {"a", "b", "c"}, {hinge(0), hinge(kPi), hinge(kPi / 2)}, Kernel::linear};
+  TargetSet set{{0}, {"a", "b", "c"}, {hinge(0), hinge(kPi), hinge(kPi / 2)}};
   const double b = weights(PoseSpace({set}), hinge(0.9 * kPi))(1);
   set.radii = {0, 0.1 * kPi, 0};
   CHECK(weights(PoseSpace({set}), hinge(0.95 * kPi))(1) > 0.5);
@@ -96,8 +94,8 @@ TEST_CASE("a radius is an angle, also where the set measures chords") {
 }
 
 TEST_CASE("distances are joint angles over the set's own bones") {
-  TargetSet wrist{{0, 1}, {"open", "bent"}, {hinge(0, 0), hinge(0, 1)}, Kernel::linear};
-  const PoseSpace space({elbow(Kernel::linear), wrist});
+  TargetSet wrist{{0, 1}, {"open", "bent"}, {hinge(0, 0), hinge(0, 1)}};
+  const PoseSpace space({elbow(), wrist});
   VectorXd d(space.targets()), expected(5);
   space.distances(hinge(0.5, -1), d);
   expected << 0.5, 0.5, 1.5, std::hypot(0.5, 1), std::hypot(0.5, 2);
@@ -105,7 +103,7 @@ TEST_CASE("distances are joint angles over the set's own bones") {
 }
 
 TEST_CASE("radii that are not one for each target, or negative, are the caller's mistake") {
-  TargetSet set = elbow(Kernel::linear);
+  TargetSet set = elbow();
   set.radii = {0, 1};
   CHECK_THROWS_AS(PoseSpace({set}), std::invalid_argument);
   set.radii = {0, 1, std::nan("")};
@@ -113,7 +111,7 @@ TEST_CASE("radii that are not one for each target, or negative, are the caller's
 }
 
 TEST_CASE("two targets at one pose are an error that names both") {
-  TargetSet set = elbow(Kernel::linear);
+  TargetSet set = elbow();
   set.poses[2] = hinge(1.0);
   try {
     PoseSpace space({set});
@@ -126,7 +124,7 @@ TEST_CASE("two targets at one pose are an error that names both") {
 TEST_CASE("targets right round a joint: cardinal, and no jump of the weights between them") {
   for (double quarter : {kPi / 2, 85 * kPi / 180}) {
     TargetSet set{
-        {0}, {"a", "b", "c", "d"}, {hinge(0), hinge(quarter), hinge(2 * quarter), hinge(-quarter)}, Kernel::linear};
+        {0}, {"a", "b", "c", "d"}, {hinge(0), hinge(quarter), hinge(2 * quarter), hinge(-quarter)}};
     const PoseSpace space({set});
     CHECK((weights(space, hinge(2 * quarter)) - VectorXd::Unit(4, 2)).cwiseAbs().maxCoeff() < 1e-9);
     double jump = 0;
@@ -140,51 +138,4 @@ TEST_CASE("a pose that is not a number is an error") {
   Eigen::Matrix<double, 1, 16, Eigen::RowMajor> transform = Eigen::Matrix<double, 1, 16>::Constant(std::nan(""));
   Rotations pose(1, 4);
   CHECK_THROWS_AS(rotation_of(LocalTransforms(transform.data(), 1, 16), 0, pose), Error);
-}
-
-TEST_CASE("thin-plate weights do not jump, however far a joint turns and wherever the targets are") {
-  const std::vector<std::vector<double>> sets = {
-      {0, 90, 180, -90}, {0, 90}, {0, 60, 120}, {0, 180}, {30, -150, 100}, {0, 45, 90, 135, 180, 225, 270, 315}};
-  for (const std::vector<double>& degrees : sets) {
-    TargetSet set{{0, 1}, {}, {}, Kernel::thin_plate};
-    for (size_t j = 0; j < degrees.size(); ++j) {
-      set.names.push_back(std::to_string(j));
-      set.poses.push_back(hinge(degrees[j] * kPi / 180, 0.1 * double(j)));
-    }
-    const PoseSpace space({set});
-    for (size_t j = 0; j < degrees.size(); ++j)
-      CHECK((weights(space, set.poses[j]) - VectorXd::Unit(set.poses.size(), j)).cwiseAbs().maxCoeff() < 1e-6);
-    VectorXd last = weights(space, hinge(-kPi, 0.05));
-    for (double angle = -180; angle <= 540; angle += 0.1) {
-      const VectorXd w = weights(space, hinge(angle * kPi / 180, 0.05));
-      CHECK((w - last).cwiseAbs().maxCoeff() < 0.02);
-      CHECK(w.minCoeff() >= 0);
-      CHECK(w.sum() == doctest::Approx(1));
-      last = w;
-    }
-  }
-}
-
-TEST_CASE("thin-plate weights up to 150 degrees from the first pose are what rotation vectors alone give") {
-  const PoseSpace space({elbow(Kernel::thin_plate)});
-  // Three targets on a line a radian apart: |d|^2 log |d| with the line's terms.
-  const double width = 4.0 / 3, A = 1 / (width * width) * std::log(1 / width),
-               B = 4 / (width * width) * std::log(2 / width);
-  for (double angle = -1.1; angle < 2.6; angle += 0.1) {  // less than half round from all of them
-    const auto phi = [&](double centre) {
-      const double d = std::abs(angle - centre) / width;
-      return d > 0 ? d * d * std::log(d) : 0;
-    };
-    // Coefficients (c, -2 c, c) leave constants and the line alone; each target's c is its part of second differences.
-    const double second = 2 * B - 8 * A, bend = phi(0) - 2 * phi(1) + phi(2);
-    const auto interpolated = [&](const Vector3d& values) {
-      const double c = (values(0) - 2 * values(1) + values(2)) / second;
-      const Vector3d left = values - c * Vector3d(-2 * A + B, 2 * A, B - 2 * A);
-      return left(0) + (left(1) - left(0)) * angle + c * bend;
-    };
-    VectorXd expected(3);
-    for (int j = 0; j < 3; ++j) expected(j) = std::max(0.0, interpolated(Vector3d::Unit(j)));
-    expected /= expected.sum();
-    CHECK((weights(space, hinge(angle)) - expected).cwiseAbs().maxCoeff() < 1e-9);
-  }
 }

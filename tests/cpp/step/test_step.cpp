@@ -92,14 +92,12 @@ TEST_CASE("weights and distances in pose space allocate nothing, with radii or w
   rest << 1, 0, 0, 0;
   bent << std::sqrt(0.5), std::sqrt(0.5), 0, 0;
   turned << std::sqrt(0.5), 0, std::sqrt(0.5), 0;
-  for (Kernel kernel : {Kernel::linear, Kernel::gaussian, Kernel::thin_plate}) {
-    const PoseSpace space({{{0}, {"rest", "bent", "turned"}, {rest, bent, turned}, kernel, {0, 1, 2}}});
-    VectorXd out(3);
-    allocations = 0;
-    space.weights(bent, out);
-    space.distances(turned, out);
-    CHECK(allocations == 0);
-  }
+  const PoseSpace space({{{0}, {"rest", "bent", "turned"}, {rest, bent, turned}, {0, 1, 2}}});
+  VectorXd out(3);
+  allocations = 0;
+  space.weights(bent, out);
+  space.distances(turned, out);
+  CHECK(allocations == 0);
 }
 
 #endif
