@@ -16,7 +16,8 @@ from pathlib import Path
 
 BUILD = Path(__file__).resolve().parent.parent / "build" / "cmake"
 STEP = re.compile(r"\[(\d+)/(\d+)\] .*?([^/ ]+)$")
-IDLE = ("Re-checking globbed directories...", "ninja: no work to do.")
+GLOBS = "Re-checking globbed directories..."
+IDLE = "ninja: no work to do."
 
 
 def time_left(seconds: float) -> str:
@@ -26,26 +27,28 @@ def time_left(seconds: float) -> str:
 def run_ninja(jobs: str, targets: list[str]) -> int:
     """Compiles what it can, even where something fails. Returns ninja's exit code."""
     ninja = Path(sys.executable).with_name("ninja")
-    terminal, begin, tenth = sys.stdout.isatty(), time.monotonic(), 0
+    clear = "\r\033[K" if sys.stdout.isatty() else ""
+    begin, tenth, uncalled = time.monotonic(), 0, 0
     run = subprocess.Popen(
         [ninja, "-j", jobs, "-k", "0", *targets],
         cwd=BUILD, env=os.environ | {"NINJA_STATUS": "[%f/%t] "}, stdout=subprocess.PIPE, text=True, errors="replace",
     )  # fmt: skip
     for line in map(str.rstrip, run.stdout):
         step = STEP.match(line)
-        if line.endswith(IDLE):
-            continue
-        if not step:
-            print(line, flush=True)
-            continue
-        done, steps = int(step[1]), int(step[2])
-        left = time_left((time.monotonic() - begin) / done * (steps - done))
-        if terminal:
-            end = "\n" if done == steps else ""
-            print(f"\r\033[Kcompiling: [{done}/{steps}] {step[3].removesuffix('.o')}, {left}", end=end, flush=True)
-        elif 10 * done // steps > tenth:
+        if line.endswith(GLOBS):
+            uncalled = 1  # ninja counts the run of CMake that it might have needed
+        elif step:
+            done, steps = int(step[1]), int(step[2]) - uncalled
+            left = time_left((time.monotonic() - begin) / done * (steps - done))
+            if clear:
+                print(f"{clear}compiling: [{done}/{steps}] {step[3].removesuffix('.o')}, {left}", end="", flush=True)
+            elif 10 * done // steps > tenth:
+                print(f"compiling: [{done}/{steps}], {left}", flush=True)
             tenth = 10 * done // steps
-            print(f"compiling: [{done}/{steps}], {left}", flush=True)
+        elif line != IDLE:
+            print(f"{clear}{line}", flush=True)
+    if clear and tenth:
+        print()
     return run.wait()
 
 
