@@ -7,8 +7,8 @@
                  "__metadata__": {format, version, meta, hashes, header_hash}}
     data      the arrays, little-endian, C order, one after the other without gaps
 
-safetensors checks sizes but not contents, so each array carries its SHA-256, and the header its own. The header must be
-exactly what `pack` would write: then no byte of the file can change unnoticed. The engine reads it
+safetensors checks sizes but not contents, so each array carries its SHA-256, and the header ends with its own, that of
+its bytes without the hash and the padding: no byte of the file can change unnoticed. The engine reads it
 (cpp/dynamorph/file/model_file.hpp), so that programs in C++ can as well.
 """
 
@@ -81,9 +81,9 @@ def content_id(packed: bytes) -> str:
 
 def _header_bytes(tensors: Mapping[str, object], meta_text: str, hashes_text: str) -> bytes:
     metadata = {"format": FORMAT, "version": str(VERSION), "meta": meta_text, "hashes": hashes_text, "header_hash": ""}
-    header = {**tensors, "__metadata__": metadata}
-    metadata["header_hash"] = hashlib.sha256(json.dumps(header).encode()).hexdigest()
-    text = json.dumps(header).encode()
+    text = json.dumps({**tensors, "__metadata__": metadata}).encode()
+    closing = b'"}}'
+    text = text.removesuffix(closing) + hashlib.sha256(text).hexdigest().encode() + closing
     text += b" " * (-len(text) % 8)
     return len(text).to_bytes(8, "little") + text
 

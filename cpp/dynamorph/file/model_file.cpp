@@ -41,36 +41,21 @@ Json parsed(const char* begin, const char* end) {
   throw damaged("its header is not readable");
 }
 
-const std::string& text_of(const Json& value) {
+std::string text_of(const Json& metadata, const char* name) {
+  const Json value = metadata.value(name, Json());
   if (!value.is_string()) throw damaged("its header is not readable");
-  return value.get_ref<const std::string&>();
+  return value.get<std::string>();
 }
 
-/// The text that Python's json.dumps writes.
-std::string spelled(const Json& value) {
-  if (!value.is_structured()) return value.dump(-1, ' ', true);
-  std::string text = value.is_object() ? "{" : "[", separator;
-  for (auto entry = value.begin(); entry != value.end(); ++entry, separator = ", ") {
-    text += separator;
-    if (value.is_object()) text += Json(entry.key()).dump(-1, ' ', true) + ": ";
-    text += spelled(*entry);
-  }
-  return text + (value.is_object() ? "}" : "]");
-}
-
-/// Whether `raw` is exactly what the add-on writes for these arrays and this metadata.
-bool is_as_written(const std::string& raw, Json arrays, const Json& metadata) {
-  Json& written = arrays["__metadata__"];
-  for (const char* name : {"format", "version", "meta", "hashes"}) {
-    if (!metadata.contains(name)) return false;
-    written[name] = metadata[name];
-  }
-  written["header_hash"] = "";
-  const std::string unsigned_text = spelled(arrays);
-  written["header_hash"] = sha256(unsigned_text.data(), unsigned_text.size());
-  std::string text = spelled(arrays);
-  text.append((8 - text.size() % 8) % 8, ' ');
-  return text == raw;
+/// Whether the header ends with its own hash, that of its bytes without the hash and the padding.
+bool has_its_hash(const std::string& raw) {
+  constexpr std::size_t kDigits = 64, kClosing = 3;  // the closing characters are "}}
+  std::string text = raw.substr(0, raw.find_last_not_of(' ') + 1);
+  if (text.size() < kDigits + kClosing) return false;
+  const std::size_t at = text.size() - kClosing - kDigits;
+  const std::string hash = text.substr(at, kDigits);
+  text.erase(at, kDigits);
+  return hash == sha256(text.data(), text.size());
 }
 
 struct Header {
@@ -95,10 +80,10 @@ Header read_header(const unsigned char* bytes, std::size_t size) {
   bool known = false;
   for (int readable = kOldest; readable <= kVersion; ++readable) known |= version == std::to_string(readable);
   if (!known)
-    throw Error("The model has version " + (version.is_string() ? version.get<std::string>() : spelled(version)) +
+    throw Error("The model has version " + (version.is_string() ? version.get<std::string>() : version.dump()) +
                 ", but this add-on reads " + std::to_string(kOldest) + " to " + std::to_string(kVersion) +
                 ". Build it again, or update the add-on.");
-  if (!is_as_written(raw, header.arrays, header.metadata)) throw damaged("its header has changed");
+  if (!has_its_hash(raw)) throw damaged("its header has changed");
   return header;
 }
 
@@ -221,9 +206,9 @@ Content unpack(const unsigned char* bytes, std::size_t size) {
   const Header header = read_header(bytes, size);
   const unsigned char* data = bytes + header.end;
   const std::uint64_t available = size - header.end;
-  const std::string& hash_text = text_of(header.metadata["hashes"]);
+  const std::string hash_text = text_of(header.metadata, "hashes");
   const Json hashes = parsed(hash_text.data(), hash_text.data() + hash_text.size());
-  Content content{{}, text_of(header.metadata["meta"])};
+  Content content{{}, text_of(header.metadata, "meta")};
   std::uint64_t begin = 0, count = 0;
   for (const auto& entry : header.arrays.items()) {
     Array array = described(entry.key(), entry.value(), begin, available, size, count);

@@ -2,8 +2,7 @@
 // Reads a model file (docs/file_format.md): named arrays and a description, in the layout of safetensors.
 //
 // A file may come from anyone. Memory is allocated only once the file is known to be that large. Every array carries
-// its SHA-256, and so does the header, which must match byte for byte what the add-on would have written. So no byte of
-// a file can change unnoticed.
+// its SHA-256, and so does the header. So no byte of a file can change unnoticed.
 #pragma once
 
 #include <cstdint>
