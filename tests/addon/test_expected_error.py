@@ -84,7 +84,7 @@ def test_it_is_how_far_two_simulated_hops_are_apart(coarse):
         return skin - skin.mean(axis=0)
 
     reduced, final = motion("REDUCED"), motion("FULL")
-    areas = part("rigid").vertex_areas(character.vertices @ character.to_bind.T, character.triangles)
+    areas = part("geometry").vertex_areas(character.vertices @ character.to_bind.T, character.triangles)
     apart, moved = (np.einsum("fvc,v->", each**2, areas) for each in (reduced - final, final))
     assert part("expected_error").known(coarse) == pytest.approx(np.sqrt(apart / moved), rel=1e-3)
 

@@ -13,7 +13,7 @@ import dynamorph
 import numpy as np
 
 from .character import Character
-from .geometry import connected_parts
+from .geometry import connected_parts, diagonal, triangle_areas
 from .hold import Hold, hold
 
 Progress = Callable[[float, str], bool]  # of a build: how much is done, and what is at hand
@@ -122,8 +122,7 @@ def _cages(character: Character, surface: np.ndarray) -> dict[int, Character]:
     number = character.pieces[character.triangles].max(axis=1, initial=-1)
     if not number.any():
         return {0: character}
-    corners = surface[character.triangles].swapaxes(0, 1)
-    area = np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0]), axis=1)
+    area = triangle_areas(surface, character.triangles)
     density = character.settings.cage_nodes / max(area[number >= 0].sum(), 1e-300)
     cages = {}
     for piece in np.unique(number[number >= 0]):
@@ -201,8 +200,7 @@ def _alike(embedding: dynamorph.Embedding, coincident: np.ndarray) -> dynamorph.
 
 def _tetrahedra(character: Character, surface: np.ndarray, report: Report) -> dynamorph.TetMesh:
     settings, cage = character.settings, character.cage
-    extent = np.ptp(surface[np.unique(character.triangles)], axis=0)
-    grid = GRID * 2.0 ** np.floor(np.log2(np.linalg.norm(extent)))
+    grid = GRID * 2.0 ** np.floor(np.log2(diagonal(surface[np.unique(character.triangles)])))
     bones = np.round(character.bone_segments / grid) * grid
     try:
         _, _, mesh = dynamorph.mesh_body(
@@ -237,7 +235,7 @@ def _outside(character: Character, mesh: dynamorph.TetMesh, surface: np.ndarray)
     """
     if character.cage is None:
         return []
-    size = np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
+    size = diagonal(character.vertices @ character.to_bind.T)
     embedding = dynamorph.embed(mesh, surface)
     left = float((embedding.distances > 1e-5 * size)[character.pieces == 0].mean())
     if left > MOSTLY:

@@ -1,9 +1,32 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Small geometry on arrays: determinants, inverses, welded points, connected parts. NumPy only."""
+"""Small geometry on arrays: sizes, areas, determinants, inverses, welded points, connected parts. NumPy only."""
 
 from __future__ import annotations
 
 import numpy as np
+
+
+def diagonal(points: np.ndarray) -> float:
+    """Of the bounding box of points (V, 3)."""
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def triangle_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Areas (T,)."""
+    corners = points[triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.linalg.norm(across, axis=1) / 2.0
+
+
+def vertex_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The area (V,) of the skin around each vertex."""
+    return np.bincount(triangles.ravel(), np.repeat(triangle_areas(points, triangles) / 3.0, 3), len(points))
+
+
+def smooth_step(x: np.ndarray, low: float = 0.0, high: float = 1.0) -> np.ndarray:
+    """0 below `low`, 1 above `high`, with continuous slope."""
+    t = np.clip((x - low) / (high - low), 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
 
 
 def invertible(matrices: np.ndarray) -> np.ndarray:
@@ -69,7 +92,7 @@ WELD = 1e-6
 
 def welded(points: np.ndarray) -> np.ndarray:
     """Numbers (V,), from 0, of the distinct places of points (V, 3); the points of a split seam share one."""
-    size = np.linalg.norm(np.ptp(points, axis=0)) or 1.0
+    size = diagonal(points) or 1.0
     cells = np.nan_to_num(np.round(points / (WELD * size)))
     cells = (cells - cells.min(axis=0, initial=np.inf)).astype(np.int64)
     rows = cells.max(axis=0, initial=0) + 1

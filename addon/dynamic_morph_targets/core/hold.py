@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import dynamorph
 import numpy as np
 
-from .geometry import determinant
+from .geometry import determinant, smooth_step
 
 FIRMNESS = 100.0  # of fully held tissue, which then moves like tissue of a tenth of its thickness
 CORE = 0.35, 0.65  # depth over thickness where the hold of the core begins, and where it is full
@@ -61,9 +61,9 @@ def hold(
     rigid = rigidity[mesh.tets] @ QUADRATURE.T
     volume = fill * np.abs(determinant(corners[:, 1:] - corners[:, :1]))
     body = _quantile(radius.ravel(), (volume[:, None] * (1.0 - rigid)).ravel(), THICKEST)
-    phi = _smooth(depth / radius, *CORE)
+    phi = smooth_step(depth / radius, *CORE)
     if softness is None:
-        phi = np.maximum(phi, np.maximum(rigid, 1.0 - _smooth(radius / body, *THIN)))
+        phi = np.maximum(phi, np.maximum(rigid, 1.0 - smooth_step(radius / body, *THIN)))
     else:
         phi = np.maximum(phi, 1.0 - softness[mesh.tets] @ QUADRATURE.T)
     ratio, most = STIFFER
@@ -75,12 +75,6 @@ def hold(
     # The stiffness also multiplies the hold; its mean is taken once.
     strength = FIRMNESS * (phi / radius**2).mean(axis=1)
     return Hold(strength, stiffness.mean(axis=1), shown, at_skin)
-
-
-def _smooth(x: np.ndarray, low: float, high: float) -> np.ndarray:
-    """0 below `low`, 1 above `high`, with continuous slope."""
-    t = np.clip((x - low) / (high - low), 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)
 
 
 def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:

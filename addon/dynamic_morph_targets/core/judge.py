@@ -15,7 +15,7 @@ import numpy as np
 
 from .baked import Bake
 from .character import Character
-from .geometry import determinant
+from .geometry import determinant, diagonal, vertex_areas
 
 if TYPE_CHECKING:  # it needs the engine
     from .model import Model
@@ -143,9 +143,8 @@ class _Skin:
         self.rest = rest = character.vertices @ character.to_bind.T
         self.triangles = triangles
         self.normals = self._normals(rest)
-        areas = np.linalg.norm(self.normals, axis=1) / 2.0
-        self.areas = np.bincount(triangles.ravel(), np.repeat(areas / 3.0, 3), len(rest))
-        self.size = float(np.linalg.norm(np.ptp(rest[np.unique(triangles)], axis=0)))
+        self.areas = vertex_areas(rest, triangles)
+        self.size = diagonal(rest[np.unique(triangles)])
         edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
         edges = np.unique(edges, axis=0)
         lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)

@@ -14,6 +14,7 @@ import numpy as np
 
 from .baked import CHUNK, Bake, at_rows, displaced, distance, samples_per_frame, surfaces
 from .errors import ClipError
+from .geometry import smooth_step
 from .settings import POINT_CACHES, OutputSettings
 
 NOISE = 1e-5  # of the largest displacement by a shape; smaller errors come from keys in float32
@@ -117,9 +118,9 @@ def splice(bake: Bake, patch: Bake, fade: float, to_bind: np.ndarray) -> tuple[B
     share = inside.astype(float)  # of the patch
     fade = min(fade, (last - first) / 4.0)
     if fade and begin < first < end:
-        share *= _smooth((frames - first) / min(fade, end - first))
+        share *= smooth_step((frames - first) / min(fade, end - first))
     if fade and begin < last < end:
-        share *= _smooth((last - frames) / min(fade, last - begin))
+        share *= smooth_step((last - frames) / min(fade, last - begin))
     share[~inside] = 0.0
 
     def mixed(of_bake: np.ndarray, of_patch: np.ndarray) -> np.ndarray:
@@ -138,11 +139,6 @@ def splice(bake: Bake, patch: Bake, fade: float, to_bind: np.ndarray) -> tuple[B
         static=mixed(np.hstack([bake.static, bake.weights]), np.hstack([patch.static, patch.weights])),
     )
     return with_fewer_keys(both), _apart(bake, patch, to_bind)
-
-
-def _smooth(fraction: np.ndarray) -> np.ndarray:
-    fraction = fraction.clip(0.0, 1.0)
-    return fraction * fraction * (3.0 - 2.0 * fraction)
 
 
 def _apart(bake: Bake, patch: Bake, to_bind: np.ndarray) -> float:

@@ -12,6 +12,7 @@ import numpy as np
 
 from .amounts import Amounts
 from .character import Character
+from .geometry import diagonal
 from .model import EngineModel, EngineSimulation, Model
 from .posing import Posing
 from .rig_samples import ForceField, RigSamples
@@ -102,7 +103,7 @@ class Player:
     @property
     def size(self) -> float:
         """Diagonal of the body's bounding box, metres."""
-        return float(np.linalg.norm(np.ptp(self.character.vertices @ self.character.to_bind.T, axis=0)))
+        return diagonal(self.character.vertices @ self.character.to_bind.T)
 
     def run(self, rig: RigSamples) -> Iterator[Frame]:
         """Yields one frame per entry of settings.frames, in one pass; rig: 1 + (end - first) * substeps samples."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from .character import Character, Skeleton, Target, TargetSet, target_labels
 from .errors import SceneError
-from .geometry import determinant, inverse
+from .geometry import determinant, inverse, vertex_areas
 from .model import Model
 from .rig_samples import ForceField, RigSamples
 
@@ -133,10 +133,7 @@ class Skin:
             self.known = total[:, 0] > 0.0
             self._weights = carried / np.where(total > 0.0, total, np.inf)
             self._carriers = (np.cumsum(model.free) - 1)[model.embedding_nodes]
-        corners = self.rest[character.triangles]
-        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        thirds = np.repeat(np.linalg.norm(across, axis=1) / 6.0, 3)
-        self.areas = np.bincount(character.triangles.ravel(), thirds, len(self.rest))  # m^2
+        self.areas = vertex_areas(self.rest, character.triangles)  # m^2
 
     def posed(self, frames: np.ndarray, displacement: np.ndarray | float = 0.0) -> np.ndarray:
         """The skin (V, 3), displaced by (V, 3) in bind space, at the transforms that the engine gets (B + 1, 3, 4)."""

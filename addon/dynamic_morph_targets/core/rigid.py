@@ -9,7 +9,7 @@ import re
 import numpy as np
 
 from .character import Skeleton
-from .geometry import connected_parts, determinant, loose_parts
+from .geometry import connected_parts, determinant, loose_parts, vertex_areas
 
 RIGID = 0.99  # of its weight; a vertex that has more from one bone follows it rigidly
 NEARLY_ALL = 0.95  # of its vertices; more of them follow the bone of a rigid part
@@ -47,18 +47,6 @@ def coincident(points: np.ndarray, reach: float) -> np.ndarray:
         pairs.append(np.column_stack([np.arange(len(points)), first[place.ravel()]]))
     pairs = np.concatenate(pairs)
     return connected_parts(pairs[pairs[:, 0] != pairs[:, 1]], len(points))
-
-
-def vertex_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """The area (V,) of the skin around each vertex."""
-    return np.bincount(triangles.ravel(), np.repeat(triangle_areas(points, triangles) / 3.0, 3), len(points))
-
-
-def triangle_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Areas (T,)."""
-    corners = points[triangles]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.linalg.norm(across, axis=1) / 2.0
 
 
 def part_volumes(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core import baked, engine, logger
 from ..core.errors import SceneError
-from ..core.rigid import vertex_areas
+from ..core.geometry import vertex_areas
 from ..core.settings import SimulationSettings
 from ..scene import events, probe, rig_motion, run_settings, staleness
 from ..scene.skin import ObjectHandle, soft_skins

@@ -9,8 +9,8 @@ import bpy
 
 from ..core import baked, records
 from ..core.errors import SceneError
+from ..core.geometry import vertex_areas
 from ..core.message import Message, joined
-from ..core.rigid import vertex_areas
 from .batch import Batch
 from .computation import Computation
 from .job import Job

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..core import engine, errors
 from ..core.errors import SceneError
+from ..core.geometry import diagonal
 from ..core.message import Message
 from ..scene import extract, mesh_data, model_store, references, skin
 from ..write import bake_reading
@@ -52,7 +53,7 @@ def displacements(obj: bpy.types.Object) -> dict[int, np.ndarray]:
     else:
         raise SceneError("The heat map shows a bake or Live: turn Live on or press Bake")
     rest = references.key_points(obj.data.shape_keys.reference_key)
-    size = float(np.linalg.norm(np.ptp(rest @ _linear(obj).T, axis=0)))
+    size = diagonal(rest @ _linear(obj).T)
     allowed = limit_of(obj) * max(size, 1e-30)
     return {
         uid: np.linalg.norm(motion @ _linear(skin.find(uid)).T, axis=1) / allowed for uid, motion in motions.items()

@@ -13,6 +13,7 @@ from bpy.types import Operator
 from mathutils import Euler, Matrix
 
 from ..core.errors import SceneError, SinkError
+from ..core.geometry import smooth_step
 from ..core.rig_samples import RigSamples
 from ..scene import references, rig_motion, skin
 from ..write import live_key, muting
@@ -165,17 +166,12 @@ def end_preview() -> None:
 
 def shake(kind: str, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Height, in body sizes, and angle (S,) at these times after the start."""
-
-    def smooth(t: np.ndarray) -> np.ndarray:
-        t = np.clip(t, 0.0, 1.0)
-        return t * t * (3.0 - 2.0 * t)
-
     t, none = seconds - REST, np.zeros_like(seconds)
     if kind == "STOMP":
         fallen = np.clip((t - 0.4) / 0.2, 0.0, 1.0)
-        return STOMP * np.minimum(smooth(t / 0.4), 1.0 - fallen**2), none
+        return STOMP * np.minimum(smooth_step(t / 0.4), 1.0 - fallen**2), none
     if kind == "TWIST":
-        return none, TWIST * (smooth(t / 0.25) - smooth((t - 1.0) / 0.25))
+        return none, TWIST * (smooth_step(t / 0.25) - smooth_step((t - 1.0) / 0.25))
     airborne = np.where((t > 0.0) & (t < 1.0), t % 0.5 / 0.5, 0.0)
     return HOP * 4.0 * airborne * (1.0 - airborne), none
 

@@ -14,7 +14,7 @@ from mathutils import Matrix
 
 from ..core import errors, rigid
 from ..core.character import Character, Follower, TargetSet
-from ..core.geometry import inverse
+from ..core.geometry import diagonal, inverse, vertex_areas
 from . import checks, mesh_data, rig_motion, skinning
 from .nearest import nearest
 from .skin import clothes_in, parts_in, parts_of
@@ -127,7 +127,7 @@ class _Whole:
         of_body = (own.pieces[own.triangles] == 0).all(axis=1)
         count = len(own.vertices)
         found = nearest(bind[count:], bind[:count], own.triangles[of_body] if of_body.any() else own.triangles)
-        return found, found.distances / np.linalg.norm(np.ptp(bind, axis=0))
+        return found, found.distances / diagonal(bind)
 
     def _carried(self, values: np.ndarray, beyond: float) -> np.ndarray:
         """Values (V', ...) of the own mesh transferred to all meshes: (V, ...); `beyond` far from its skin."""
@@ -199,7 +199,7 @@ def _held(parts, groups, count: int) -> np.ndarray:
 
 
 def _coincident(bind: np.ndarray, others: list[np.ndarray]) -> np.ndarray:
-    size = np.linalg.norm(np.ptp(bind, axis=0))
+    size = diagonal(bind)
     return rigid.coincident(np.concatenate([bind, *others]), rigid.COINCIDE * size)
 
 
@@ -230,7 +230,7 @@ def _refuse_hard(obj, whole: _Whole, pieces, rigidity, beside):
         return
     bind, soft = whole.vertices @ whole.own.to_bind.T, (pieces >= 0) & (rigidity < 1.0)
     labels, volumes = rigid.part_volumes(bind, whole.triangles)
-    areas = rigid.vertex_areas(bind, whole.triangles)
+    areas = vertex_areas(bind, whole.triangles)
     share = np.bincount(labels, areas * soft) / np.maximum(np.bincount(labels, areas), 1e-300)
     other = sum(rigid.part_volumes(points, triangles)[1].sum() for points, triangles in beside)
     if volumes @ share <= rigid.SOFT_SHARE * (volumes.sum() + other):

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..core.character import Skeleton, Target
-from ..core.geometry import turned
+from ..core.geometry import diagonal, turned
 from .checks import Problem, active_targets
 from .plain import fits, plain, wanted
 from .references import key_points
@@ -87,7 +87,7 @@ def body(name: str, vertices: np.ndarray, to_bind: np.ndarray, left: np.ndarray)
 
     vertices, to_bind: as of `Character`; left (V,): which of them no bone moves.
     """
-    size = np.linalg.norm(np.ptp(vertices @ to_bind.T, axis=0))
+    size = diagonal(vertices @ to_bind.T)
     if not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
         yield Problem(
             "'{name}' is {size:.3g} m long and will move like something of that size: check the scale",

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.character import Character, Follower, OwnCage, Skeleton, Target, TargetSet
 from ..core.errors import SceneError, sentence
-from ..core.geometry import inverse
+from ..core.geometry import diagonal, inverse
 from ..core.settings import ModelSettings
 from . import checks, data_checks, skinning
 from .checks import armature_modifier, refuse
@@ -129,7 +129,7 @@ def followers(obj, character: Character) -> list[Follower]:
 
 def far_followers(character: Character, found: list[Follower]) -> list[str]:
     """Warnings about meshes that are too far from the skin to move with it."""
-    far = FAR * np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
+    far = FAR * diagonal(character.vertices @ character.to_bind.T)
     return [
         f"'{follower.name}' is up to {follower.skin.distances.max():.2g} m from the skin of '{character.name}': if it "
         "moves oddly, choose Own Cage or Rigid for it"

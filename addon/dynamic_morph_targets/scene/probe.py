@@ -14,6 +14,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..core.character import Character
+from ..core.geometry import diagonal
 from ..core.rig_samples import PosedNodes
 from . import skinning
 from .mesh_data import NO_WEIGHT, VertexGroups
@@ -33,7 +34,7 @@ class Probe:
 
     def __init__(self, obj, model, character: Character):
         self.rest = model.nodes[model.free]
-        self.reach = REACH * float(np.linalg.norm(np.ptp(model.nodes, axis=0)))
+        self.reach = REACH * diagonal(model.nodes)
         meshes = [next(o for o in bpy.data.objects if o.session_uid == part.session_uid) for part in character.parts]
         self._names, weights, masks, of_modifiers = _skin_groups(obj, meshes)
         at_nodes = model.at_nodes(np.hstack([weights, masks]))[model.free].clip(0.0, 1.0)

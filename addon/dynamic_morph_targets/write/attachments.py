@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 
 from ..core import errors, rigid
-from ..core.geometry import inverse, loose_parts
+from ..core.geometry import diagonal, inverse, loose_parts, triangle_areas, vertex_areas
 from ..core.message import Message
 from ..scene import checks, mesh_data, references, skinning
 from ..scene.references import rig_of
@@ -179,7 +179,7 @@ def _soft_area(other, rig) -> float:
         hard, _ = rigid.rigid_parts(labels, mesh_data.skin_weights(other, rig))
     except errors.SceneError:
         return 0.0
-    areas = rigid.vertex_areas(points @ np.array(other.matrix_world)[:3, :3].T, triangles)
+    areas = vertex_areas(points @ np.array(other.matrix_world)[:3, :3].T, triangles)
     return float(areas[~hard[labels]].sum())
 
 
@@ -257,7 +257,7 @@ def _leave_something_soft(found: list[_Found]):
     bones = {bone for each in found for bone in each.bones.tolist()}
     if len(bones) >= FEWEST_BONES or not all(each.hard.all() for each in found):
         return
-    areas = [np.bincount(each.labels, rigid.vertex_areas(each.points, each.triangles)) for each in found]
+    areas = [np.bincount(each.labels, vertex_areas(each.points, each.triangles)) for each in found]
     largest = max(range(len(found)), key=lambda k: areas[k].max())
     found[largest].hard[areas[largest].argmax()] = False
 
@@ -273,7 +273,7 @@ def _all_together(found: list[_Found]) -> tuple:
 def _touching(found: list[_Found]) -> list[np.ndarray]:
     """For each mesh, which (parts,) of its rigid parts share points with soft skin."""
     points = np.concatenate([each.points for each in found])
-    size = np.linalg.norm(np.ptp(points, axis=0))
+    size = diagonal(points)
     first = rigid.coincident(points, rigid.COINCIDE * size)
     counts = [len(each.hard) for each in found]
     starts = np.cumsum([0, *counts])[:-1]
@@ -300,7 +300,7 @@ def _add_parts(obj, each: _Found, touches: np.ndarray, names) -> list[str]:
     slots = np.zeros(len(each.triangles), np.int32)
     mesh.loop_triangles.foreach_get("material_index", slots)
     areas = np.zeros((len(each.hard), max(len(mesh.materials), 1)))
-    of_triangles = rigid.triangle_areas(each.points, each.triangles)
+    of_triangles = triangle_areas(each.points, each.triangles)
     np.add.at(areas, (labels[each.triangles[:, 0]], slots.clip(0, areas.shape[1] - 1)), of_triangles)
     known = [piece.group for piece in parts_of(obj, owner) if piece.group in each.obj.vertex_groups]
     taken = (mesh_data.group_weights(each.obj, known) >= mesh_data.MEMBER).any(axis=1)
@@ -359,10 +359,8 @@ def _parts(obj) -> list[Part]:
     slots = np.empty(len(triangles), np.int32)
     mesh.loop_triangles.foreach_get("material_index", slots)
     areas = np.zeros((labels.max() + 1, max(len(mesh.materials), 1)))
-    corners = points[triangles]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     slots = slots.clip(0, areas.shape[1] - 1)  # faces may refer to more materials than exist
-    np.add.at(areas, (labels[triangles[:, 0]], slots), np.linalg.norm(across, axis=1) / 2.0)
+    np.add.at(areas, (labels[triangles[:, 0]], slots), triangle_areas(points, triangles))
     follows_one = rigid_parts(labels, mesh_data.skin_weights(obj))
     known = [piece.group for piece in parts_in(obj)]
     taken = (mesh_data.group_weights(obj, known) >= mesh_data.MEMBER).any(axis=1)

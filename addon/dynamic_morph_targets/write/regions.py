@@ -17,7 +17,7 @@ import hashlib
 import numpy as np
 
 from ..core.character import REGION, Skeleton
-from ..core.geometry import turned, welded
+from ..core.geometry import diagonal, smooth_step, triangle_areas, turned, welded
 from ..scene import animation, mesh_data, rig_motion
 from .reconcile import reconcile
 
@@ -216,10 +216,8 @@ def region(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray) -> np.n
     places = welded(points)  # imported meshes are split at every seam
     at_place = np.zeros((places.max() + 1, 3))
     at_place[places] = points
-    corners = points[triangles]
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    area = (areas * sculpted[triangles].mean(axis=1)).sum()
-    size = np.linalg.norm(np.ptp(points, axis=0))
+    area = (triangle_areas(points, triangles) * sculpted[triangles].mean(axis=1)).sum()
+    size = diagonal(points)
     edges, across = _links(places[triangles])
     start = np.zeros(len(at_place), bool)
     start[places[sculpted]] = True
@@ -227,8 +225,7 @@ def region(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray) -> np.n
     rings = RINGS * np.median(_lengths(at_place, near)) if len(near) else 0.0
     radius = max(min(np.sqrt(area / np.pi), WIDEST * size), rings, 1e-6 * size, 1e-30)
     away = _along(at_place, np.concatenate([edges, across]), start, (1.0 + GROWN) * radius)[places]
-    fade = np.clip(away / radius - GROWN, 0.0, 1.0)
-    return 1.0 - fade * fade * (3.0 - 2.0 * fade)
+    return 1.0 - smooth_step(away / radius - GROWN)
 
 
 def _moves(shape: np.ndarray) -> bool:

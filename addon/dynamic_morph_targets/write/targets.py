@@ -14,7 +14,7 @@ from mathutils.kdtree import KDTree
 from ..core import engine
 from ..core.character import Character, Skeleton
 from ..core.errors import SceneError
-from ..core.geometry import turned
+from ..core.geometry import diagonal, turned
 from ..scene import animation, checks, data_checks, extract, mesh_data, rig_motion, skinning
 from ..scene.plain import plain
 from ..scene.references import KEY_REFERENCE, key_points, rest_skeleton, rig_of
@@ -201,7 +201,7 @@ def mirror_partners(points: np.ndarray) -> np.ndarray:
     for index, point in enumerate(points):
         tree.insert(point, index)
     tree.balance()
-    tolerance = MIRROR_TOLERANCE * np.linalg.norm(np.ptp(points, axis=0))
+    tolerance = MIRROR_TOLERANCE * diagonal(points)
     found = [tree.find(point) for point in points * MIRROR.diagonal()[:3]]
     return np.array([index if distance <= tolerance else -1 for _, index, distance in found])
 

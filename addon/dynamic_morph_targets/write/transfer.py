@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.errors import SceneError
-from ..core.geometry import determinant, inverse
+from ..core.geometry import determinant, diagonal, inverse
 from ..scene import checks, mesh_data, rig_motion
 from ..scene.nearest import nearest
 from ..scene.references import rig_of
@@ -102,7 +102,7 @@ def write(obj, made: Copy, overwrite: bool):
 
 def size(obj) -> float:
     """Diagonal at rest, in meters. Raises SceneError."""
-    return float(np.linalg.norm(np.ptp(_moved(*_at_rest(obj)), axis=0)))
+    return diagonal(_moved(*_at_rest(obj)))
 
 
 def _at_rest(obj) -> tuple[np.ndarray, np.ndarray]:

@@ -343,6 +343,9 @@ def _graded(cage: Surface, target_vertices: int, body: Surface, moved: np.ndarra
 def _refined(cage: Surface, target_vertices: int, fineness: np.ndarray | None = None) -> Surface:
     """The same surface with at least `target_vertices` vertices: its longest edge is halved repeatedly.
 
+    Unlike `refine` in C++, which halves triangle after triangle down to a length, it takes the edges of the whole
+    surface in order and stops at a number.
+
     fineness (C,): a factor at each vertex by which edges there count as longer than they are.
     """
     vertices, triangles = cage

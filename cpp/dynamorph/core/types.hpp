@@ -4,7 +4,9 @@
 
 #include <Eigen/Dense>
 #include <Eigen/Sparse>
+#include <algorithm>
 #include <cstdint>
+#include <limits>
 
 namespace dynamorph {
 
@@ -22,9 +24,18 @@ using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::Ro
 using SparseMatrix = Eigen::SparseMatrix<double>;
 
 constexpr double kPi = 3.14159265358979323846;
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+/// 0 for t <= 0, 1 for t >= 1, with continuous slope in between.
+inline double smooth_step(double t) {
+  t = std::clamp(t, 0.0, 1.0);
+  return t * t * (3 - 2 * t);
+}
 
 inline Eigen::Map<const VectorXd> flat(const Points& points) { return {points.data(), points.size()}; }
 inline Eigen::Map<const Points> as_points(const VectorXd& x) { return {x.data(), x.size() / 3, 3}; }
+/// Values at nodes (n) as values at coordinates (3n): each three times.
+inline VectorXd at_coordinates(const VectorXd& nodes) { return nodes.replicate(1, 3).transpose().reshaped(); }
 
 /// All stored values of a dense or sparse matrix. Matrices of one model share their pattern, so their values
 /// correspond.

@@ -25,7 +25,7 @@ class Bvh {
   explicit Bvh(const std::vector<Box>& boxes) : order(boxes.size()) {
     std::iota(order.begin(), order.end(), 0);
     nodes.reserve(2 * boxes.size());
-    if (!boxes.empty()) build(boxes, 0, static_cast<int>(boxes.size()));
+    if (!boxes.empty()) build(boxes, 0, int(boxes.size()));
   }
 
   /// Calls visit(item) for the items that may lie nearer to p than sqrt(best), nearest boxes first. visit lowers `best`
@@ -46,7 +46,7 @@ class Bvh {
   std::vector<int> order;
 
  private:
-  static constexpr int leaf_size = 1;
+  static constexpr int kLeafSize = 1;
 
   void build(const std::vector<Box>& boxes, int begin, int end) {
     const size_t self = nodes.size();
@@ -56,7 +56,7 @@ class Bvh {
       centers.extend(boxes[order[i]].center());
     }
     nodes.push_back({box, begin, end, 0});
-    if (end - begin <= leaf_size) return;
+    if (end - begin <= kLeafSize) return;
     // Splits at the median, not the middle: the tree is balanced however uneven the mesh is, so the recursion stays
     // shallow.
     int axis;
@@ -67,7 +67,7 @@ class Bvh {
       return x != y ? x < y : a < b;  // ties by index, for the same tree with every standard library
     });
     build(boxes, begin, middle);
-    nodes[self].right = static_cast<int>(nodes.size());
+    nodes[self].right = int(nodes.size());
     build(boxes, middle, end);
   }
 

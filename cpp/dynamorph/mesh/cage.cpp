@@ -16,6 +16,7 @@
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/mesh/closed_surface.hpp"
+#include "dynamorph/mesh/weld.hpp"
 
 namespace dynamorph {
 
@@ -52,13 +53,13 @@ Wrap wrap(const Soup& soup, double alpha, double thickness) {
 
 /// Finds the wrap with a number of vertices nearest to the target.
 Wrap wrap_with_vertices(const Soup& soup, int target, double thickness, const ProgressFn& progress) {
-  constexpr int tries = 8;
-  constexpr double close_enough = 0.07;
+  constexpr int kTries = 8;
+  constexpr double kCloseEnough = 0.07;
   double slope = -2;  // d log(count) / d log(alpha) for a smooth surface
   double x = std::log(1 / std::sqrt(double(target))), last_x = 0, last_y = 0;
   Wrap best;
   double best_error = HUGE_VAL;
-  for (int i = 0; i < tries && best_error > close_enough; ++i) {
+  for (int i = 0; i < kTries && best_error > kCloseEnough; ++i) {
     Wrap candidate = wrap(soup, std::exp(x), thickness);
     report(progress, 1 - std::pow(0.6, i + 1));
     const double y = std::log(std::max<double>(candidate.number_of_vertices(), 1) / target);
@@ -97,9 +98,9 @@ Cage to_cage(const Wrap& wrap, const UnitBox& box) {
 
 Cage make_cage(const Points& vertices, const Triangles& triangles, int target_vertices, double thickness,
                const ProgressFn& progress) {
-  constexpr int most = 1000000;  // takes minutes
-  if (target_vertices < 4 || target_vertices > most)
-    throw std::invalid_argument("target_vertices: expected 4 to " + std::to_string(most) + ", got " +
+  constexpr int kMost = 1000000;  // takes minutes
+  if (target_vertices < 4 || target_vertices > kMost)
+    throw std::invalid_argument("target_vertices: expected 4 to " + std::to_string(kMost) + ", got " +
                                 std::to_string(target_vertices));
   const ClosedSurface closed = close_surface(vertices, triangles);
   const UnitBox box = unit_box(closed.vertices, closed.triangles);

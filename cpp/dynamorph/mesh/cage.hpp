@@ -15,7 +15,7 @@ namespace dynamorph {
 
 struct Cage {
   Points vertices;
-  Triangles triangles;  // outward
+  Triangles triangles;  ///< outward
 };
 
 /// Makes a cage of about `target_vertices` vertices (within 7 % where the shape allows), at least `thickness` (meters)

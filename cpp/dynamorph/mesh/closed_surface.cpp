@@ -5,88 +5,25 @@
 #include <array>
 #include <cmath>
 #include <map>
-#include <numeric>
 #include <queue>
-#include <sstream>
 #include <tuple>
 #include <unordered_map>
 #include <vector>
 
-#include "dynamorph/core/errors.hpp"
+#include "dynamorph/core/disjoint_sets.hpp"
 #include "dynamorph/mesh/surface.hpp"
+#include "dynamorph/mesh/weld.hpp"
 
 namespace dynamorph {
 
 namespace {
 
-using Face = std::array<int, 3>;
-using Edge = std::pair<int, int>;
-
-constexpr double weld_distance = 1e-6;  // relative to the diagonal
-
-void check_finite(const Points& vertices) {
-  std::ostringstream list;
-  int bad = 0;
-  for (Eigen::Index i = 0; i < vertices.rows(); ++i)
-    if (!vertices.row(i).allFinite() && ++bad <= 5) list << (bad > 1 ? ", " : "") << i;
-  if (bad == 0) return;
-  std::ostringstream message;
-  message << bad << " of " << vertices.rows() << " vertices have a NaN or infinite coordinate (first: " << list.str()
-          << "). Delete them, or reset the shape key or modifier that moves them.";
-  throw Error(message.str());
-}
-
-Edge undirected(int a, int b) { return {std::min(a, b), std::max(a, b)}; }
-
-/// Disjoint sets of numbers that can be joined.
-class Sets {
- public:
-  explicit Sets(size_t count) : parent_(count) { std::iota(parent_.begin(), parent_.end(), 0); }
-  int root(int i) {
-    while (parent_[i] != i) i = parent_[i] = parent_[parent_[i]];
-    return i;
-  }
-  void join(int i, int j) { parent_[root(i)] = root(j); }
-
- private:
-  std::vector<int> parent_;
-};
-
-/// Numbers points in the order they come. A point within the weld distance of an earlier one gets the same number.
-class Welder {
- public:
-  int number(const Vector3d& p) {
-    for (int corner = 0; corner < 8; ++corner) {
-      const auto found = cells_.find(cell(p, corner));
-      if (found == cells_.end()) continue;
-      for (int i : found->second)
-        if ((points[i] - p).squaredNorm() <= weld_distance * weld_distance) return i;
-    }
-    cells_[cell(p, -1)].push_back(static_cast<int>(points.size()));
-    points.push_back(p);
-    return static_cast<int>(points.size()) - 1;
-  }
-
-  std::vector<Vector3d> points;
-
- private:
-  /// The cell of p, or (corner >= 0) of a corner of the box around p, which may hold its neighbors.
-  static std::array<std::int64_t, 3> cell(const Vector3d& p, int corner) {
-    std::array<std::int64_t, 3> c;
-    for (int k = 0; k < 3; ++k) {
-      const double shift = corner < 0 ? 0 : (corner >> k & 1 ? weld_distance : -weld_distance);
-      c[k] = static_cast<std::int64_t>(std::floor((p[k] + shift) / (4 * weld_distance)));
-    }
-    return c;
-  }
-
-  std::map<std::array<std::int64_t, 3>, std::vector<int>> cells_;
-};
+constexpr double kNegligible = 1e-4;  // relative to a sphere of the same area; a thinner patch has no outside
 
 class Closing {
  public:
   Closing(const Points& vertices, const Triangles& triangles, const UnitBox& box) {
-    weld(vertices, triangles, box);
+    weld_faces(vertices, triangles, box);
     find_edges();
     orient_patches();
     authored_ = faces_.size();
@@ -94,7 +31,7 @@ class Closing {
   }
 
   ClosedSurface result(const UnitBox& box) const {
-    ClosedSurface s{Points(points_.size(), 3), Triangles(faces_.size(), 3), static_cast<int>(authored_), defects_, {}};
+    ClosedSurface s{Points(points_.size(), 3), Triangles(faces_.size(), 3), int(authored_), defects_, {}};
     for (size_t i = 0; i < points_.size(); ++i) s.vertices.row(i) = box.origin + box.size * points_[i];
     for (size_t f = 0; f < faces_.size(); ++f) s.triangles.row(f) << faces_[f][0], faces_[f][1], faces_[f][2];
     for (const auto& [f, edge] : soup_) s.flipped.push_back(f >= 0 && !runs_along(f, edge.first, edge.second));
@@ -102,7 +39,7 @@ class Closing {
   }
 
  private:
-  void weld(const Points& vertices, const Triangles& triangles, const UnitBox& box);
+  void weld_faces(const Points& vertices, const Triangles& triangles, const UnitBox& box);
   void find_edges();
   void orient_patches();
   double outwardness(const std::vector<int>& patch) const;
@@ -111,30 +48,28 @@ class Closing {
 
   /// Whether face f runs along a -> b.
   bool runs_along(int f, int a, int b) const {
-    const Face& t = faces_[f];
+    const Triangle& t = faces_[f];
     return (t[0] == a && t[1] == b) || (t[1] == a && t[2] == b) || (t[2] == a && t[0] == b);
   }
   void flip(int f) { std::swap(faces_[f][1], faces_[f][2]); }
 
-  std::vector<Vector3d> points_;  // in the unit box
-  std::vector<Face> faces_;
-  std::vector<std::pair<int, Edge>> soup_;  // for each of its triangles: the face, -1 if collapsed, and the first edge
+  std::vector<Vector3d> points_;  ///< in the unit box
+  std::vector<Triangle> faces_;
+  std::vector<std::pair<int, Edge>> soup_;  ///< of each of its triangles: the face, -1 if collapsed; the first edge
   size_t authored_ = 0;
-  std::map<Edge, std::vector<int>> edges_;  // each edge with its faces
+  std::map<Edge, std::vector<int>> edges_;  ///< each edge with its faces
   Defects defects_;
 };
 
-void Closing::weld(const Points& vertices, const Triangles& triangles, const UnitBox& box) {
-  Welder welder;
-  std::vector<int> number(vertices.rows(), -1);
-  for (int i : triangles.reshaped<Eigen::RowMajor>())
-    if (number[i] < 0) number[i] = welder.number((vertices.row(i).transpose() - box.origin) / box.size);
-  points_ = std::move(welder.points);
-  defects_.stray_vertices = static_cast<int>(std::count(number.begin(), number.end(), -1));
-  Sets pieces(points_.size());
-  std::map<Face, int> seen;
+void Closing::weld_faces(const Points& vertices, const Triangles& triangles, const UnitBox& box) {
+  Welded welded = weld(vertices, triangles, box);
+  const std::vector<int>& number = welded.of_vertex;
+  points_ = std::move(welded.points);
+  defects_.stray_vertices = int(std::count(number.begin(), number.end(), -1));
+  DisjointSets pieces(points_.size());
+  std::map<Triangle, int> seen;
   for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
-    const Face f{number[triangles(t, 0)], number[triangles(t, 1)], number[triangles(t, 2)]};
+    const Triangle f{number[triangles(t, 0)], number[triangles(t, 1)], number[triangles(t, 2)]};
     pieces.join(f[0], f[1]);
     pieces.join(f[0], f[2]);
     const bool collapsed = f[0] == f[1] || f[1] == f[2] || f[2] == f[0];
@@ -143,21 +78,21 @@ void Closing::weld(const Points& vertices, const Triangles& triangles, const Uni
     defects_.degenerate_faces += u.cross(v).norm() <= 1e-12 * std::max(u.squaredNorm(), v.squaredNorm());
     soup_.push_back({-1, {f[0], f[1]}});
     if (collapsed) continue;
-    Face corners = f;
+    Triangle corners = f;
     std::sort(corners.begin(), corners.end());
-    const auto [same, is_new] = seen.emplace(corners, static_cast<int>(faces_.size()));
+    const auto [same, is_new] = seen.emplace(corners, int(faces_.size()));
     soup_.back().first = same->second;
     if (is_new)
       faces_.push_back(f);
     else
       ++defects_.duplicate_faces;
   }
-  for (size_t i = 0; i < points_.size(); ++i) defects_.components += pieces.root(i) == static_cast<int>(i);
+  for (size_t i = 0; i < points_.size(); ++i) defects_.components += pieces.root(i) == int(i);
 }
 
 void Closing::find_edges() {
   for (size_t f = 0; f < faces_.size(); ++f)
-    for (int k = 0; k < 3; ++k) edges_[undirected(faces_[f][k], faces_[f][(k + 1) % 3])].push_back(static_cast<int>(f));
+    for (int k = 0; k < 3; ++k) edges_[undirected(faces_[f][k], faces_[f][(k + 1) % 3])].push_back(int(f));
   for (const auto& [edge, faces] : edges_) {
     defects_.open_edges += faces.size() == 1;
     defects_.nonmanifold_edges += faces.size() > 2;
@@ -167,12 +102,11 @@ void Closing::find_edges() {
 /// Turns faces to agree with their neighbors across edges of exactly two faces, then turns each patch of such faces
 /// outward.
 void Closing::orient_patches() {
-  constexpr double negligible = 1e-4;  // relative to a sphere of the same area; a thinner patch has no outside
   std::vector<bool> visited(faces_.size(), false), flipped(faces_.size(), false);
   for (size_t start = 0; start < faces_.size(); ++start) {
     if (visited[start]) continue;
     visited[start] = true;
-    std::vector<int> patch{static_cast<int>(start)};
+    std::vector<int> patch{int(start)};
     for (size_t next = 0; next < patch.size(); ++next)
       for (int k = 0; k < 3; ++k) {
         const int f = patch[next], a = faces_[f][k], b = faces_[f][(k + 1) % 3];
@@ -189,14 +123,14 @@ void Closing::orient_patches() {
       }
     const double outward = outwardness(patch);
     const auto turned = std::count_if(patch.begin(), patch.end(), [&](int f) { return flipped[f]; });
-    const bool inside_out = std::abs(outward) > negligible ? outward < 0 : 2 * turned > std::ptrdiff_t(patch.size());
+    const bool inside_out = std::abs(outward) > kNegligible ? outward < 0 : 2 * turned > std::ptrdiff_t(patch.size());
     if (!inside_out) continue;
     for (int f : patch) {
       flip(f);
       flipped[f] = !flipped[f];
     }
   }
-  defects_.flipped_faces = static_cast<int>(std::count(flipped.begin(), flipped.end(), true));
+  defects_.flipped_faces = int(std::count(flipped.begin(), flipped.end(), true));
 }
 
 /// The volume of a patch, closed towards the middle of its border, relative to that of a sphere with the same area: 1
@@ -259,7 +193,7 @@ void Closing::cap_loops() {
 /// and forth between the sides of a strip. The triangles run along the loop.
 void Closing::cap(const std::vector<int>& loop) {
   ++defects_.boundary_loops;
-  const int count = static_cast<int>(loop.size());
+  const int count = int(loop.size());
   std::vector<int> before(count), after(count), version(count, 0);
   for (int i = 0; i < count; ++i) before[i] = (i + count - 1) % count, after[i] = (i + 1) % count;
   struct Corner {
@@ -289,34 +223,6 @@ void Closing::cap(const std::vector<int>& loop) {
 }
 
 }  // namespace
-
-UnitBox unit_box(const Points& vertices, const Triangles& triangles) {
-  check_triangles(vertices, triangles);
-  check_finite(vertices);
-  if (triangles.rows() == 0) throw Error("The mesh has no faces. Model or unhide some, then build again.");
-  Eigen::AlignedBox3d box;
-  Vector3d mean = Vector3d::Zero();
-  for (int i : triangles.reshaped()) {
-    box.extend(Vector3d(vertices.row(i)));
-    mean += vertices.row(i) / double(triangles.size());
-  }
-  const double size = box.diagonal().norm();
-  if (!(size > 1e-6 && size < 1e6)) {
-    std::ostringstream message;
-    message << "The mesh is " << size
-            << " m across; sizes from 1e-6 to 1e6 m can be built. Scale it and apply the scale.";
-    throw Error(message.str());
-  }
-  Matrix3d covariance = Matrix3d::Zero();
-  for (int i : triangles.reshaped()) {
-    const Vector3d d = (vertices.row(i).transpose() - mean) / size;
-    covariance += d * d.transpose() / double(triangles.size());
-  }
-  const double thickness = Eigen::SelfAdjointEigenSolver<Matrix3d>(covariance).eigenvalues()[0];
-  if (thickness < 1e-12)  // squared and relative
-    throw Error("The mesh is flat: it has no volume to simulate. Give it thickness (Solidify modifier, applied).");
-  return {box.min(), size};
-}
 
 ClosedSurface close_surface(const Points& vertices, const Triangles& triangles) {
   const UnitBox box = unit_box(vertices, triangles);

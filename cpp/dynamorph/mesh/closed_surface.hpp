@@ -16,33 +16,26 @@ namespace dynamorph {
 
 /// Counts of what was wrong with a triangle soup.
 struct Defects {
-  int boundary_loops = 0;     // capped
-  int open_edges = 0;         // with one face
-  int nonmanifold_edges = 0;  // with three faces or more
-  int flipped_faces = 0;      // turned over
-  int duplicate_faces = 0;    // dropped: same corners, in either direction
-  int degenerate_faces = 0;   // without area; dropped if two corners coincide
-  int stray_vertices = 0;     // without a face
-  int components = 0;         // pieces that share no vertex
+  int boundary_loops = 0;     ///< capped
+  int open_edges = 0;         ///< with one face
+  int nonmanifold_edges = 0;  ///< with three faces or more
+  int flipped_faces = 0;      ///< turned over
+  int duplicate_faces = 0;    ///< dropped: same corners, in either direction
+  int degenerate_faces = 0;   ///< without area; dropped if two corners coincide
+  int stray_vertices = 0;     ///< without a face
+  int components = 0;         ///< pieces that share no vertex
 };
 
 struct ClosedSurface {
-  Points vertices;      // those of the faces, welded; meters
-  Triangles triangles;  // outward; the first `authored` are from the soup, the rest are caps
+  Points vertices;      ///< those of the faces, welded; meters
+  Triangles triangles;  ///< outward; the first `authored` are from the soup, the rest are caps
   int authored = 0;
   Defects defects;
-  std::vector<bool> flipped;  // which triangles of the soup face inward
+  std::vector<bool> flipped;  ///< which triangles of the soup face inward
 };
 
 /// Welds vertices nearer than 1e-6 of the diagonal. Throws Error when the soup is empty, flat, not finite, or outside
 /// 1e-6 .. 1e6 m across; accepts anything else.
 ClosedSurface close_surface(const Points& vertices, const Triangles& triangles);
-
-/// Where the triangles' vertices lie: x = origin + size * unit. `unit_box` throws Error like `close_surface`.
-struct UnitBox {
-  Vector3d origin;
-  double size;
-};
-UnitBox unit_box(const Points& vertices, const Triangles& triangles);
 
 }  // namespace dynamorph

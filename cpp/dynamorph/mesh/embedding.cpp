@@ -4,7 +4,6 @@
 #include <Eigen/SparseCholesky>
 #include <cassert>
 #include <cmath>
-#include <limits>
 #include <vector>
 
 #include "dynamorph/core/errors.hpp"
@@ -14,8 +13,6 @@
 namespace dynamorph {
 
 namespace {
-
-constexpr double infinity = std::numeric_limits<double>::infinity();
 
 std::vector<Tet> prepare(const TetMesh& mesh) {
   std::vector<Tet> tets;
@@ -60,11 +57,11 @@ Embedding embed(const TetMesh& mesh, const Points& points, const MayCarry& may_c
   Embedding e{Tets(points.rows(), 4), {points.rows(), 4}, VectorXd(points.rows())};
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
     const Vector3d p = points.row(i);
-    double best = infinity;
+    double best = kInfinity;
     int nearest = -1;
     Vector3d closest = p;
     const auto search = [&](bool any) {
-      best = infinity;
+      best = kInfinity;
       tree.nearest(p, best, [&](int t) {
         const Vector3d q = tets[t].closest(p);
         if ((q - p).squaredNorm() >= best || !(any || may_carry(i, t))) return;
@@ -72,7 +69,7 @@ Embedding embed(const TetMesh& mesh, const Points& points, const MayCarry& may_c
         closest = q;
         nearest = t;
       });
-      return best < infinity;
+      return best < kInfinity;
     };
     search(true);
     if (may_carry && !may_carry(i, nearest) && !search(false)) search(true);

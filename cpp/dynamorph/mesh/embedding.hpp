@@ -15,9 +15,9 @@ namespace dynamorph {
 /// exactly. Extrapolation stops where a weight would fall below -1/2. Farther out, a tet's rotation would swing the
 /// point about, so the point is carried with a constant offset instead.
 struct Embedding {
-  Tets nodes;  // (V, 4), those of one tet per point
+  Tets nodes;  ///< (V, 4), those of one tet per point
   Eigen::Matrix<double, Eigen::Dynamic, 4, Eigen::RowMajor> weights;
-  VectorXd distances;  // to the tet mesh, meters; 0 inside
+  VectorXd distances;  ///< to the tet mesh, meters; 0 inside
 
   /// E, (V, node_count): values at the points = E * values at the nodes.
   SparseMatrix matrix(Eigen::Index node_count) const;

@@ -3,23 +3,18 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <map>
-#include <numeric>
 
 #include "dynamorph/mesh/closed_surface.hpp"
+#include "dynamorph/mesh/refine.hpp"
+#include "dynamorph/mesh/weld.hpp"
 
 namespace dynamorph {
 
 namespace {
 
-constexpr double infinity = std::numeric_limits<double>::infinity();
-
-std::pair<int, int> edge(int a, int b) { return {std::min(a, b), std::max(a, b)}; }
-
 constexpr size_t kMostAdded = 4'000'000;  // triangles; a cage of a million tets needs fewer
-
-constexpr double slack = 1e-9;  // so that no line slips through between two triangles
+constexpr double kSlack = 1e-9;           // so that no line slips through between two triangles
 
 /// Distance along the line from p to triangle abc, infinite if the line misses it (Moller and Trumbore 1997).
 double along_line(const Vector3d& p, const Vector3d& direction, const Vector3d& a, const Vector3d& b,
@@ -27,46 +22,30 @@ double along_line(const Vector3d& p, const Vector3d& direction, const Vector3d& 
   const Vector3d ab = b - a, ac = c - a, normal = direction.cross(ac), from = p - a, q = from.cross(ab);
   const double determinant = ab.dot(normal);
   const double u = from.dot(normal) / determinant, v = direction.dot(q) / determinant, t = ac.dot(q) / determinant;
-  return u >= -slack && v >= -slack && u + v <= 1 + slack && t >= 0
+  return u >= -kSlack && v >= -kSlack && u + v <= 1 + kSlack && t >= 0
              ? t
-             : infinity;  // NaN fails too: the triangle is along the line
-}
-
-using Cell = std::array<double, 3>;  // whole numbers; far from the origin they are too large for integers
-
-/// The cell of each vertex, on a grid of 1e-6 of the diagonal.
-std::vector<Cell> cells_of(const Points& vertices, const Triangles& triangles) {
-  Bvh::Box box;
-  for (int vertex : triangles.reshaped()) box.extend(Vector3d(vertices.row(vertex)));
-  const double diagonal = box.isEmpty() ? 0 : box.diagonal().norm();
-  std::vector<Cell> cells(vertices.rows(), Cell{});
-  if (diagonal == 0) return cells;
-  for (int vertex : triangles.reshaped()) {
-    const Vector3d p = vertices.row(vertex) / (1e-6 * diagonal);
-    cells[vertex] = {std::round(p.x()), std::round(p.y()), std::round(p.z())};
-  }
-  return cells;
+             : kInfinity;  // NaN fails too: the triangle is along the line
 }
 
 /// The vertices that are the same point as others at their place: those at open edges, and those of duplicate triangles
-/// that face alike. Elsewhere, vertices at the same place belong to parts that touch.
-std::vector<bool> seams(const Triangles& triangles, const std::vector<Cell>& cells) {
-  std::map<std::pair<int, int>, int> edges;
-  std::map<std::array<Cell, 3>, int> places;
-  const auto place = [&](Eigen::Index t) {
-    std::array<Cell, 3> corners{cells[triangles(t, 0)], cells[triangles(t, 1)], cells[triangles(t, 2)]};
+/// that face alike. Elsewhere, vertices at the same place belong to parts that touch. places: of each vertex.
+std::vector<bool> seams(const Triangles& triangles, const std::vector<int>& places) {
+  std::map<Edge, int> edges;
+  std::map<Triangle, int> faces;
+  const auto face = [&](Eigen::Index t) {
+    Triangle corners{places[triangles(t, 0)], places[triangles(t, 1)], places[triangles(t, 2)]};
     std::rotate(corners.begin(), std::min_element(corners.begin(), corners.end()), corners.end());
     return corners;
   };
   for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
-    ++places[place(t)];
-    for (int k = 0; k < 3; ++k) ++edges[edge(triangles(t, k), triangles(t, (k + 1) % 3))];
+    ++faces[face(t)];
+    for (int k = 0; k < 3; ++k) ++edges[undirected(triangles(t, k), triangles(t, (k + 1) % 3))];
   }
-  std::vector<bool> seam(cells.size(), false);
+  std::vector<bool> seam(places.size(), false);
   for (const auto& [ends, count] : edges)
     if (count == 1) seam[ends.first] = seam[ends.second] = true;
   for (Eigen::Index t = 0; t < triangles.rows(); ++t)
-    if (places[place(t)] > 1)
+    if (faces[face(t)] > 1)
       for (int vertex : triangles.row(t)) seam[vertex] = true;
   return seam;
 }
@@ -75,11 +54,14 @@ std::vector<bool> seams(const Triangles& triangles, const std::vector<Cell>& cel
 
 InteriorGraph::InteriorGraph(const Points& vertices, const Triangles& triangles, double spacing) {
   check_triangles(vertices, triangles);
-  if (triangles.rows() > 0) unit_box(vertices, triangles);  // throws if the surface cannot be closed
   if (!(spacing > 0)) throw std::invalid_argument("spacing: expected more than 0, got " + std::to_string(spacing));
-  weld(vertices, triangles);
-  close(vertices, triangles);
-  refine(spacing);
+  of_vertex_.assign(vertices.rows(), -1);
+  if (triangles.rows() == 0) return;
+  join_seams(vertices, triangles);
+  face_outward(vertices, triangles);
+  if (!refine(points_, triangles_, spacing, triangles_.size() + kMostAdded))
+    throw std::invalid_argument("triangles: far larger than the tets, of size " + std::to_string(spacing) +
+                                ": give both in the same unit");
   connect();
   find_parts();
   find_normals();
@@ -87,15 +69,16 @@ InteriorGraph::InteriorGraph(const Points& vertices, const Triangles& triangles,
   look_through();
 }
 
-void InteriorGraph::weld(const Points& vertices, const Triangles& triangles) {
-  const std::vector<Cell> cells = cells_of(vertices, triangles);
-  const std::vector<bool> seam = seams(triangles, cells);
-  std::map<Cell, int> welded;
-  of_vertex_.assign(vertices.rows(), -1);
+void InteriorGraph::join_seams(const Points& vertices, const Triangles& triangles) {
+  const Welded welded = weld(vertices, triangles, unit_box(vertices, triangles));
+  const std::vector<bool> seam = seams(triangles, welded.of_vertex);
+  std::vector<int> joined(welded.points.size(), -1);  // the point of the seams' vertices at each place
   for (int vertex : triangles.reshaped<Eigen::RowMajor>()) {
-    if (of_vertex_[vertex] >= 0) continue;
-    const int point = seam[vertex] ? welded.emplace(cells[vertex], size()).first->second : size();
-    of_vertex_[vertex] = point;
+    int& point = of_vertex_[vertex];
+    if (point >= 0) continue;
+    int& there = joined[welded.of_vertex[vertex]];
+    point = seam[vertex] && there >= 0 ? there : size();
+    if (seam[vertex]) there = point;
     if (point == size()) points_.push_back(vertices.row(vertex));
   }
   for (Eigen::Index t = 0; t < triangles.rows(); ++t)
@@ -103,35 +86,11 @@ void InteriorGraph::weld(const Points& vertices, const Triangles& triangles) {
 }
 
 /// Turns the triangles outward, like those of the closed body.
-void InteriorGraph::close(const Points& vertices, const Triangles& triangles) {
-  if (triangles.rows() == 0) return;
+void InteriorGraph::face_outward(const Points& vertices, const Triangles& triangles) {
   const ClosedSurface closed = close_surface(vertices, triangles);
   body_ = Surface(closed.vertices, closed.triangles);
   for (size_t t = 0; t < triangles_.size(); ++t)
     if (closed.flipped[t]) std::swap(triangles_[t][1], triangles_[t][2]);
-}
-
-/// Halves triangles at their longest edge. Both triangles at an edge get the same midpoint.
-void InteriorGraph::refine(double spacing) {
-  const size_t most = triangles_.size() + kMostAdded;
-  std::map<std::pair<int, int>, int> middles;
-  for (size_t t = 0; t < triangles_.size();) {
-    const Triangle corners = triangles_[t];
-    const auto length = [&](int k) { return (points_[corners[k]] - points_[corners[(k + 1) % 3]]).norm(); };
-    const int longest = length(0) >= length(1) && length(0) >= length(2) ? 0 : length(1) >= length(2) ? 1 : 2;
-    if (!(length(longest) > spacing)) {
-      ++t;
-      continue;
-    }
-    if (triangles_.size() == most)
-      throw std::invalid_argument("triangles: far larger than the tets, of size " + std::to_string(spacing) +
-                                  ": give both in the same unit");
-    const int a = corners[longest], b = corners[(longest + 1) % 3], c = corners[(longest + 2) % 3];
-    const auto [middle, is_new] = middles.emplace(edge(a, b), size());
-    if (is_new) points_.push_back((points_[a] + points_[b]) / 2);
-    triangles_[t] = {a, middle->second, c};
-    triangles_.push_back({middle->second, b, c});
-  }
 }
 
 void InteriorGraph::connect() {
@@ -220,7 +179,7 @@ void InteriorGraph::look_through() {
 /// first enters the body a second time.
 int InteriorGraph::opposite(int from) const {
   const Vector3d inward = -normals_[from];
-  double nearest = infinity;
+  double nearest = kInfinity;
   int crossed = -1;
   bool leaves = false;
   bvh_.along(points_[from], inward, nearest, [&](int t) {
@@ -256,7 +215,7 @@ int InteriorGraph::nearest(const Vector3d& p) const {
 }
 
 InteriorGraph::Place InteriorGraph::nearest_place(const Vector3d& p, bool only_around) const {
-  double best = infinity;
+  double best = kInfinity;
   Place place;
   bvh_.nearest(p, best, [&](int t) {
     const auto& [a, b, c] = triangles_[t];

@@ -6,7 +6,6 @@
 // other. Points across a gap, or of parts that touch, are as far apart as the path around.
 #pragma once
 
-#include <array>
 #include <vector>
 
 #include "dynamorph/core/types.hpp"
@@ -42,18 +41,15 @@ class InteriorGraph {
   int nearest(const Vector3d& p) const;
 
  private:
-  using Triangle = std::array<int, 3>;
-
   /// A place on the skin.
   struct Place {
     int triangle = -1;
     Vector3d at = Vector3d::Zero();
-    bool outside = false;  // whether the query point is on its outer side
+    bool outside = false;  ///< whether the query point is on its outer side
   };
 
-  void weld(const Points& vertices, const Triangles& triangles);
-  void close(const Points& vertices, const Triangles& triangles);
-  void refine(double spacing);
+  void join_seams(const Points& vertices, const Triangles& triangles);
+  void face_outward(const Points& vertices, const Triangles& triangles);
   void connect();
   void find_parts();
   void find_normals();
@@ -68,9 +64,9 @@ class InteriorGraph {
   std::vector<Triangle> triangles_;
   std::vector<std::vector<Step>> steps_;
   std::vector<int> part_;
-  std::vector<bool> buried_;  // whether a point is inside its own part, or touches it elsewhere
+  std::vector<bool> buried_;  ///< whether a point is inside its own part, or touches it elsewhere
   Bvh bvh_ = Bvh({});
-  Surface body_ = Surface(Points(0, 3), Triangles(0, 3));  // closed
+  Surface body_ = Surface(Points(0, 3), Triangles(0, 3));  ///< closed
 };
 
 }  // namespace dynamorph

@@ -2,7 +2,6 @@
 #include "dynamorph/mesh/mesh_cut.hpp"
 
 #include <algorithm>
-#include <array>
 #include <map>
 #include <numeric>
 
@@ -30,38 +29,21 @@ double spacing_of(const std::vector<double>& sizes) {
   return std::accumulate(sizes.begin(), sizes.end(), 0.0) / double(sizes.size());
 }
 
-/// Calls f(a, b) for any two tets that share a face.
-template <class Function>
-void for_neighbours(const Tets& tets, const Function& f) {
-  struct Face {
-    std::array<int, 3> nodes;
-    int tet;
-    bool operator<(const Face& other) const { return nodes < other.nodes; }
-  };
-  std::vector<Face> faces;
-  for (int t = 0; t < tets.rows(); ++t)
-    for (int k = 0; k < 4; ++k) {
-      Face face{{tets(t, (k + 1) % 4), tets(t, (k + 2) % 4), tets(t, (k + 3) % 4)}, t};
-      std::sort(face.nodes.begin(), face.nodes.end());
-      faces.push_back(face);
-    }
-  std::stable_sort(faces.begin(), faces.end());
-  for (size_t i = 1; i < faces.size(); ++i)
-    if (faces[i - 1].nodes == faces[i].nodes) f(faces[i - 1].tet, faces[i].tet);
-}
-
 bool has(const Tets& tets, int tet, int node) { return (tets.row(tet).array() == node).any(); }
 
 }  // namespace
 
 MeshCut::MeshCut(const TetMesh& mesh, const Points& vertices, const Triangles& triangles)
-    : mesh_(mesh), vertices_(vertices), sizes_(sizes_of(mesh)), graph_(vertices, triangles, spacing_of(sizes_)) {
+    : mesh_(mesh),
+      vertices_(vertices),
+      sizes_(sizes_of(mesh)),
+      graph_(vertices, triangles, spacing_of(sizes_)),
+      pairs_(face_neighbors(mesh.tets)) {
   for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t) {
     Vector3d center = Vector3d::Zero();
     for (int node : mesh.tets.row(t)) center += mesh.nodes.row(node) / 4;
     owner_.push_back(graph_.nearest(center));
   }
-  for_neighbours(mesh.tets, [&](int a, int b) { pairs_.push_back({a, b}); });
   find_glued();
   for (int round = 0; round < kRounds && adopt_loose(); ++round) find_glued();
 }

@@ -33,9 +33,7 @@ class MeshCut {
   Embedding embed(const TetMesh& cut) const;
 
  private:
-  struct Pair {
-    int first, second;  // tets
-  };
+  using Pair = std::pair<int, int>;  ///< two tets
 
   void find_glued();
   bool adopt_loose();
@@ -44,12 +42,12 @@ class MeshCut {
 
   TetMesh mesh_;
   Points vertices_;
-  std::vector<double> sizes_;  // longest edge of each tet
+  std::vector<double> sizes_;  ///< longest edge of each tet
   InteriorGraph graph_;
-  std::vector<int> owner_;                // s(t); -1 when there is no skin
-  std::vector<Pair> pairs_;               // tets that share a face
-  std::vector<Pair> glued_;               // those of them that no short path joins
-  std::vector<std::vector<int>> beside_;  // the tets that share a face with each tet and are not glued to it
+  std::vector<int> owner_;                ///< s(t); -1 when there is no skin
+  std::vector<Pair> pairs_;               ///< tets that share a face
+  std::vector<Pair> glued_;               ///< those of them that no short path joins
+  std::vector<std::vector<int>> beside_;  ///< the tets that share a face with each tet and are not glued to it
 };
 
 }  // namespace dynamorph

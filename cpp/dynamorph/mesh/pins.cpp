@@ -4,7 +4,6 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/mesh/closed_surface.hpp"
@@ -14,7 +13,6 @@ namespace dynamorph {
 
 namespace {
 
-constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr int kMostPieces = 1000000;  // per bone; the bones of a rig need hundreds
 
 double distance_to_segment(const Vector3d& p, const Vector3d& a, const Vector3d& b) {
@@ -84,7 +82,7 @@ std::vector<bool> pinned(const TetMesh& mesh, const Points& vertices, const Tria
   std::vector<bool> found(mesh.nodes.rows());
   for (Eigen::Index i = 0; i < mesh.nodes.rows(); ++i) {
     const Vector3d p = mesh.nodes.row(i);
-    double to_bone = infinity;
+    double to_bone = kInfinity;
     for (Eigen::Index b = 0; b < heads.rows(); ++b)
       to_bone = std::min(to_bone, distance_to_segment(p, heads.row(b), tails.row(b)));
     // Written so that without bones (an infinite distance) no node is pinned.

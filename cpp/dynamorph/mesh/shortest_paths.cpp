@@ -1,20 +1,12 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/mesh/shortest_paths.hpp"
 
-#include <limits>
-
 namespace dynamorph {
 
-namespace {
-
-constexpr double infinity = std::numeric_limits<double>::infinity();
-
-}  // namespace
-
-ShortestPaths::ShortestPaths(const InteriorGraph& graph) : graph_(graph), length_(graph.size(), infinity) {}
+ShortestPaths::ShortestPaths(const InteriorGraph& graph) : graph_(graph), length_(graph.size(), kInfinity) {}
 
 void ShortestPaths::start(int from) {
-  for (int i : touched_) length_[i] = infinity;
+  for (int i : touched_) length_[i] = kInfinity;
   touched_ = {from};
   next_ = {};
   next_.emplace(0.0, from);
@@ -31,12 +23,12 @@ double ShortestPaths::to(int point, double bound) {
     for (const InteriorGraph::Step& step : graph_.steps(i)) {
       const double longer = length + step.length;
       if (!(longer < length_[step.to])) continue;
-      if (length_[step.to] == infinity) touched_.push_back(step.to);
+      if (length_[step.to] == kInfinity) touched_.push_back(step.to);
       length_[step.to] = longer;
       next_.emplace(longer, step.to);
     }
   }
-  return length_[point] <= bound ? length_[point] : infinity;
+  return length_[point] <= bound ? length_[point] : kInfinity;
 }
 
 }  // namespace dynamorph

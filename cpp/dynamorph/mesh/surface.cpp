@@ -2,7 +2,6 @@
 #include "dynamorph/mesh/surface.hpp"
 
 #include <cmath>
-#include <limits>
 
 namespace dynamorph {
 
@@ -63,7 +62,7 @@ Surface::Dipole Surface::dipole(const Bvh::Node& node) const {
 }
 
 Vector3d Surface::nearest(const Vector3d& p) const {
-  double best = std::numeric_limits<double>::infinity();
+  double best = kInfinity;
   Vector3d nearest = Vector3d::Constant(best);
   bvh_.nearest(p, best, [&](int t) {
     const Vector3d closest = closest_on_triangle(p, corner(t, 0), corner(t, 1), corner(t, 2));

@@ -10,10 +10,20 @@
 // doi 10.1145/3197517.3201337).
 #pragma once
 
+#include <algorithm>
+#include <array>
+#include <utility>
+
 #include "dynamorph/core/types.hpp"
 #include "dynamorph/mesh/bvh.hpp"
 
 namespace dynamorph {
+
+using Triangle = std::array<int, 3>;  ///< indices of its corners
+using Edge = std::pair<int, int>;     ///< indices of its ends
+
+/// The same for both directions of an edge.
+inline Edge undirected(int a, int b) { return {std::min(a, b), std::max(a, b)}; }
 
 /// Throws std::invalid_argument when a triangle names a vertex that does not exist.
 void check_triangles(const Points& vertices, const Triangles& triangles);

@@ -15,7 +15,7 @@ struct Tet {
   static constexpr double kLowestWeight = -0.5;
 
   Vector3d corners[4];
-  Matrix3d to_weights;  // x - corners[0] to the weights of corners 1..3
+  Matrix3d to_weights;  ///< x - corners[0] to the weights of corners 1..3
 
   Tet(const TetMesh& mesh, Eigen::Index t) {
     for (int k = 0; k < 4; ++k) corners[k] = mesh.nodes.row(mesh.tets(t, k));

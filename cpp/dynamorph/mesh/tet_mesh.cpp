@@ -3,9 +3,8 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <array>
 #include <string>
-#include <utility>
-#include <vector>
 
 namespace dynamorph {
 
@@ -42,6 +41,26 @@ VectorXd volumes(const TetMesh& mesh) {
   VectorXd v(mesh.tets.rows());
   for (Eigen::Index t = 0; t < v.size(); ++t) v[t] = determinant(mesh, t) / 6;
   return v;
+}
+
+std::vector<std::pair<int, int>> face_neighbors(const Tets& tets) {
+  struct Face {
+    std::array<int, 3> nodes;
+    int tet;
+    bool operator<(const Face& other) const { return nodes < other.nodes; }
+  };
+  std::vector<Face> faces;
+  for (int t = 0; t < tets.rows(); ++t)
+    for (int k = 0; k < 4; ++k) {
+      Face face{{tets(t, (k + 1) % 4), tets(t, (k + 2) % 4), tets(t, (k + 3) % 4)}, t};
+      std::sort(face.nodes.begin(), face.nodes.end());
+      faces.push_back(face);
+    }
+  std::stable_sort(faces.begin(), faces.end());
+  std::vector<std::pair<int, int>> pairs;
+  for (size_t i = 1; i < faces.size(); ++i)
+    if (faces[i - 1].nodes == faces[i].nodes) pairs.emplace_back(faces[i - 1].tet, faces[i].tet);
+  return pairs;
 }
 
 }  // namespace dynamorph

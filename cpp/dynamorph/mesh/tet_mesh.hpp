@@ -2,6 +2,9 @@
 // A mesh of tetrahedra.
 #pragma once
 
+#include <utility>
+#include <vector>
+
 #include "dynamorph/core/types.hpp"
 
 namespace dynamorph {
@@ -11,8 +14,8 @@ namespace dynamorph {
 constexpr double kFarthest = 1e100;
 
 struct TetMesh {
-  Points nodes;  // n rest positions, meters
-  Tets tets;     // m rows of node indices, positively oriented: det(b - a, c - a, d - a) > 0
+  Points nodes;  ///< n rest positions, meters
+  Tets tets;     ///< m rows of node indices, positively oriented: det(b - a, c - a, d - a) > 0
 };
 
 /// Makes a mesh from stored arrays. Throws std::invalid_argument when an index is out of range, a coordinate is not a
@@ -21,5 +24,8 @@ TetMesh make_tet_mesh(Points nodes, Tets tets);
 
 /// Volume of every tet, cubic meters.
 VectorXd volumes(const TetMesh& mesh);
+
+/// Any two tets that share a face.
+std::vector<std::pair<int, int>> face_neighbors(const Tets& tets);
 
 }  // namespace dynamorph

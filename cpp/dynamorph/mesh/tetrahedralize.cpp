@@ -31,10 +31,10 @@ std::string advice(const std::string& reason) {
 
 /// `in` is filled in place, because a tetgenio owns its arrays but cannot be copied.
 void load(tetgenio& in, const Points& points, const Triangles& triangles) {
-  in.numberofpoints = static_cast<int>(points.rows());
+  in.numberofpoints = int(points.rows());
   in.pointlist = new REAL[points.size()];
   std::copy_n(points.data(), points.size(), in.pointlist);
-  in.numberoffacets = static_cast<int>(triangles.rows());
+  in.numberoffacets = int(triangles.rows());
   in.facetlist = new tetgenio::facet[triangles.rows()];
   for (int t = 0; t < triangles.rows(); ++t) {
     tetgenio::facet& facet = in.facetlist[t];
@@ -49,7 +49,7 @@ void load(tetgenio& in, const Points& points, const Triangles& triangles) {
 
 /// The mesh without tets of zero volume. This leaves no gap between their neighbors.
 TetMesh without_flat(const TetMesh& mesh) {
-  constexpr double flat = 1e-9;  // relative to the cube of the longest edge
+  constexpr double kFlat = 1e-9;  // relative to the cube of the longest edge
   const VectorXd volume = volumes(mesh);
   std::vector<int> kept;
   for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t) {
@@ -57,15 +57,15 @@ TetMesh without_flat(const TetMesh& mesh) {
     for (int a = 0; a < 4; ++a)
       for (int b = 0; b < a; ++b)
         longest = std::max(longest, (mesh.nodes.row(mesh.tets(t, a)) - mesh.nodes.row(mesh.tets(t, b))).norm());
-    if (volume[t] > flat * std::pow(longest, 3)) kept.push_back(static_cast<int>(t));
+    if (volume[t] > kFlat * std::pow(longest, 3)) kept.push_back(int(t));
   }
   std::vector<int> number(mesh.nodes.rows(), -1), nodes;
   for (int t : kept)
     for (int node : mesh.tets.row(t)) number[node] = 0;
   for (Eigen::Index i = 0; i < mesh.nodes.rows(); ++i)
     if (number[i] == 0) {
-      number[i] = static_cast<int>(nodes.size());
-      nodes.push_back(static_cast<int>(i));
+      number[i] = int(nodes.size());
+      nodes.push_back(int(i));
     }
   TetMesh clean{Points(nodes.size(), 3), Tets(kept.size(), 4)};
   for (size_t i = 0; i < nodes.size(); ++i) clean.nodes.row(i) = mesh.nodes.row(nodes[i]);
@@ -106,13 +106,13 @@ TetMesh run_tetgen(tetgenio& in, double volume_limit, int most_nodes) {
 /// Starts with the fewest nodes that give good tets, then limits the volume of tets until there are about as many nodes
 /// as wanted. The number of nodes added is proportional to limit^-1.4 (measured).
 TetMesh fill(tetgenio& in, int target_nodes, int most_nodes) {
-  constexpr double close_enough = 0.05;
-  constexpr int tries = 6;
+  constexpr double kCloseEnough = 0.05;
+  constexpr int kTries = 6;
   TetMesh best = run_tetgen(in, 0, most_nodes);
-  const int fewest = static_cast<int>(best.nodes.rows());
+  const int fewest = int(best.nodes.rows());
   double limit = volumes(best).sum() / (2.0 * target_nodes);
   const auto error = [&](const TetMesh& mesh) { return std::abs(mesh.nodes.rows() / double(target_nodes) - 1); };
-  for (int i = 0; i < tries && fewest < target_nodes && error(best) > close_enough; ++i) {
+  for (int i = 0; i < kTries && fewest < target_nodes && error(best) > kCloseEnough; ++i) {
     TetMesh mesh = run_tetgen(in, limit, most_nodes);
     const double added = std::max<double>(mesh.nodes.rows() - fewest, 1);
     limit *= std::clamp(std::pow(added / (target_nodes - fewest), 0.7), 0.3, 3.0);

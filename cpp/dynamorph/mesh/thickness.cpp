@@ -2,11 +2,11 @@
 #include "dynamorph/mesh/thickness.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 
 #include "dynamorph/core/parallel.hpp"
 #include "dynamorph/mesh/closed_surface.hpp"
+#include "dynamorph/mesh/refine.hpp"
 
 namespace dynamorph {
 
@@ -20,47 +20,24 @@ constexpr double kThinnest = 5e-3;   // relative to the size; a sheet has no thi
 constexpr double kFacet = 0.04;      // relative to the size; longer triangles are split, as half may be inside the body
 constexpr double kOff = 1e-4;        // relative to the size; how far off a face to test what lies there
 
-/// 1 below `full`, 0 above `none`, smooth in between.
-double fade(double x, double full, double none) {
-  const double t = std::clamp((none - x) / (none - full), 0.0, 1.0);
-  return t * t * (3 - 2 * t);
-}
-
 Vector3d area_vector(const Points& vertices, const Triangles& triangles, Eigen::Index t) {
   const Vector3d a = vertices.row(triangles(t, 0)), b = vertices.row(triangles(t, 1)),
                  c = vertices.row(triangles(t, 2));
   return (b - a).cross(c - a) / 2;
 }
 
-/// Splits triangles across their longest edges until no edge is longer than `longest`.
-void refine(Points& vertices, Triangles& triangles, double longest) {
+/// Splits triangles until no edge is longer than `longest`.
+void refine_all(Points& vertices, Triangles& triangles, double longest) {
   std::vector<Vector3d> points;
   for (Eigen::Index i = 0; i < vertices.rows(); ++i) points.emplace_back(vertices.row(i));
-  std::vector<std::array<int, 3>> left, done;
+  std::vector<Triangle> pieces;
   for (Eigen::Index t = 0; t < triangles.rows(); ++t)
-    left.push_back({triangles(t, 0), triangles(t, 1), triangles(t, 2)});
-  while (!left.empty()) {
-    const std::array<int, 3> t = left.back();
-    left.pop_back();
-    int edge = 0;
-    double length = 0;
-    for (int k = 0; k < 3; ++k) {
-      const double own = (points[t[(k + 1) % 3]] - points[t[k]]).norm();
-      if (own > length) length = own, edge = k;
-    }
-    if (length <= longest) {
-      done.push_back(t);
-      continue;
-    }
-    const int a = t[edge], b = t[(edge + 1) % 3], c = t[(edge + 2) % 3], middle = int(points.size());
-    points.push_back((points[a] + points[b]) / 2);
-    left.push_back({a, middle, c});
-    left.push_back({middle, b, c});
-  }
+    pieces.push_back({triangles(t, 0), triangles(t, 1), triangles(t, 2)});
+  refine(points, pieces, longest);
   vertices.resize(Eigen::Index(points.size()), 3);
   for (size_t i = 0; i < points.size(); ++i) vertices.row(Eigen::Index(i)) = points[i];
-  triangles.resize(Eigen::Index(done.size()), 3);
-  for (size_t t = 0; t < done.size(); ++t) triangles.row(Eigen::Index(t)) << done[t][0], done[t][1], done[t][2];
+  triangles.resize(Eigen::Index(pieces.size()), 3);
+  for (size_t t = 0; t < pieces.size(); ++t) triangles.row(Eigen::Index(t)) << pieces[t][0], pieces[t][1], pieces[t][2];
 }
 
 /// Points spread evenly over triangles by area, and the same every time. Within a triangle they follow the additive
@@ -93,7 +70,7 @@ Thickness::Thickness(const Points& vertices, const Triangles& triangles, const P
   ClosedSurface closed = close_surface(vertices, triangles);
   body_ = Surface(closed.vertices, closed.triangles);
   size_ = body_.box().diagonal().norm();
-  refine(closed.vertices, closed.triangles, kFacet * size_);
+  refine_all(closed.vertices, closed.triangles, kFacet * size_);
   const double off = kOff * size_;
   std::vector<char> kept(closed.triangles.rows());
   parallel_for(int((kept.size() + kBlock - 1) / kBlock), [&](int block) {
@@ -143,7 +120,7 @@ double Thickness::thickness(const Vector3d& p) const {
     if (ball.radius <= best) break;
     const double distance = (p - ball.center).norm();
     if (distance < kUncovered * ball.radius)
-      best = std::max(best, ball.radius * fade(distance / ball.radius, kCovered, kUncovered));
+      best = std::max(best, ball.radius * smooth_step((kUncovered - distance / ball.radius) / (kUncovered - kCovered)));
   }
   return best;
 }

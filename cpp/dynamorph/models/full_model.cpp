@@ -112,8 +112,7 @@ void FullModel::blend_hold(const VectorXd& w, Blend& out) const {
   out.hold_energy = 0;
   for (Eigen::Index j = 0; j < w.size(); ++j) {
     if (w(j) == 0) continue;
-    const VectorXd nodes = w(j) * targets_[j].lame.mu * body_->holds.col(targets_[j].set);
-    const VectorXd own = nodes.replicate(1, 3).transpose().reshaped();
+    const VectorXd own = at_coordinates(w(j) * targets_[j].lame.mu * body_->holds.col(targets_[j].set));
     out.hold += own;
     if (blending_ == Blending::even) continue;  // x is zero at each target's own shape, so there are no more terms
     out.hold_shapes += own.cwiseProduct(rest_displacements_[j]);

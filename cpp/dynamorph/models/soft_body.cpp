@@ -67,6 +67,8 @@ SoftBody::SoftBody(TetMesh mesh_, VectorXd fill_, const VectorXd& stiffness, Mat
   size = (mesh.nodes.colwise().maxCoeff() - mesh.nodes.colwise().minCoeff()).norm();
 }
 
+VectorXd SoftBody::unit_mass() const { return at_coordinates(volumes.rowwise().sum()); }
+
 VectorXd SoftBody::restrict_to_free(const VectorXd& node_values) const {
   VectorXd out(3 * free_nodes.size());
   for (size_t i = 0; i < free_nodes.size(); ++i) out.segment<3>(3 * i) = node_values.segment<3>(3 * free_nodes[i]);

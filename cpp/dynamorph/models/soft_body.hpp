@@ -40,6 +40,7 @@ struct SoftBody {
   std::vector<Eigen::Matrix4d> moments;
 
   int sets() const { return int(region_weights.cols()); }
+  VectorXd unit_mass() const;  ///< lumped, of every degree of freedom (3 free) for unit density, all sets together
   VectorXd restrict_to_free(const VectorXd& node_values) const;  ///< (3n) -> (3 free)
   VectorXd expand(const VectorXd& free_values) const;            ///< (3 free) -> (3n), zero at pins
 };

@@ -23,12 +23,6 @@ double joint_angle(const Rotations& reference, const Eigen::Ref<const Rotations>
   return 2 * std::atan2(q.vec().norm(), std::abs(q.w()));
 }
 
-/// 0 for t <= 0, 1 for t >= 1, smooth in between.
-double smooth_step(double t) {
-  t = std::clamp(t, 0.0, 1.0);
-  return t * t * (3 - 2 * t);
-}
-
 /// The fraction of its weight that a target keeps at a distance. A radius of 0 means no limit.
 double fade(double distance, double radius) { return radius > 0 ? 1 - smooth_step(2 * distance / radius - 1) : 1; }
 

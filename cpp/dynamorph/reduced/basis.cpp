@@ -72,7 +72,7 @@ double width(const SoftBody& body) {
 /// strength.
 MatrixXd bone_loads(const SoftBody& body) {
   constexpr Eigen::Index kLoads = 24;
-  const VectorXd mass = unit_mass(body);
+  const VectorXd mass = body.unit_mass();
   // Nodes with their own transforms are loaded as if one bone moved them.
   const Eigen::Index nodes = body.skin.rows(), bones = body.own_transforms ? 1 : body.skin.cols();
   const auto X = [&](Eigen::Index i) { return Vector3d(body.rest.segment<3>(3 * i)); };
@@ -223,7 +223,7 @@ LinearModes linear_modes(const FullModel& model, int target, int k) {
 
 Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   const int targets = int(model.targets().size());
-  const VectorXd root = unit_mass(model.body()).cwiseSqrt();  // all algebra below is in y = M^1/2 u
+  const VectorXd root = model.body().unit_mass().cwiseSqrt();  // all algebra below is in y = M^1/2 u
 
   MatrixXd sculpted(model.dofs(), targets);
   for (int j = 0; j < targets; ++j) sculpted.col(j) = root.cwiseProduct(model.target(j));

@@ -18,7 +18,6 @@ using Eigen::Index;
 constexpr double kOrthonormal = 1e-8;    // norm of U^T M U - I; a computed basis has 1e-13
 constexpr double kLost = 1e-6;           // relative to a target's shape
 constexpr double kLostOfLargest = 1e-8;  // relative to the largest shape, for a near multiple of another
-VectorXd repeated(const VectorXd& nodes) { return nodes.replicate(1, 3).transpose().reshaped(); }
 
 /// The sums over the tetrahedra that one target's tables are made of. Green's strain is quadratic in v,
 ///
@@ -129,7 +128,7 @@ std::vector<VectorXd> target_coordinates(const SoftBody& body, const std::vector
   if (U.cols() == 0) throw std::invalid_argument("basis: expected at least one mode");
   if (U.cols() > U.rows()) throw std::invalid_argument("basis: more modes than degrees of freedom");
   if (!U.allFinite()) throw std::invalid_argument("basis: must be finite");
-  const VectorXd mass = repeated(body.volumes.rowwise().sum());
+  const VectorXd mass = body.unit_mass();
   const auto norm = [&](const VectorXd& u) { return std::sqrt(u.cwiseAbs2().dot(mass)); };
   const MatrixXd products = U.transpose() * mass.asDiagonal() * U;
   if (!((products - MatrixXd::Identity(U.cols(), U.cols())).norm() <= kOrthonormal))

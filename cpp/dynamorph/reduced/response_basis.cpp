@@ -214,7 +214,7 @@ MatrixXd modes(RowMajor candidates, const MatrixXd& shapes, Index r, VectorXd& a
 
 ResponseBasis make_response_basis(const FullModel& model, int r, int h, const ProgressFn& progress) {
   if (h < 1) throw std::invalid_argument("h: expected at least one response, got " + std::to_string(h));
-  const VectorXd mass = unit_mass(model.body()), root = mass.cwiseSqrt(), inverse = root.cwiseInverse();
+  const VectorXd mass = model.body().unit_mass(), root = mass.cwiseSqrt(), inverse = root.cwiseInverse();
   const Index most = Index(r) + h;
   const MatrixXd shapes = shapes_of_targets(model, root);
   const Index motions = r - shapes.cols();

@@ -57,13 +57,13 @@ ResponseInertia::ResponseInertia(std::shared_ptr<const SoftBody> body, const Mat
     for (const auto& [bones, volume] : shared)
       if (volume > kNegligible) terms_.push_back({place[bones.first], place[bones.second], 0});
   }
-  const VectorXd mass = b.volumes.rowwise().sum().replicate(1, 3).transpose().reshaped();
+  const VectorXd mass = b.unit_mass();
   modal_ = W.transpose() * (mass.asDiagonal() * U);
   bound_ = (1 + MatrixXd(modal_.transpose() * modal_).selfadjointView<Eigen::Lower>().eigenvalues().maxCoeff()) / 2;
   const MatrixXd own = W - U * modal_.transpose();
   for (int s = 0; s < b.sets(); ++s) {
     Set& set = sets_.emplace_back();
-    const VectorXd part = b.volumes.col(s).replicate(1, 3).transpose().reshaped();
+    const VectorXd part = at_coordinates(b.volumes.col(s));
     set.border = own.transpose() * (part.asDiagonal() * U);
     tabulate_mass(W, s, set);
     tabulate_loads(own, s, set);

@@ -8,13 +8,6 @@
 
 namespace dynamorph {
 
-VectorXd unit_mass(const SoftBody& body) {
-  const VectorXd nodes = body.volumes.rowwise().sum();
-  VectorXd mass(3 * nodes.size());
-  for (Eigen::Index i = 0; i < nodes.size(); ++i) mass.segment<3>(3 * i).setConstant(nodes(i));
-  return mass;
-}
-
 std::vector<int> summed_at(const std::vector<MorphTarget>& targets, int j) {
   std::vector<int> summed{j};
   std::set<int> sets{targets[j].set};
@@ -32,7 +25,9 @@ std::vector<int> distinct_targets(const std::vector<MorphTarget>& targets) {
 }
 
 StaticSolver::StaticSolver(const FullModel& model, int target, std::function<void()> tick_)
-    : mass(unit_mass(model.body()) * model.targets()[target].density), stiffness(model.zero()), tick(std::move(tick_)) {
+    : mass(model.body().unit_mass() * model.targets()[target].density),
+      stiffness(model.zero()),
+      tick(std::move(tick_)) {
   for (int j : summed_at(model.targets(), target)) values(stiffness) += values(model.rest_stiffness(j));
   shift = 1e-9 * (stiffness.diagonal().array() / mass.array()).maxCoeff();
   stiffness.diagonal() += shift * mass;

@@ -10,9 +10,6 @@
 
 namespace dynamorph {
 
-/// Lumped mass of every degree of freedom for unit density, all sets together (3 free).
-VectorXd unit_mass(const SoftBody& body);
-
 /// The targets with energies in K about target j's shape: j itself, and of every other set the first target, which is
 /// its neutral. Targets need not be ordered by set.
 std::vector<int> summed_at(const std::vector<MorphTarget>& targets, int j);
@@ -20,8 +17,8 @@ std::vector<int> summed_at(const std::vector<MorphTarget>& targets, int j);
 /// The targets whose K differ: each set's first target is the same neutral.
 std::vector<int> distinct_targets(const std::vector<MorphTarget>& targets);
 
-/// K_j + epsilon M, factored. A body without pins has rigid modes; the shift keeps K positive definite and is far
-/// below the first elastic frequency. Throws Error when the target's shape is degenerate.
+/// K_j + epsilon M, factored. The shift keeps K positive definite for a body that is hardly held, and is far below the
+/// first elastic frequency. Throws Error when the target's shape is degenerate.
 struct StaticSolver {
   StaticSolver(const FullModel& model, int target, std::function<void()> tick_ = {});
   VectorXd solve(const VectorXd& load) const;

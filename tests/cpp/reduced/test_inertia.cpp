@@ -143,7 +143,7 @@ void contract_in_double(const SoftBody& body, const MatrixXd& U, const InertialT
       take_slopes(c, y.data(), r, slopes.data());
       add_terms<true>(tensor.data(), r, slopes.data(), c, own_force.data(), change.data());
     }
-    const VectorXd volumes = body.volumes.col(s).replicate(1, 3).transpose().reshaped();
+    const VectorXd volumes = at_coordinates(body.volumes.col(s));
     MatrixXd own_mass = U.transpose() * volumes.asDiagonal() * U;
     for (Index k = 0, p = 0; k < r; ++k)
       for (Index l = k; l < r; ++l, ++p) {

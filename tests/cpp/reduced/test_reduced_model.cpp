@@ -131,7 +131,7 @@ namespace {
 
 /// The largest principal angle's cosine between the spans of two bases that are orthonormal in mass.
 double least_cosine(const SoftBody& body, const MatrixXd& U, const MatrixXd& V) {
-  const VectorXd mass = body.volumes.rowwise().sum().replicate(1, 3).transpose().reshaped();
+  const VectorXd mass = body.unit_mass();
   const MatrixXd across = U.transpose() * mass.asDiagonal() * V;
   return Eigen::JacobiSVD<MatrixXd>(across).singularValues().minCoeff();
 }

@@ -176,7 +176,7 @@ TEST_CASE("responses: small motion of a bending rig is that of the whole subspac
   const auto neutral = neutral_of(*body);
   const ResponseScene scene(body, neutral, Law::stvk, Blending::even, 8, 16);
   // The linear law in modes alone that span the same.
-  const VectorXd mass = unit_mass(*body);
+  const VectorXd mass = body->unit_mass();
   const MatrixXd both = side_by_side(scene.basis);
   const MatrixXd inverse =
       MatrixXd(both.transpose() * mass.asDiagonal() * both).llt().matrixL().solve(both.transpose());

@@ -189,7 +189,7 @@ TEST_CASE("response basis: orthonormal in mass, decoupled from the modes in stif
       CHECK(W.cols() == 22);
       CHECK(basis.amplitudes.size() == 9);
       CHECK(basis.amplitudes.minCoeff() > 0);
-      const VectorXd mass = unit_mass(*body);
+      const VectorXd mass = body->unit_mass();
       const auto M = mass.asDiagonal();
       CHECK((U.transpose() * M * U - MatrixXd::Identity(9, 9)).norm() < 1e-10);
       CHECK((W.transpose() * M * W - MatrixXd::Identity(22, 22)).norm() < 1e-10);
@@ -266,7 +266,7 @@ TEST_CASE("response basis: of a body that nothing but a hold keeps in place") {
   const auto body = two_bone_bar(), held = held_bar(false);
   for (Law law : kLaws) {
     const ResponseScene scene(held, targets(*body), law, Blending::even, 12, 20);
-    const VectorXd mass = unit_mass(*held);
+    const VectorXd mass = held->unit_mass();
     const MatrixXd &U = scene.basis.U, &W = scene.basis.W;
     const SparseMatrix K = scene.full.rest_stiffness(0);
     CHECK(W.cols() == 20);

@@ -11,7 +11,7 @@ using namespace dynamorph;
 
 namespace {
 
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN(), kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 /// The defaults but for one option.
 template <class Value>
