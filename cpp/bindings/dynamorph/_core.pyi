@@ -8,7 +8,7 @@ import numpy.typing
 import scipy.sparse
 import typing
 import typing_extensions
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'ResponseBasis', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Law', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'ResponseBasis', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -115,59 +115,11 @@ class Thickness:
         
         Depth is the distance to the skin, 0 outside the body. A point outside has the thickness of the skin nearest to it.
         """
-class Kernel:
-    """
-    Members:
-    
-      LINEAR
-    
-      GAUSSIAN
-    
-      THIN_PLATE
-    """
-    GAUSSIAN: typing.ClassVar[Kernel]
-    LINEAR: typing.ClassVar[Kernel]
-    THIN_PLATE: typing.ClassVar[Kernel]
-    __members__: typing.ClassVar[dict[str, Kernel]]
-    @typing.overload
-    def __eq__(self, other: Kernel) -> bool:
-        ...
-    @typing.overload
-    def __eq__(self, other: typing.Any) -> bool:
-        ...
-    def __getstate__(self) -> int:
-        ...
-    def __hash__(self) -> int:
-        ...
-    def __index__(self) -> int:
-        ...
-    def __init__(self, value: typing.SupportsInt | typing.SupportsIndex) -> None:
-        ...
-    def __int__(self) -> int:
-        ...
-    @typing.overload
-    def __ne__(self, other: Kernel) -> bool:
-        ...
-    @typing.overload
-    def __ne__(self, other: typing.Any) -> bool:
-        ...
-    def __repr__(self) -> str:
-        ...
-    def __setstate__(self, state: typing.SupportsInt | typing.SupportsIndex) -> None:
-        ...
-    def __str__(self) -> str:
-        ...
-    @property
-    def name(self) -> str:
-        ...
-    @property
-    def value(self) -> int:
-        ...
 class TargetSet:
     """
     Targets whose weights sum to one.
     """
-    def __init__(self, bones: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], names: collections.abc.Sequence[str], poses: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64]], kernel: Kernel = Kernel.LINEAR, radii: collections.abc.Sequence[typing.SupportsFloat | typing.SupportsIndex] = []) -> None:
+    def __init__(self, bones: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], names: collections.abc.Sequence[str], poses: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64]], radii: collections.abc.Sequence[typing.SupportsFloat | typing.SupportsIndex] = []) -> None:
         """
         bones: indices of the bones; their local rotations place the targets. poses: for each target, the local transforms (B, 4, 4) of the whole skeleton. radii: for each target, the joint angle in radians at which it has faded out; 0, the default, means never. The first target gets the weight that the others lose, and its own radius is ignored.
         """
