@@ -15,7 +15,7 @@ from .character import Character
 from .geometry import diagonal
 from .model import EngineModel, EngineSimulation, Model
 from .posing import Posing
-from .rig_samples import ForceField, RigSamples
+from .rig_samples import RigSamples
 from .settings import SimulationSettings
 
 CHUNK = 32  # frames whose rig becomes matrices at once; bounds memory and amortizes NumPy's call overhead
@@ -124,7 +124,7 @@ class Player:
         still, same = (np.repeat(first[:1], self.settings.substeps, axis=0) for first in (bones, weights))
         for _ in range(self.settings.still_frames):
             self._ask()
-            self._simulation.advance(still, same, self._push(rig.fields, 0, bones[0]))
+            self._simulation.advance(still, same, self._push(rig[:1], bones[:1]))
         self.number = self.settings.first
         return Frame(self.number, self._simulation.coordinates, weights[0], begun)
 
@@ -172,7 +172,7 @@ class Player:
 
     def play(self, rig: RigSamples, numbers: Sequence[int] | np.ndarray) -> Iterator[Frame]:
         """The frames `numbers`, which follow the last one, and the samples between; rig: settings.substeps samples
-        each. Force fields change from frame to frame.
+        each.
         """
         substeps, samples = self.settings.substeps, self.settings.samples
         stride = substeps // samples
@@ -186,11 +186,10 @@ class Player:
             for k, number in enumerate(chunk):
                 self.number = int(number)
                 self._ask()
-                last = (k + 1) * substeps - 1
-                push = self._push(moving.fields, last, bones[last])
                 for left in reversed(range(samples)):
-                    end = last + 1 - left * stride
+                    end = (k + 1) * substeps - left * stride
                     steps = slice(end - stride, end)
+                    push = self._push(moving[steps], bones[steps])
                     report = self._simulation.advance(bones[steps], weights[steps], push)
                     time = self.number - left / samples
                     yield Frame(time, self._simulation.coordinates, weights[end - 1], report)
@@ -240,11 +239,16 @@ class Player:
         if any(self.settings.gravity):
             self._simulation.balance_targets(self.posing.target_frames(first))
 
-    def _push(self, fields: Sequence[ForceField], sample: int, bones: np.ndarray) -> np.ndarray | None:
-        """The forces of the force fields on the nodes at the present displacement; None without any."""
-        if not fields or self.engine is None:
+    def _push(self, rig: RigSamples, bones: np.ndarray) -> np.ndarray | None:
+        """The forces of the force fields on the nodes (n, 3) at each sample, where the skin is displaced as it is now;
+        None without any. A single sample's are constant: (n, 3).
+        """
+        fields = rig.fields
+        if self.engine is None or not any(field.strength.any() for field in fields):
             return None
-        return self.posing.skin.push(fields, sample, bones, self.engine.displacement(self._simulation.coordinates))
+        displacement = self.engine.displacement(self._simulation.coordinates)
+        push = np.array([self.posing.skin.push(fields, k, bones[k], displacement) for k in range(len(rig))])
+        return push[0] if len(push) == 1 else push
 
 
 class _NothingMoves:

@@ -103,7 +103,7 @@ class Posing:
         pose = self._model.skeleton.pose(np.array([target.local for target in targets]))
         rig_world = np.array([_resized(target.rig_world, rig.rig_world[0]) for target in targets])
         object_world = rig_world @ inverse(rig.rig_world[0]) @ rig.object_world[0]
-        return self.frames(RigSamples(pose, rig_world, object_world, nodes=rig.target_nodes))
+        return self.frames(RigSamples(pose, rig_world, object_world, (rig.target_nodes,) if rig.target_nodes else ()))
 
     def skinned(self, rig: RigSamples) -> np.ndarray:
         """The skin at rest, posed by the rig: (S, V, 3), world space; of a probed skin, the part whose motion is
@@ -145,15 +145,12 @@ class Skin:
 
     def push(
         self, fields: Sequence[ForceField], sample: int, frames: np.ndarray, displacement: np.ndarray
-    ) -> np.ndarray | None:
+    ) -> np.ndarray:
         """Newtons on the nodes (n, 3), world space; frames as for `posed`, displacement of the nodes (n, 3)."""
-        acting = [field for field in fields if field.strength[sample]]
-        if not acting:
-            return None
         model = self.model
         moved = np.einsum("va,vac->vc", model.embedding_weights, displacement[model.embedding_nodes])
         points = self.posed(frames, moved)
-        return model.on_nodes(self.areas[:, None] * sum(field.pull(sample, points) for field in acting))
+        return model.on_nodes(self.areas[:, None] * sum(field.pull(sample, points) for field in fields))
 
 
 def _resized(world: np.ndarray, like: np.ndarray) -> np.ndarray:

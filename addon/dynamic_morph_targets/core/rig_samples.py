@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -40,7 +42,29 @@ def keep_collapsed(
 
 
 @dataclass(frozen=True)
-class ForceField:
+class Track:
+    """What is known at the same S sample times as a rig, with one rule for each of its arrays in SAMPLED (S, ...)."""
+
+    SAMPLED: ClassVar[tuple[str, ...]]
+
+    def __getitem__(self, samples: slice) -> Self:
+        return self._each(lambda array: array[samples])
+
+    def concatenate(self, other: Self) -> Self:
+        """These samples, and after them those of the same thing in `other`."""
+        joined = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in self.SAMPLED}
+        return replace(self, **joined)
+
+    def still(self, count: int) -> Self:
+        """The first sample, `count` times."""
+        return self._each(lambda array: np.broadcast_to(array[0], (count, *array.shape[1:])))
+
+    def _each(self, change: Callable[[np.ndarray], np.ndarray]) -> Self:
+        return replace(self, **{name: change(getattr(self, name)) for name in self.SAMPLED})
+
+
+@dataclass(frozen=True)
+class ForceField(Track):
     """A force field of the scene at S sample times, with Blender's own falloff.
 
     kind: WIND blows along the object's Z axis, FORCE away from it. plane: distance is from the object's plane, not its
@@ -48,6 +72,7 @@ class ForceField:
     within which it is constant and beyond which it is nothing.
     """
 
+    SAMPLED = ("world", "strength")
     kind: str
     plane: bool
     power: float
@@ -55,9 +80,6 @@ class ForceField:
     farthest: float
     world: np.ndarray
     strength: np.ndarray
-
-    def __getitem__(self, samples: slice) -> ForceField:
-        return replace(self, world=self.world[samples], strength=self.strength[samples])
 
     def pull(self, sample: int, points: np.ndarray) -> np.ndarray:
         """Force on each square metre (V, 3), world space, at points (V, 3) in world space."""
@@ -73,19 +95,17 @@ class ForceField:
 
 
 @dataclass(frozen=True)
-class PosedNodes:
+class PosedNodes(Track):
     """n nodes of the cage where Blender's own modifiers put them, at S sample times.
 
     rest (n, 3) bind space. points (S, 4, n, 3) float32, the object's space: the nodes, and the nodes moved by `reach`
     meters along each axis of bind space.
     """
 
+    SAMPLED = ("points",)
     rest: np.ndarray
     reach: float
     points: np.ndarray
-
-    def __getitem__(self, samples: slice) -> PosedNodes:
-        return replace(self, points=self.points[samples])
 
     def transforms(self, object_world: np.ndarray) -> np.ndarray:
         """[A | a] (S, n, 3, 4), bind to world space; exact at rest. object_world (S, 4, 4)."""
@@ -100,51 +120,49 @@ class PosedNodes:
 
 
 @dataclass(frozen=True)
-class RigSamples:
+class RigSamples(Track):
     """The moving rig at S sample times: pose (S, B, 4, 4) armature space, rig_world and object_world (S, 4, 4).
 
-    fields: what pushes the skin then. nodes: the free nodes as Blender poses them, where bones do not say it;
-    target_nodes: the same (S = J) in the targets' captured poses, the objects being where they are at the first sample.
+    tracks: what is known at the same times beside the rig, as force fields and, where bones do not say it, the free
+    nodes as Blender poses them. target_nodes: the same nodes (S = J) in the targets' captured poses, the objects being
+    where they are at the first sample.
     """
 
+    SAMPLED = ("pose", "rig_world", "object_world")
     pose: np.ndarray
     rig_world: np.ndarray
     object_world: np.ndarray
-    fields: tuple[ForceField, ...] = ()
-    nodes: PosedNodes | None = None
+    tracks: tuple[Track, ...] = ()
     target_nodes: PosedNodes | None = None
 
     def __len__(self) -> int:
         return len(self.pose)
 
+    @property
+    def fields(self) -> tuple[ForceField, ...]:
+        """What pushes the skin."""
+        return tuple(track for track in self.tracks if isinstance(track, ForceField))
+
+    @property
+    def nodes(self) -> PosedNodes | None:
+        """The free nodes as Blender poses them, if bones do not say where they are."""
+        return next((track for track in self.tracks if isinstance(track, PosedNodes)), None)
+
     def __getitem__(self, samples: slice) -> RigSamples:
-        fields = tuple(field[samples] for field in self.fields)
-        nodes = self.nodes and self.nodes[samples]
-        pose, rig_world, object_world = (part[samples] for part in (self.pose, self.rig_world, self.object_world))
-        return RigSamples(pose, rig_world, object_world, fields, nodes, self.target_nodes)
+        return replace(super().__getitem__(samples), tracks=tuple(track[samples] for track in self.tracks))
 
     def concatenate(self, other: RigSamples) -> RigSamples:
-        """These samples and others of the same rig, without fields."""
-        nodes = self.nodes
-        if nodes and other.nodes:
-            nodes = replace(nodes, points=np.concatenate([nodes.points, other.nodes.points]))
-        return RigSamples(
-            np.concatenate([self.pose, other.pose]),
-            np.concatenate([self.rig_world, other.rig_world]),
-            np.concatenate([self.object_world, other.object_world]),
-            nodes=nodes,
-            target_nodes=self.target_nodes,
-        )
+        """These samples, and after them others of the same rig."""
+        pairs = zip(self.tracks, other.tracks, strict=True)
+        return replace(super().concatenate(other), tracks=tuple(mine.concatenate(theirs) for mine, theirs in pairs))
+
+    def still(self, count: int) -> RigSamples:
+        return replace(super().still(count), tracks=tuple(track.still(count) for track in self.tracks))
 
     def moved(self, transforms: np.ndarray) -> RigSamples:
-        """The first of these samples, moved rigidly by world transforms (S, 4, 4), without fields."""
-        count = len(transforms)
-        pose = np.broadcast_to(self.pose[0], (count, *self.pose.shape[1:]))
-        nodes = self.nodes
-        if nodes:
-            nodes = replace(nodes, points=np.broadcast_to(nodes.points[0], (count, *nodes.points.shape[1:])))
-        own = transforms @ self.rig_world[0], transforms @ self.object_world[0]
-        return RigSamples(pose, *own, nodes=nodes, target_nodes=self.target_nodes)
+        """The first of these samples, moved rigidly by world transforms (S, 4, 4). What is beside the rig stays."""
+        still = self.still(len(transforms))
+        return replace(still, rig_world=transforms @ self.rig_world[0], object_world=transforms @ self.object_world[0])
 
     @property
     def nbytes(self) -> int:

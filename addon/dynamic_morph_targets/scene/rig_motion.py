@@ -134,7 +134,7 @@ def sample_present(obj, probe=None) -> RigSamples:
     with rig_scene(obj, rig, probe) as (scene, follower):
         scene.frame_set(int(frame), subframe=frame % 1.0)
         nodes, target_nodes = (probe.in_poses(scene, follower, rig, poses) for poses in (pose, probe.poses))
-    return RigSamples(pose, rig_world[None], world, nodes=nodes, target_nodes=target_nodes)
+    return RigSamples(pose, rig_world[None], world, (nodes,), target_nodes)
 
 
 class RigSampling:
@@ -212,7 +212,8 @@ class RigSampling:
         worlds = in_metres(np.stack([self._rig_world, self._object_world], axis=1), self._unit)
         fields = tuple(replace(field, world=in_metres(field.world, self._unit)) for field in self._fields)
         pose = _ordered(self._columns, self._order)
-        samples = RigSamples(pose, worlds[:, 0], worlds[:, 1], fields, self._nodes, self._target_nodes)
+        tracks = (*fields, self._nodes) if self._nodes else fields
+        samples = RigSamples(pose, worlds[:, 0], worlds[:, 1], tracks, self._target_nodes)
         bad = np.argwhere(~np.isfinite(np.concatenate([worlds, samples.pose], axis=1)).all(axis=(2, 3)))
         if len(bad):
             raise SceneError(not_a_number(self._moving[bad[0, 1]], self._frame(bad[0, 0])))
