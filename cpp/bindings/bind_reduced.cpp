@@ -80,4 +80,5 @@ void bind_reduced(py::module_& m) {
   reduced.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, const ReducedTables&, Blending>(),
               "body"_a.none(false), "targets"_a, "tables"_a, "blending"_a);
   bind_model(reduced);
+  bind_skin<ReducedModel>(m, "ReducedSkin");
 }

@@ -56,6 +56,69 @@ py::dict summary(const StepReport& worst, int steps, double seconds) {
                   "seconds"_a = seconds);
 }
 
+/// Springs between points of the skin and goals (S, K, 3), one row of goals for each step.
+struct Grabs {
+  VectorXd stiffness;  ///< (K)
+  std::vector<int> points;
+  FloatArray goals;
+
+  void at(py::ssize_t step, std::vector<Grab>& out) const {
+    out.clear();
+    const double* goal = goals.data() + step * goals.shape(1) * 3;
+    for (size_t k = 0; k < points.size(); ++k, goal += 3)
+      out.push_back({points[k], Vector3d(goal[0], goal[1], goal[2]), stiffness(Eigen::Index(k))});
+  }
+};
+
+void bind_grabs(py::module_& m) {
+  py::class_<Grabs>(m, "Grabs", "Springs that pull points of the skin to places in the world.")
+      .def(py::init([](const IndexArray& points, const FloatArray& goals, const VectorXd& stiffness) {
+             using Column = Eigen::Matrix<std::int32_t, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+             const Column column = to_indices<Column>(IndexArray(points.attr("reshape")(-1, 1)), "points");
+             check_shape("goals", goals, {-1, column.size(), 3});
+             check_size("stiffness", stiffness.size(), column.size());
+             check_finite("goals", Eigen::Map<const VectorXd>(goals.data(), goals.size()));
+             if (!stiffness.allFinite() || (stiffness.array() < 0).any())
+               throw std::invalid_argument("stiffness: must be finite and not negative");
+             return Grabs{stiffness, {column.data(), column.data() + column.size()}, goals};
+           }),
+           "points"_a, "goals"_a, "stiffness"_a,
+           "points (K): of the simulation's skin. goals (S, K, 3): meters, world space, at the end of each step. "
+           "stiffness (K): N/m.");
+}
+
+/// Forces on the nodes (n, 3), the same at all steps, or (S, n, 3), newtons in world space; empty for none.
+class External {
+ public:
+  External(const SoftBody& body, const std::optional<FloatArray>& forces, py::ssize_t steps) : body_(body) {
+    if (!forces) return;
+    const py::ssize_t nodes = body.mesh.nodes.rows();
+    if (forces->ndim() == 2)
+      check_shape("external", *forces, {nodes, 3});
+    else
+      check_shape("external", *forces, {steps, nodes, 3});
+    check_finite("external", Eigen::Map<const VectorXd>(forces->data(), forces->size()));
+    forces_ = *forces;
+    every_step_ = forces->ndim() == 3;
+  }
+
+  /// On the free nodes at a step; null for none.
+  const VectorXd* at(py::ssize_t step) {
+    if (forces_.size() == 0) return nullptr;
+    if (every_step_ || free_.size() == 0) {
+      const Eigen::Index size = 3 * body_.mesh.nodes.rows();
+      free_ = body_.restrict_to_free(Eigen::Map<const VectorXd>(forces_.data() + (every_step_ ? step * size : 0), size));
+    }
+    return &free_;
+  }
+
+ private:
+  const SoftBody& body_;
+  FloatArray forces_;
+  bool every_step_ = false;
+  VectorXd free_;
+};
+
 template <class Model>
 void bind_simulation_of(py::module_& m, const char* name) {
   using Sim = InTurn<Simulation<Model>>;
@@ -90,23 +153,25 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "`next` backward.")
       .def(
           "advance",
-          [](Sim& s, const FloatArray& bones, const FloatArray& weights, const std::optional<FloatArray>& external) {
+          [](Sim& s, const FloatArray& bones, const FloatArray& weights, const std::optional<FloatArray>& external,
+             const std::optional<Grabs>& grabs) {
             check_shape("bones", bones, {-1, -1, 3, 4});
             check_shape("weights", weights, {bones.shape(0), py::ssize_t(s.model().targets().size())});
-            const VectorXd force = external ? s.model().body().restrict_to_free(flat_points(
-                                                  "external", *external, s.model().body().mesh.nodes.rows()))
-                                            : VectorXd();
-            StepReport worst;
             const py::ssize_t steps = bones.shape(0), count = bones.shape(1);
+            if (grabs) check_shape("grabs: goals", grabs->goals, {steps, -1, 3});
+            External forces(s.model().body(), external, steps);
+            StepReport worst;
             const auto begin = std::chrono::steady_clock::now();
             changing(s, [&] {
               Transforms frame;
               VectorXd w;
+              std::vector<Grab> grabbed;
               s.forget();  // so that a state resumes bit for bit, between any two calls
               for (py::ssize_t i = 0; i < steps; ++i) {
                 frame = Eigen::Map<const Transforms>(bones.data() + i * count * 12, count, 12);
                 w = Eigen::Map<const VectorXd>(weights.data() + i * weights.shape(1), weights.shape(1));
-                const StepReport report = s.step(frame, w, force);
+                if (grabs) grabs->at(i, grabbed);
+                const StepReport report = s.step({frame, w, forces.at(i), &grabbed});
                 worst.iterations += report.iterations;
                 worst.converged &= report.converged;
                 worst.residual = std::max(worst.residual, report.residual);
@@ -117,9 +182,9 @@ void bind_simulation_of(py::module_& m, const char* name) {
             const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
             return summary(worst, int(steps), elapsed.count());
           },
-          "bones"_a, "weights"_a, "external"_a = py::none(),
-          "Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external (n, 3): newtons on the "
-          "nodes, world space, constant over the call. Returns a report on the steps: total iterations, converged, "
+          "bones"_a, "weights"_a, "external"_a = py::none(), "grabs"_a = py::none(),
+          "Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, "
+          "world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on the steps: total iterations, converged, "
           "worst residual, elastic energy at the end, teleported, seconds.")
       .def(
           "solve_static",
@@ -127,16 +192,18 @@ void bind_simulation_of(py::module_& m, const char* name) {
              const std::optional<VectorXd>& guess) {
             VectorXd q = guess.value_or(VectorXd());
             if (guess) check_coordinates(s.model(), q);
-            const VectorXd force = external ? s.model().body().restrict_to_free(flat_points(
-                                                  "external", *external, s.model().body().mesh.nodes.rows()))
-                                            : VectorXd();
+            External forces(s.model().body(), external, 1);
             const Transforms frame = transforms("bones", bones);
-            const StepReport report = changing(s, [&] { return s.solve_static(frame, weights, q, force); });
+            const StepReport report = changing(s, [&] { return s.solve_static({frame, weights, forces.at(0)}, q); });
             return py::make_tuple(q, summary(report, 0, 0));
           },
           "bones"_a, "weights"_a, "external"_a = py::none(), "guess"_a = py::none(),
           "Returns (coordinates, report) of the static solution. The search starts from `guess`, or from the blended "
           "targets.")
+      .def(
+          "set_skin",
+          [](Sim& s, std::shared_ptr<SkinMap<Model>> skin) { changing(s, [&] { s.set_skin(std::move(skin)); }); },
+          "skin"_a, "The skin whose points `advance` grabs; None for none.")
       .def_property_readonly("model", &Sim::shared_model)
       .def_property_readonly(
           "coordinates", [](const Sim& s) { return in_turn(s, [&] { return VectorXd(s.coordinates()); }); },
@@ -165,6 +232,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
 
 void bind_step(py::module_& m) {
   py::enum_<Scheme>(m, "Scheme").value("EULER", Scheme::implicit_euler).value("BDF2", Scheme::bdf2);
+  bind_grabs(m);
   bind_simulation_of<FullModel>(m, "FullSimulation");
   bind_simulation_of<ReducedModel>(m, "ReducedSimulation");
 }

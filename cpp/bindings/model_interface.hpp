@@ -7,6 +7,7 @@
 #include "arrays.hpp"
 #include "bindings.hpp"
 #include "dynamorph/core/errors.hpp"
+#include "dynamorph/models/skin.hpp"
 #include "dynamorph/models/soft_body.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/reduced/arrow_matrix.hpp"
@@ -110,6 +111,78 @@ void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
           "target", [](const Model& m, int target) { return m.target(checked_target(m, target)); }, "target"_a,
           "Coordinates of a target's shape.")
       .def("displacement", &node_displacement<Model>, "q"_a, "Bind-space node displacement (n, 3), meters.");
+}
+
+/// (J, P, 3) -> (3P, J).
+inline MatrixXd residual_columns(const FloatArray& shapes, Eigen::Index points) {
+  check_shape("residual_shapes", shapes, {-1, points, 3});
+  return Eigen::Map<const MatrixXd>(shapes.data(), 3 * points, shapes.shape(0));
+}
+
+/// The skin of a model: dynamorph.FullSkin, dynamorph.ReducedSkin.
+template <class Model>
+void bind_skin(py::module_& m, const char* name) {
+  using Map = SkinMap<Model>;
+  const auto posed = [](const Map& map, const FloatArray& bones) {
+    check_shape("bones", bones, {py::ssize_t(map.model().body().skin.cols()), 3, 4});
+    const Transforms out = transforms("bones", bones);
+    check_finite("bones", out);
+    return out;
+  };
+  const auto check_weights = [](const Map& map, const VectorXd& weights) {
+    check_size("weights", weights.size(), Eigen::Index(map.model().targets().size()));
+    check_finite("weights", weights);
+  };
+  py::class_<Map, std::shared_ptr<Map>>(
+      m, name, "P points that move with a model: x = A (X + E u(q) + R w) + a. Simulations may share it.")
+      .def(py::init([](std::shared_ptr<Model> model, const FloatArray& rest, const Embedding& embedding,
+                       const MatrixXd& weights, const std::optional<FloatArray>& residual_shapes) {
+             Skin skin{as_points(flat_points("rest", rest, -1)), embedding, normalized(weights), {}};
+             check_finite("rest", skin.rest);
+             if (residual_shapes) skin.residual_shapes = residual_columns(*residual_shapes, skin.rest.rows());
+             check_finite("residual_shapes", skin.residual_shapes);
+             return std::make_shared<Map>(model, std::move(skin));
+           }),
+           "model"_a.none(false), "rest"_a, "embedding"_a, "weights"_a, "residual_shapes"_a = py::none(),
+           "rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights "
+           "at any positive scale, of which those below 1 % do not count. residual_shapes (J, P, 3): what the mesh "
+           "cannot carry of each target's shape, or None.")
+      .def(
+          "displacement",
+          [check_weights](const Map& map, const VectorXd& weights, const VectorXd& q) {
+            check_weights(map, weights);
+            check_coordinates(map.model(), q);
+            VectorXd out;
+            map.displacement(weights, q, out);
+            check_result(out.allFinite());
+            return Points(as_points(out));
+          },
+          "weights"_a, "q"_a, "E u(q) + R w (P, 3), meters, bind space, at target weights (J) and coordinates q.")
+      .def(
+          "positions",
+          [posed, check_weights](const Map& map, const FloatArray& bones, const VectorXd& weights, const VectorXd& q) {
+            const Transforms pose = posed(map, bones);
+            check_weights(map, weights);
+            check_coordinates(map.model(), q);
+            VectorXd out;
+            map.positions(pose, weights, q, out);
+            check_result(out.allFinite());
+            return Points(as_points(out));
+          },
+          "bones"_a, "weights"_a, "q"_a, "x (P, 3), meters, world space, at the bones' transforms (B, 3, 4).")
+      .def(
+          "pull_back",
+          [posed](const Map& map, const FloatArray& bones, const FloatArray& forces) {
+            const Transforms pose = posed(map, bones);
+            VectorXd out;
+            const VectorXd flat = flat_points("forces", forces, map.size());
+            check_finite("forces", flat);
+            map.pull_back(pose, flat, out);
+            check_result(out.allFinite());
+            return out;
+          },
+          "bones"_a, "forces"_a,
+          "Forces on the coordinates (dofs) that do the work of forces on the points (P, 3), newtons, world space.");
 }
 
 }  // namespace dynamorph

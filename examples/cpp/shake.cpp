@@ -25,7 +25,7 @@ int main(int, char** arguments) {
   for (int step = 1; step <= 120; ++step) {
     bones.col(3).setConstant(0.02 * std::sin(0.2 * step));  // m, along x
     weights << 1 - step / 120.0, step / 120.0;              // the muscle flexes
-    simulation.step(bones, weights);
+    simulation.step({bones, weights});
   }
   const Eigen::IOFormat exact(Eigen::FullPrecision, Eigen::DontAlignCols);
   std::cout << as_points(skin.surface(simulation.coordinates(), weights)).format(exact) << '\n';

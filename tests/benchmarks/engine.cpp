@@ -243,7 +243,7 @@ void measure_steps(State& state, const std::shared_ptr<const Model>& model, cons
   int k = 0, iterations = 0;
   for (auto _ : state) {
     k = (k + 1) % kFrames;
-    iterations += simulation.step(moving.bones[k], moving.weights[k]).iterations;
+    iterations += simulation.step({moving.bones[k], moving.weights[k]}).iterations;
   }
   state.counters["iterations"] = benchmark::Counter(iterations, benchmark::Counter::kAvgIterations);
   state.counters["dofs"] = double(3 * model->body().mesh.nodes.rows());

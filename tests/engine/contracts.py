@@ -53,6 +53,10 @@ def scene() -> SimpleNamespace:
     s.triangles = np.array([[f[0], f[k], f[k + 1]] for f in faces for k in range(1, len(f) - 1)], np.int32)
     s.tube = dynamorph.tetrahedralize(vertices, s.triangles, 120)
     s.embedding = dynamorph.embed(s.mesh, 0.9 * s.nodes[::2])
+    s.points = 0.9 * s.nodes[::2]
+    skin = {"rest": s.points, "embedding": s.embedding, "weights": np.ones((len(s.points), 1))}
+    s.full_skin, s.reduced_skin = dynamorph.FullSkin(s.full, **skin), dynamorph.ReducedSkin(s.reduced, **skin)
+    s.grabs = dynamorph.Grabs([0, 3], s.points[None, [0, 3]] + 0.01, [10.0, 20.0])
     s.heads, s.tails = np.array([[0.0, 0.0, 0.1]]), np.array([[0.0, 0.0, 1.9]])
     turned = np.repeat(np.eye(4)[None], 2, 0)
     turned[1, 1:3, 1:3] = [[0.0, -1.0], [1.0, 0.0]]
@@ -69,6 +73,7 @@ def started(kind: str):
     s = scene()
     model = s.full if kind == "FullSimulation" else s.reduced
     simulation = getattr(dynamorph, kind)(model, 0.01)
+    simulation.set_skin(s.full_skin if kind == "FullSimulation" else s.reduced_skin)
     simulation.start(s.bones, s.next, s.weights)
     return simulation
 
@@ -131,6 +136,8 @@ def calls() -> dict[str, tuple[object, dict]]:
         "teleport": 0.1,
     }  # fmt: skip
     skin = {"vertices": s.vertices, "triangles": s.triangles}
+    points = {"rest": s.points, "embedding": s.embedding, "weights": np.ones((len(s.points), 1)),
+              "residual_shapes": np.zeros((2, len(s.points), 3))}  # fmt: skip
     found = {
         "TetMesh": (lib, {"nodes": s.nodes, "tets": s.tets}),
         "Embedding": (lib, {"nodes": s.embedding.nodes, "weights": s.embedding.weights}),
@@ -156,6 +163,9 @@ def calls() -> dict[str, tuple[object, dict]]:
         "ReducedTables": (lib, {"law": s.law, **{name: getattr(s.with_responses, name) for name in (
             "basis", "lame_lambda", "lame_mu", "responses", "response_lambda", "response_mu", "reach")}}),
         "ReducedModel": (lib, {"body": s.body, "targets": s.targets, "tables": s.tables, "blending": s.blending}),
+        "FullSkin": (lib, {"model": s.full, **points}),
+        "ReducedSkin": (lib, {"model": s.reduced, **points}),
+        "Grabs": (lib, {"points": np.array([0, 3]), "goals": np.zeros((1, 2, 3)), "stiffness": np.ones(2)}),
         "FullSimulation": (lib, {"model": s.full, **options, "keep_going": lambda: True}),
         "ReducedSimulation": (lib, {"model": s.reduced, **options, "keep_going": lambda: True}),
         "closed_surface": (lib, skin),
@@ -183,11 +193,19 @@ def calls() -> dict[str, tuple[object, dict]]:
             f"{kind}.linearize": (model, {"weights": s.weights, "q": zero}),
             f"{kind}.target": (model, {"target": 1}),
         }
+    for kind, skin, zero in (("FullSkin", s.full_skin, q), ("ReducedSkin", s.reduced_skin, r)):
+        found |= {
+            f"{kind}.displacement": (skin, {"weights": s.weights, "q": zero}),
+            f"{kind}.positions": (skin, {"bones": s.bones, "weights": s.weights, "q": zero}),
+            f"{kind}.pull_back": (skin, {"bones": s.bones, "forces": np.ones((len(s.embedding.nodes), 3))}),
+        }
     for kind, zero in (("FullSimulation", q), ("ReducedSimulation", r)):
         new = lambda kind=kind: started(kind)  # noqa: E731
         push = {"external": np.zeros((s.n, 3))}
+        skin = s.full_skin if kind == "FullSimulation" else s.reduced_skin
         found |= {
-            f"{kind}.advance": (new, {"bones": s.next[None], "weights": s.weights[None], **push}),
+            f"{kind}.advance": (new, {"bones": s.next[None], "weights": s.weights[None], **push, "grabs": s.grabs}),
+            f"{kind}.set_skin": (new, {"skin": skin}),
             f"{kind}.balance_targets": (new, {"bones": np.repeat(s.bones[None], 2, 0)}),
             f"{kind}.solve_static": (new, {"bones": s.bones, "weights": s.weights, **push, "guess": zero}),
             f"{kind}.start": (new, {"now": s.bones, "next": s.next, "weights": s.weights}),

@@ -482,7 +482,7 @@ def test_a_force_that_is_not_a_number_is_an_error():
     model, shapes, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, True)
     simulation = simulation_of(model)
     simulation.start(TWO_BONES, TWO_BONES, np.eye(3)[0])
-    with pytest.raises(ValueError, match="forces must be finite"):
+    with pytest.raises(ValueError, match="external: must be finite"):
         simulation.advance(TWO_BONES[None], np.eye(3)[:1], np.full_like(shapes[0], np.nan))
 
 

@@ -8,7 +8,7 @@ import numpy.typing
 import scipy.sparse
 import typing
 import typing_extensions
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Law', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'ResponseBasis', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'FullSkin', 'Grabs', 'Law', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -310,6 +310,26 @@ class FullModel:
         """
         Number of coordinates.
         """
+class FullSkin:
+    """
+    P points that move with a model: x = A (X + E u(q) + R w) + a. Simulations may share it.
+    """
+    def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> None:
+        """
+        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale, of which those below 1 % do not count. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None.
+        """
+    def displacement(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+        """
+        E u(q) + R w (P, 3), meters, bind space, at target weights (J) and coordinates q.
+        """
+    def positions(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+        """
+        x (P, 3), meters, world space, at the bones' transforms (B, 3, 4).
+        """
+    def pull_back(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], forces: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        Forces on the coordinates (dofs) that do the work of forces on the points (P, 3), newtons, world space.
+        """
 class Basis:
     @property
     def U(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
@@ -416,6 +436,26 @@ class ReducedModel:
         """
         Number of coordinates.
         """
+class ReducedSkin:
+    """
+    P points that move with a model: x = A (X + E u(q) + R w) + a. Simulations may share it.
+    """
+    def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> None:
+        """
+        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale, of which those below 1 % do not count. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None.
+        """
+    def displacement(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+        """
+        E u(q) + R w (P, 3), meters, bind space, at target weights (J) and coordinates q.
+        """
+    def positions(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+        """
+        x (P, 3), meters, world space, at the bones' transforms (B, 3, 4).
+        """
+    def pull_back(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], forces: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        Forces on the coordinates (dofs) that do the work of forces on the points (P, 3), newtons, world space.
+        """
 class Scheme:
     """
     Members:
@@ -461,6 +501,14 @@ class Scheme:
     @property
     def value(self) -> int:
         ...
+class Grabs:
+    """
+    Springs that pull points of the skin to places in the world.
+    """
+    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], goals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> None:
+        """
+        points (K): of the simulation's skin. goals (S, K, 3): meters, world space, at the end of each step. stiffness (K): N/m.
+        """
 class FullSimulation:
     """
     Steps a model through time, in world space and SI units.
@@ -469,13 +517,17 @@ class FullSimulation:
         """
         h: seconds per step. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, meters, above which the past is carried along (0: never). keep_going() -> bool is called before every Newton iteration; returning False raises Cancelled.
         """
-    def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> dict:
+    def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None) -> dict:
         """
-        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external (n, 3): newtons on the nodes, world space, constant over the call. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds.
         """
     def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
         Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, so that targets do not sag.
+        """
+    def set_skin(self, skin: FullSkin) -> None:
+        """
+        The skin whose points `advance` grabs; None for none.
         """
     def solve_static(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, guess: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], dict]:
         """
@@ -519,13 +571,17 @@ class ReducedSimulation:
         """
         h: seconds per step. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, meters, above which the past is carried along (0: never). keep_going() -> bool is called before every Newton iteration; returning False raises Cancelled.
         """
-    def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> dict:
+    def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None) -> dict:
         """
-        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external (n, 3): newtons on the nodes, world space, constant over the call. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds.
         """
     def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
         Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, so that targets do not sag.
+        """
+    def set_skin(self, skin: ReducedSkin) -> None:
+        """
+        The skin whose points `advance` grabs; None for none.
         """
     def solve_static(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, guess: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], dict]:
         """

@@ -5,6 +5,41 @@
 
 namespace dynamorph::DYNAMORPH_ISA {
 
+namespace {
+
+/// Adds to the rows from i on of `width` columns of A, of which j is the first; `width` is at most four. Sums over the
+/// rows of J stay in registers.
+template <int kVectors>
+DYNAMORPH_INLINE void add_block(const double* J, const double* d, Index k, Index n, Index i, Index j, Index width,
+                                double* A) {
+  Double4 sums[4][kVectors] = {};
+  for (Index row = 0; row < k; ++row, J += n)
+    for (Index c = 0; c < width; ++c) {
+      const double factor = d[row] * J[j + c];
+      for (int v = 0; v < kVectors; ++v) sums[c][v] = mul_add(sums[c][v], factor, load(J + i + 4 * v));
+    }
+  for (Index c = 0; c < width; ++c)
+    for (int v = 0; v < kVectors; ++v) {
+      double* to = A + (j + c) * n + i + 4 * v;
+      store(load(to) + sums[c][v], to);
+    }
+}
+
+}  // namespace
+
+void add_squares(const double* __restrict J, const double* __restrict d, Index k, Index n, double* __restrict A) {
+  for (Index j = 0; j < n; j += 4) {
+    const Index width = n - j < 4 ? n - j : 4;
+    Index i = j;
+    for (; width == 4 && i + 8 <= n; i += 8) add_block<2>(J, d, k, n, i, j, 4, A);
+    for (; i + 4 <= n; i += 4) add_block<1>(J, d, k, n, i, j, width, A);
+    for (; i < n; ++i)
+      for (Index c = 0; c < width; ++c)
+        for (Index row = 0; row < k; ++row)
+          A[(j + c) * n + i] = mul_add(A[(j + c) * n + i], d[row] * J[row * n + j + c], J[row * n + i]);
+  }
+}
+
 /// Subtracts from each column what the earlier columns contribute. Rows are processed in whole vectors, starting with
 /// the vector that holds the diagonal.
 bool decompose_dense(double* __restrict V, Index n, double* __restrict inverse) {

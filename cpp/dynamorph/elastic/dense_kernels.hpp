@@ -14,6 +14,9 @@ DYNAMORPH_INLINE Index whole_vectors(Index size) { return (size + 3) / 4 * 4; }
 /// matrix is not positive definite.
 DYNAMORPH_KERNEL(bool, decompose_dense, double* V, Index n, double* inverse);
 
+/// Adds J^T diag(d) J to the lower triangle of A (n, n), column-major, with J (k, n) row-major and d (k).
+DYNAMORPH_KERNEL(void, add_squares, const double* J, const double* d, Index k, Index n, double* A);
+
 /// Solves L y = x, then L^T x = D^-1 y. x is padded to whole vectors.
 DYNAMORPH_KERNEL(void, substitute_dense, const double* V, const double* inverse, Index n, double* x);
 

@@ -16,16 +16,20 @@ constexpr int kMostIterations = 100;  // with H's own factor, rounded; after tha
 
 }  // namespace
 
-bool SparseSolver::solve(const SparseMatrix& H, const VectorXd& b, VectorXd& x) {
-  if (fit_ && iterate(H, b, x, factoring_)) return true;
-  fit_ = factor_.factorize(H);
+bool SparseSolver::solve(const SparseMatrix& H, const std::vector<const SparsePoints*>& points, const VectorXd& b,
+                         VectorXd& x) {
+  if (fit_ && iterate(H, points, b, x, factoring_)) return true;
+  if (!points.empty()) majorized_ = H;
+  for (const SparsePoints* each : points) add_majorant(*each, majorized_);
+  fit_ = factor_.factorize(points.empty() ? H : majorized_);
   if (!fit_) return false;
   solves_ = iterations_ = 0;
   factoring_ = int(factor_.factorization_work() / (kWait * (2 * double(factor_.size()) + double(H.nonZeros()))));
-  return iterate(H, b, x, kMostIterations) || b.dot(x) > 0;
+  return iterate(H, points, b, x, kMostIterations) || b.dot(x) > 0;
 }
 
-bool SparseSolver::iterate(const SparseMatrix& H, const VectorXd& b, VectorXd& x, int most) {
+bool SparseSolver::iterate(const SparseMatrix& H, const std::vector<const SparsePoints*>& points, const VectorXd& b,
+                           VectorXd& x, int most) {
   x.setZero(b.size());
   const double size = b.norm();
   if (size == 0) return true;
@@ -40,6 +44,7 @@ bool SparseSolver::iterate(const SparseMatrix& H, const VectorXd& b, VectorXd& x
     else
       d_ = preconditioned_ + product / before * d_;
     multiply_symmetric(H, d_, Hd_);
+    for (const SparsePoints* each : points) add_stiffness_product(*each, d_, Hd_);
     const double curvature = d_.dot(Hd_);
     if (!(curvature > 0)) return false;
     x += size * product / curvature * d_;

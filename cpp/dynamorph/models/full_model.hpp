@@ -7,6 +7,7 @@
 //   energy, linearize            E, F = dE/dq and K = dF/dq at coordinates q
 //   inertia(inertial, ...)       A^T M A, and the force that the moving rig exerts
 //   displacement, project_force  q -> u and its transpose
+//   SkinPoints, skin_points      the same at points of the skin (skin.hpp)
 #pragma once
 
 #include <cmath>
@@ -16,6 +17,7 @@
 #include "dynamorph/core/types.hpp"
 #include "dynamorph/elastic/assembly.hpp"
 #include "dynamorph/models/morph_target.hpp"
+#include "dynamorph/models/skin.hpp"
 #include "dynamorph/models/soft_body.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
 
@@ -24,6 +26,7 @@ namespace dynamorph {
 class FullModel {
  public:
   using Matrix = SparseMatrix;
+  using SkinPoints = NodalPoints;
 
   struct Blend {
     const FullModel* of = nullptr;  ///< the model that made it
@@ -66,6 +69,7 @@ class FullModel {
   void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
   void displacement(const VectorXd& q, VectorXd& u) const { u = q; }
   void project_force(const VectorXd& f, VectorXd& out) const { out = f; }
+  SkinPoints skin_points(const Embedding& embedding) const { return {*body_, embedding}; }
   VectorXd target(int j) const { return rest_displacements_[j]; }
 
   /// K_j at u = d_j over the free degrees of freedom.

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Pose space: how much each dynamic morph target counts at a pose.
 //
-// Each target set uses cardinal radial basis functions of the joint rotations q of the set's bones, with a linear kernel
-// and a constant term:
+// Each target set uses cardinal radial basis functions of the joint rotations q of the set's bones, with a linear
+// kernel and a constant term:
 //
 //   w(q) = sum_k |q - q_k| c_k + c_0,   w_j(q_k) = delta_jk,   sum_j w_j = 1.
 //

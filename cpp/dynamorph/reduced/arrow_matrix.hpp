@@ -3,6 +3,8 @@
 // of which acts on itself and on the modes alone.
 #pragma once
 
+#include <vector>
+
 #include "dynamorph/core/types.hpp"
 #include "dynamorph/elastic/dense_factor.hpp"
 
@@ -32,6 +34,7 @@ class ArrowMatrix {
   void add_to_diagonal(double factor, const VectorXd& values);
   void multiply(const VectorXd& x, VectorXd& y) const;
   MatrixXd dense() const;
+  void dense(MatrixXd& out) const;
 
   friend Eigen::Map<VectorXd> values(ArrowMatrix& m) { return {m.entries_.data(), m.entries_.size()}; }
   friend Eigen::Map<const VectorXd> values(const ArrowMatrix& m) { return {m.entries_.data(), m.entries_.size()}; }
@@ -51,6 +54,32 @@ class ArrowFactor {
   const ArrowMatrix* H_ = nullptr;
   VectorXd inverse_, corner_, rest_, solved_;  ///< 1 / d, and scratch
   MatrixXd scaled_, schur_;                    ///< diag(d)^-1/2 B
+  DenseFactor factor_;
+};
+
+/// Stiffness at points beside an arrow matrix: J^T diag(d) J with d >= 0.
+struct DensePoints {
+  RowMajor rows;       ///< J (k, rows of the matrix)
+  VectorXd stiffness;  ///< d (k)
+};
+
+/// Solves (H + the points' J^T diag(d) J) x = b: with few rows of J by H's own factor (Woodbury), with many by that of
+/// the whole dense matrix, whichever takes less arithmetic. Allocates only when the sizes grow.
+class ArrowSolver {
+ public:
+  /// Returns false when the sum is not positive definite.
+  bool solve(const ArrowMatrix& H, const std::vector<const DensePoints*>& points, const VectorXd& b, VectorXd& x);
+
+ private:
+  void gather(const std::vector<const DensePoints*>& points, Eigen::Index size);
+  bool solve_by_rows(const ArrowMatrix& H, const VectorXd& b, VectorXd& x);
+  bool solve_dense(const ArrowMatrix& H, const VectorXd& b, VectorXd& x);
+
+  ArrowFactor arrow_;
+  RowMajor rows_;  ///< those with a stiffness
+  VectorXd stiffness_;
+  MatrixXd answers_, small_, dense_;  ///< H^-1 J^T, d^-1 + J H^-1 J^T, H + J^T d J
+  VectorXd one_, right_, forces_;
   DenseFactor factor_;
 };
 

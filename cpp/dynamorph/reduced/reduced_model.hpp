@@ -6,6 +6,7 @@
 #include <variant>
 
 #include "dynamorph/models/morph_target.hpp"
+#include "dynamorph/models/skin.hpp"
 #include "dynamorph/models/soft_body.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/reduced/arrow_matrix.hpp"
@@ -26,6 +27,7 @@ double linearize(const VectorXd& table, const TableLayout& layout, const VectorX
 class ReducedModel {
  public:
   using Matrix = ArrowMatrix;
+  using SkinPoints = ModalPoints;
   struct Inertia {
     Matrix mass;     ///< (U, W)^T A^T M A (U, W)
     Matrix damped;   ///< the same with M times mass damping
@@ -81,6 +83,7 @@ class ReducedModel {
   void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
   void displacement(const VectorXd& z, VectorXd& u) const;
   void project_force(const VectorXd& f, VectorXd& out) const;
+  SkinPoints skin_points(const Embedding& embedding) const { return {*body_, embedding, basis_}; }
   VectorXd target(int j) const;
   Matrix zero() const { return Matrix(layout_.r, responses_.count()); }
 

@@ -1,8 +1,15 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The Hessian of a step's potential, with the matrix of a model, and what Newton's method does with it.
+// The Hessian of a step's potential, and what Newton's method does with it. It is the model's own matrix, to which most
+// terms add, and stiffness at points of the skin, from terms that act there:
+//
+//   H = base + sum of J^T diag(d) J,  d >= 0
+//
+// Few rows J in a full or an arrow matrix would fill all of it, so they are kept apart (sparse_solver.hpp,
+// arrow_matrix.hpp).
 #pragma once
 
 #include <type_traits>
+#include <vector>
 
 #include "dynamorph/core/types.hpp"
 #include "dynamorph/elastic/sparse_solver.hpp"
@@ -10,11 +17,21 @@
 
 namespace dynamorph {
 
+/// Rows J and their stiffness d, beside such a matrix.
+template <class Matrix>
+using PointStiffness = std::conditional_t<std::is_same_v<Matrix, SparseMatrix>, SparsePoints, DensePoints>;
+
 /// Matrix: SparseMatrix or ArrowMatrix, of the size and pattern of the model's.
 template <class Matrix>
 struct Hessian {
   Matrix base;
+  std::vector<const PointStiffness<Matrix>*> points;
 };
+
+inline void multiply(const RowMajor& J, const VectorXd& x, VectorXd& out) { out.noalias() = J * x; }
+inline void add_transposed_product(const RowMajor& J, const VectorXd& f, VectorXd& y) {
+  y.noalias() += J.transpose() * f;
+}
 
 inline void multiply(const SparseMatrix& A, const VectorXd& x, VectorXd& y) { y.noalias() = A * x; }
 inline void multiply(const ArrowMatrix& A, const VectorXd& x, VectorXd& y) { A.multiply(x, y); }
@@ -40,24 +57,15 @@ template <class Matrix>
 class HessianSolver {
  public:
   /// Returns false when H is not positive definite.
-  bool solve(const Hessian<Matrix>& H, const VectorXd& b, VectorXd& x) {
-    if constexpr (kSparse) {
-      return factor_.solve(H.base, b, x);
-    } else {
-      if (!factor_.compute(H.base)) return false;
-      factor_.solve(b, x);
-      return true;
-    }
-  }
+  bool solve(const Hessian<Matrix>& H, const VectorXd& b, VectorXd& x) { return solver_.solve(H.base, H.points, b, x); }
 
   /// Makes the next result independent of earlier ones.
   void forget() {
-    if constexpr (kSparse) factor_.forget();
+    if constexpr (std::is_same_v<Matrix, SparseMatrix>) solver_.forget();
   }
 
  private:
-  static constexpr bool kSparse = std::is_same_v<Matrix, SparseMatrix>;
-  std::conditional_t<kSparse, SparseSolver, ArrowFactor> factor_;
+  std::conditional_t<std::is_same_v<Matrix, SparseMatrix>, SparseSolver, ArrowSolver> solver_;
 };
 
 }  // namespace dynamorph

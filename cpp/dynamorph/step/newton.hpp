@@ -6,7 +6,8 @@
 //   at(q)        moves it to q, for which all that follows holds
 //   value()      E, J
 //   gradient()   dE/dq
-//   hessian()    d2E/dq2, a matrix of the model
+//   hessian()    d2E/dq2, a matrix of the model; of a term that acts at points of the skin, its rows and their
+//                stiffness (PointStiffness)
 //   round_off()  how exact these are, see RoundOff; asked after gradient()
 //
 // Each computes only what it is asked for, and at most once: the line search asks for values alone, and the Hessian is
@@ -39,7 +40,8 @@ struct Linearization {
   RoundOff round_off;
 };
 
-/// The sum of some terms, which must outlive it, over the coordinates of a model with such matrices.
+/// The sum of some terms, which must outlive it, over the coordinates of a model with such matrices. The first
+/// term must not act at points alone.
 template <class Matrix, class... Terms>
 class Potential {
  public:
@@ -71,10 +73,27 @@ class Potential {
 
   /// The Hessian where it was linearized last.
   void hessian(Hessian<Matrix>& out) {
-    std::apply([&](Terms&... terms) { values(out.base) = (... + values(terms.hessian())); }, terms_);
+    out.points.clear();
+    std::apply([&](auto& first, auto&... others) { collect(out, values(first.hessian()), others...); }, terms_);
   }
 
  private:
+  /// Writes the sum of the terms' matrices, after those that are in `sum`, and what acts at points.
+  template <class Sum>
+  static void collect(Hessian<Matrix>& out, const Sum& sum) {
+    values(out.base) = sum;
+  }
+  template <class Sum, class Term, class... Others>
+  static void collect(Hessian<Matrix>& out, const Sum& sum, Term& term, Others&... others) {
+    const auto& hessian = term.hessian();
+    if constexpr (std::is_same_v<decltype(hessian), const PointStiffness<Matrix>&>) {
+      if (hessian.stiffness.size() > 0) out.points.push_back(&hessian);
+      collect(out, sum, others...);
+    } else {
+      collect(out, sum + values(hessian), others...);
+    }
+  }
+
   std::tuple<Terms&...> terms_;
 };
 

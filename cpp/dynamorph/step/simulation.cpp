@@ -56,19 +56,19 @@ void Simulation<Model>::pose(const Transforms& bones, const VectorXd& weights) {
 }
 
 template <class Model>
-void Simulation<Model>::load(const InertialTarget& inertial, double square, const VectorXd& external) {
+void Simulation<Model>::load(const InertialTarget& inertial, double square, const VectorXd* external) {
   model_->inertia(inertial, blend_.mass, inertia_);
   quadratic_.g = inertia_.force / square;
   if (rest_gravity_.size() > 0) quadratic_.g.noalias() += rest_gravity_ * blend_.weights;
-  if (external.size() == 0) return;
+  if (!external) return;
   const Eigen::Index size = model_->body().rest.size();
-  if (external.size() != size)
+  if (external->size() != size)
     throw std::invalid_argument("external: expected " + std::to_string(size) + " values, got " +
-                                std::to_string(external.size()));
-  if (!external.allFinite()) throw std::invalid_argument("external: forces must be finite");
+                                std::to_string(external->size()));
+  if (!external->allFinite()) throw std::invalid_argument("external: forces must be finite");
   frame_.bones = *inertial.bones[0];
   pose_nodes(model_->body().skin, frame_);
-  nodal_ = external;
+  nodal_ = *external;
   pull_back(frame_, nodal_);
   model_->project_force(nodal_, projected_);
   quadratic_.g -= projected_;
@@ -88,7 +88,7 @@ void Simulation<Model>::balance_targets(const std::vector<Transforms>& bones) {
       // The target alone, without targets of other sets: f_g^(j) = rho_j (A^(j))^T M1 g.
       const VectorXd alone = VectorXd::Unit(targets.size(), j);
       pose(bones[j], alone);
-      load(at_rest(rest, bones[j], options_.gravity), 1, VectorXd());
+      load(at_rest(rest, bones[j], options_.gravity), 1, nullptr);
       loads.col(j) = -quadratic_.g;
     }
   } catch (...) {
@@ -99,10 +99,16 @@ void Simulation<Model>::balance_targets(const std::vector<Transforms>& bones) {
 }
 
 template <class Model>
-StepReport Simulation<Model>::solve_static(const Transforms& bones, const VectorXd& weights, VectorXd& q,
-                                           const VectorXd& external) {
+void Simulation<Model>::set_skin(std::shared_ptr<const SkinMap<Model>> skin) {
+  if (skin && &skin->model() != model_.get()) throw std::invalid_argument("skin: it belongs to another model");
+  skin_ = std::move(skin);
+}
+
+template <class Model>
+StepReport Simulation<Model>::solve_static(const StepInput& input, VectorXd& q) {
+  const VectorXd& weights = input.weights;
   check_weights(model_->targets(), model_->body().sets(), weights);
-  pose(bones, weights);
+  pose(input.bones, weights);
   if (q.size() != model_->dofs()) {
     // The blended targets are close to the answer, and often they are the answer.
     q.setZero(model_->dofs());
@@ -110,7 +116,8 @@ StepReport Simulation<Model>::solve_static(const Transforms& bones, const Vector
       if (weights(j) != 0) q += weights(j) * model_->target(int(j));
   }
   if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
-  load(at_rest(q, bones, options_.gravity), 1, external);
+  load(at_rest(q, input.bones, options_.gravity), 1, input.external);
+  grabs_.begin(skin_.get(), input);
   forget();
   values(quadratic_.H).setZero();
   quadratic_.origin = VectorXd::Zero(model_->dofs());
@@ -124,7 +131,7 @@ StepReport Simulation<Model>::start(const Transforms& now, const Transforms& nex
     throw std::invalid_argument("next: expected " + std::to_string(now.rows()) + " finite transforms, got " +
                                 std::to_string(next.rows()));
   VectorXd q;
-  const StepReport report = solve_static(now, weights, q);
+  const StepReport report = solve_static({now, weights}, q);
   weights_ = weights;
   for (int k = 0; k < InertialTarget::kMoments; ++k) {
     state_.q[k] = q;
@@ -153,16 +160,16 @@ double Simulation<Model>::farthest(const Transforms& bones) const {
 }
 
 template <class Model>
-StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weights, const VectorXd& external) {
+StepReport Simulation<Model>::step(const StepInput& input) {
   if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
-  check_weights(model_->targets(), model_->body().sets(), weights);
-  pose(bones, weights);
-  const bool teleported = jumps(model_->body(), options_.teleport, bones, state_.bones);
-  if (!teleported) return advance(bones, weights, external);
+  check_weights(model_->targets(), model_->body().sets(), input.weights);
+  pose(input.bones, input.weights);
+  const bool teleported = jumps(model_->body(), options_.teleport, input.bones, state_.bones);
+  if (!teleported) return advance(input);
   before_ = state_.bones;
-  carry_past(model_->body(), bones, state_.bones);
+  carry_past(model_->body(), input.bones, state_.bones);
   try {
-    StepReport report = advance(bones, weights, external);
+    StepReport report = advance(input);
     report.teleported = true;
     return report;
   } catch (...) {
@@ -172,7 +179,8 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
 }
 
 template <class Model>
-StepReport Simulation<Model>::advance(const Transforms& bones, const VectorXd& weights, const VectorXd& external) {
+StepReport Simulation<Model>::advance(const StepInput& input) {
+  const Transforms& bones = input.bones;
   const StepRule rule(options_);
   const double h = options_.h;
   next_ = 2 * state_.q[0] - state_.q[1];
@@ -184,7 +192,8 @@ StepReport Simulation<Model>::advance(const Transforms& bones, const VectorXd& w
   }
   inertial.coefficients = rule.coefficients();
   inertial.gravity_offset = rule.square * options_.gravity;
-  load(inertial, rule.square, external);
+  load(inertial, rule.square, input.external);
+  grabs_.begin(skin_.get(), input);
 
   // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h and a constant, symmetric, positive C.
   values(damped_) = values(inertia_.damped) + values(blend_.damping);
@@ -203,7 +212,7 @@ StepReport Simulation<Model>::advance(const Transforms& bones, const VectorXd& w
   std::rotate(state_.bones.rbegin(), state_.bones.rbegin() + 1, state_.bones.rend());
   state_.q[0] = next_;
   state_.bones[0] = bones;
-  weights_ = weights;
+  weights_ = input.weights;
   return report;
 }
 
@@ -220,7 +229,7 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   elastic_.reference = quadratic_.origin.norm();
   // Single precision loses 1e-7 of a change, which must stay well below the tolerance.
   if constexpr (std::is_same_v<Model, ReducedModel>) blend_.near = std::min(0.03, 1e5 * options_.tolerance);
-  Potential<Matrix, decltype(quadratic_), decltype(elastic_)> potential(quadratic_, elastic_);
+  Potential<Matrix, decltype(quadratic_), decltype(elastic_), decltype(grabs_)> potential(quadratic_, elastic_, grabs_);
   const auto ask = [&] {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();
   };

@@ -56,13 +56,15 @@ class Simulation {
   /// static solution, and the past continues the rig's motion backward.
   StepReport start(const Transforms& now, const Transforms& next, const VectorXd& weights);
 
-  /// Takes one step to the bones and target weights at its end. `external` (3 free): newtons, world space, or empty.
-  StepReport step(const Transforms& bones, const VectorXd& weights, const VectorXd& external = VectorXd());
+  /// Takes one step to where the bones and weights are at its end.
+  StepReport step(const StepInput& input);
 
-  /// Finds the static solution at fixed bones, starting from the coordinates q, or from the blended targets when q is
-  /// empty. Does not change the state.
-  StepReport solve_static(const Transforms& bones, const VectorXd& weights, VectorXd& q,
-                          const VectorXd& external = VectorXd());
+  /// Finds the static solution, starting from the coordinates q, or from the blended targets when q is empty. Does not
+  /// change the state.
+  StepReport solve_static(const StepInput& input, VectorXd& q);
+
+  /// The skin whose points can be grabbed; null for none. Its model must be this one.
+  void set_skin(std::shared_ptr<const SkinMap<Model>> skin);
 
   /// Drops the factors of earlier steps, which save time: the steps that follow depend on the state alone, to the last
   /// bit. Call it where the state is copied, and after it is set.
@@ -86,10 +88,10 @@ class Simulation {
 
   void pose(const Transforms& bones, const VectorXd& weights);
   /// Takes a step that is posed and checked, and in which the rig does not jump.
-  StepReport advance(const Transforms& bones, const VectorXd& weights, const VectorXd& external);
+  StepReport advance(const StepInput& input);
   /// Sets g of the quadratic term to the forces at its origin: inertia's towards `inertial` divided by `square` s^2,
-  /// the external forces, and gravity in the targets' own poses.
-  void load(const InertialTarget& inertial, double square, const VectorXd& external);
+  /// external forces on the nodes if there are any, and gravity in the targets' own poses.
+  void load(const InertialTarget& inertial, double square, const VectorXd* external);
   /// Moves q to the minimum of the sum of the terms.
   StepReport minimize(VectorXd& q, int max_iterations);
   void require_pose() const;
@@ -106,6 +108,8 @@ class Simulation {
   VectorXd next_, velocity_, resistance_;  ///< coordinates of the step, bind-pose velocity, and damping at it
   QuadraticTerm<Matrix> quadratic_;
   ElasticTerm<Model> elastic_;
+  GrabTerm<Model> grabs_;
+  std::shared_ptr<const SkinMap<Model>> skin_;
   NewtonScratch<Matrix> newton_;
   MatrixXd rest_gravity_;  ///< gravity in each target's own pose (dofs, J), or empty
   SkinFrame frame_;        ///< of the nodes, where external forces act

@@ -3,8 +3,12 @@
 // terms in Simulation.
 #pragma once
 
+#include <cmath>
+
 #include "dynamorph/core/types.hpp"
+#include "dynamorph/models/skin.hpp"
 #include "dynamorph/step/newton.hpp"
+#include "dynamorph/step/step_input.hpp"
 
 namespace dynamorph {
 
@@ -77,6 +81,64 @@ struct ElasticTerm {
   double energy_ = 0;
   VectorXd force_;
   Matrix stiffness_;
+};
+
+/// sum_k s_k / 2 |x_k(q) - goal_k|^2 over grabbed points of the skin. With the bones at the end of the step, x is
+/// linear in q, so that the rows are made once a step.
+template <class Model>
+struct GrabTerm {
+  using Points = PointStiffness<typename Model::Matrix>;
+
+  /// skin: of the grabbed points; null for none. Throws std::invalid_argument for a grab that it does not have.
+  void begin(const SkinMap<Model>* skin, const StepInput& input) {
+    const size_t count = input.grabs ? input.grabs->size() : 0;
+    points_.stiffness.resize(3 * Eigen::Index(count));
+    if (count == 0) return;
+    if (!skin) throw std::invalid_argument("grabs: the simulation has no skin to grab");
+    from_goal_.resize(points_.stiffness.size());
+    numbers_.clear();
+    magnitude_ = 0;
+    for (size_t k = 0; k < count; ++k) {
+      const Grab& grab = (*input.grabs)[k];
+      if (grab.point < 0 || grab.point >= skin->size())
+        throw std::invalid_argument("grabs: expected points from 0 to " + std::to_string(skin->size() - 1) + ", got " +
+                                    std::to_string(grab.point));
+      if (!(grab.stiffness >= 0) || !std::isfinite(grab.stiffness) || !grab.goal.allFinite())
+        throw std::invalid_argument("grabs: goals must be finite, and stiffness finite and not negative");
+      const Vector3d unmoved = skin->unmoved(input.bones, input.weights, grab.point);
+      from_goal_.segment<3>(3 * Eigen::Index(k)) = unmoved - grab.goal;
+      points_.stiffness.template segment<3>(3 * Eigen::Index(k)).setConstant(grab.stiffness);
+      magnitude_ += grab.stiffness * (unmoved.norm() + grab.goal.norm());
+      for (int axis = 0; axis < 3; ++axis) {
+        numbers_.add_row();
+        numbers_.add(grab.point, Vector3d::Unit(axis));
+      }
+    }
+    skin->rows(input.bones, numbers_, scratch_, points_.rows);
+  }
+
+  void at(const VectorXd& q) {
+    gradient_.setZero(q.size());
+    length_ = q.norm();
+    if (points_.stiffness.size() == 0) return;
+    multiply(points_.rows, q, offset_);
+    offset_ += from_goal_;
+    force_ = points_.stiffness.cwiseProduct(offset_);
+    add_transposed_product(points_.rows, force_, gradient_);
+  }
+  double value() const { return points_.stiffness.size() == 0 ? 0 : 0.5 * offset_.dot(force_); }
+  const VectorXd& gradient() const { return gradient_; }
+  const Points& hessian() const { return points_; }
+  RoundOff round_off() const {
+    if (points_.stiffness.size() == 0) return {};
+    return {gradient_.norm(), 1e-15 * magnitude_, length_};
+  }
+
+ private:
+  Points points_;
+  PointRows numbers_, scratch_;
+  VectorXd from_goal_, offset_, force_, gradient_;  ///< from the goals at q = 0 and at q, meters; stiffness times that
+  double magnitude_ = 0, length_ = 0;               ///< of the forces that cancel in `force_`
 };
 
 }  // namespace dynamorph

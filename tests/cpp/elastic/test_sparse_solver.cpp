@@ -93,10 +93,70 @@ TEST_CASE("sparse solver: the same accuracy with a fresh factor and with a stale
     for (Eigen::Index i = 0; i < H.rows() / 2; ++i) H.coeffRef(i, i) *= 1 + 0.02 * k;
     const VectorXd b = VectorXd::LinSpaced(A.rows(), -1, 2 + k);
     VectorXd x;
-    REQUIRE(solver.solve(H, b, x));
+    REQUIRE(solver.solve(H, {}, b, x));
     CHECK((H * x - b).norm() < 1e-3 * b.norm());
   }
   VectorXd x;
-  CHECK(!solver.solve(-A, VectorXd::Ones(A.rows()), x));
-  CHECK(solver.solve(A, VectorXd::Ones(A.rows()), x));
+  CHECK(!solver.solve(-A, {}, VectorXd::Ones(A.rows()), x));
+  CHECK(solver.solve(A, {}, VectorXd::Ones(A.rows()), x));
+}
+
+namespace {
+
+/// Rows over random nodes of random tets of the bar of jittered_stiffness, `parts` each, and their stiffness.
+SparsePoints random_points(const TetMesh& mesh, const std::vector<int>& free_of_node, Eigen::Index dofs, int rows,
+                           int parts, double stiffness) {
+  std::mt19937 generator(5);
+  std::uniform_real_distribution<double> uniform(-1, 1);
+  std::vector<Eigen::Triplet<double>> entries;
+  SparsePoints out;
+  for (int row = 0, part = 0; row < rows; ++row) {
+    for (int m = 0; m < parts; ++m, ++part) {
+      const Eigen::Index tet = Eigen::Index(generator() % unsigned(mesh.tets.rows()));
+      for (int a = 0; a < 4; ++a)
+        for (int c = 0; c < 3; ++c)
+          if (const int free = free_of_node[std::size_t(mesh.tets(tet, a))]; free >= 0)
+            entries.emplace_back(part, 3 * free + c, uniform(generator));
+    }
+    out.rows.ends.push_back(part);
+  }
+  out.rows.parts.resize(rows * parts, dofs);
+  out.rows.parts.setFromTriplets(entries.begin(), entries.end());
+  out.stiffness = VectorXd::LinSpaced(rows, stiffness, 3 * stiffness);
+  return out;
+}
+
+MatrixXd dense(const SparsePoints& points) {
+  MatrixXd J(points.rows.rows(), points.rows.parts.cols());
+  for (Eigen::Index row = 0; row < J.rows(); ++row)
+    for (Eigen::Index i = 0; i < J.cols(); ++i) J(row, i) = points.rows.dot(row, VectorXd::Unit(J.cols(), i));
+  return J.transpose() * points.stiffness.asDiagonal() * J;
+}
+
+}  // namespace
+
+TEST_CASE("sparse solver: stiffness at points is exact, on the mesh's pattern and beyond it") {
+  const SparseMatrix A = jittered_stiffness(7, 2, true, 13);
+  const TetMesh mesh = scenes::bar(7, 2, 2, 0.05);
+  std::vector<int> free_of_node(std::size_t(mesh.nodes.rows()));
+  for (int i = 0; i < int(free_of_node.size()); ++i) free_of_node[std::size_t(i)] = i - 9;  // the first nine are pinned
+  for (int& free : free_of_node) free = std::max(free, -1);
+  const VectorXd b = VectorXd::LinSpaced(A.rows(), -1, 2);
+  for (int parts : {1, 5})
+    for (double stiffness : {1.0, 1e4}) {  // beside a mesh of some 1e3
+      const SparsePoints points = random_points(mesh, free_of_node, A.rows(), 12, parts, stiffness);
+      const MatrixXd exact = MatrixXd(A) + dense(points);
+      SparseSolver solver;
+      VectorXd x;
+      REQUIRE(solver.solve(A, {&points}, b, x));
+      CHECK((exact * x - b).norm() < 2e-4 * b.norm());
+
+      SparseMatrix majorized = A;
+      add_majorant(points, majorized);
+      CHECK(majorized.nonZeros() == A.nonZeros());
+      const MatrixXd more = MatrixXd(majorized) - exact;
+      const auto eigen = more.selfadjointView<Eigen::Lower>().eigenvalues();
+      CHECK(eigen.minCoeff() > -1e-10 * eigen.cwiseAbs().maxCoeff() - 1e-9 * stiffness);
+      if (parts == 1) CHECK(more.norm() < 1e-12 * exact.norm());
+    }
 }

@@ -91,7 +91,7 @@ TEST_CASE("a soft skin from a file steps as the one that was stored") {
   const VectorXd w = Vector3d(0.2, 0.5, 0.3);
   for (auto* simulation : {&first, &second}) {
     simulation->start(scenes::bent(0), scenes::bent(0.02), w);
-    for (int i = 1; i < 20; ++i) simulation->step(scenes::bent(0.02 * i), w);
+    for (int i = 1; i < 20; ++i) simulation->step({scenes::bent(0.02 * i), w});
   }
   CHECK((first.coordinates() - second.coordinates()).norm() <= 1e-9 * first.coordinates().norm());
 
@@ -134,7 +134,7 @@ TEST_CASE("responses from a file move as those that were stored, whether their c
     Simulation<ReducedModel> simulation(model, {});
     const VectorXd w = Vector3d(0.2, 0.5, 0.3);
     simulation.start(scenes::bent(0), scenes::bent(0.02), w);
-    for (int i = 1; i < 20; ++i) simulation.step(scenes::bent(0.02 * i), w);
+    for (int i = 1; i < 20; ++i) simulation.step({scenes::bent(0.02 * i), w});
     return simulation.coordinates();
   };
   const VectorXd expected = motion(other.model);

@@ -14,14 +14,14 @@ using namespace dynamorph;
 
 namespace {
 
-struct Skin {
+struct Surfaces {
   Points vertices;
   Triangles triangles;
 };
 
-Skin join(const std::vector<Skin>& skins) {
-  Skin out{Points(0, 3), Triangles(0, 3)};
-  for (const Skin& skin : skins) {
+Surfaces join(const std::vector<Surfaces>& skins) {
+  Surfaces out{Points(0, 3), Triangles(0, 3)};
+  for (const Surfaces& skin : skins) {
     const Eigen::Index v = out.vertices.rows(), t = out.triangles.rows();
     out.vertices.conservativeResize(v + skin.vertices.rows(), 3);
     out.vertices.bottomRows(skin.vertices.rows()) = skin.vertices;
@@ -32,9 +32,9 @@ Skin join(const std::vector<Skin>& skins) {
 }
 
 /// A tube around a line of points, closed at its ends: `around` corners, radius along y and x-z as given.
-Skin tube(const std::vector<Vector3d>& line, double radius, double half_width, int around = 16) {
+Surfaces tube(const std::vector<Vector3d>& line, double radius, double half_width, int around = 16) {
   const int rings = int(line.size()), last = rings * around;
-  Skin skin{Points(last + 2, 3), Triangles(2 * rings * around, 3)};
+  Surfaces skin{Points(last + 2, 3), Triangles(2 * rings * around, 3)};
   int t = 0;
   for (int i = 0; i < rings; ++i) {
     const Vector3d along = line[std::min(i + 1, rings - 1)] - line[std::max(i - 1, 0)];
@@ -62,7 +62,7 @@ Skin tube(const std::vector<Vector3d>& line, double radius, double half_width, i
 constexpr double length = 1, thickness = 0.1;
 
 /// A U of round section in the x-z plane: prongs of 1 m along x, `gap` between them (below zero they overlap).
-Skin fork(double gap) {
+Surfaces fork(double gap) {
   const double bend = (gap + thickness) / 2;
   std::vector<Vector3d> line;
   const int pieces = 40, turns = 8;
@@ -76,7 +76,7 @@ Skin fork(double gap) {
 }
 
 /// A block of cells around a skin, as a coarse cage that fills its gaps.
-TetMesh block(const Skin& skin, double cell) {
+TetMesh block(const Surfaces& skin, double cell) {
   const Vector3d low = skin.vertices.colwise().minCoeff(), high = skin.vertices.colwise().maxCoeff();
   const Eigen::Vector3i cells = ((high - low) / cell).array().ceil().cast<int>().max(1);
   TetMesh mesh = scenes::bar(cells[0], cells[1], cells[2], cell);
@@ -116,7 +116,7 @@ double joined_up_to(const TetMesh& mesh, const Embedding& e) {
 TEST_CASE("the prongs of a fork come apart, whether there is a gap, they touch or overlap") {
   for (double gap : {0.03, 0.0, -0.02}) {
     CAPTURE(gap);
-    const Skin skin = fork(gap);
+    const Surfaces skin = fork(gap);
     const TetMesh mesh = block(skin, 0.06);
     const MeshCut mesh_cut(mesh, skin.vertices, skin.triangles);
     CHECK(count(mesh_cut.glued()) > 30);
@@ -134,7 +134,7 @@ TEST_CASE("the prongs of a fork come apart, whether there is a gap, they touch o
 }
 
 TEST_CASE("what is cut once has nothing left to cut, and cutting is repeatable") {
-  const Skin skin = fork(0.03);
+  const Surfaces skin = fork(0.03);
   const TetMesh mesh = block(skin, 0.06), cut = MeshCut(mesh, skin.vertices, skin.triangles).cut();
   CHECK(count(MeshCut(cut, skin.vertices, skin.triangles).glued()) == 0);
   CHECK(MeshCut(mesh, skin.vertices, skin.triangles).cut().tets == cut.tets);
@@ -143,7 +143,7 @@ TEST_CASE("what is cut once has nothing left to cut, and cutting is repeatable")
 TEST_CASE("a thin slab is not cut, its two sides are one flesh") {
   std::vector<Vector3d> line;
   for (int i = 0; i <= 20; ++i) line.emplace_back(i / 20.0, 0, 0.1 * std::sin(i / 4.0));
-  const Skin slab = tube(line, 0.01, 0.5, 32);
+  const Surfaces slab = tube(line, 0.01, 0.5, 32);
   const TetMesh mesh = block(slab, 0.06);
   const MeshCut mesh_cut(mesh, slab.vertices, slab.triangles);
   CHECK(count(mesh_cut.glued()) == 0);
@@ -159,7 +159,7 @@ TEST_CASE("a sheet folded to a letter C opens along its gap") {
     const double angle = (0.02 + 0.96 * i / 60.0) * 2 * kPi;  // the ends nearly meet
     line.emplace_back(0.4 * std::cos(angle), 0, 0.4 * std::sin(angle));
   }
-  const Skin sheet = tube(line, 0.04, 0.2);
+  const Surfaces sheet = tube(line, 0.04, 0.2);
   const TetMesh mesh = block(sheet, 0.06);
   const MeshCut mesh_cut(mesh, sheet.vertices, sheet.triangles);
   const std::vector<bool> glued = mesh_cut.glued();
@@ -177,7 +177,7 @@ TEST_CASE("a sheet folded to a letter C opens along its gap") {
 TEST_CASE("loose parts are not cut apart: an eye in its head, a shell around a body") {
   const auto ball = [](double radius) {
     std::vector<Vector3d> line;
-    Skin skin;
+    Surfaces skin;
     for (int i = 1; i < 12; ++i) line.emplace_back(radius * -std::cos(kPi * i / 12), 0, 0);
     skin = tube(line, 1, 1);
     for (Eigen::Index i = 0; i < skin.vertices.rows() - 2; ++i) {
@@ -187,15 +187,15 @@ TEST_CASE("loose parts are not cut apart: an eye in its head, a shell around a b
     }
     return skin;
   };
-  const Skin nested = join({ball(0.5), ball(0.45)});
+  const Surfaces nested = join({ball(0.5), ball(0.45)});
   const TetMesh mesh = block(nested, 0.1);
   CHECK(count(MeshCut(mesh, nested.vertices, nested.triangles).glued()) == 0);
 }
 
 TEST_CASE("seams and long edges change nothing about what is glued") {
-  const Skin skin = fork(0.03);
+  const Surfaces skin = fork(0.03);
   const TetMesh mesh = block(skin, 0.06);
-  Skin split{Points(3 * skin.triangles.rows(), 3), Triangles(skin.triangles.rows(), 3)};  // each triangle by itself
+  Surfaces split{Points(3 * skin.triangles.rows(), 3), Triangles(skin.triangles.rows(), 3)};  // each triangle by itself
   for (Eigen::Index t = 0; t < skin.triangles.rows(); ++t)
     for (int k = 0; k < 3; ++k) {
       split.vertices.row(3 * t + k) = skin.vertices.row(skin.triangles(t, k));
@@ -206,7 +206,7 @@ TEST_CASE("seams and long edges change nothing about what is glued") {
 }
 
 TEST_CASE("skin far larger than the mesh is refused, before it takes the memory") {
-  const Skin skin = fork(0.03);
+  const Surfaces skin = fork(0.03);
   const TetMesh mesh = block(skin, 0.06);
   for (double scale : {1e4, 1e5})
     CHECK_THROWS_WITH_AS(MeshCut(mesh, scale * skin.vertices, skin.triangles), doctest::Contains("same unit"),

@@ -123,8 +123,7 @@ TEST_CASE("two targets at one pose are an error that names both") {
 
 TEST_CASE("targets right round a joint: cardinal, and no jump of the weights between them") {
   for (double quarter : {kPi / 2, 85 * kPi / 180}) {
-    TargetSet set{
-        {0}, {"a", "b", "c", "d"}, {hinge(0), hinge(quarter), hinge(2 * quarter), hinge(-quarter)}};
+    TargetSet set{{0}, {"a", "b", "c", "d"}, {hinge(0), hinge(quarter), hinge(2 * quarter), hinge(-quarter)}};
     const PoseSpace space({set});
     CHECK((weights(space, hinge(2 * quarter)) - VectorXd::Unit(4, 2)).cwiseAbs().maxCoeff() < 1e-9);
     double jump = 0;

@@ -118,3 +118,39 @@ TEST_CASE("an arrow factor agrees with the eigenvalues about the sign, near sing
     CHECK(factor.compute(B) == (margin > 0));
   }
 }
+
+TEST_CASE("an arrow solver with stiffness at points solves what the dense matrix does, with few rows and with many") {
+  for (const auto& [r, h] : kSizes)
+    for (int rows : {0, 1, 3, 200}) {
+      const ArrowMatrix H = arrow(r, h);
+      DensePoints first, second;
+      first.rows = random_vector(rows * H.rows(), 1, 31).reshaped<Eigen::RowMajor>(rows, H.rows());
+      first.stiffness = VectorXd::LinSpaced(rows, 0, 50);  // the first does not act
+      second.rows = RowMajor::Ones(1, H.rows());
+      second.stiffness = VectorXd::Constant(1, 7);
+      const MatrixXd sum = H.dense() + first.rows.transpose() * first.stiffness.asDiagonal() * first.rows +
+                           second.rows.transpose() * second.stiffness.asDiagonal() * second.rows;
+      const VectorXd b = random_vector(H.rows(), 1, 32);
+      VectorXd x;
+      ArrowSolver solver;
+      REQUIRE(solver.solve(H, {&first, &second}, b, x));
+      CHECK((sum * x - b).norm() <= 1e-12 * (sum.norm() * x.norm() + b.norm()));
+    }
+}
+
+TEST_CASE("an arrow that only its points hold is solved, and one that they do not hold is refused") {
+  ArrowMatrix H = arrow(6, 10);
+  H.add_to_diagonal(-1, VectorXd::Unit(16, 2) * 2 * H.dense().norm());
+  DensePoints points;
+  points.rows = VectorXd::Unit(16, 2).transpose();
+  points.stiffness = VectorXd::Constant(1, 3 * H.dense().norm());
+  const VectorXd b = random_vector(16, 1, 33);
+  VectorXd x;
+  ArrowSolver solver;
+  CHECK(!solver.solve(H, {}, b, x));
+  REQUIRE(solver.solve(H, {&points}, b, x));
+  const MatrixXd sum = H.dense() + points.rows.transpose() * points.stiffness(0) * points.rows;
+  CHECK((sum * x - b).norm() <= 1e-12 * sum.norm() * x.norm());
+  points.stiffness(0) = 1;
+  CHECK(!solver.solve(H, {&points}, b, x));
+}

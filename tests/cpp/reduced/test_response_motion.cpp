@@ -191,7 +191,7 @@ TEST_CASE("responses: small motion of a bending rig is that of the whole subspac
     simulation.start(rig(0), rig(1), VectorXd::Ones(1));
     MatrixXd path(model->basis().rows(), 80);
     for (int step = 1; step <= 80; ++step) {
-      CHECK(simulation.step(rig(step), VectorXd::Ones(1)).converged);
+      CHECK(simulation.step({rig(step), VectorXd::Ones(1)}).converged);
       VectorXd u;
       model->displacement(simulation.coordinates(), u);
       path.col(step - 1) = u;
@@ -224,7 +224,7 @@ TEST_CASE("responses: stiffness, density and damping can change without a rebuil
         Simulation<ReducedModel> simulation(model, {1 / 120., Scheme::bdf2, Vector3d(0, 0, -9.81), 1e-10});
         simulation.start(bent(0), bent(0.02), VectorXd::Ones(1));
         VectorXd u;
-        for (int step = 1; step <= 40; ++step) simulation.step(bent(0.02 * step), VectorXd::Ones(1));
+        for (int step = 1; step <= 40; ++step) simulation.step({bent(0.02 * step), VectorXd::Ones(1)});
         model->displacement(simulation.coordinates(), u);
         return u;
       };
@@ -272,7 +272,7 @@ TEST_CASE("responses: free motion from far beyond the reach never gains energy, 
           double most = 0, end = 0;
           int open = 0;
           for (int step = 1; step <= 2000; ++step) {
-            open += !simulation.step(bent(0), w).converged;
+            open += !simulation.step({bent(0), w}).converged;
             end = simulation.elastic_energy() + simulation.kinetic_energy() - rest;
             most = std::max(most, end);
           }

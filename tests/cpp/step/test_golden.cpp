@@ -55,7 +55,7 @@ MatrixXd motion(std::shared_ptr<const Model> model, Hash& hash) {
   for (int i = 1; i <= 40; ++i) {
     const double bend = std::min(i / 20., 1.);
     weights << 1 - bend, 0.75 * bend, 0.25 * bend;
-    CHECK(simulation.step(scenes::bent(0.3 * bend), weights).converged);
+    CHECK(simulation.step({scenes::bent(0.3 * bend), weights}).converged);
     hash.add(simulation.coordinates());
     if (i % 10) continue;
     model->displacement(simulation.coordinates(), u);

@@ -60,7 +60,7 @@ TEST_CASE("a step of a reduced model allocates nothing, whatever the law, the po
         w(0) = 1 - w(1);
         rig = scenes::bent(0.01 * i);
         allocations = 0;
-        CHECK(simulation.step(rig, w).converged);
+        CHECK(simulation.step({rig, w}).converged);
         if (i > 6) CHECK(allocations == 0);  // once it has seen what there is to allocate for
       }
     }
@@ -81,7 +81,7 @@ TEST_CASE("a step of a model with responses allocates nothing") {
         w(0) = 1 - w(1);
         rig = scenes::bent(0.01 * i);
         allocations = 0;
-        CHECK(simulation.step(rig, w).converged);
+        CHECK(simulation.step({rig, w}).converged);
         if (i > 6) CHECK(allocations == 0);
       }
     }

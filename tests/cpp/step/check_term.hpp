@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The one check that every term of a step's potential must pass.
+#pragma once
+
+#include <type_traits>
+
+#include "derivatives.hpp"
+#include "dynamorph/step/newton.hpp"
+
+namespace scenes {
+
+/// J^T diag(d) J x of rows at points, beside a product with a model's own matrix.
+inline void add_points(const SparsePoints& points, const VectorXd& x, VectorXd& y) {
+  add_stiffness_product(points, x, y);
+}
+inline void add_points(const DensePoints& points, const VectorXd& x, VectorXd& y) {
+  if (points.stiffness.size() > 0) y += points.rows.transpose() * points.stiffness.cwiseProduct(points.rows * x);
+}
+
+/// Checks a term (newton.hpp) at scales * x for some x of size `step`, with differences of that size: its gradient and
+/// its Hessian against its value, that the value is the same whether it is asked for alone or not, and that its
+/// round-off is sane. scales: of the coordinates, so that no part is hidden behind a stiffer one.
+template <class Matrix, class Term>
+void check_term(Term& term, const VectorXd& scales, double step) {
+  const VectorXd x = random_vector(scales.size(), 3 * step, 21);
+  term.at(scales.cwiseProduct(x));
+  const double alone = term.value();
+  CHECK(term.gradient().size() == x.size());
+  CHECK(term.value() == alone);
+  const RoundOff round_off = term.round_off();
+  CHECK(round_off.gradient >= 0);
+  CHECK(round_off.gradient <= 1e-6 * round_off.forces);
+  check_derivatives(
+      [&](const VectorXd& x, VectorXd& f, VectorXd& Kd, const VectorXd& d) {
+        term.at(scales.cwiseProduct(x));
+        const double e = term.value();
+        f = scales.cwiseProduct(term.gradient());
+        const VectorXd moved = scales.cwiseProduct(d);
+        if constexpr (std::is_same_v<decltype(term.hessian()), const PointStiffness<Matrix>&>) {
+          Kd.setZero(x.size());
+          add_points(term.hessian(), moved, Kd);
+        } else {
+          multiply(term.hessian(), moved, Kd);
+        }
+        Kd = scales.cwiseProduct(Kd);
+        return e;
+      },
+      x, step);
+}
+
+}  // namespace scenes

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Points of the skin: where a model puts them, what forces on them do, and springs that grab them."""
+
+from __future__ import annotations
+
+import dynamorph
+import numpy as np
+import pytest
+from scenes import bar
+
+NEUTRAL = np.array([1.0, 0.0])
+STILL = np.stack([np.eye(3, 4)] * 2)
+
+
+def bent(angle: float) -> np.ndarray:
+    """The bar's two bones (2, 3, 4), of which the second has turned about y."""
+    bones = STILL.copy()
+    bones[1, :, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
+    bones[1, :, 3] = [0.02, 0.0, -0.01]
+    return bones
+
+
+def bar_models(law=dynamorph.Law.STABLE_STVK) -> tuple[dynamorph.FullModel, dynamorph.ReducedModel]:
+    """A bar that is pinned at x = 0, of two targets, unreduced and in modes and responses."""
+    nodes, tets = bar((6, 2, 2), (0.3, 0.1, 0.1))
+    ones, along = np.ones(len(tets)), nodes[:, 0] / 0.3
+    body = dynamorph.SoftBody(
+        dynamorph.TetMesh(nodes, tets), ones, ones, ones[:, None], along < 1e-9, np.stack([1 - along, along], 1)
+    )
+    bulge = nodes * [0.0, 0.3, 0.3] * along[:, None]
+    targets = [
+        dynamorph.MorphTarget(
+            name, shape, density=1000.0, stiffness_damping=0.01, mass_damping=2.0, lame_lambda=1.2e4, lame_mu=8e3
+        )
+        for name, shape in (("neutral", 0 * nodes), ("bulge", bulge))
+    ]
+    full = dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN)
+    tables = dynamorph.reduce(full, dynamorph.make_response_basis(full, 8, 20))
+    return full, dynamorph.ReducedModel(body, targets, tables, dynamorph.Blending.EVEN)
+
+
+FULL, REDUCED = bar_models()
+POINTS = np.array([[0.29, 0.1, 0.1], [0.21, 0.05, 0.1], [0.1, 0.0, 0.03], [0.01, 0.02, 0.09]])
+SKIN_WEIGHTS = np.array([[0.1, 0.9], [0.3, 0.7], [0.7, 0.3], [1.0, 0.0]])
+RESIDUAL = np.random.default_rng(1).uniform(-0.01, 0.01, (2, 4, 3))
+
+
+def skin_of(model):
+    nodes, tets = bar((6, 2, 2), (0.3, 0.1, 0.1))
+    embedding = dynamorph.embed(dynamorph.TetMesh(nodes, tets), POINTS)
+    kind = dynamorph.FullSkin if isinstance(model, dynamorph.FullModel) else dynamorph.ReducedSkin
+    return kind(model, POINTS, embedding, SKIN_WEIGHTS, RESIDUAL), embedding
+
+
+def simulation_of(model, **options):
+    kind = dynamorph.FullSimulation if isinstance(model, dynamorph.FullModel) else dynamorph.ReducedSimulation
+    made = kind(model, 1 / 120, **options)
+    made.set_skin(skin_of(model)[0])
+    made.start(STILL, STILL, NEUTRAL)
+    return made
+
+
+@pytest.mark.parametrize("model", [FULL, REDUCED], ids=["full", "responses"])
+def test_points_are_embedded_then_skinned(model):
+    """Against the formula in NumPy, and Blender's order: shapes first, then linear blend skinning."""
+    skin, embedding = skin_of(model)
+    weights, q = np.array([0.3, 0.7]), np.random.default_rng(2).uniform(-0.01, 0.01, model.dofs)
+    moved = np.einsum("pk,pkc->pc", embedding.weights, model.displacement(q)[embedding.nodes])
+    bind = POINTS + moved + np.tensordot(weights, RESIDUAL, 1)
+    matrices = np.tensordot(SKIN_WEIGHTS, bent(0.7), 1)
+    expected = np.einsum("pij,pj->pi", matrices[..., :3], bind) + matrices[..., 3]
+    assert skin.displacement(weights, q) == pytest.approx(bind - POINTS, abs=1e-15)
+    assert skin.positions(bent(0.7), weights, q) == pytest.approx(expected, abs=1e-15)
+
+
+@pytest.mark.parametrize("model", [FULL, REDUCED], ids=["full", "responses"])
+def test_forces_do_the_same_work_on_points_and_on_coordinates(model):
+    skin, _ = skin_of(model)
+    random = np.random.default_rng(3)
+    forces, step = random.normal(size=(4, 3)), random.normal(size=model.dofs)
+    here, there = (skin.positions(bent(0.7), NEUTRAL, q) for q in (np.zeros(model.dofs), step))
+    assert (forces * (there - here)).sum() == pytest.approx(skin.pull_back(bent(0.7), forces) @ step, rel=1e-11)
+
+
+@pytest.mark.parametrize("model", [FULL, REDUCED], ids=["full", "responses"])
+def test_a_grabbed_point_is_held_in_the_world_while_its_bone_moves(model):
+    """And the harder, the nearer: what is left is the spring's force over its stiffness."""
+    left = []
+    for stiffness in (300.0, 3e4):
+        simulation, (skin, _) = simulation_of(model), skin_of(model)
+        goal = skin.positions(STILL, NEUTRAL, simulation.coordinates)[[0]]
+        bones = np.array([bent(0.2 * min(1.0, k / 60)) for k in range(1, 241)])
+        grabs = dynamorph.Grabs([0], np.repeat(goal[None], 240, 0), [stiffness])
+        report = simulation.advance(bones, np.repeat(NEUTRAL[None], 240, 0), grabs=grabs)
+        assert report["converged"]
+        left.append(np.linalg.norm(skin.positions(bones[-1], NEUTRAL, simulation.coordinates)[0] - goal[0]))
+        free = skin.positions(bones[-1], NEUTRAL, np.zeros(model.dofs))[0]
+        assert left[-1] < 0.5 * np.linalg.norm(free - goal[0])
+    assert left[1] < 0.05 * left[0]
+
+
+def test_forces_may_differ_from_step_to_step():
+    """As in calls of one step each, and the same at all steps as a constant force."""
+    push = np.random.default_rng(5).normal(size=(12, len(FULL.displacement(np.zeros(FULL.dofs))), 3))
+    bones, weights = np.repeat(STILL[None], 12, 0), np.repeat(NEUTRAL[None], 12, 0)
+    at_once, one_by_one, constant, same = (simulation_of(REDUCED) for _ in range(4))
+    at_once.advance(bones, weights, push)
+    for k in range(12):
+        one_by_one.advance(bones[k : k + 1], weights[k : k + 1], push[k])
+    assert np.array_equal(at_once.coordinates, one_by_one.coordinates)
+    constant.advance(bones, weights, push[0])
+    same.advance(bones, weights, np.repeat(push[:1], 12, 0))
+    assert np.array_equal(constant.coordinates, same.coordinates)
+    assert not np.array_equal(constant.coordinates, at_once.coordinates)
+
+
+def test_what_cannot_be_grabbed_is_refused():
+    goals = np.zeros((1, 1, 3))
+    simulation = simulation_of(REDUCED)
+    before = simulation.coordinates
+    with pytest.raises(ValueError, match="grabs: expected points from 0 to 3, got 4"):
+        simulation.advance(STILL[None], NEUTRAL[None], grabs=dynamorph.Grabs([4], goals, [1.0]))
+    with pytest.raises(ValueError, match=r"grabs: goals: expected shape \(2, any, 3\), got \(1, 1, 3\)"):
+        simulation.advance(
+            np.repeat(STILL[None], 2, 0), np.repeat(NEUTRAL[None], 2, 0), grabs=dynamorph.Grabs([0], goals, [1.0])
+        )
+    simulation.set_skin(None)
+    with pytest.raises(ValueError, match="grabs: the simulation has no skin to grab"):
+        simulation.advance(STILL[None], NEUTRAL[None], grabs=dynamorph.Grabs([0], goals, [1.0]))
+    assert np.array_equal(simulation.coordinates, before)
+    with pytest.raises(ValueError, match="stiffness: must be finite and not negative"):
+        dynamorph.Grabs([0], goals, [-1.0])
+    with pytest.raises(ValueError, match="goals: must be finite"):
+        dynamorph.Grabs([0], np.full((1, 1, 3), np.nan), [1.0])
+    with pytest.raises(ValueError, match="skin: it belongs to another model"):
+        simulation.set_skin(skin_of(bar_models()[1])[0])
