@@ -78,7 +78,7 @@ def cancel(ids: dict[str, str]) -> str:
         return ""
     done = subprocess.run(["scancel", *ids.values()], check=False)
     names = ", ".join(f"{name} {job}" for name, job in ids.items())
-    return f"cancelled: {names}\n" if done.returncode == 0 else f"not cancelled, do so by scancel: {names}\n"
+    return f"canceled: {names}\n" if done.returncode == 0 else f"not canceled, do so by scancel: {names}\n"
 
 
 def name_and_value(text: str) -> tuple[str, str]:

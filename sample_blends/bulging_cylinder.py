@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bulging cylinder: a soft limb of four bones, 0.6 m long, carried by a stand. Its elbow is spread over two joints.
 
-Everything is in metres; the limb lies along +X and bends up towards +Z, its *inside*.
+Everything is in meters; the limb lies along +X and bends up toward +Z, its *inside*.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ BENDS = ((1, 0), (6, 0), (13, -34), (17, -34), (26, 50), (32, 50), (40, 100), (8
 # The same push and the same shake twice: on the flexed limb and on the straight one.
 PUSHES = (46, 114)
 PUSH = ((0, 0), (4, 1), (10, 1), (11, 0))  # (frames after its start, fraction of the full strength): let go at once
-PUSH_STRENGTH = 800  # newtons on a square metre of skin, down
-PUSH_CENTRE, PUSH_RADIUS = 0.19, 0.13  # along the limb, on its axis: the upper arm, bulged or not
+PUSH_STRENGTH = 800  # newtons on a square meter of skin, down
+PUSH_CENTER, PUSH_RADIUS = 0.19, 0.13  # along the limb, on its axis: the upper arm, bulged or not
 SHAKES = (66, 136)
-SHAKE = (0.0, 0.015, -0.015, 0.015, -0.015, 0.0)  # metres up and down, a key every other frame
+SHAKE = (0.0, 0.015, -0.015, 0.015, -0.015, 0.0)  # meters up and down, a key every other frame
 FRAMES = 160
 
-SKIN_COLOUR = np.array([0.03, 0.36, 0.37])
-BAND_COLOUR = np.array([0.86, 0.40, 0.13])
+SKIN_COLOR = np.array([0.03, 0.36, 0.37])
+BAND_COLOR = np.array([0.86, 0.40, 0.13])
 
 SOFT = "Soft"  # vertex group: 1 soft, 0 held by the bones
 # The sculpted targets as lumps: (side, x, width along x, spread around, height); side +1 is the inside.
@@ -139,7 +139,7 @@ def softness(vertices: np.ndarray) -> np.ndarray:
 
 
 def sculpt(vertices: np.ndarray, lumps) -> np.ndarray:
-    """The displacements (V, 3) that push the skin outwards by smooth lumps, as in SHAPES."""
+    """The displacements (V, 3) that push the skin outward by smooth lumps, as in SHAPES."""
     radial = vertices * [0, 1, 1]
     reach = np.linalg.norm(radial, axis=1, keepdims=True)
     outward = radial / np.maximum(reach, 1e-9)
@@ -150,11 +150,11 @@ def sculpt(vertices: np.ndarray, lumps) -> np.ndarray:
     return outward * height[:, None] * smoothstep(reach / RADIUS)  # nothing at the middle of the ends
 
 
-def skin_colours(vertices: np.ndarray) -> np.ndarray:
+def skin_colors(vertices: np.ndarray) -> np.ndarray:
     """(V, 4) linear RGBA: bands around the limb, so that the eye can follow the skin."""
     band = smoothstep(0.5 + 1.2 * np.cos(vertices[:, :1] / 0.075 * 2 * math.pi))
-    colour = band * BAND_COLOUR + (1 - band) * SKIN_COLOUR
-    return np.column_stack([colour, np.ones(len(colour))])
+    color = band * BAND_COLOR + (1 - band) * SKIN_COLOR
+    return np.column_stack([color, np.ones(len(color))])
 
 
 # --- The scene --------------------------------------------------------------------------------------------------------
@@ -172,7 +172,7 @@ def add_rig() -> bpy.types.Object:
     for b, (head, tail) in enumerate(zip(JOINTS, [*JOINTS[1:], TIP], strict=True)):
         bone = rig.data.edit_bones.new(f"Bone {b + 1}")
         bone.head, bone.tail = (head, 0, 0), (tail, 0, 0)
-        bone.align_roll((0, 0, 1))  # so that turning about the bone's own X bends towards the inside
+        bone.align_roll((0, 0, 1))  # so that turning about the bone's own X bends toward the inside
         bone.parent, bone.use_connect = parent, parent is not None
         parent = bone
     bpy.ops.object.mode_set(mode="OBJECT")
@@ -201,9 +201,9 @@ def add_push(rig: bpy.types.Object) -> None:
     wind = bpy.context.object
     wind.name = "Push"
     wind.parent = rig
-    wind.location.x = PUSH_CENTRE
+    wind.location.x = PUSH_CENTER
     wind.empty_display_size = 0.1
-    wind.field.shape, wind.field.falloff_power = "POINT", 0  # reach is measured from its centre
+    wind.field.shape, wind.field.falloff_power = "POINT", 0  # reach is measured from its center
     wind.field.use_max_distance, wind.field.distance_max = True, PUSH_RADIUS
     for start in PUSHES:
         for after, fraction in PUSH:
@@ -214,9 +214,9 @@ def add_push(rig: bpy.types.Object) -> None:
 
 def add_limb(rig: bpy.types.Object) -> bpy.types.Object:
     vertices, quads = limb_mesh()
-    limb = add_mesh("Limb", vertices, quads, add_material("Skin", SKIN_COLOUR, 0.38, "Skin", subsurface=0.12))
-    colours = limb.data.color_attributes.new("Skin", "BYTE_COLOR", "POINT")
-    colours.data.foreach_set("color", skin_colours(vertices).astype(np.float32).ravel())
+    limb = add_mesh("Limb", vertices, quads, add_material("Skin", SKIN_COLOR, 0.38, "Skin", subsurface=0.12))
+    colors = limb.data.color_attributes.new("Skin", "BYTE_COLOR", "POINT")
+    colors.data.foreach_set("color", skin_colors(vertices).astype(np.float32).ravel())
     limb.parent = rig
     modifier = limb.modifiers.new("Armature", "ARMATURE")
     modifier.object = rig
@@ -245,13 +245,13 @@ def add_stage(rig: bpy.types.Object) -> None:
     faces = [(2 * k, 2 * k + 1, 2 * k + 3, 2 * k + 2) for k in range(len(ys) - 1)]
     add_mesh("Backdrop", vertices, faces, add_material("Backdrop", (0.20, 0.22, 0.28), 0.8))
 
-    for name, location, power, size, colour in (
+    for name, location, power, size, color in (
         ("Key", (-0.5, -1.4, 1.9), 34, 0.7, (1.0, 0.95, 0.88)),
         ("Fill", (1.8, -1.2, 0.7), 9, 1.2, (0.80, 0.90, 1.0)),
         ("Rim", (0.9, 1.0, 1.4), 26, 0.5, (1.0, 0.97, 0.92)),
     ):
         light = bpy.data.lights.new(name, "AREA")
-        light.energy, light.size, light.color = power, size, colour
+        light.energy, light.size, light.color = power, size, color
         place(bpy.data.objects.new(name, light), location, (0.3, 0, 0.3))
     camera = bpy.data.cameras.new("Camera")
     camera.lens = 74

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the thesis's figures claim of each scene, measured. Metres, cubic metres, degrees.
+"""What the thesis's figures claim of each scene, measured. Meters, cubic meters, degrees.
 
 Each function takes a shot and its runs by method (SHOWN) and returns plain data. `make figures` prints it, and
 tests/addon/test_claims.py holds the scenes to it.
@@ -130,13 +130,13 @@ POSES = {UPRIGHT: 1, TUCKED: 91}
 IN_THE_TUCK, AFTER_THE_WALL = range(87, 96), range(176, 201)
 WAIST = (-0.08, 0.88), (0.08, 1.06)  # x and z
 FORWARD = np.array([0.0, -1.0, 0.0])
-PATCHES = {"belly": (-0.10, FORWARD), "back": (0.05, -FORWARD)}  # where it begins in y; outwards
+PATCHES = {"belly": (-0.10, FORWARD), "back": (0.05, -FORWARD)}  # where it begins in y; outward
 TRUNK = "spine_02"
-SHAKE, SHAKES, WATCHED = 0.01, 4.0, 36  # metres to and fro, Hz for half a second, frames
+SHAKE, SHAKES, WATCHED = 0.01, 4.0, 36  # meters to and fro, Hz for half a second, frames
 
 
 def herbert(shot: Shot, runs: dict[str, Run]) -> dict:
-    """out: mean displacement of belly and back, outwards, by frame; swing: amplitude of the belly under one and the
+    """out: mean displacement of belly and back, outward, by frame; swing: amplitude of the belly under one and the
     same shake, upright and tucked."""
     frames = [*IN_THE_TUCK, *AFTER_THE_WALL]
     rows = [shot.index(f) for f in frames]

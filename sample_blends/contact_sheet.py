@@ -134,6 +134,6 @@ def save(sheet: Image.Image, path: Path, small: bool = False) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     if small:
         sheet = sheet.resize((1200, round(1200 * sheet.height / sheet.width)), Image.Resampling.LANCZOS)
-        palette = sheet.quantize(256, method=Image.Quantize.FASTOCTREE)  # median cut leaves the bands too few colours
+        palette = sheet.quantize(256, method=Image.Quantize.FASTOCTREE)  # median cut leaves the bands too few colors
         sheet = sheet.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)
     sheet.save(path, optimize=True)

@@ -103,7 +103,7 @@ def weights_at(job: job.Job | None, frame: int) -> str:
 
 
 def swing(job: job.Job, first: int, last: int) -> float:
-    """How far the skin leaves the pose's own static shape between two frames, at most; metres."""
+    """How far the skin leaves the pose's own static shape between two frames, at most; meters."""
     apart = 0.0
     for k in range(first - job.settings.start, last - job.settings.start + 1):
         static = static_shapes(job.character, job.result.weights[k])

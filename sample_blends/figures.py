@@ -156,7 +156,7 @@ def sweep(shot: Shot) -> dict[str, dict]:
 
 
 def tracked(work: Work) -> dict:
-    """The tracked vertex while it rings, at every step: path in metres along the subject's direction, its spectrum."""
+    """The tracked vertex while it rings, at every step: path in meters along the subject's direction, its spectrum."""
     subject = work.subject
     before, first, last = subject.ringing
     shot = work.shot.part(before, last).every_step()
@@ -331,7 +331,7 @@ def draw_herbert(found: dict):
         curves = {
             name: (found["frames"][part], [1000 * x for x in out["belly"][part]]) for name, out in found["out"].items()
         }
-        plots.draw(panel, f"The belly {title}", curves, "frame", "mm outwards")
+        plots.draw(panel, f"The belly {title}", curves, "frame", "mm outward")
     poses = [claims.UPRIGHT, claims.TUCKED]
     swings = {name: [1000 * swing[pose] for pose in poses] for name, swing in found["swing"].items()}
     plots.bars(axes[2], "The belly under the same shake", poses, swings, "amplitude, mm")

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Herbert: a cartoon swimmer of 46 bones, skinny and flabby upright, stiff and bulged when he tucks. He dives from a
-springboard, then runs into a wall. The motion is in herbert_motion.py, the places in herbert_sets.py. Metres.
+springboard, then runs into a wall. The motion is in herbert_motion.py, the places in herbert_sets.py. Meters.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import herbert_sets as sets
 import numpy as np
 from herbert_action import animate
 from herbert_skeleton import SPINE, Skeleton
-from makehuman import LICENCE, Human, Rig, target
+from makehuman import LICENSE, Human, Rig, target
 from mathutils import Matrix
 from stage import (
     add_lathe,
@@ -77,7 +77,7 @@ MODEL = {
 
 SKIN = (0.80, 0.44, 0.30)
 RED, CREAM, NAVY = (0.62, 0.035, 0.03), (0.86, 0.80, 0.66), (0.02, 0.04, 0.14)
-STRIPE = 0.105  # metres from one red stripe to the next
+STRIPE = 0.105  # meters from one red stripe to the next
 
 README = """Herbert
 
@@ -148,38 +148,38 @@ def sculpt(used: np.ndarray, soft: np.ndarray, quads: np.ndarray) -> dict[str, n
 
 
 def smooth(shape: np.ndarray, quads: np.ndarray, rounds: int) -> np.ndarray:
-    """Displacements (V, 3) averaged over neighbours again and again: the coarse cage follows a smooth sculpt."""
+    """Displacements (V, 3) averaged over neighbors again and again: the coarse cage follows a smooth sculpt."""
     edges = np.concatenate([quads[:, [k, (k + 1) % 4]] for k in range(4)])
-    neighbours = np.bincount(edges.ravel(), minlength=len(shape))[:, None]
+    neighbors = np.bincount(edges.ravel(), minlength=len(shape))[:, None]
     for _ in range(rounds):
         total = np.zeros_like(shape)
         np.add.at(total, edges[:, 0], shape[edges[:, 1]])
         np.add.at(total, edges[:, 1], shape[edges[:, 0]])
-        shape = total / neighbours
+        shape = total / neighbors
     return shape
 
 
 def suit_edge(vertices: np.ndarray, weights: dict[str, np.ndarray], bones: Skeleton) -> np.ndarray:
-    """(V,): about the distance in metres from the edge of the swimsuit, positive on the suit."""
+    """(V,): about the distance in meters from the edge of the swimsuit, positive on the suit."""
     x, _, z = vertices.T
     trunk = ("pelvis", "spine", "clavicle", "neck", "thigh", "calf")
     sleeves = sum(weights[bone] for bone in weights if not bone.startswith(trunk))
     neck = bones.heads["neck_01"][2]
     neckline = 0.1 * (np.hypot(x / 0.098, (z - neck - 0.02) / 0.14) - 1)
-    straps = np.where(z > neck - 0.115, 0.014, np.inf)  # of the trim's colour
+    straps = np.where(z > neck - 0.115, 0.014, np.inf)  # of the trim's color
     return np.min(
         [straps, z - 0.46, neckline, neck - 0.01 - z, 0.12 * (0.42 - sleeves / sum(weights.values()))], axis=0
     )
 
 
-def colours(vertices: np.ndarray, edge: np.ndarray) -> np.ndarray:
+def colors(vertices: np.ndarray, edge: np.ndarray) -> np.ndarray:
     """(V, 4) linear RGBA of skin and suit, for views that do not run the material."""
     stripes = smoothstep(0.5 + 2 * np.sin(vertices[:, 2] * 2 * math.pi / STRIPE))[:, None]
     suit = stripes * RED + (1 - stripes) * CREAM
     worn = smoothstep(edge / 0.012 + 0.5)[:, None]
     trim = worn * (1 - smoothstep((edge - 0.014) / 0.008))[:, None]
-    colour = worn * suit + (1 - worn) * SKIN
-    return np.column_stack([(1 - trim) * colour + trim * NAVY, np.ones(len(colour))])
+    color = worn * suit + (1 - worn) * SKIN
+    return np.column_stack([(1 - trim) * color + trim * NAVY, np.ones(len(color))])
 
 
 # --- The figure in Blender --------------------------------------------------------------------------------------------
@@ -221,22 +221,22 @@ def skin_material() -> bpy.types.Material:
                 links.new(value, socket)
         return node.outputs[0]
 
-    def mix(factor, *colours):
+    def mix(factor, *colors):
         node = nodes.new("ShaderNodeMixRGB")
         links.new(factor, node.inputs[0])
-        for socket, colour in zip(node.inputs[1:], colours, strict=True):
-            if isinstance(colour, tuple):
-                socket.default_value = (*colour, 1)
+        for socket, color in zip(node.inputs[1:], colors, strict=True):
+            if isinstance(color, tuple):
+                socket.default_value = (*color, 1)
             else:
-                links.new(colour, socket)
+                links.new(color, socket)
         return node.outputs[0]
 
     edge = attribute("Suit edge")
     wave = compute("SINE", compute("MULTIPLY", attribute("Height"), 2 * math.pi / STRIPE))
     suit = mix(compute("GREATER_THAN", wave, 0.0), CREAM, RED)
     trimmed = mix(compute("GREATER_THAN", edge, 0.018), NAVY, suit)
-    colour = mix(compute("GREATER_THAN", edge, 0.0), SKIN, trimmed)
-    links.new(colour, nodes["Principled BSDF"].inputs["Base Color"])
+    color = mix(compute("GREATER_THAN", edge, 0.0), SKIN, trimmed)
+    links.new(color, nodes["Principled BSDF"].inputs["Base Color"])
     return material
 
 
@@ -254,8 +254,8 @@ def add_body(human: Human, bones: Skeleton, rig: bpy.types.Object) -> bpy.types.
     edge = suit_edge(vertices, weights, bones)
     for name, values in (("Suit edge", edge), ("Height", vertices[:, 2])):
         body.data.attributes.new(name, "FLOAT", "POINT").data.foreach_set("value", values.astype(np.float32))
-    body.data.color_attributes.new("Colour", "BYTE_COLOR", "POINT").data.foreach_set(
-        "color", colours(vertices, edge).astype(np.float32).ravel()
+    body.data.color_attributes.new("Color", "BYTE_COLOR", "POINT").data.foreach_set(
+        "color", colors(vertices, edge).astype(np.float32).ravel()
     )
     soft = softness(weights, bones, vertices)
     add_vertex_groups(body, weights | {SOFT: soft})
@@ -346,15 +346,15 @@ def add_cap(skull: np.ndarray, face: np.ndarray, rig: bpy.types.Object, cap, ban
     """A dome with a rolled rim over the skull: an ellipsoid just larger, cut from above the brows to the nape."""
     narrow = skull[(skull[:, 2] > face[2] - 0.02) & (abs(skull[:, 0]) < 0.13)]  # without the ears
     low, high = narrow.min(axis=0), narrow.max(axis=0)
-    centre = np.array([0, (low[1] + high[1]) / 2, face[2] + 0.035])
-    radii = 1.13 * np.array([0.138, (high[1] - low[1]) / 2, high[2] - centre[2]])
+    center = np.array([0, (low[1] + high[1]) / 2, face[2] + 0.035])
+    radii = 1.13 * np.array([0.138, (high[1] - low[1]) / 2, high[2] - center[2]])
     angle = np.linspace(0.10, math.pi / 2, 20)
     rim = [(1.0, 0.07), (1.03, 0.05), (1.045, 0.08), (1.03, 0.115)]
     dome = add_lathe("Cap", [*rim, *zip(np.cos(angle), np.sin(angle), strict=True)], cap)
     dome.data.materials.append(band)
     for polygon in dome.data.polygons:
         polygon.material_index = int(0.42 < polygon.center.z < 0.58 or polygon.center.z < 0.115)
-    place = Matrix.Translation(centre) @ Matrix.Rotation(-0.30, 4, "X") @ Matrix.Diagonal((*radii, 1))
+    place = Matrix.Translation(center) @ Matrix.Rotation(-0.30, 4, "X") @ Matrix.Diagonal((*radii, 1))
     wear(transform(dome, place), rig)
 
 
@@ -362,7 +362,7 @@ def make(path: Path) -> None:
     human = figure()
     bones = rest_bones(human)
     shots = {name: shot(bones) for name, shot in motion.SHOTS.items()}
-    set_up_scene(README, sum(len(shot.times) for shot in shots.values()), LICENCE)
+    set_up_scene(README, sum(len(shot.times) for shot in shots.values()), LICENSE)
     rig = add_rig(bones)
     body = add_body(human, bones, rig)
     add_face(human, rig)

@@ -12,7 +12,7 @@ import numpy as np
 from herbert_skeleton import Motion, Skeleton, solve
 from mathutils import Matrix
 
-APART = 40.0  # metres from the first shot's place back to the second's
+APART = 40.0  # meters from the first shot's place back to the second's
 BEZIER, CONSTANT = 2, 0  # interpolation of keys, as F-curves store it
 SMOOTH, CORNER = 1, 2  # handles of keys: automatic, vector
 

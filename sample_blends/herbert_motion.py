@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What Herbert does: a dive from a springboard, and a run into a wall. NumPy only.
 
-Metres, seconds and degrees; `s` is the distance forward. Of a shot every frame is computed, from keys (time, value).
+Meters, seconds and degrees; `s` is the distance forward. Of a shot every frame is computed, from keys (time, value).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ HURDLE, LANDING, TAKE_OFF, ENTRY, DIVE = 2.125, 2.5, 3.0, 4.375, 5.25
 TUCKED = (3.6, 3.92)
 TURN = 528.0  # of the somersault: a flip and a half less the lean at take-off
 HOP_SPEED = 1.75  # forward, from the hurdle to the tip
-JUMP_FROM, JUMP_SPEED = -0.06, (1.35, 4.5)  # s of the centre of mass; forward and up, m/s
+JUMP_FROM, JUMP_SPEED = -0.06, (1.35, 4.5)  # s of the center of mass; forward and up, m/s
 
 DIVE_KEYS = {
     "pitch": ((0, 0), (0.4, -3), (0.8, 3), (1.6, 5), (2.0, 12), (2.3, 2), (LANDING, 3), (2.72, 16), (TAKE_OFF, 12)),
@@ -61,8 +61,8 @@ WALL = 6.3  # s of the wall, from where the run starts
 RUN, IMPACT, WALL_SHOT = 0.42, 2.0, 3.75
 SPEED = 4.2  # m/s, stopped within a frame
 STRIDE = 0.23  # seconds a step
-STOP = WALL - 0.5  # s of the centre of mass when the hands are on the wall
-REBOUND = 0.62  # metres
+STOP = WALL - 0.5  # s of the center of mass when the hands are on the wall
+REBOUND = 0.62  # meters
 
 WALL_KEYS = {
     "pitch": ((0, 0), (0.28, -6), (0.52, 18), (1.2, 10), (1.85, 4), (IMPACT, -2), (2.12, 3), (2.4, -15), (2.8, 5),
@@ -151,8 +151,8 @@ def jump(times, standing: float) -> np.ndarray:
     return flight(times, TAKE_OFF, (JUMP_FROM, standing + 0.06), JUMP_SPEED)
 
 
-def dive_centre(times, standing: float) -> np.ndarray:
-    """Path (F, 2) of the centre of mass, (s, z) above the board's height; `standing` is its height when he stands."""
+def dive_center(times, standing: float) -> np.ndarray:
+    """Path (F, 2) of the center of mass, (s, z) above the board's height; `standing` is its height when he stands."""
     crouch = 1.75
     rise = GRAVITY * (LANDING - HURDLE) / 2
     hop = flight(times, HURDLE, (-1.02, standing), (HOP_SPEED, rise))
@@ -218,12 +218,12 @@ def somersault(skeleton: Skeleton, motion: Motion) -> np.ndarray:
 
 def dive(skeleton: Skeleton) -> Motion:
     times = np.arange(round(DIVE * FPS) + 1) / FPS
-    path = dive_centre(times, skeleton.standing())
+    path = dive_center(times, skeleton.standing())
     feet, pitches = dive_feet(times)
     yaw = sway(times, 7.0, STEPS[0] - 0.24, 0.5, 1.8)
     motion = Motion(
         times,
-        centre=np.stack([np.zeros_like(times), -path[:, 0], BOARD_HEIGHT + path[:, 1]], 1),
+        center=np.stack([np.zeros_like(times), -path[:, 0], BOARD_HEIGHT + path[:, 1]], 1),
         feet=feet,
         foot_pitch=pitches,
         roll=sway(times, 3.0, STEPS[0], 0.5, 1.8),
@@ -291,7 +291,7 @@ def wall(skeleton: Skeleton) -> Motion:
     palms = np.array([(0.30, 0.13 - WALL, 1.27), (-0.30, 0.13 - WALL, 1.27)])
     return Motion(
         times,
-        centre=np.stack([np.zeros_like(s), -s, height], 1),
+        center=np.stack([np.zeros_like(s), -s, height], 1),
         feet=feet,
         foot_pitch=pitches,
         yaw=9 * np.sin(phase) * going,

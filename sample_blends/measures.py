@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the figures claim, as numbers. Pure functions of arrays: NumPy, and Blender's mathutils for collisions.
 
-V vertices, T triangles with outward normals, F frames; metres, seconds, world space unless said otherwise.
+V vertices, T triangles with outward normals, F frames; meters, seconds, world space unless said otherwise.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from mathutils.bvhtree import BVHTree
 
 CHUNK = 2_000_000  # points times triangles in one piece of the winding number: bounds memory
 PADDING = 16  # samples of a spectrum to one of the signal
-FAR = 1e6  # metres
+FAR = 1e6  # meters
 OUTWARD = 0.5  # cosine above which a way leads out through a triangle rather than along it
 
 
@@ -65,13 +65,13 @@ def dominant_frequency(signal: np.ndarray, rate: float) -> float:
 
 
 def volume(vertices: np.ndarray, triangles: np.ndarray) -> float:
-    """Volume inside a surface, cubic metres. Each hole of an open one is closed by a fan round its own centre."""
+    """Volume inside a surface, cubic meters. Each hole of an open one is closed by a fan round its own center."""
     corners = vertices[triangles]
     closed = [corners]
     for loop in boundary_loops(triangles):
         rim = vertices[loop]
-        centre = np.broadcast_to(rim.mean(axis=0), rim.shape)
-        closed.append(np.stack([np.roll(rim, -1, axis=0), rim, centre], axis=1))
+        center = np.broadcast_to(rim.mean(axis=0), rim.shape)
+        closed.append(np.stack([np.roll(rim, -1, axis=0), rim, center], axis=1))
     a, b, c = np.concatenate(closed).transpose(1, 0, 2)
     return float(np.einsum("ti,ti->", a, np.cross(b, c)) / 6)
 
@@ -90,7 +90,7 @@ def boundary_loops(triangles: np.ndarray) -> list[list[int]]:
 
 
 def vertex_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """The area (V,) that belongs to each vertex, square metres: a third of its triangles'."""
+    """The area (V,) that belongs to each vertex, square meters: a third of its triangles'."""
     corners = vertices[triangles]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.bincount(triangles.ravel(), np.repeat(np.linalg.norm(across, axis=1) / 6, 3), len(vertices))
@@ -127,7 +127,7 @@ def depth(vertices: np.ndarray, patch: np.ndarray, axis: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Intersections:
-    """pairs: of triangles that intersect and share no vertex. depth: how far a vertex is buried, at most, metres."""
+    """pairs: of triangles that intersect and share no vertex. depth: how far a vertex is buried, at most, meters."""
 
     pairs: int
     depth: float

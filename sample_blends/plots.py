@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The plots of the results page: one look, one colour for each method, SVG."""
+"""The plots of the results page: one look, one color for each method, SVG."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-COLOURS = {
+COLORS = {
     "plain skinning": "#8a8f98",
     "static morphs": "#c9a227",
     "single material": "#d1495b",
@@ -41,11 +41,11 @@ def figure(panels: int, height: float = 3.0):
 
 
 def draw(axes, title: str, curves: Curves, x: str, y: str, **style) -> None:
-    """Curves with their legend; a label that starts with the name of a method takes its colour."""
+    """Curves with their legend; a label that starts with the name of a method takes its color."""
     for label, (xs, ys) in curves.items():
-        colour = next((c for name, c in COLOURS.items() if label.startswith(name)), None)
+        color = next((c for name, c in COLORS.items() if label.startswith(name)), None)
         dashed = label.endswith(("full", "fitted"))
-        axes.plot(xs, ys, label=label, color=colour, linestyle="--" if dashed else "-", **style)
+        axes.plot(xs, ys, label=label, color=color, linestyle="--" if dashed else "-", **style)
     axes.set_title(title)
     axes.set_xlabel(x)
     axes.set_ylabel(y)
@@ -66,7 +66,7 @@ def bars(axes, title: str, groups: Sequence[str], heights: Mapping[str, Sequence
     width = 0.8 / len(heights)
     for k, (label, values) in enumerate(heights.items()):
         places = [g - 0.4 + (k + 0.5) * width for g in range(len(groups))]
-        axes.bar(places, values, width, label=label, color=COLOURS[label])
+        axes.bar(places, values, width, label=label, color=COLORS[label])
     axes.set_xticks(range(len(groups)), groups)
     axes.grid(visible=False, axis="x")
     axes.set_axisbelow(True)

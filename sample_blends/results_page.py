@@ -241,7 +241,7 @@ def tell_shoulder(found: dict) -> list[str]:
 
 def tell_herbert(found: dict) -> list[str]:
     tuck, wall = slice(len(IN_THE_TUCK)), slice(len(IN_THE_TUCK), None)
-    head = ("outwards", "belly in the tuck: least", "most", "back in the tuck: least", "most",
+    head = ("outward", "belly in the tuck: least", "most", "back in the tuck: least", "most",
             "belly after the wall: least", "most", "back after the wall: least", "most")  # fmt: skip
     rows = []
     for name, out in found["out"].items():
@@ -253,7 +253,7 @@ def tell_herbert(found: dict) -> list[str]:
         f"{found['frames'][tuck][0]} to {found['frames'][tuck][-1]} and {found['frames'][wall][0]} to "
         f"{found['frames'][wall][-1]}.\n",
         grid(head, rows),
-        "Half the way the belly swings about its shape when the body is shaken by the same centimetre at 4 Hz, in the "
+        "Half the way the belly swings about its shape when the body is shaken by the same centimeter at 4 Hz, in the "
         "first and in the tucked pose.\n",
         grid(head_swing, [(name, *pair(swing, UPRIGHT, TUCKED)) for name, swing in found["swing"].items()]),
     ]

@@ -60,7 +60,7 @@ SHAKE = (0.0, 2.0, -2.0, 2.0, -2.0, 0.0)  # degrees that the stand turns, a key 
 FRAMES = 260
 
 SOFT, ELBOW = "Soft", "Elbow"  # vertex groups: 1 soft, 0 held by the bones; the elbow's region weights
-SKIN_COLOUR, CUT_COLOUR = (0.42, 0.19, 0.115), (0.03, 0.028, 0.03)
+SKIN_COLOR, CUT_COLOR = (0.42, 0.19, 0.115), (0.03, 0.028, 0.03)
 
 # Stiffness in Pa and the two Rayleigh dampings of each target; the frame at which its pose is captured.
 RELAXED = {"stiffness": 15e3, "mass_damping": 2.0, "stiffness_damping": 0.006}
@@ -137,7 +137,7 @@ def key_turn(bone: bpy.types.PoseBone, turn: np.ndarray, frame: int) -> None:
 
 
 def add_skin(rig: bpy.types.Object, bust: Bust) -> bpy.types.Object:
-    materials = add_material("Skin", SKIN_COLOUR, 0.42, subsurface=0.1), add_material("Cut", CUT_COLOUR, 0.55)
+    materials = add_material("Skin", SKIN_COLOR, 0.42, subsurface=0.1), add_material("Cut", CUT_COLOR, 0.55)
     skin = add_mesh("Shoulder", bust.vertices, np.array(bust.faces, object), *materials)  # faces of any size
     skin.data.polygons.foreach_set("material_index", bust.caps.astype(np.int32))
     skin.data.polygons.foreach_set("use_smooth", ~bust.caps)
@@ -169,13 +169,13 @@ def add_stage(bust: Bust) -> None:
     faces = [(2 * k, 2 * k + 1, 2 * k + 3, 2 * k + 2) for k in range(len(ys) - 1)]
     add_mesh("Backdrop", vertices, faces, add_material("Backdrop", (0.055, 0.065, 0.08), 0.8))
 
-    for name, location, power, size, spread, colour in (
+    for name, location, power, size, spread, color in (
         ("Key", (-1.2, -1.8, 1.9), 75, 0.6, 180, (1.0, 0.95, 0.88)),
         ("Fill", (2.2, -1.4, 0.9), 12, 1.4, 180, (0.80, 0.90, 1.0)),
         ("Rim", (1.0, 1.2, 1.6), 26, 0.5, 130, (1.0, 0.97, 0.92)),
     ):
         light = bpy.data.lights.new(name, "AREA")
-        light.energy, light.size, light.spread, light.color = power, size, math.radians(spread), colour
+        light.energy, light.size, light.spread, light.color = power, size, math.radians(spread), color
         place(bpy.data.objects.new(name, light), location, (0.3, 0, 0.6))
     camera = bpy.data.cameras.new("Camera")
     camera.lens = 56
@@ -183,7 +183,7 @@ def add_stage(bust: Bust) -> None:
 
 
 def make(path: Path) -> None:
-    set_up_scene(README, FRAMES, makehuman.LICENCE)
+    set_up_scene(README, FRAMES, makehuman.LICENSE)
     bust = make_bust()
     rig = add_rig(bust)
     skin = add_skin(rig, bust)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The left shoulder of MakeHuman's muscular man as a bust: a quarter of the torso and the arm, cut and capped.
 
-Everything is in metres, Z up; the man faces -Y, his left arm points to +X.
+Everything is in meters, Z up; the man faces -Y, his left arm points to +X.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ MUSCLES = {
 }
 
 STRAIGHTEN = np.radians(24)  # MakeHuman's elbow is bent by 46 degrees; a rest pose should be nearer the middle
-ELBOW_BLEND = 0.14  # metres of arm over which the elbow's two bones share the skin
-SHOULDER_SMOOTHING = 40  # rounds of averaging over neighbours: about a limb's radius
+ELBOW_BLEND = 0.14  # meters of arm over which the elbow's two bones share the skin
+SHOULDER_SMOOTHING = 40  # rounds of averaging over neighbors: about a limb's radius
 FLANK, NECK = 0.10, 0.01  # where the torso is cut: below the head of spine_03, above that of neck_01
-RIM = 0.05  # metres from a cut within which the skin follows the chest ever more
+RIM = 0.05  # meters from a cut within which the skin follows the chest ever more
 NECK_TILT = (-0.35, -0.25, 1.0)
 
 
@@ -47,7 +47,7 @@ NECK_TILT = (-0.35, -0.25, 1.0)
 class Bust:
     """V vertices, faces, caps (F,): whether a face is a cut's; weights (V, 4) of BONES; joints: name -> (3,).
 
-    hand (V,): 1 on the hand; to_cut (V,): metres to the nearest cut; muscles: name -> (V, 3), how it grows.
+    hand (V,): 1 on the hand; to_cut (V,): meters to the nearest cut; muscles: name -> (V, 3), how it grows.
     """
 
     vertices: np.ndarray
@@ -98,18 +98,18 @@ def refine(columns: np.ndarray, quads: np.ndarray) -> tuple[np.ndarray, np.ndarr
     count = len(columns)
     used = np.zeros(count, bool)
     used[quads] = True
-    centres = columns[quads].mean(axis=1)
+    centers = columns[quads].mean(axis=1)
     corners = np.stack([quads, np.roll(quads, -1, axis=1)], axis=-1).reshape(-1, 2)
     edges, edge_of = np.unique(np.sort(corners, axis=1), axis=0, return_inverse=True)
     edge_of = edge_of.reshape(-1, 4)
     sides = np.bincount(edge_of.ravel(), minlength=len(edges))[:, None]
     middles = columns[edges].mean(axis=1)
-    around = spread(edge_of, centres, len(edges)) / sides
+    around = spread(edge_of, centers, len(edges)) / sides
     edge_points = np.where(sides == 2, 0.5 * (middles + around), middles)
 
     degree = np.maximum(np.bincount(quads.ravel(), minlength=count), 1)[:, None]
     valence = np.maximum(np.bincount(edges.ravel(), minlength=count), 1)[:, None]
-    faces_around = spread(quads, centres, count) / degree
+    faces_around = spread(quads, centers, count) / degree
     edges_around = spread(edges, middles, count) / valence
     moved = (faces_around + 2 * edges_around + (degree - 3) * columns) / degree
     closed = used[:, None] & (degree == valence)
@@ -118,7 +118,7 @@ def refine(columns: np.ndarray, quads: np.ndarray) -> tuple[np.ndarray, np.ndarr
         [quads, first_edge + edge_of, np.broadcast_to(np.arange(len(quads))[:, None] + first_face, quads.shape),
          first_edge + np.roll(edge_of, 1, axis=1)], axis=-1
     )  # fmt: skip
-    return np.vstack([np.where(closed, moved, columns), edge_points, centres]), fine.reshape(-1, 4)
+    return np.vstack([np.where(closed, moved, columns), edge_points, centers]), fine.reshape(-1, 4)
 
 
 def spread(corners: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
@@ -170,7 +170,7 @@ def cut(columns: np.ndarray, quads: np.ndarray, joints) -> tuple[np.ndarray, lis
 # --- Skinning ---------------------------------------------------------------------------------------------------------
 
 
-def neighbour_average(faces, count: int) -> csr_array:
+def neighbor_average(faces, count: int) -> csr_array:
     """(V, V): replaces a value by the mean over the vertices that share an edge."""
     pairs = np.array([(a, b) for face in faces for a, b in zip(face, face[1:] + face[:1], strict=True)])
     pairs = np.unique(np.vstack([pairs, pairs[:, ::-1]]), axis=0)
@@ -179,7 +179,7 @@ def neighbour_average(faces, count: int) -> csr_array:
 
 
 def along_arm(vertices: np.ndarray, joints) -> np.ndarray:
-    """Metres (V,) beyond the plane that halves the elbow."""
+    """Meters (V,) beyond the plane that halves the elbow."""
     shoulder, elbow, hand = joints["upperarm"], joints["forearm"], joints["hand_l"]
     normal = (elbow - shoulder) / np.linalg.norm(elbow - shoulder) + (hand - elbow) / np.linalg.norm(hand - elbow)
     return (vertices - elbow) @ (normal / np.linalg.norm(normal))
@@ -187,7 +187,7 @@ def along_arm(vertices: np.ndarray, joints) -> np.ndarray:
 
 def smooth_weights(vertices, faces, weights, joints) -> np.ndarray:
     """Weights whose change over a joint takes as long as the limb is thick: no target could open a tighter fold."""
-    average = neighbour_average(faces, len(vertices))
+    average = neighbor_average(faces, len(vertices))
     arm = weights[:, UPPERARM] + weights[:, FOREARM]
     smooth = np.column_stack([weights[:, :UPPERARM], arm])
     for _ in range(SHOULDER_SMOOTHING):

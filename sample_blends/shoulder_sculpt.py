@@ -6,22 +6,22 @@ from __future__ import annotations
 from dataclasses import astuple, dataclass
 
 import numpy as np
-from shoulder_mesh import BONES, CHEST, FOREARM, UPPERARM, Bust, along_arm, hinge, neighbour_average, rotation
+from shoulder_mesh import BONES, CHEST, FOREARM, UPPERARM, Bust, along_arm, hinge, neighbor_average, rotation
 from stage import bump, smoothstep
 
 UP = np.array([0, 0, 1.0])
 FORWARD = np.array([0, -1.0, 0])  # turning about it raises the left arm sideways
 
 HALF, FOLDED = 60.0, 110.0  # degrees of fold beyond the rest pose, whose elbow is bent by 22
-ELBOW_GAP, ARMPIT_GAP = 0.0015, 0.0025  # metres from the skin to the plane between its two sides
-CREASE = 0.012  # metres from the middle of the crook within which that gap narrows
+ELBOW_GAP, ARMPIT_GAP = 0.0015, 0.0025  # meters from the skin to the plane between its two sides
+CREASE = 0.012  # meters from the middle of the crook within which that gap narrows
 SEAM = 0.2  # skin whose weight is nearer to even than this is the armpit's own fold, on neither side
-ROUNDS, SPREAD = 60, 20  # of pushing, and of averaging over neighbours after each
+ROUNDS, SPREAD = 60, 20  # of pushing, and of averaging over neighbors after each
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Degrees: how far the clavicle and the upper arm are raised sideways, the upper arm turned outwards about
+    """Degrees: how far the clavicle and the upper arm are raised sideways, the upper arm turned outward about
     itself, and the elbow folded."""
 
     clavicle: float = 0.0
@@ -92,7 +92,7 @@ def grown(bust: Bust, **amounts: float) -> np.ndarray:
 
 
 def lumps(bust: Bust, *parts: tuple[float, float, float, float, float]) -> np.ndarray:
-    """Lumps on the arm, (V, 3): (inwards, sideways, metres along the arm, width along, height).
+    """Lumps on the arm, (V, 3): (inward, sideways, meters along the arm, width along, height).
 
     (1, 0) is the inside of the fold, (-1, 0) the elbow's tip, (0, +-1) its two sides.
     """
@@ -104,8 +104,8 @@ def lumps(bust: Bust, *parts: tuple[float, float, float, float, float]) -> np.nd
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
     inside, sideways = np.einsum("vi,vi->v", np.cross(side, axis), outward), outward @ side
     height = sum(
-        h * bump(along, centre, width) * np.exp((inside * i + sideways * s - 1) / 0.5)
-        for i, s, centre, width, h in parts
+        h * bump(along, center, width) * np.exp((inside * i + sideways * s - 1) / 0.5)
+        for i, s, center, width, h in parts
     )
     return outward * (height * elbow_region(bust))[:, None]
 
@@ -195,11 +195,11 @@ def armpit_partings(bust: Bust, lowered: Pose) -> list[Parting]:
 def make_room(bust: Bust, shapes: list[np.ndarray], partings: list[Parting], free: np.ndarray) -> list[np.ndarray]:
     """Change shapes (V, 3) where `free` (V,) is not 0 until every parting holds.
 
-    What is pushed takes its neighbours along, a little further round after round: so the skin that makes room has
+    What is pushed takes its neighbors along, a little further round after round: so the skin that makes room has
     round edges.
     """
     shapes = np.array(shapes)
-    average = neighbour_average(bust.faces, len(free))
+    average = neighbor_average(bust.faces, len(free))
     for _ in range(ROUNDS):
         pushed = shapes.copy()
         for parting in partings:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the sample scenes share: meshes, materials, lights, camera, and the add-on's own buttons. Metres."""
+"""What the sample scenes share: meshes, materials, lights, camera, and the add-on's own buttons. Meters."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-LICENCE = """CC0 1.0 Universal
+LICENSE = """CC0 1.0 Universal
 
-To the extent possible under law, the authors of Dynamorph have waived all copyright and related or neighbouring rights
+To the extent possible under law, the authors of Dynamorph have waived all copyright and related or neighboring rights
 to this scene: meshes, shape keys, rig, animation, materials and lights.
 https://creativecommons.org/publicdomain/zero/1.0/
 """
@@ -23,8 +23,8 @@ def smoothstep(t):
     return t * t * (3 - 2 * t)
 
 
-def bump(x, centre, width):
-    return np.exp(-(((x - centre) / width) ** 2))
+def bump(x, center, width):
+    return np.exp(-(((x - center) / width) ** 2))
 
 
 def add_mesh(name: str, vertices, faces, *materials) -> bpy.types.Object:
@@ -51,20 +51,20 @@ def add_lathe(name: str, outline, material, segments: int = 48) -> bpy.types.Obj
     return add_mesh(name, vertices.reshape(-1, 3), quads.reshape(-1, 4), material)
 
 
-def add_material(name: str, colour, roughness: float, colour_attribute: str = "", subsurface: float = 0.0):
+def add_material(name: str, color, roughness: float, color_attribute: str = "", subsurface: float = 0.0):
     material = bpy.data.materials.new(name)
-    material.diffuse_color = (*colour, 1)
+    material.diffuse_color = (*color, 1)
     material.roughness = roughness
     material.use_nodes = True
     shader = material.node_tree.nodes["Principled BSDF"]
-    shader.inputs["Base Color"].default_value = (*colour, 1)
+    shader.inputs["Base Color"].default_value = (*color, 1)
     shader.inputs["Roughness"].default_value = roughness
     shader.inputs["Subsurface Weight"].default_value = subsurface
     shader.inputs["Subsurface Radius"].default_value = (1.0, 0.35, 0.2)
     shader.inputs["Subsurface Scale"].default_value = 0.02
-    if colour_attribute:
+    if color_attribute:
         attribute = material.node_tree.nodes.new("ShaderNodeVertexColor")
-        attribute.layer_name = colour_attribute
+        attribute.layer_name = color_attribute
         attribute.location = (-250, 200)
         material.node_tree.links.new(attribute.outputs["Color"], shader.inputs["Base Color"])
     return material
@@ -78,7 +78,7 @@ def place(obj: bpy.types.Object, location, aim) -> bpy.types.Object:
     return obj
 
 
-def set_up_scene(readme: str, frames: int, licence: str = LICENCE) -> bpy.types.Scene:
+def set_up_scene(readme: str, frames: int, license: str = LICENSE) -> bpy.types.Scene:
     """An empty scene that renders well with Workbench at once, and with Cycles when asked."""
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)  # keeps the add-on
     scene = bpy.context.scene
@@ -98,7 +98,7 @@ def set_up_scene(readme: str, frames: int, licence: str = LICENCE) -> bpy.types.
     background.inputs["Color"].default_value = (0.75, 0.85, 1.0, 1)
     background.inputs["Strength"].default_value = 0.35
     scene.world = world
-    for name, text in (("LICENCE", licence), ("README", readme)):
+    for name, text in (("LICENCE", license), ("README", readme)):
         bpy.data.texts.new(name).write(text)
     look_through_camera()
     return scene

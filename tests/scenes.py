@@ -25,11 +25,11 @@ def two_bone_weights(vertices: np.ndarray, joint: float = 1.0, blend: float = 0.
     return np.stack([1 - lower, lower], axis=1)
 
 
-def bulge(vertices: np.ndarray, centre: float = 0.6, width: float = 0.25, amount: float = 0.1) -> np.ndarray:
-    """A muscle's bulge (V, 3): outward from the z axis, round the height `centre`."""
+def bulge(vertices: np.ndarray, center: float = 0.6, width: float = 0.25, amount: float = 0.1) -> np.ndarray:
+    """A muscle's bulge (V, 3): outward from the z axis, round the height `center`."""
     outward = vertices * [1.0, 1.0, 0.0]
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
-    return outward * (amount * np.exp(-(((vertices[:, 2] - centre) / width) ** 2)))[:, None]
+    return outward * (amount * np.exp(-(((vertices[:, 2] - center) / width) ** 2)))[:, None]
 
 
 def bar(cells: tuple[int, int, int], size: tuple[float, float, float]):

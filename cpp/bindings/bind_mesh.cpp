@@ -164,7 +164,7 @@ progress: called with 0..1, returns False to cancel.)");
       R"(Extends values (V, k) at the embedded points to values (n, k) at the nodes.
 
 The fit is least squares at the points and smooth inside. Constants stay constant. Values overshoot slightly, so clamp
-and normalize skin weights afterwards.)");
+and normalize skin weights afterward.)");
   m.def(
       "points_on_bones",
       [](const FloatArray& vertices, const IndexArray& faces, const FloatArray& skin, const IndexArray& skin_faces,

@@ -107,7 +107,8 @@ class External {
     if (forces_.size() == 0) return nullptr;
     if (every_step_ || free_.size() == 0) {
       const Eigen::Index size = 3 * body_.mesh.nodes.rows();
-      free_ = body_.restrict_to_free(Eigen::Map<const VectorXd>(forces_.data() + (every_step_ ? step * size : 0), size));
+      free_ =
+          body_.restrict_to_free(Eigen::Map<const VectorXd>(forces_.data() + (every_step_ ? step * size : 0), size));
     }
     return &free_;
   }
@@ -138,7 +139,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
            "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0, "keep_going"_a = py::none(),
            "h: seconds per step. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, "
            "meters, above which the past is carried along (0: never). keep_going() -> bool is called before every "
-           "Newton iteration; returning False raises Cancelled.")
+           "Newton iteration; returning False raises Canceled.")
       .def("balance_targets", &balance_targets_in<Simulation<Model>>, "bones"_a,
            "Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, "
            "so that targets do not sag.")
@@ -184,7 +185,8 @@ void bind_simulation_of(py::module_& m, const char* name) {
           },
           "bones"_a, "weights"_a, "external"_a = py::none(), "grabs"_a = py::none(),
           "Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, "
-          "world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on the steps: total iterations, converged, "
+          "world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on "
+          "the steps: total iterations, converged, "
           "worst residual, elastic energy at the end, teleported, seconds.")
       .def(
           "solve_static",

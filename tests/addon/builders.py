@@ -64,7 +64,7 @@ def make_arm(scene, name="Arm"):
     obj = make_mesh(scene, name, vertices, faces)
     obj.shape_key_add(name="Basis", from_mix=False)
     add_key(obj, "flexed", scenes.bulge(vertices))
-    add_key(obj, "smile", scenes.bulge(vertices, centre=1.6, amount=-0.05))
+    add_key(obj, "smile", scenes.bulge(vertices, center=1.6, amount=-0.05))
     for bone, weights in zip(["upper", "lower"], scenes.two_bone_weights(vertices).T, strict=True):
         group = obj.vertex_groups.new(name=bone)
         for index in np.flatnonzero(weights):
@@ -177,7 +177,7 @@ class StandIn:
         self.built = 0
         self.bytes = 800  # size of a model
         self.fail = None  # an exception that bake raises
-        self.waits = {}  # by character: an Event for which its bake waits at each frame unless it is cancelled
+        self.waits = {}  # by character: an Event for which its bake waits at each frame unless it is canceled
         self.hears = None  # an Event that it waits for before it looks whether it is
         self.looks = 0  # how often it has looked, of 10 times for each bake
         self.playing = threading.Event()  # bake has begun
@@ -252,7 +252,7 @@ class StandInShot:
 
     def tell(self, frame):
         if not self.progress(frame / 10, f"Frame {frame}"):
-            raise RuntimeError("cancelled")
+            raise RuntimeError("canceled")
 
     def bake(self, exact=False):
         character, settings = self.character, self.settings

@@ -33,14 +33,14 @@ def tube_between(bottom: float, top: float, rings: int, closed=(True, True)):
     return np.asarray(vertices) + np.array([0.0, 0.0, bottom]), [*faces[:-2], *caps]
 
 
-def ball(centre, radius: float, around: int = 8):
+def ball(center, radius: float, around: int = 8):
     """A closed ball."""
     angles = np.linspace(0.0, np.pi, around // 2 + 2)[1:-1]
     vertices, faces = scenes.tube(rings=len(angles), around=around, radius=1.0, length=1.0)
     ring = np.asarray(vertices).reshape(len(angles), around, 3)
     ring[..., :2] *= np.sin(angles)[:, None, None]
     ring[..., 2] = -np.cos(angles)[:, None]
-    return ring.reshape(-1, 3) * radius + centre, faces
+    return ring.reshape(-1, 3) * radius + center, faces
 
 
 def make_figure(scene):

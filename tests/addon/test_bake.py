@@ -167,13 +167,13 @@ def test_rest_knows_no_motion_before_the_start(shot):
     assert np.abs(rest - rest[0]).max() > 100 * np.abs(settled - settled[0]).max() + 1e-4
 
 
-def test_a_pre_roll_can_be_cancelled(shot):
+def test_a_pre_roll_can_be_canceled(shot):
     asked = []
     settings = replace(shot.settings, preroll=5000)
     player = part("player").Player(
         shot.model, shot.character, settings, keep_going=lambda: len(asked) < 9 and not asked.append(1)
     )
-    with pytest.raises(pytest.importorskip("dynamorph").Cancelled):
+    with pytest.raises(pytest.importorskip("dynamorph").Canceled):
         player.begin(shot.computation.rig[:2])
     assert len(asked) == 9
 
@@ -227,8 +227,8 @@ def test_a_pre_roll_comes_in_chunks_too(shot, swaying, tmp_path, monkeypatch):
     next(steps)
     while not (job.computation.shot and job.computation.done == 15):  # two chunks
         next(steps)
-    job.cancelled = True
-    with pytest.raises(errors.Cancelled):
+    job.canceled = True
+    with pytest.raises(errors.Canceled):
         list(steps)
     resumed = part("job").Job(swaying, "BAKE", (50, 60), cache_dir=caches)
     batch.run(resumed)
@@ -253,8 +253,8 @@ def test_a_pre_roll_follows_extrapolated_curves(shot, soft_arm):
             point.interpolation = "LINEAR"
     soft_arm.dynamorph.simulation.begin, soft_arm.dynamorph.simulation.gravity = "REST", 0.0
     running, hit = baked(soft_arm, (1, 20), preroll=80), baked(soft_arm, (1, 20), preroll=80, pose="HELD")
-    travelled = running.computation.rig.object_world[:, 0, 3]
-    assert travelled == pytest.approx(np.linspace(-10.0, travelled[-1], len(travelled)), abs=1e-5)
+    traveled = running.computation.rig.object_world[:, 0, 3]
+    assert traveled == pytest.approx(np.linspace(-10.0, traveled[-1], len(traveled)), abs=1e-5)
     calm, jolt = (np.abs(job.result.coordinates - job.result.static).max() for job in (running, hit))
     assert calm < 1e-3 * jolt and jolt > 0.0
 
@@ -517,7 +517,7 @@ def test_a_pose_that_is_no_cycle_is_named(shot):
     assert len(report["warnings"]) == 1 and "off its pose at frame 1: end the loop" in report["warnings"][0]
 
 
-def test_a_loop_reports_its_passes_and_can_be_cancelled(shot):
+def test_a_loop_reports_its_passes_and_can_be_canceled(shot):
     dynamorph = pytest.importorskip("dynamorph")
     seen = []
 
@@ -526,7 +526,7 @@ def test_a_loop_reports_its_passes_and_can_be_cancelled(shot):
         return "pass 3" not in message
 
     settings = replace(shot.settings, end=12, loop=True)
-    with pytest.raises(dynamorph.Cancelled):
+    with pytest.raises(dynamorph.Canceled):
         part("simulate").bake(shot.model, shot.character, cyclic(shot), settings, progress)
     fractions = [fraction for fraction, _ in seen]
     assert fractions == sorted(fractions) and fractions[-1] < 1.0

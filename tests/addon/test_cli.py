@@ -384,7 +384,7 @@ def test_wedges_set_what_targets_are_made_of(shot, run, stand_in):
     "change, words",
     [
         ("nope.stiffness=1e4", "no target named 'nope': it has Neutral, flexed"),
-        ("flexed.colour=1", "a target has no 'colour': there are stiffness"),
+        ("flexed.color=1", "a target has no 'color': there are stiffness"),
         ("flexed.stiffness=soft", "could not convert"),
         ("flexed.stiffness=-4", "-4 is not between 1 and"),
         ("stiffness", "no target named ''"),

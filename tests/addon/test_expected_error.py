@@ -134,13 +134,13 @@ def test_what_is_known_is_not_measured_again(coarse, monkeypatch):
 
 @pytest.fixture
 def endless(monkeypatch):
-    """Measurements that go on until they are cancelled."""
+    """Measurements that go on until they are canceled."""
     expected_error = part("expected_error")
 
     def run(measurement):
         while measurement.goes_on(0.0, ""):
             pass
-        raise RuntimeError("cancelled")
+        raise RuntimeError("canceled")
 
     monkeypatch.setattr(expected_error.Measurement, "run", run)
     return expected_error
@@ -159,7 +159,7 @@ def test_the_panel_says_that_it_is_measured(coarse, endless):
         lambda _obj: bpy.ops.wm.read_homefile(use_empty=True),
         lambda _obj: part("expected_error").cancel(),
     ],
-    ids=["next job", "other file", "cancelled"],
+    ids=["next job", "other file", "canceled"],
 )
 def test_it_stops_for_what_matters_more(coarse, endless, end, caplog):
     build(coarse)

@@ -271,7 +271,7 @@ def fail(*_arguments):
     raise RuntimeError("Error: no disk")
 
 
-def test_what_fails_or_is_cancelled_leaves_all_as_it_was(game_arm, tmp_path, monkeypatch):
+def test_what_fails_or_is_canceled_leaves_all_as_it_was(game_arm, tmp_path, monkeypatch):
     obj = game_arm
     exports, export_actions, errors = part("exports"), part("export_actions"), part("errors")
     rig_of(obj).animation_data.nla_tracks[0].is_solo = True
@@ -283,7 +283,7 @@ def test_what_fails_or_is_cancelled_leaves_all_as_it_was(game_arm, tmp_path, mon
         with pytest.raises(errors.ExportError, match="no disk"):
             exported(obj, tmp_path)
     assert state(obj) == before
-    with pytest.raises(errors.Cancelled):
+    with pytest.raises(errors.Canceled):
         export_actions.export(obj, "GLTF", tmp_path / "arm.glb", (1, 1), "ACTIONS", tick=lambda batch: batch.cancel())
     assert state(obj) == before
     assert list(tmp_path.iterdir()) == []

@@ -58,7 +58,7 @@ def constrained(obj):
     follow.target = leader
 
 
-def unnormalised_and_unweighted(obj):
+def unnormalized_and_unweighted(obj):
     obj.vertex_groups["upper"].add(list(range(40)), 0.2, "REPLACE")
     obj.vertex_groups["upper"].remove([3, 4, 5])
     obj.vertex_groups["lower"].remove([3, 4, 5])
@@ -79,7 +79,7 @@ def not_deforming(obj):
 @pytest.mark.parametrize(
     "change",
     [
-        lambda obj: None, moved_and_scaled, mirrored, parented_and_animated, constrained, unnormalised_and_unweighted,
+        lambda obj: None, moved_and_scaled, mirrored, parented_and_animated, constrained, unnormalized_and_unweighted,
         masked, not_deforming,
     ],
     ids=lambda change: change.__name__,
@@ -183,7 +183,7 @@ def test_shape_is_relative_to_its_key_times_its_group(soft_arm):
     group = soft_arm.vertex_groups.new(name="Half")
     group.add(list(range(100)), 0.5, "REPLACE")
     blocks["flexed"].vertex_group = "Half"
-    expected = scenes.bulge(vertices) - scenes.bulge(vertices, centre=1.6, amount=-0.05)
+    expected = scenes.bulge(vertices) - scenes.bulge(vertices, center=1.6, amount=-0.05)
     expected[:100] *= 0.5
     expected[100:] = 0.0
     np.testing.assert_allclose(part("extract").character(soft_arm).targets[1].shape, expected, atol=1e-6)

@@ -142,12 +142,12 @@ def test_each_step_is_an_array_that_waits_for_the_one_before(tmp_path):
 
 
 @needs_openjd
-def test_what_was_submitted_is_cancelled_when_a_later_step_is_refused(tmp_path):
+def test_what_was_submitted_is_canceled_when_a_later_step_is_refused(tmp_path):
     program(tmp_path, "sbatch", f'[[ "$*" != *--array=0-5* ]] || exit 1; {COUNTS}')
     program(tmp_path, "scancel", 'echo "$@" >"$0.asked"')
     submitted = submit(tmp_path)
     assert submitted.returncode == 1
-    assert "Bake was not submitted" in submitted.stderr and "cancelled: Check 1, Build 2" in submitted.stderr
+    assert "Bake was not submitted" in submitted.stderr and "canceled: Check 1, Build 2" in submitted.stderr
     assert (tmp_path / "scancel.asked").read_text() == "1 2\n"
 
 

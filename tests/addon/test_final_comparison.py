@@ -162,14 +162,14 @@ def test_what_cannot_be_compared(coarse):
     assert not possible() and "dynamorph.compare_final" not in drawn(coarse)
 
 
-def test_it_can_be_cancelled(coarse):
+def test_it_can_be_canceled(coarse):
     bake(coarse)
     comparison = part("final_comparison").FinalComparison(coarse)
     steps = comparison.steps()
     next(steps)
     assert comparison.fraction < 0.5
     comparison.cancel()
-    with pytest.raises(part("errors").Cancelled):
+    with pytest.raises(part("errors").Canceled):
         list(steps)
     comparison.stop()
     assert coarse.dynamorph.bake.off_final < 0

@@ -29,7 +29,7 @@ def herbert(scene):
     return bpy.data.objects["Herbert"]
 
 
-def centre_of_mass(herbert):
+def center_of_mass(herbert):
     """The path (F, 3) of his center of mass over the whole scene, armature space."""
     bones = herbert.modifiers["Armature"].object.data.bones
     rest = {bone.name: np.array([bone.head_local, bone.tail_local]).mean(axis=0) for bone in bones}
@@ -81,12 +81,12 @@ def test_tuck_bulges_only_what_is_soft(herbert):
 
 
 def test_flight_is_ballistic(herbert):
-    path = centre_of_mass(herbert)[TAKE_OFF - 1 : ENTRY]
+    path = center_of_mass(herbert)[TAKE_OFF - 1 : ENTRY]
     assert np.allclose(np.diff(path, 2, axis=0) * motion.FPS**2, [0, 0, -motion.GRAVITY], atol=0.05)
 
 
 def test_wall_stops_him_within_a_frame(herbert):
-    speed = -np.diff(centre_of_mass(herbert)[:, 1]) * motion.FPS
+    speed = -np.diff(center_of_mass(herbert)[:, 1]) * motion.FPS
     before, after = speed[IMPACT - 2], speed[IMPACT - 1]
     assert before == pytest.approx(motion.SPEED, abs=0.05)
     assert after == pytest.approx(0, abs=0.05)
@@ -125,10 +125,10 @@ def test_script_reproduces_the_file(herbert, tmp_path):
         pytest.skip("needs MakeHuman's data: make it once with make_samples.py")
     script = [sys.executable, str(SAMPLES / "make_samples.py"), str(tmp_path), "herbert"]
     subprocess.run(script, check=True, stdout=subprocess.DEVNULL, timeout=120)
-    stored, path = part("extract").character(herbert), centre_of_mass(herbert)
+    stored, path = part("extract").character(herbert), center_of_mass(herbert)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / SCENE.name))
     made = part("extract").character(bpy.data.objects["Herbert"])
     assert np.allclose(stored.vertices, made.vertices, atol=1e-6)
     assert np.allclose(stored.weights, made.weights, atol=1e-6)
     assert np.allclose([t.shape for t in stored.targets], [t.shape for t in made.targets], atol=1e-6)
-    assert np.allclose(path, centre_of_mass(bpy.data.objects["Herbert"]), atol=1e-5)
+    assert np.allclose(path, center_of_mass(bpy.data.objects["Herbert"]), atol=1e-5)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Temporary data is gone afterwards, also after a failure, and the handlers of other add-ons are not called for it."""
+"""Temporary data is gone afterward, also after a failure, and the handlers of other add-ons are not called for it."""
 
 import gc
 import types

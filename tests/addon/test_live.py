@@ -794,7 +794,7 @@ def test_a_build_that_fails_leaves_the_soft_skin(new_arm, monkeypatch):
 
 def test_escape_leaves_the_soft_skin_too(new_arm, monkeypatch):
     seen = FirstLook(new_arm, monkeypatch, ["TIMER", "ESC"])
-    assert seen.result == {"CANCELLED"} and seen.reports == [("WARNING", "Cancelled: nothing was changed")]
+    assert seen.result == {"CANCELLED"} and seen.reports == [("WARNING", "Canceled: nothing was changed")]
     assert new_arm.dynamorph.targets and seen.pressed == []
 
 

@@ -12,13 +12,13 @@ sys.path.append(str(Path(__file__).parents[2] / "sample_blends"))
 import measures
 
 
-def sphere(centre=(0.0, 0.0, 0.0), radius=1.0, rings=32, around=48):
+def sphere(center=(0.0, 0.0, 0.0), radius=1.0, rings=32, around=48):
     """A closed sphere: vertices (V, 3), outward triangles (T, 3)."""
     polar, angle = np.meshgrid(
         np.linspace(0, np.pi, rings + 1)[1:-1], np.arange(around) * 2 * np.pi / around, indexing="ij"
     )
     side = np.stack([np.sin(polar) * np.cos(angle), np.sin(polar) * np.sin(angle), np.cos(polar)], -1).reshape(-1, 3)
-    vertices = np.concatenate([side, [[0, 0, 1], [0, 0, -1]]]) * radius + centre
+    vertices = np.concatenate([side, [[0, 0, 1], [0, 0, -1]]]) * radius + center
     index = np.arange(len(side)).reshape(rings - 1, around)
     after = np.roll(index, -1, axis=1)
     quads = np.stack([index[:-1], index[1:], after[1:], after[:-1]], -1).reshape(-1, 4)

@@ -117,8 +117,8 @@ def test_regions_have_weights_of_their_own(two_regions):
     assert job.result.weights[-1] == pytest.approx([0, 1, 1, 0], abs=1e-6)
     regions = job.model.region_weights
     assert np.allclose(regions.sum(axis=1), 1)
-    centres = job.model.nodes[job.model.tets].mean(axis=1)[:, 2]
-    assert regions[centres > 1.8, 1].min() > 0.8 and regions[centres < 1.0, 1].max() < 0.2
+    centers = job.model.nodes[job.model.tets].mean(axis=1)[:, 2]
+    assert regions[centers > 1.8, 1].min() > 0.8 and regions[centers < 1.0, 1].max() < 0.2
     assert_shows(two_regions, job.result)
 
 

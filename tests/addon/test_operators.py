@@ -63,7 +63,7 @@ def test_add_target_refusals(soft_arm):
     refused(bpy.ops.dynamorph.add_target, "belongs to the bake", key="Dynamorph Mode 01")
 
 
-def test_buttons_say_why_they_are_grey(scene, arm):
+def test_buttons_say_why_they_are_gray(scene, arm):
     assert not bpy.ops.dynamorph.bake.poll() and bpy.ops.dynamorph.add_soft_skin.poll()
     activate(rig_of(arm))
     assert bpy.ops.dynamorph.add_soft_skin.poll()  # it goes on the mesh
@@ -206,7 +206,7 @@ def test_a_model_that_was_kept_as_bytes_is_read(soft_arm, stand_in):
     assert model_store.stale_reasons(soft_arm, part("extract").character(soft_arm)) == []
 
 
-# Errors and cancelling change nothing ------------------------------------------------------------------------------
+# Errors and canceling change nothing ------------------------------------------------------------------------------
 
 
 def test_an_error_in_the_engine_changes_nothing(soft_arm, stand_in):
@@ -230,7 +230,7 @@ def test_a_result_that_is_not_a_number_is_refused(soft_arm, stand_in, monkeypatc
     assert not soft_arm.dynamorph.bake.keys
 
 
-def test_cancelling_is_fast_and_changes_nothing(soft_arm, stand_in):
+def test_canceling_is_fast_and_changes_nothing(soft_arm, stand_in):
     errors = part("errors")
     stand_in.waits["Arm"] = threading.Event()
     before = fingerprint(soft_arm)
@@ -239,8 +239,8 @@ def test_cancelling_is_fast_and_changes_nothing(soft_arm, stand_in):
     steps = batch.steps()
     while job.message != "Frame 0":
         next(steps)
-    job.cancelled = True
-    with pytest.raises(errors.Cancelled):
+    job.canceled = True
+    with pytest.raises(errors.Canceled):
         list(steps)
     batch.stop()
     assert stand_in.looks < 10  # the bake did not run to its end
@@ -313,7 +313,7 @@ def test_escape_ends_a_bake_at_once_whatever_the_engine_does(soft_arm, stand_in)
 
     try:
         pressed = Pressed(soft_arm, until_the_engine_computes())
-        assert pressed.result == {"CANCELLED"} and pressed.reports == [("WARNING", "Cancelled: nothing was changed")]
+        assert pressed.result == {"CANCELLED"} and pressed.reports == [("WARNING", "Canceled: nothing was changed")]
         assert [thread.is_alive() for thread in batch.winding_down] == [True]
         stand_in.hears = None
         assert Pressed(soft_arm).result == {"FINISHED"}  # the other thread still computes
@@ -377,7 +377,7 @@ def test_reading_the_rig_ends_without_a_trace(soft_arm, stand_in, slow_rig, endi
         assert pressed.result is None and len(bpy.data.scenes) == 1 and not bpy.data.objects
         return
     assert pressed.result == {"CANCELLED"}
-    words = {"escape": "Cancelled: nothing", "undo": "undone while 'Arm' was read", "an error": "no Armature modifier"}
+    words = {"escape": "Canceled: nothing", "undo": "undone while 'Arm' was read", "an error": "no Armature modifier"}
     assert words[ending] in pressed.reports[-1][1]
     assert fingerprint(bpy.data.objects["Arm"]) == before
 

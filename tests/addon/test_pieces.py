@@ -377,15 +377,15 @@ def test_other_meshes_are_found(soft_arm):
 
 
 def make_arm_with(*blobs):
-    """An arm whose mesh also has boxes, each given as (centre, size, weight of the lower bone, material slot)."""
+    """An arm whose mesh also has boxes, each given as (center, size, weight of the lower bone, material slot)."""
     rig = make_rig(bpy.context.scene, "Arm Rig")
     vertices, faces = scenes.tube()
     points, weights, polygons = [np.asarray(vertices)], [scenes.two_bone_weights(vertices)], [list(f) for f in faces]
     slots = [0] * len(faces)
-    for centre, size, lower, slot in blobs:
+    for center, size, lower, slot in blobs:
         first = sum(map(len, points))
         corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size / 2
-        points.append(corners + centre)
+        points.append(corners + center)
         weights.append(np.tile([1.0 - lower, lower], (8, 1)))
         sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
         polygons += [[first + corner for corner in side] for side in sides]

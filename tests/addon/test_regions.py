@@ -18,9 +18,9 @@ EXACT = 1e-6  # of weights: poses are stored in single precision
 CHAIN = ("upper", "lower", "hand", "finger")  # a joint at each whole x
 
 
-def bump(vertices, centre, width=0.3, amount=0.1):
-    """A swelling (V, 3) of a bar along x round x = centre, of limited width."""
-    near = np.clip(1.0 - ((vertices[:, 0] - centre) / width) ** 2, 0.0, None) ** 2
+def bump(vertices, center, width=0.3, amount=0.1):
+    """A swelling (V, 3) of a bar along x round x = center, of limited width."""
+    near = np.clip(1.0 - ((vertices[:, 0] - center) / width) ** 2, 0.0, None) ** 2
     return amount * near[:, None] * vertices * [0.0, 1.0, 1.0] / 0.3
 
 
@@ -84,9 +84,9 @@ def rest(obj):
     return part("mesh_data").rest_points(obj)
 
 
-def add(obj, key, centre, **turned):
-    """A target, sculpted round x = centre, at a pose."""
-    add_key(obj, key, bump(rest(obj), centre))
+def add(obj, key, center, **turned):
+    """A target, sculpted round x = center, at a pose."""
+    add_key(obj, key, bump(rest(obj), center))
     pose(obj, **turned)
     OPS.add_target(key=key)
     pose(obj)
@@ -228,7 +228,7 @@ ANIMATED = {"upper": 0.3, "lower": 1.0, "hand": 0.9, "finger": 0.8}
 
 
 @pytest.mark.parametrize(
-    "centre, turned, bones",
+    "center, turned, bones",
     [
         (1.0, ANIMATED, ("lower",)),
         (2.0, ANIMATED, ("hand",)),
@@ -240,8 +240,8 @@ ANIMATED = {"upper": 0.3, "lower": 1.0, "hand": 0.9, "finger": 0.8}
         (1.0, {"upper": 1.0}, ("upper",)),
     ],
 )
-def test_the_joints_that_bend_the_sculpt_place_the_target(bar, centre, turned, bones):
-    assert add(bar, "sculpt", centre, **turned).bone_names() == bones
+def test_the_joints_that_bend_the_sculpt_place_the_target(bar, center, turned, bones):
+    assert add(bar, "sculpt", center, **turned).bone_names() == bones
 
 
 def test_a_key_that_moves_nothing_yet_takes_all_that_are_turned(bar):
@@ -255,23 +255,23 @@ def test_a_key_that_moves_nothing_yet_takes_all_that_are_turned(bar):
     assert target.bone_names() == ("hand",) and target.region
 
 
-def sculpt(obj, key, centre):
+def sculpt(obj, key, center):
     """Change the points of the key as sculpting strokes do."""
     block = obj.data.shape_keys.key_blocks[key]
     before = part("mesh_data").target_shape(obj, key)
     bpy.ops.object.mode_set(mode="OBJECT")
-    part("targets").set_shape(block, before + bump(rest(obj), centre))
+    part("targets").set_shape(block, before + bump(rest(obj), center))
 
 
 def test_finish_sculpting_chooses_bones_unless_the_artist_did(bar):
-    for key, centre, by_hand in (("first", 2.0, False), ("second", 3.0, True)):
+    for key, center, by_hand in (("first", 2.0, False), ("second", 3.0, True)):
         pose(bar, **{bone: 0.5 * angle if by_hand else angle for bone, angle in ANIMATED.items()})
         OPS.new_from_pose(key=key)
         target = bar.dynamorph.active_target
         assert target.bone_names() == CHAIN
         if by_hand:
             OPS.remove_bone(bone="finger")
-        sculpt(bar, key, centre)
+        sculpt(bar, key, center)
         OPS.finish_sculpt()
         target = bar.dynamorph.targets[key]
         assert target.bone_names() == (CHAIN[:3] if by_hand else ("hand",))
@@ -319,7 +319,7 @@ def test_targets_that_share_a_bone_form_one_set(bar):
     assert targets[first].region == targets[second].region != targets[other].region
     region, points = part("regions").region, rest(bar)
     triangles = part("mesh_data").mesh_triangles(bar.data)
-    union = np.maximum(*(region(points, triangles, bump(points, centre)) for centre in (1.0, 1.4)))
+    union = np.maximum(*(region(points, triangles, bump(points, center)) for center in (1.0, 1.4)))
     np.testing.assert_allclose(group(bar, targets[first].region), union, atol=1e-6)
     targets[second].set_bones(["hand"])
     part("regions").update(bar)
@@ -466,13 +466,13 @@ def test_a_target_leaves_the_motion_of_the_rest_alone(bar):
 
 def test_a_pose_serves_as_many_targets_as_limbs_are_turned(bar):
     turned = {"lower": 1.0, "finger": 0.8}
-    for key, centre, bones in (("root", 1.0, ("lower",)), ("tip", 3.0, ("finger",))):
+    for key, center, bones in (("root", 1.0, ("lower",)), ("tip", 3.0, ("finger",))):
         pose(bar, **turned)
         OPS.new_from_pose(key=key)
-        sculpt(bar, key, centre)
+        sculpt(bar, key, center)
         OPS.finish_sculpt()
         assert bar.dynamorph.targets[key].bone_names() == bones
-        assert part("mesh_data").target_shape(bar, key) == pytest.approx(bump(rest(bar), centre), abs=1e-6)
+        assert part("mesh_data").target_shape(bar, key) == pytest.approx(bump(rest(bar), center), abs=1e-6)
     now = weights_at(bar, **turned)
     assert now["root"] == pytest.approx(1.0, abs=EXACT) == now["tip"]
     pose(bar, lower=1.0)

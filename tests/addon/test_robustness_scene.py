@@ -30,7 +30,7 @@ def parented(obj):
     return root
 
 
-def travelling(obj):
+def traveling(obj):
     root = parented(obj)
     for frame, x in ((1, 0.0), (20, 2.0)):
         root.location.x, root.rotation_euler.z = x, x
@@ -38,7 +38,7 @@ def travelling(obj):
         root.keyframe_insert("rotation_euler", frame=frame)
 
 
-def in_centimetres(obj, units=100.0):
+def in_centimeters(obj, units=100.0):
     """Many exporters write an armature and a mesh 100 times too large, below an object of scale 0.01."""
     root = parented(obj)
     root.scale = (1.0 / units, 1.0 / units, 1.0 / units)
@@ -69,7 +69,7 @@ def turned_and_mirrored_mesh(obj):
     obj.matrix_parent_inverse = Matrix.Rotation(0.4, 4, "Z") @ Matrix.Scale(-1.0, 4, (0, 1, 0))
 
 
-PLACES = [travelling, in_centimetres, stretched, mirrored, mirrored_rig_alone, turned_and_mirrored_mesh]
+PLACES = [traveling, in_centimeters, stretched, mirrored, mirrored_rig_alone, turned_and_mirrored_mesh]
 
 
 @pytest.mark.fault("M16")
@@ -101,7 +101,7 @@ def test_small_units_below_a_small_scale_change_nothing(scene, skin):
     """
     bake(skin)
     shown = motion(skin)
-    in_centimetres(skin, units=128.0)
+    in_centimeters(skin, units=128.0)
     scene.frame_set(1)
     assert "mesh changed" in bake(skin).reasons
     assert np.abs(motion(skin) - shown).max() < 1e-4

@@ -187,7 +187,7 @@ def press(name):
     """A button is grayed out, or does its work, or says in words what is missing."""
     button = getattr(OPS, name)
     if not button.poll():
-        return "grey"
+        return "gray"
     try:
         button("EXEC_DEFAULT", True, **BUTTONS[name][1])
     except RuntimeError as error:  # this is how an error report reaches Python
@@ -231,7 +231,7 @@ def test_every_button_and_panel_in_every_state(baked_file, state):
         draw_panels("DYNAMORPH_PT_sidebar")
         bpy.context.scene.frame_set(3)
     if state in NOBODY:
-        assert {answers[name] for name in CALLS if name != "bake_all"} == {"grey"}
+        assert {answers[name] for name in CALLS if name != "bake_all"} == {"gray"}
     if state in WORKING:
         assert answers["bake"] == answers["build"] == answers["free_bake"] == "done"
 
@@ -259,7 +259,7 @@ def test_bake_says_what_is_missing(scene, stand_in, state, words):
 @pytest.mark.fault("G07", "P07")
 @pytest.mark.parametrize("state", [mesh_in_sculpt_mode, mesh_in_weight_paint, rig_in_pose_mode, both_hidden])
 def test_states_in_which_baking_works(scene, stand_in, state):
-    """The mode is kept, and afterwards the bake shows."""
+    """The mode is kept, and afterward the bake shows."""
     make_soft(make_arm(scene))
     still = motion(mesh(), frames=(5, 15))
     state()

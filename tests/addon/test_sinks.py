@@ -184,7 +184,7 @@ def test_free_finds_renamed_and_moved_keys(soft_arm):
     before = fingerprint(soft_arm)
     bake.write_keys(soft_arm, hand_made_bake(soft_arm))
     blocks = keys_of(soft_arm).key_blocks
-    blocks["Dynamorph Mode 02"].name = "my favourite"
+    blocks["Dynamorph Mode 02"].name = "my favorite"
     blocks["flexed"].name = "biceps"
     keys_of(soft_arm).animation_data.nla_tracks[0].name = "soft"
     keys_of(soft_arm).animation_data.nla_tracks[0].strips[0].action.name = "soft"

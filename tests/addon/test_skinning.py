@@ -10,7 +10,7 @@ import pytest
 from builders import activate, add_key, evaluated_points, part, rig_of
 from mathutils import Matrix
 from test_extract import constrained, masked, mirrored, moved_and_scaled, not_deforming, parented_and_animated
-from test_with_engine import scaled_and_travelling
+from test_with_engine import scaled_and_traveling
 
 FRAMES = 1, 7, 20
 
@@ -294,7 +294,7 @@ def run(obj, **options):
 
 @pytest.mark.fault("R01")
 @pytest.mark.parametrize(
-    "change", [twisting, growing, hybrid, two_armatures, bendy, both(twisting, scaled_and_travelling)],
+    "change", [twisting, growing, hybrid, two_armatures, bendy, both(twisting, scaled_and_traveling)],
     ids=lambda change: change.__name__,
 )  # fmt: skip
 def test_blender_shows_what_the_engine_computed(scene, small_arm, change):
@@ -459,7 +459,7 @@ def test_a_cage_is_made_before_the_rig_is_read_and_serves_the_model(small_arm):
     assert again.reasons == []
 
 
-def test_cancelled_while_the_cage_is_made(small_arm):
+def test_canceled_while_the_cage_is_made(small_arm):
     preserve_volume(small_arm)
     errors, job = part("errors"), part("job")
     batch = part("batch").Batch([job.Job(small_arm, "BAKE")], "BAKE")
@@ -467,7 +467,7 @@ def test_cancelled_while_the_cage_is_made(small_arm):
     next(steps), next(steps)
     assert batch.jobs[0].thread.is_alive()
     batch.cancel()
-    with pytest.raises(errors.Cancelled):
+    with pytest.raises(errors.Canceled):
         list(steps)
     assert small_arm.dynamorph.model.content_id == ""
 

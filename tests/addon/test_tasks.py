@@ -39,7 +39,7 @@ def test_esc_while_frames_are_read(soft_arm, slow, name):
     frame = bpy.context.scene.frame_current
     pressed = Pressed(soft_arm, ["TIMER", "TIMER", "ESC"], f"DYNAMORPH_OT_{name}")
     assert pressed.result == {"CANCELLED"} and pressed.turns == 3
-    assert pressed.reports == [("WARNING", "Cancelled: nothing was changed")]
+    assert pressed.reports == [("WARNING", "Canceled: nothing was changed")]
     assert part("weight_curves").drawn(soft_arm) is None and bpy.context.scene.frame_current == frame
 
 

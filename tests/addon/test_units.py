@@ -133,12 +133,12 @@ def scaled(obj, mesh: float, rig: float):
     reframe(rig_of(obj), Matrix.Scale(rig, 4))
 
 
-def in_units(obj, metres: float):
+def in_units(obj, meters: float):
     """Make a unit of the scene this many meters, and scale all numbers accordingly."""
-    bpy.context.scene.unit_settings.scale_length = metres
-    scaled(obj, metres, metres)
+    bpy.context.scene.unit_settings.scale_length = meters
+    scaled(obj, meters, meters)
     for placed in (obj, rig_of(obj)):
-        placed.matrix_basis = Matrix.Scale(1.0 / metres, 4) @ placed.matrix_basis
+        placed.matrix_basis = Matrix.Scale(1.0 / meters, 4) @ placed.matrix_basis
 
 
 def holder(transform: Matrix):
@@ -180,9 +180,9 @@ PLACED = {
     "100": lambda obj: scaled(obj, 100.0, 100.0),
     "mesh 1, rig 0.01": lambda obj: scaled(obj, 1.0, 0.01),
     "mesh 0.3, rig 100": lambda obj: scaled(obj, 0.3, 100.0),
-    "millimetres": lambda obj: in_units(obj, 0.001),
-    "centimetres": lambda obj: in_units(obj, 0.01),
-    "hundreds of metres": lambda obj: in_units(obj, 100.0),
+    "millimeters": lambda obj: in_units(obj, 0.001),
+    "centimeters": lambda obj: in_units(obj, 0.01),
+    "hundreds of meters": lambda obj: in_units(obj, 100.0),
     "stretched mesh": lambda obj: reframe(obj, Matrix.Diagonal((1.0, 1.0, 3.0, 1.0))),
     "turned rig": lambda obj: reframe(rig_of(obj), turned(0.4, "Y")),
     "mesh on the rig": lambda obj: parented(obj, rig_of(obj)),
@@ -217,7 +217,7 @@ def test_the_same_motion_in_the_same_cage(scene, name):
     assert difference(shot(obj, expected), expected) < SAME
 
 
-def travelling(scene):
+def traveling(scene):
     """The limb on an armature object that travels too."""
     obj = limb(scene)
     parented(obj, rig_of(obj))
@@ -227,15 +227,15 @@ def travelling(scene):
 
 
 @lru_cache
-def travelled() -> Shot:
-    return shot(travelling(clear()))
+def traveled() -> Shot:
+    return shot(traveling(clear()))
 
 
 @pytest.mark.parametrize("distance, same", [(0.0, SAME), (10.3, SAME), (100.3, 1e-5), (1000.3, 1e-3)])
 def test_the_same_motion_elsewhere(scene, distance, same):
     """Blender's transforms are in single precision: at a kilometer 3e-5 m, which the simulation feels as a jerk."""
-    expected = travelled()
-    obj = travelling(clear())
+    expected = traveled()
+    obj = traveling(clear())
     moved = Matrix.Translation((distance, 0.0, 0.0)) @ turned(0.6, "Z")
     rig_of(obj).parent = holder(moved)
     assert difference(shot(obj), expected, np.array(moved)) < same
@@ -243,7 +243,7 @@ def test_the_same_motion_elsewhere(scene, distance, same):
 
 def test_the_same_motion_on_a_bone_that_travels(scene):
     """The armature hangs on a bone of another armature, which travels in its place."""
-    expected = travelled()
+    expected = traveled()
     obj = limb(clear())
     rig = rig_of(obj)
     parented(obj, rig)
@@ -293,7 +293,7 @@ def test_the_cage_does_not_depend_on_the_scale(scene, scale):
 
 
 @pytest.fixture
-def in_centimetres(scene):
+def in_centimeters(scene):
     """The arm, 200 units long, in a scene whose unit is a centimeter."""
     obj = limb(scene)
     in_units(obj, 0.01)
@@ -301,59 +301,59 @@ def in_centimetres(scene):
     return obj
 
 
-def test_sizes_are_reported_in_meters(in_centimetres):
+def test_sizes_are_reported_in_meters(in_centimeters):
     extract, scene = part("extract"), bpy.context.scene
-    assert extract.warnings(in_centimetres, extract.character(in_centimetres)) == []
-    assert part("transfer").size(in_centimetres) == pytest.approx(2.17, abs=0.01)
+    assert extract.warnings(in_centimeters, extract.character(in_centimeters)) == []
+    assert part("transfer").size(in_centimeters) == pytest.approx(2.17, abs=0.01)
     assert part("transfer_operators").length(0.0123) == "1.23 cm"
     scene.unit_settings.scale_length = 1.0
-    (warning,) = extract.warnings(in_centimetres, extract.character(in_centimetres))
+    (warning,) = extract.warnings(in_centimeters, extract.character(in_centimeters))
     assert "'Arm' is 217 m long and will move like something of that size: check the scale" in warning
 
 
-def test_without_a_unit_system_a_unit_is_a_meter(in_centimetres):
+def test_without_a_unit_system_a_unit_is_a_meter(in_centimeters):
     bpy.context.scene.unit_settings.system = "NONE"
-    np.testing.assert_allclose(part("extract").character(in_centimetres).to_bind, np.eye(3))
+    np.testing.assert_allclose(part("extract").character(in_centimeters).to_bind, np.eye(3))
 
 
-def test_another_unit_scale_makes_a_model_old(in_centimetres):
+def test_another_unit_scale_makes_a_model_old(in_centimeters):
     batch, job, model_store, units = part("batch"), part("job"), part("model_store"), bpy.context.scene.unit_settings
-    batch.run(job.Job(in_centimetres, goal="BUILD"))
-    assert part("staleness").model_changes(in_centimetres) == []
+    batch.run(job.Job(in_centimeters, goal="BUILD"))
+    assert part("staleness").model_changes(in_centimeters) == []
     units.scale_length = 0.1
-    assert part("staleness").model_changes(in_centimetres) == ["Unit scale changed"]
+    assert part("staleness").model_changes(in_centimeters) == ["Unit scale changed"]
     assert "object scale changed" in model_store.stale_reasons(
-        in_centimetres, part("extract").character(in_centimetres)
+        in_centimeters, part("extract").character(in_centimeters)
     )
 
 
-def test_the_distance_of_the_cage_is_in_meters(in_centimetres):
-    in_centimetres.dynamorph.model.cage_thickness = 3.0  # Blender units, as the panel takes it
-    assert part("extract").character(in_centimetres).settings.cage_thickness == pytest.approx(0.03)
+def test_the_distance_of_the_cage_is_in_meters(in_centimeters):
+    in_centimeters.dynamorph.model.cage_thickness = 3.0  # Blender units, as the panel takes it
+    assert part("extract").character(in_centimeters).settings.cage_thickness == pytest.approx(0.03)
 
 
-def test_force_fields_are_in_meters(in_centimetres):
+def test_force_fields_are_in_meters(in_centimeters):
     bpy.ops.object.effector_add(type="WIND", location=(300.0, 0.0, 0.0))
     field = bpy.context.object.field
     field.use_max_distance, field.distance_max = True, 250.0
-    (found,) = part("rig_motion").sample_rig(in_centimetres, 1, 2, 1).fields
+    (found,) = part("rig_motion").sample_rig(in_centimeters, 1, 2, 1).fields
     assert found.farthest == pytest.approx(2.5)
     np.testing.assert_allclose(found.world[0, :3, 3], (3.0, 0.0, 0.0), rtol=1e-6)
 
 
-def test_what_is_drawn_is_in_blender_units(in_centimetres):
+def test_what_is_drawn_is_in_blender_units(in_centimeters):
     batch, job, model_store = part("batch"), part("job"), part("model_store")
-    batch.run(job.Job(in_centimetres, goal="BUILD"))
+    batch.run(job.Job(in_centimeters, goal="BUILD"))
     bpy.context.scene.frame_set(1)
-    bones = part("overlays").skin_matrices(in_centimetres, bpy.context.evaluated_depsgraph_get())
-    cage = part("overlays").cage_of(model_store.load_model(in_centimetres))
+    bones = part("overlays").skin_matrices(in_centimeters, bpy.context.evaluated_depsgraph_get())
+    cage = part("overlays").cage_of(model_store.load_model(in_centimeters))
     assert 200.0 < np.ptp(cage.posed(bones)[:, 2]) < 260.0
 
 
-def test_a_shake_moves_the_rig_in_blender_units(in_centimetres):
+def test_a_shake_moves_the_rig_in_blender_units(in_centimeters):
     batch, job, preview = part("batch"), part("job"), part("preview")
-    batch.run(job.Job(in_centimetres, goal="BUILD"))
-    tissue = part("session").Tissue(in_centimetres, bpy.context.scene)
-    samples, transforms = preview.shaken(in_centimetres, tissue, "HOP")
+    batch.run(job.Job(in_centimeters, goal="BUILD"))
+    tissue = part("session").Tissue(in_centimeters, bpy.context.scene)
+    samples, transforms = preview.shaken(in_centimeters, tissue, "HOP")
     assert np.ptp(samples.rig_world[:, 2, 3]) == pytest.approx(0.12 * 2.17, rel=0.05)
     np.testing.assert_allclose(transforms[:, 2, 3], 100.0 * samples.rig_world[:, 2, 3], rtol=1e-5, atol=1e-6)

@@ -24,7 +24,7 @@ def plain(_obj):
     pass
 
 
-def scaled_and_travelling(obj):
+def scaled_and_traveling(obj):
     """A rig that moves and turns with its mesh as a child, both scaled."""
     rig = rig_of(obj)
     obj.parent = rig
@@ -47,7 +47,7 @@ def run(obj, **options):
     return job
 
 
-@pytest.mark.parametrize("change", [plain, scaled_and_travelling, mirrored])
+@pytest.mark.parametrize("change", [plain, scaled_and_traveling, mirrored])
 def test_blender_shows_what_the_engine_computed(small_arm, change):
     change(small_arm)
     bpy.context.view_layer.update()
@@ -56,7 +56,7 @@ def test_blender_shows_what_the_engine_computed(small_arm, change):
     assert_shows(small_arm, job.result)
 
 
-@pytest.mark.parametrize("change", [plain, scaled_and_travelling, mirrored])
+@pytest.mark.parametrize("change", [plain, scaled_and_traveling, mirrored])
 def test_playing_never_makes_a_model_old(scene, small_arm, change):
     change(small_arm)
     small_arm.dynamorph.simulation.use_scene_range = False
@@ -139,12 +139,12 @@ def test_a_cage_that_targets_grade_is_made_again_for_other_targets(small_arm):
     assert "how far targets move" not in build.dependencies(sculpted.with_settings(cage_grading=0.0))
 
 
-def test_cancelling_the_engine(small_arm):
+def test_canceling_the_engine(small_arm):
     errors = part("errors")
     job = part("job").Job(small_arm, goal="BAKE")
     batch = part("batch").Batch([job], "BAKE")
     list(batch.read())
-    job.cancelled = True
-    with pytest.raises(errors.Cancelled):
+    job.canceled = True
+    with pytest.raises(errors.Canceled):
         list(batch.compute())
     assert not small_arm.dynamorph.bake.keys and not small_arm.dynamorph.model.content_id

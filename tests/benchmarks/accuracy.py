@@ -38,7 +38,7 @@ LONGEST = 3600  # seconds that a character may take
 FRAMES = 48  # of a clip at most
 MODES, RESPONSES, FITTED = "MODES", "RESPONSES", "FITTED"
 BASES = {MODES: "vibration modes", RESPONSES: "bone responses", FITTED: "fitted modes"}
-COLORS = {MODES: plots.COLOURS["single material"], RESPONSES: plots.COLOURS["DMT reduced"]}
+COLORS = {MODES: plots.COLORS["single material"], RESPONSES: plots.COLORS["DMT reduced"]}
 ROWS = (
     *((MODES, detail) for detail in (12, 20, 30, 40, 60)),
     *((RESPONSES, detail) for detail in (40, 80, 120, 160, 220)),

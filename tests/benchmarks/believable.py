@@ -388,9 +388,9 @@ def others(unbaked: list[dict]) -> str:
     """Those that were not baked, as a list."""
     lines = []
     for found in unbaked:
-        recognised = ": recognised as wholly hard" if not failures(found) else ", **not baked**"
+        recognized = ": recognized as wholly hard" if not failures(found) else ", **not baked**"
         said = " ".join(found.get("refused", found.get("error", "")).split())
-        lines.append(f"- {title(found)}{recognised}. “{said}”\n")
+        lines.append(f"- {title(found)}{recognized}. “{said}”\n")
     return "".join([*lines, "\n"]) if lines else ""
 
 
@@ -445,7 +445,7 @@ def draw(told: list[dict], path: Path, small: bool) -> None:
         wrong = [limit for limit in LIMITS if limit.key in failures(found)]
         about = ", ".join(f"{limit.title} {shown(limit, found)}" for limit in wrong) or "passes"
         if "hard" in failures(found):
-            about = "is wholly hard and not recognised"
+            about = "is wholly hard and not recognized"
         notes = (f"{clip(found)}, frame {found['worst_frame']}", "", f"at most {found['measured']['disp_max']:.1%}")
         rows.append(Row(title(found), about, images, notes))
     if rows:

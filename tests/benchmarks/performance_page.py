@@ -61,7 +61,7 @@ has all that a bake needs.
 
 PEAKS = """## The machine
 
-Measured in the same run, one core. *Operations*: multiplications and additions a second, vectorised and fused where
+Measured in the same run, one core. *Operations*: multiplications and additions a second, vectorized and fused where
 the machine can. *Read*: a plain sum over data of that size.
 """
 

@@ -129,7 +129,7 @@ TITLES = {
     "faults": """Calls that fail: `make faults`
 
 Each write, fsync, rename and open of a command fails once, and once with all later ones (no space left, a lost
-network); reading where others may have the file on another machine. Afterwards the earlier result is as it was or a
+network); reading where others may have the file on another machine. Afterward the earlier result is as it was or a
 whole new one is there, nothing partial is left, the exit code and the message say why, and the same command works.
 Shown: calls, and in how many cases one failed.""",
     "allocations": """Memory that is refused: `make faults`

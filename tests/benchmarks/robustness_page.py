@@ -269,7 +269,7 @@ def mesh_surfaces() -> Tally:
 
 
 def surfaces() -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """(name, vertices (V, 3), triangles (T, 3)) of all there are, metres."""
+    """(name, vertices (V, 3), triangles (T, 3)) of all there are, meters."""
     for shot in characters.SHOTS.values():
         with quiet():
             characters.open_file(shot.path)

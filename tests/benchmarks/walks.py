@@ -23,7 +23,7 @@ from PIL import Image
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images" / "bakes"
 CELL = (390, 230)  # pixels of a picture
 REPEATED = 30  # cycles that are played one after the other without Loop
-LOOP, OPEN, FAINT, SEAM = "#00798c", "#d1495b", "#8a8f98", "#c9a227"  # colours of curves
+LOOP, OPEN, FAINT, SEAM = "#00798c", "#d1495b", "#8a8f98", "#c9a227"  # colors of curves
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ ENDLESS = "T-rex"  # its body finds no steady motion by itself
 
 @dataclass(frozen=True)
 class Baked:
-    """job: the bake; pictures: of its first and its last frame; apart: metres between them as Blender shows them."""
+    """job: the bake; pictures: of its first and its last frame; apart: meters between them as Blender shows them."""
 
     job: job.Job
     pictures: list[Image.Image]
@@ -108,14 +108,14 @@ def set_off(body, walk: Walk):
     while root.parent:
         root = root.parent
     angle, travel = radians(walk.turn), walk.travel * float(np.linalg.norm(np.ptp(evaluated_points(body), axis=0)))
-    centre = Vector((travel / angle, 0.0, 0.0)) if angle else Vector()
+    center = Vector((travel / angle, 0.0, 0.0)) if angle else Vector()
     path = bpy.data.objects.new("Path", None)
     scene.collection.objects.link(path)
-    root.parent, root.matrix_parent_inverse = path, Matrix.Translation(-centre)
+    root.parent, root.matrix_parent_inverse = path, Matrix.Translation(-center)
     bpy.context.preferences.edit.keyframe_new_interpolation_type = "LINEAR"
     for frame, share in zip(walk.shot.frames, (0.0, 1.0), strict=True):
         path.rotation_euler.z = share * angle
-        path.location = centre if angle else Vector((0.0, -share * travel, 0.0))  # these characters look along -y
+        path.location = center if angle else Vector((0.0, -share * travel, 0.0))  # these characters look along -y
         path.keyframe_insert("location", frame=frame)
         path.keyframe_insert("rotation_euler", frame=frame)
     scene.frame_set(walk.shot.frames[0])
@@ -189,7 +189,7 @@ def photographs(body, path, frames) -> list[Image.Image]:
 
 
 def overlaid(first: Image.Image, last: Image.Image) -> Image.Image:
-    """Both in one: grey where they are the same, red where the body is in the first alone, cyan where in the last."""
+    """Both in one: gray where they are the same, red where the body is in the first alone, cyan where in the last."""
     one, other = first.convert("L"), last.convert("L")
     return Image.merge("RGB", (other, one, one))
 
@@ -226,8 +226,8 @@ def draw_motion(job, without: np.ndarray, cycles: np.ndarray):
     drawing.set_size_inches(7.4, 3.2)
     plots.draw(panel, "The point that swings the most", curves, "s", "mm", marker="o", ms=2.5)
     styles = ((LOOP, "-", 2.4), (OPEN, "-", 1.4), (FAINT, "--", 1.4))
-    for line, (colour, style, width) in zip(panel.lines, styles, strict=True):
-        line.set(color=colour, linestyle=style, linewidth=width)
+    for line, (color, style, width) in zip(panel.lines, styles, strict=True):
+        line.set(color=color, linestyle=style, linewidth=width)
     for turn in (1, 2):
         panel.axvline(turn * frames[-1] / job.settings.fps, color=SEAM, linewidth=0.8)
     low, high = panel.get_ylim()
@@ -248,8 +248,8 @@ def draw_passes(job, gaps: list[float]):
     drawing, (panel,) = plots.figure(1, 3.2)
     drawing.set_size_inches(7.4, 3.2)
     plots.draw(panel, "Gap where the cycle begins again", curves, "passes", "body sizes", marker="o", ms=3)
-    for line, colour in zip(panel.lines, (LOOP, OPEN), strict=True):
-        line.set_color(colour)
+    for line, color in zip(panel.lines, (LOOP, OPEN), strict=True):
+        line.set_color(color)
     panel.axhline(loops.CLOSED, color=FAINT, linewidth=0.8, linestyle="--")
     panel.set_yscale("log")
     panel.legend(fontsize=8)

@@ -15,7 +15,7 @@ namespace scenes {
 
 using namespace dynamorph;
 
-/// nx x ny x nz cells of `size` metres along +x from the origin, six tetrahedra a cell.
+/// nx x ny x nz cells of `size` meters along +x from the origin, six tetrahedra a cell.
 inline TetMesh bar(int nx, int ny, int nz, double size) {
   const auto node = [&](int i, int j, int k) { return (i * (ny + 1) + j) * (nz + 1) + k; };
   TetMesh mesh;
@@ -107,7 +107,7 @@ struct ResponseScene {
 };
 
 /// A bar of 0.8 m on `count` bones along it, each of which moves what is near; pinned at x = 0. Each set has less of it
-/// towards the end than the one before. fine: 2 for cells of half the size.
+/// toward the end than the one before. fine: 2 for cells of half the size.
 inline std::shared_ptr<const SoftBody> chain_bar(int count, int sets = 1, int fine = 1) {
   const TetMesh mesh = bar(16 * fine, 2 * fine, 2 * fine, 0.05 / fine);
   const Eigen::Index n = mesh.nodes.rows(), m = mesh.tets.rows();

@@ -14,7 +14,7 @@ from dynamic_morph_targets.core.errors import SceneError
 from dynamic_morph_targets.core.settings import Material, ModelSettings
 from dynamic_morph_targets.io import model_file
 
-LENGTH, HELD = 0.8, 0.1  # metres; the bar is held up to this height
+LENGTH, HELD = 0.8, 0.1  # meters; the bar is held up to this height
 BONES = np.tile(np.eye(3, 4), (2, 1, 1))
 FLESH = Material(stiffness=2e4, poisson=0.0)
 
@@ -181,7 +181,7 @@ def test_progress_of_the_cage_is_the_whole_progress(cage):
     fractions = [fraction for fraction, _ in heard]
     assert fractions == sorted(fractions) and fractions[0] == 0 and fractions[-1] > 0.85
     assert {message for _, message in heard} == {"Meshing", "Embedding"}
-    with pytest.raises(dynamorph.Cancelled):
+    with pytest.raises(dynamorph.Canceled):
         build_cage(bar(cage_nodes=200), lambda fraction, message: message != "Embedding")
 
 

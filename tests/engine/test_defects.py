@@ -34,7 +34,7 @@ ADVICE = re.compile(
 
 @dataclass(frozen=True)
 class Body:
-    """vertices (V, 3) and triangles (T, 3) of a skin around `bones` (B, 2, 3), heads and tails of a chain, metres."""
+    """vertices (V, 3) and triangles (T, 3) of a skin around `bones` (B, 2, 3), heads and tails of a chain, meters."""
 
     vertices: np.ndarray
     triangles: np.ndarray

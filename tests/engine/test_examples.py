@@ -54,7 +54,7 @@ def muscle():
     plain = bar(solver="REDUCED", law="STABLE_STVK", cage_nodes=300)
     (one,) = plain.target_sets
     (neutral,) = one.targets
-    bulge = scenes.bulge(plain.vertices, centre=0.4, width=0.15, amount=0.02)
+    bulge = scenes.bulge(plain.vertices, center=0.4, width=0.15, amount=0.02)
     relaxed = replace(neutral, material=material(28.6e3, 7.14e3))
     flexed = Target("Flexed", bulge, (), neutral.local, neutral.rig_world, material(114e3, 28.6e3))
     return replace(

@@ -117,8 +117,8 @@ def test_any_triangles_are_closed_or_refused(vertices, triangles):
     assert np.isfinite(closed).all()
     edges = of_closed[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     _, counts = np.unique(edges[:, 0].astype(np.int64) * (len(closed) + 1) + edges[:, 1], return_counts=True)
-    _, backwards = np.unique(edges[:, 1].astype(np.int64) * (len(closed) + 1) + edges[:, 0], return_counts=True)
-    np.testing.assert_array_equal(counts, backwards)  # each edge as often in one direction as in the other
+    _, backward = np.unique(edges[:, 1].astype(np.int64) * (len(closed) + 1) + edges[:, 0], return_counts=True)
+    np.testing.assert_array_equal(counts, backward)  # each edge as often in one direction as in the other
 
 
 @target(points(12), faces(4, 12), points(6), examples=100)

@@ -356,7 +356,7 @@ def test_stiff_target_answers_a_push_less_than_the_soft_one():
 
 @pytest.mark.parametrize("h", [1 / 120, 1 / 480, 1 / 960])
 def test_small_swings_about_a_large_sculpt_are_not_lost(h):
-    """A tenth of a millimetre about a bend of 12 cm: the default tolerance moves as a tight one does."""
+    """A tenth of a millimeter about a bend of 12 cm: the default tolerance moves as a tight one does."""
     paths = []
     for tolerance in (1e-6, 1e-12):
         model, _, _ = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, True, damping=0.0)
@@ -488,7 +488,7 @@ def test_a_force_that_is_not_a_number_is_an_error():
 
 @pytest.mark.parametrize("reduced", [False, True])
 def test_a_bone_that_collapses_leaves_the_state_finite(reduced):
-    """Scaled to zero for one step, as riggers hide things: regularised, not refused."""
+    """Scaled to zero for one step, as riggers hide things: regularized, not refused."""
     model, _, size = sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, reduced)
     rig, weights = swing(model, 12)
     rig[6, :, :, :3] = 0.0
@@ -547,7 +547,7 @@ def test_regions_that_do_not_overlap_have_the_body_s_modes():
 
 def test_cancel_stops_a_long_call():
     model, _, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, False)
-    with pytest.raises(dynamorph.Cancelled):
+    with pytest.raises(dynamorph.Canceled):
         dynamorph.make_basis(model, 12, lambda fraction: fraction < 0.3)
 
 

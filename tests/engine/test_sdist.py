@@ -51,7 +51,7 @@ def test_sdist_holds_what_builds_the_engine_and_nothing_else(unpacked):
     }
 
 
-def test_metadata_names_the_licence_files(unpacked):
+def test_metadata_names_the_license_files(unpacked):
     lines = (unpacked / "PKG-INFO").read_text().splitlines()
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert {f"Version: {version}", "License-File: LICENSE", "License-File: LICENSES.md"} <= set(lines)

@@ -3,7 +3,7 @@
 
     LD_PRELOAD=fail_nth.so python tests/faults/allocations.py SAMPLES      of each call; 0: every n
 
-Each failure, in a process of its own, must be a MemoryError or change nothing; afterwards the same call on the same
+Each failure, in a process of its own, must be a MemoryError or change nothing; afterward the same call on the same
 objects must return what it did before.
 """
 

@@ -199,7 +199,7 @@ def main(name: str, samples: int) -> None:
                 wrong += [f"{case}: {each}" for each in found]
                 attack.put_back()
         if attack.run():
-            wrong.append(f"{name}: it fails afterwards: {attack.said.read_text()}")
+            wrong.append(f"{name}: it fails afterward: {attack.said.read_text()}")
     print(json.dumps({"calls": tally, "wrong": wrong}))
 
 

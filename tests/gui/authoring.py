@@ -220,7 +220,7 @@ def new_from_pose():
 
 
 def sculpt():
-    """A stroke across the elbow, which lands where the brush is and moves the posed skin outwards."""
+    """A stroke across the elbow, which lands where the brush is and moves the posed skin outward."""
     settings_of = bpy.context.scene.tool_settings.sculpt.unified_paint_settings
     settings_of.size = 2 * BRUSH
     yield from driver.settled(viewport)  # the brushes slide in below, and the tools at the left
@@ -244,8 +244,8 @@ def sculpt():
     low, high = np.sort(ends, axis=0) + reach
     assert ((low < on) & (on < high)).all(), "the stroke landed elsewhere"
     axis = posed[touched] * (1.0, 0.0, 0.0)
-    outwards = np.einsum("vi,vi->v", moved[touched], posed[touched] - axis)
-    assert (outwards > 0).mean() > 0.95, "the brush did not draw the skin outwards"
+    outward = np.einsum("vi,vi->v", moved[touched], posed[touched] - axis)
+    assert (outward > 0).mean() > 0.95, "the brush did not draw the skin outward"
     measure("Sculpted in a pose", f"stroke of {1e3 * length.max():.1f} mm, off by {1e3 * error:.3f} mm in the pose")
 
 

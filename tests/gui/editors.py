@@ -75,7 +75,7 @@ def shown_at(frame: int) -> np.ndarray:
 
 
 def moved(first: int, second: int) -> float:
-    """How far the skin is at a frame from where it is at another, metres."""
+    """How far the skin is at a frame from where it is at another, meters."""
     now = bpy.context.scene.frame_current
     moved = float(np.abs(shown_at(first) - shown_at(second)).max())
     bpy.context.scene.frame_set(now)

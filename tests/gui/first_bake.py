@@ -34,7 +34,7 @@ task: Task  # begun with the mesh that is selected
 
 
 def wobble() -> float:
-    """How far the skin moves after the rig has stopped, metres."""
+    """How far the skin moves after the rig has stopped, meters."""
     return moved(limb.FLEXED + 1, limb.FLEXED + 4)
 
 

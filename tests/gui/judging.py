@@ -35,7 +35,7 @@ BESIDE = "dynamorph.compare_beside"
 
 
 def wobble() -> float:
-    """How far the skin moves after the rig has stopped, metres."""
+    """How far the skin moves after the rig has stopped, meters."""
     return moved(limb.FLEXED + 1, limb.FLEXED + 4)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import scenes
 
 RINGS, AROUND = 49, 32  # of vertices, and how many in each
-LENGTH = 0.3  # of a bone, metres
+LENGTH = 0.3  # of a bone, meters
 FIRST, FLEXED, STRETCHED, LAST = (
     10,
     20,
@@ -26,7 +26,7 @@ def make_limb():
     """An arm along x with two bones, a sculpted key 'flexed' and an animation; its armature is active, not selected."""
     bpy.data.batch_remove(list(bpy.data.objects))
     tube, faces = scenes.tube(RINGS, AROUND, radius=1.0)
-    bulge = scenes.bulge(tube, centre=0.55, width=0.25, amount=0.3) * (0.5 + 0.5 * tube[:, :1])  # on the inner side
+    bulge = scenes.bulge(tube, center=0.55, width=0.25, amount=0.3) * (0.5 + 0.5 * tube[:, :1])  # on the inner side
     radius = np.interp(tube[:, 2], *np.transpose(OUTLINE))[:, None]
 
     def placed(points):

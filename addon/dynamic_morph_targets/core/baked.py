@@ -32,8 +32,8 @@ def digest(bake: Bake, *more: ArrayLike) -> str:
 
 def reach(bake: Bake, to_bind: np.ndarray) -> float:
     """The largest displacement of a vertex from the Basis, in meters; to_bind (3, 3): local to metric space."""
-    in_metres = replace(bake, modes=bake.modes @ to_bind.T, residual_shapes=bake.residual_shapes @ to_bind.T)
-    return max(float(np.linalg.norm(chunk, axis=2).max(initial=0.0)) for chunk in surfaces(in_metres, 0.0))
+    in_meters = replace(bake, modes=bake.modes @ to_bind.T, residual_shapes=bake.residual_shapes @ to_bind.T)
+    return max(float(np.linalg.norm(chunk, axis=2).max(initial=0.0)) for chunk in surfaces(in_meters, 0.0))
 
 
 def distance(bake: Bake, other: Bake, to_bind: np.ndarray) -> float:

@@ -128,7 +128,7 @@ class Character:
     """One soft skin, as authored.
 
     vertices (V, 3) local space, triangles (T, 3); to_bind (3, 3): bind = to_bind @ local; weights (V, B + 1): skin
-    weights as Blender normalises them, last column 1 for vertices that no bone moves; softness (V,): 1 soft, 0 held by
+    weights as Blender normalizes them, last column 1 for vertices that no bone moves; softness (V,): 1 soft, 0 held by
     the bones; stiffness (V,): factor on the targets' stiffness; bone_segments (D, 2, 3): heads and tails of the
     deforming bones, bind space. probed: Blender skins it in a way that is not linear in the bones, so the nodes'
     transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's tissue is. pieces (V,): 0

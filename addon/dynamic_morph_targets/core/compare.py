@@ -54,7 +54,7 @@ class Run:
 class MotionError:
     """Distance of a motion from its reference, RMS and largest over all vertices and frames.
 
-    rms, max: metres. rms_total and max_total: as fractions of the RMS and of the largest displacement of the reference
+    rms, max: meters. rms_total and max_total: as fractions of the RMS and of the largest displacement of the reference
     from the Basis. rms_dynamic and max_dynamic: as fractions of those of its dynamic motion alone, the displacement
     from the targets' blended shapes.
     """
@@ -195,10 +195,10 @@ def residuals(
     shapes = np.array([target.shape for target in authored.targets])
     sculpted = np.tensordot(posing.pose_space(authored).weights(poses), shapes, 1)
     weights = posing.pose_space(simulated).weights(poses)
-    statics, to_metres = Statics(model, authored), authored.to_bind.T
+    statics, to_meters = Statics(model, authored), authored.to_bind.T
     found = {}
     for j, target in enumerate(authored.targets):
-        miss = (statics.surface(weights[j]) - sculpted[j]) @ to_metres
+        miss = (statics.surface(weights[j]) - sculpted[j]) @ to_meters
         found[target.name] = float(np.linalg.norm(miss, axis=1).max())
         report((j + 1) / len(authored.targets))
     return found

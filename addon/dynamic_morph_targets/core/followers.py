@@ -19,7 +19,7 @@ def follow(model: Model, bake: Bake, follower: Follower) -> Bake:
     """The same shot for a follower, in the follower's own local space."""
     if follower.members:
         return part_of(bake, follower.members, follower.from_body)
-    assert bake.node_modes is not None  # it becomes keys, which have none, only afterwards
+    assert bake.node_modes is not None  # it becomes keys, which have none, only afterward
     modes, residual_shapes = carried(model, bake.node_modes, follower)
     return replace(bake, modes=modes, residual_shapes=residual_shapes)
 

@@ -137,7 +137,7 @@ def judge(model: Model, character: Character, bake: Bake) -> Verdict:
 
 
 class _Skin:
-    """The soft part (T, 3) of a character's surface, bind space. thickness (V,): radii, metres, or none."""
+    """The soft part (T, 3) of a character's surface, bind space. thickness (V,): radii, meters, or none."""
 
     def __init__(self, character: Character, triangles: np.ndarray, thickness: np.ndarray):
         self.rest = rest = character.vertices @ character.to_bind.T

@@ -140,11 +140,11 @@ def fit_force_displacement(
     answer = linear(now.stiffness, forces)
     along = (answer * displacements).sum()
     if along <= 0.0:
-        raise FitError("the displacements go against the forces: check signs, axes and units (newtons, metres)")
+        raise FitError("the displacements go against the forces: check signs, axes and units (newtons, meters)")
     start = log(now.stiffness * (answer**2).sum() / along)
     stiffness, misses = _least_squares(lambda log_e: press(exp(log_e), forces) - displacements, start)
     if not (misses**2).sum() <= 0.25 * (displacements**2).sum():  # also true for NaN
-        raise FitError("no stiffness meets these displacements: check axes and units (newtons, metres), and the patch")
+        raise FitError("no stiffness meets these displacements: check axes and units (newtons, meters), and the patch")
     return replace(now, stiffness=exp(stiffness))
 
 

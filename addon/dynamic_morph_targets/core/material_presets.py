@@ -81,7 +81,7 @@ PRESETS: dict[str, Preset] = {
     ),
     "MUSCLE_FLEXED": _preset(
         "Muscle, Flexed", 1047.0, _springpot_loss(0.270),
-        "Shear modulus 123 kPa along the fibres of the tibialis anterior at maximum voluntary contraction, ultrasound "
+        "Shear modulus 123 kPa along the fibers of the tibialis anterior at maximum voluntary contraction, ultrasound "
         "elastography: In vivo tibialis anterior muscle mechanics through force estimation using ankle joint moment "
         f"and shear wave elastography, 2025, 14 volunteers. {_MUSCLE_LOSS.format('0.270')} {_DENSITY}",
         shear=123e3,
@@ -128,7 +128,7 @@ PRESETS: dict[str, Preset] = {
     ),
     "RUBBER": _preset(
         "Rubber", 950.0, 0.05,
-        "Shear modulus 0.5 MPa and density of vulcanised natural rubber: MatWeb, Natural Rubber, Vulcanized. "
+        "Shear modulus 0.5 MPa and density of vulcanized natural rubber: MatWeb, Natural Rubber, Vulcanized. "
         f"{_GUESSED_LOSS.format(0.05)}",
         shear=0.5e6,
     ),

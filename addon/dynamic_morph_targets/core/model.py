@@ -33,7 +33,7 @@ EngineSimulation = dynamorph.ReducedSimulation | dynamorph.FullSimulation
 
 @dataclass(frozen=True)
 class Model:
-    """A built soft skin: n nodes, m tets, V surface vertices, J targets, S sets, B bones, r modes. Bind space, metres.
+    """A built soft skin: n nodes, m tets, V surface vertices, J targets, S sets, B bones, r modes. Bind space, meters.
 
     nodes (n, 3), tets (m, 4), fill (m,), stiffness (m,) factor on the targets', region_weights (m, S), pinned (n,). Of
     a hold by thickness, else empty: hold_strength (m,) 1/m^2 as `dynamorph.SoftBody` takes it, hold (n,) how firmly

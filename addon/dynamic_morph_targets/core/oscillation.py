@@ -71,7 +71,7 @@ def oscillation(times: np.ndarray, positions: np.ndarray) -> Oscillation:
 
 
 def _track(times: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Times from zero (n,), and the motion along its principal direction (n,), centred."""
+    """Times from zero (n,), and the motion along its principal direction (n,), centered."""
     times, positions = np.asarray(times, float), np.asarray(positions, float)
     if times.ndim != 1 or len(times) < 10 or positions.ndim > 2 or len(positions) != len(times):
         raise FitError(
@@ -86,9 +86,9 @@ def _track(times: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.nda
     if not np.ptp(positions, axis=0).any():
         raise FitError("the point does not move: track one that swings")
     positions = positions.reshape(len(times), -1)
-    centred = positions - positions.mean(axis=0)
-    _, size, directions = np.linalg.svd(centred, full_matrices=False)
-    return times - times[0], centred @ directions[0] / size[0]
+    centered = positions - positions.mean(axis=0)
+    _, size, directions = np.linalg.svd(centered, full_matrices=False)
+    return times - times[0], centered @ directions[0] / size[0]
 
 
 def _starts(times: np.ndarray, along: np.ndarray) -> list[tuple[float, float]]:

@@ -48,8 +48,8 @@ class Player:
     """One character, stepped frame by frame, for bakes and playback.
 
     keep_going() -> bool is asked at every frame, for an unreduced model at every iteration; False raises
-    dynamorph.Cancelled. number: the current frame; passes: how often it has begun again. amounts: applied by `shown`.
-    engine: model.engine(character), if it exists already; afterwards None for static morph targets.
+    dynamorph.Canceled. number: the current frame; passes: how often it has begun again. amounts: applied by `shown`.
+    engine: model.engine(character), if it exists already; afterward None for static morph targets.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class Player:
 
     @property
     def size(self) -> float:
-        """Diagonal of the body's bounding box, metres."""
+        """Diagonal of the body's bounding box, meters."""
         return diagonal(self.character.vertices @ self.character.to_bind.T)
 
     def run(self, rig: RigSamples) -> Iterator[Frame]:
@@ -214,9 +214,9 @@ class Player:
         return self.amounts.shown(frame.coordinates, frame.weights)
 
     def _ask(self) -> None:
-        """Raises dynamorph.Cancelled when the caller wants it to stop."""
+        """Raises dynamorph.Canceled when the caller wants it to stop."""
         if self._keep_going and not self._keep_going():
-            raise dynamorph.Cancelled("cancelled")
+            raise dynamorph.Canceled("canceled")
 
     def _ends(self, rig: RigSamples) -> np.ndarray:
         """The skin at rest, posed by the first sample and by the last: (2, V, 3), world space."""
@@ -271,7 +271,7 @@ def _rigid_fit(points: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np.nda
     """The rotation (3, 3) and translation (3,) that bring points (V, 3) nearest to others."""
     if not len(points):
         return np.eye(3), np.zeros(3)
-    centre, goal = points.mean(axis=0), onto.mean(axis=0)
-    u, _, vt = np.linalg.svd((onto - goal).T @ (points - centre))
+    center, goal = points.mean(axis=0), onto.mean(axis=0)
+    u, _, vt = np.linalg.svd((onto - goal).T @ (points - center))
     turn = (u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-    return turn, goal - turn @ centre
+    return turn, goal - turn @ center

@@ -68,7 +68,7 @@ class ForceField(Track):
     """A force field of the scene at S sample times, with Blender's own falloff.
 
     kind: WIND blows along the object's Z axis, FORCE away from it. plane: distance is from the object's plane, not its
-    origin. world (S, 4, 4); strength (S,) newtons on each square metre of skin at rest; nearest, farthest: metres,
+    origin. world (S, 4, 4); strength (S,) newtons on each square meter of skin at rest; nearest, farthest: meters,
     within which it is constant and beyond which it is nothing.
     """
 
@@ -82,7 +82,7 @@ class ForceField(Track):
     strength: np.ndarray
 
     def pull(self, sample: int, points: np.ndarray) -> np.ndarray:
-        """Force on each square metre (V, 3), world space, at points (V, 3) in world space."""
+        """Force on each square meter (V, 3), world space, at points (V, 3) in world space."""
         away = points - self.world[sample, :3, 3]
         axis = self.world[sample, :3, 2]
         if self.plane:

@@ -178,6 +178,6 @@ def _widths(points: np.ndarray, mass: np.ndarray) -> np.ndarray:
     total = mass.sum()
     if total <= 0.0:
         return np.zeros(3)
-    centred = points - mass @ points / total
-    values = np.linalg.eigvalsh((centred * mass[:, None]).T @ centred / total)
+    centered = points - mass @ points / total
+    values = np.linalg.eigvalsh((centered * mass[:, None]).T @ centered / total)
     return np.sqrt(values[::-1].clip(0.0))

@@ -9,7 +9,7 @@ import numpy as np
 
 from .character import Skeleton, TargetSet
 
-SLACK = 1.1  # on half the widest gap between neighbours
+SLACK = 1.1  # on half the widest gap between neighbors
 
 
 @dataclass(frozen=True, eq=False)

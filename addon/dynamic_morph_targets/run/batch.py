@@ -14,7 +14,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from ..core.errors import Cancelled, SceneError
+from ..core.errors import Canceled, SceneError
 from ..core.message import joined
 from ..core.rig_samples import RigSamples
 from ..core.time_left import TimeLeft
@@ -45,7 +45,7 @@ class Work(Protocol):
 
 
 running: Work | None = None  # the work whose progress the panels draw
-winding_down: list[threading.Thread] = []  # of cancelled jobs: the engine has not noticed yet
+winding_down: list[threading.Thread] = []  # of canceled jobs: the engine has not noticed yet
 
 
 W = TypeVar("W", bound=Work)
@@ -79,11 +79,11 @@ class Batch:
 
     def cancel(self) -> None:
         for job in self.jobs:
-            job.cancelled = True
+            job.canceled = True
 
     def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
         """The work, main thread. Yields when it has blocked that for about so many seconds, and every `pause` seconds
-        while a thread computes. Raises Cancelled, SceneError and what the threads raise.
+        while a thread computes. Raises Canceled, SceneError and what the threads raise.
         """
         yield from self.read(seconds, pause)
         yield from self.compute(seconds, pause)
@@ -149,8 +149,8 @@ class Batch:
         """The window's turn, and what came of it."""
         self.time_left.learn(time.monotonic(), self.fraction)
         yield
-        if self._at.cancelled:
-            raise Cancelled
+        if self._at.canceled:
+            raise Canceled
         if reading and self.undone:
             raise SceneError(UNDONE, name=self.name)
 

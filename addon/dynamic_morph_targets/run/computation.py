@@ -116,7 +116,7 @@ class Computation:
             self.take(sampling.samples())
         if self._needs_model:
             self._build(simulate)
-        if given.is_bake and not self.progress.cancelled and self._simulate(simulate):
+        if given.is_bake and not self.progress.canceled and self._simulate(simulate):
             finish(given, outcome, self.progress)
 
     def take(self, samples: RigSamples) -> RigSamples:
@@ -145,7 +145,7 @@ class Computation:
         with self.progress.stage("measure"):
             for reference in calibration.references(model, given.character):
                 outcome.references.append(reference)
-                if self.progress.cancelled:
+                if self.progress.canceled:
                     return
         adopt(outcome, calibration.calibrated(given.character, outcome.references))
         self.progress.fraction = self._shot_from = built
@@ -282,13 +282,13 @@ def of_meshes(given: BakeInput, model: Model, bake: Bake) -> list[Bake]:
 
 def _splice(given: BakeInput, outcome: Outcome) -> None:
     """Make the results parts of the existing bakes."""
-    parts = zip(given.before, (outcome.bake, *outcome.carried), _to_metres(given, outcome), strict=True)
-    spliced = [splice(before, part, FADE, to_metres) for before, part, to_metres in parts]
+    parts = zip(given.before, (outcome.bake, *outcome.carried), _to_meters(given, outcome), strict=True)
+    spliced = [splice(before, part, FADE, to_meters) for before, part, to_meters in parts]
     outcome.bake, *outcome.carried = (bake for bake, _ in spliced)
     outcome.report["seam"] = max(seam for _, seam in spliced)
 
 
-def _to_metres(given: BakeInput, outcome: Outcome) -> list[np.ndarray]:
+def _to_meters(given: BakeInput, outcome: Outcome) -> list[np.ndarray]:
     """Local to metric space (3, 3) of the body, and of what follows it outside of its cage."""
     to_bind, outside = given.character.to_bind, given.followers[: len(outcome.carried)]
     return [to_bind, *(to_bind @ np.linalg.inv(follower.from_body) for follower in outside)]
@@ -301,9 +301,9 @@ def _make_keys(given: BakeInput, outcome: Outcome, output: OutputSettings) -> No
     points_of = character.vertices[character.own], *(follower.points for follower in given.followers)
     off, all_keys, bakes = 0.0, [], []
     wholes = (outcome.bake, *outcome.carried)
-    for name, whole, to_metres in zip(names, wholes, _to_metres(given, outcome), strict=False):
+    for name, whole, to_meters in zip(names, wholes, _to_meters(given, outcome), strict=False):
         try:
-            keys, error = as_keys(whole, output, to_metres)
+            keys, error = as_keys(whole, output, to_meters)
         except errors.ClipError as refusal:
             raise SceneError("'{name}': {refusal}", name=name, refusal=refusal) from refusal
         off = max(off, error)

@@ -45,13 +45,13 @@ class Measurement:
     def __init__(self, job: Job):
         obj = job.target()
         self.object, self.key = ObjectHandle.of(obj), _key(obj)
-        self.pauses = self.cancelled = False
+        self.pauses = self.canceled = False
         self._model, self._character, self._settings = job.model, job.character, _settings(obj)
         nodes = probe.Probe(obj, self._model, self._character) if self._character.probed else None
         self._still = rig_motion.sample_present(obj, nodes)
 
     def run(self) -> float:
-        """In any thread. Raises dynamorph.Cancelled, and what else the engine raises."""
+        """In any thread. Raises dynamorph.Canceled, and what else the engine raises."""
         _, simulate = engine.engine()
         model, character = self._model, self._character
         settings = [replace(character.settings, solver=solver) for solver in ("REDUCED", "FULL")]
@@ -65,9 +65,9 @@ class Measurement:
 
     def goes_on(self, _fraction: float, _message: str) -> bool:
         """Asked by the simulation, in the thread."""
-        while self.pauses and not self.cancelled:
+        while self.pauses and not self.canceled:
             time.sleep(TICK)
-        return not self.cancelled
+        return not self.canceled
 
 
 def known(obj: bpy.types.Object) -> float | None:
@@ -111,7 +111,7 @@ def begin(jobs: Sequence[Job]) -> None:
 def cancel() -> None:
     """What is measured now is not needed any more, or stands in the way."""
     for each in measuring:
-        each.cancelled = True
+        each.canceled = True
     measuring.clear()
     events.forget(look)
     if thread.is_alive():
@@ -130,12 +130,12 @@ def store() -> None:
 def _run(measurements: Sequence[Measurement]) -> None:
     """In a thread. Nobody waits for it, so that no error is the artist's concern."""
     for each in measurements:
-        if each.cancelled:
+        if each.canceled:
             continue
         try:
             found[each.key] = each.run()
         except Exception as error:
-            if not (each.cancelled or isinstance(error, engine.expected_errors())):
+            if not (each.canceled or isinstance(error, engine.expected_errors())):
                 logger.log_bug(error)
 
 
@@ -143,7 +143,7 @@ def look() -> float | None:
     """By a timer: whether what is measured is still of use, may go on, or has ended."""
     for each in measuring:
         each.pauses = plays()
-        each.cancelled = each.cancelled or not _is_present(each)
+        each.canceled = each.canceled or not _is_present(each)
     if thread.is_alive():
         return TICK  # seconds from now
     measuring.clear()

@@ -80,7 +80,7 @@ def export(
     """Write `obj`, with its armature and all meshes on that, to `path`, whole or not at all; returns warnings.
 
     key: of FORMATS. takes: SCENE, the bake over `frames` (first, last), or ACTIONS, see `ActionsExport`; tick(batch) is
-    then called about ten times a second. Selection, frame, keys and curves are afterwards as before. Raises
+    then called about ten times a second. Selection, frame, keys and curves are afterward as before. Raises
     ExportError, OSError, and with ACTIONS as `batch.run_all`.
     """
     if takes == "ACTIONS":

@@ -27,7 +27,7 @@ class Progress:
     def __init__(self) -> None:
         self.fraction = 0.0
         self.message = ""
-        self.cancelled = False
+        self.canceled = False
         self.seconds: dict[str, float] = {}  # by stage
 
     def part(self, begin: float, end: float) -> Callable[[float, str], bool]:
@@ -36,7 +36,7 @@ class Progress:
         def progress(fraction: float, message: str) -> bool:
             self.fraction = begin + (end - begin) * fraction
             self.message = message
-            return not self.cancelled
+            return not self.canceled
 
         return progress
 

@@ -116,8 +116,8 @@ class Tissue:
         to_bind, in_cage = self.character.to_bind, zip(self.followers, self.character.parts, strict=False)
         others = ((surface, to_bind @ np.linalg.inv(part.from_body)) for surface, part in in_cage)
         return max(
-            float(np.linalg.norm(self.motion(values, surface) @ to_metres.T, axis=1).max(initial=0.0))
-            for surface, to_metres in ((self.skin, to_bind), *others)
+            float(np.linalg.norm(self.motion(values, surface) @ to_meters.T, axis=1).max(initial=0.0))
+            for surface, to_meters in ((self.skin, to_bind), *others)
         )
 
     def motion(self, values: np.ndarray, surface: Surface) -> np.ndarray:

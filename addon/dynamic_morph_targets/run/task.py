@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import bpy
 import numpy as np
 
-from ..core.errors import Cancelled, SceneError
+from ..core.errors import Canceled, SceneError
 from ..core.time_left import TimeLeft
 from ..scene.skin import ObjectHandle, SceneHandle
 from . import batch
@@ -34,20 +34,20 @@ class Task:
         self.undone = False  # by the user, since it began
         self.time_left = TimeLeft()
         self.result: Any = None
-        self._pieces, self._cancelled = pieces, False
+        self._pieces, self._canceled = pieces, False
 
     def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
         """As `batch.Batch.steps`."""
         ends = time.monotonic() + seconds
-        while not self._cancelled and self._next():
+        while not self._canceled and self._next():
             if self.undone:
                 raise SceneError(batch.UNDONE, name=self.name)
             self.time_left.learn(time.monotonic(), self.fraction)
             if time.monotonic() > ends:
                 yield
                 ends = time.monotonic() + seconds
-        if self._cancelled:
-            raise Cancelled
+        if self._canceled:
+            raise Canceled
 
     def _next(self) -> bool:
         """Whether there was another piece to be done."""
@@ -60,7 +60,7 @@ class Task:
         return True
 
     def cancel(self) -> None:
-        self._cancelled = True
+        self._canceled = True
 
     def abandon(self) -> None:
         """What the pieces have begun is ended; a thread goes on until it reports."""
@@ -80,7 +80,7 @@ def in_thread(work: Callable[[Report], T], message: str) -> Pieces[T]:
         nonlocal fraction
         fraction = done
         if not wanted:
-            raise Cancelled
+            raise Canceled
 
     def run() -> None:
         try:

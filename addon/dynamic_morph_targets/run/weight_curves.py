@@ -2,7 +2,7 @@
 """How much each target counts: in the present pose, and over the frames of the scene. Reads poses, never the mesh.
 
 A pose is *outside* a set of targets when the nearest of them is further away than 1.1 times half the widest gap: the
-largest distance from one of the set's targets to its nearest neighbour. So halfway between two neighbours is inside.
+largest distance from one of the set's targets to its nearest neighbor. So halfway between two neighbors is inside.
 Distances are joint angles over all bones that place the set's targets (pose_space.hpp).
 """
 

@@ -17,7 +17,7 @@ from ..core.geometry import determinant
 from . import skinning
 from .checks import armature_modifier
 from .references import key_points, rest_skeleton
-from .rig_motion import in_metres, not_a_number, rig_scene
+from .rig_motion import in_meters, not_a_number, rig_scene
 from .skin import unit_scale
 
 MEMBER = 0.5  # smallest weight with which a vertex belongs to an attachment
@@ -199,7 +199,7 @@ def worlds_at_start(obj, rig) -> list[np.ndarray]:
         sizes = np.linalg.svd(world[:3, :3], compute_uv=False)
         if sizes[-1] <= 1e-6 * sizes[0]:
             raise SceneError("'{name}' is scaled to zero: give it a size", name=moving.name)
-    return [in_metres(world, unit_scale()) for world in worlds]
+    return [in_meters(world, unit_scale()) for world in worlds]
 
 
 def stretch(world) -> np.ndarray:

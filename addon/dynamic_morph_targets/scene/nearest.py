@@ -19,9 +19,9 @@ def nearest(points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> 
 
     A point that is a vertex of the mesh gets that vertex's values exactly.
     """
-    centre = vertices.mean(axis=0)  # the tree uses single precision
-    tree = BVHTree.FromPolygons((vertices - centre).tolist(), triangles.tolist(), all_triangles=True)
-    corners = triangles[[tree.find_nearest(point)[2] for point in (points - centre).tolist()]]
+    center = vertices.mean(axis=0)  # the tree uses single precision
+    tree = BVHTree.FromPolygons((vertices - center).tolist(), triangles.tolist(), all_triangles=True)
+    corners = triangles[[tree.find_nearest(point)[2] for point in (points - center).tolist()]]
     weights = _closest(points, vertices[corners])
     return SurfaceMap(corners, weights, _distances(points, vertices[corners], weights))
 

@@ -34,7 +34,7 @@ def at_rest(rig):
         rig.data.pose_position = position
 
 
-def in_metres(worlds: np.ndarray, unit: float) -> np.ndarray:
+def in_meters(worlds: np.ndarray, unit: float) -> np.ndarray:
     """World transforms (..., 4, 4) of a world in meters instead of Blender units of `unit` meters."""
     return worlds * np.array([unit, unit, unit, 1.0])[:, None]
 
@@ -73,11 +73,11 @@ def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]
 
 
 def world_now(obj, depsgraph=None) -> np.ndarray:
-    """The evaluated world transform (4, 4) of an object, metres; depsgraph: as `current_pose`. Raises SceneError."""
+    """The evaluated world transform (4, 4) of an object, meters; depsgraph: as `current_pose`. Raises SceneError."""
     world = np.array(obj.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get()).matrix_world)
     if not np.isfinite(world).all():
         raise SceneError(not_a_number(obj.name, bpy.context.scene.frame_current))
-    return in_metres(world, unit_scale())
+    return in_meters(world, unit_scale())
 
 
 def bones_turned(obj, skeleton: Skeleton, first: np.ndarray, second: np.ndarray) -> list[str]:
@@ -209,8 +209,8 @@ class RigSampling:
 
     def samples(self) -> RigSamples:
         """Everything that was read. Raises SceneError when some of it is not a number, or scaled to zero."""
-        worlds = in_metres(np.stack([self._rig_world, self._object_world], axis=1), self._unit)
-        fields = tuple(replace(field, world=in_metres(field.world, self._unit)) for field in self._fields)
+        worlds = in_meters(np.stack([self._rig_world, self._object_world], axis=1), self._unit)
+        fields = tuple(replace(field, world=in_meters(field.world, self._unit)) for field in self._fields)
         pose = _ordered(self._columns, self._order)
         tracks = (*fields, self._nodes) if self._nodes else fields
         samples = RigSamples(pose, worlds[:, 0], worlds[:, 1], tracks, self._target_nodes)

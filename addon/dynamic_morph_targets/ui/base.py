@@ -16,11 +16,11 @@ LISTED = 5  # names in a report
 
 
 def report_errors(operator, action, *args) -> set[str]:
-    """Call `action`. An error becomes a report, a bug is also logged, and the operator is cancelled."""
+    """Call `action`. An error becomes a report, a bug is also logged, and the operator is canceled."""
     try:
         return action(*args) or {"FINISHED"}
-    except errors.Cancelled:
-        operator.report({"WARNING"}, "Cancelled: nothing was changed")
+    except errors.Canceled:
+        operator.report({"WARNING"}, "Canceled: nothing was changed")
     except engine.expected_errors() as error:
         operator.report({"ERROR"}, translated(errors.sentence(error), rpt_))
     except Exception as bug:

@@ -29,7 +29,7 @@ from .gpu_drawing import (
 
 HEIGHT = 120.0  # of the graph; this and the other lengths are in pixels at a resolution scale of 1
 NARROW = 160.0  # than this a graph is not worth drawing
-HUES = (4, 1, 3, 6, 0, 5, 2, 7)  # of them, so that neighbours in the list differ
+HUES = (4, 1, 3, 6, 0, 5, 2, 7)  # of them, so that neighbors in the list differ
 
 
 def free_rectangle(region, others) -> tuple[float, float, float, float]:
@@ -59,7 +59,7 @@ def runs(flags: np.ndarray) -> list[tuple[int, int]]:
 
 
 def curve_colors(shown: target_weights.TargetWeights, theme) -> dict[int, tuple[float, ...]]:
-    """A colour for each curve that is drawn, by index of its target: of neutral targets the text's."""
+    """A color for each curve that is drawn, by index of its target: of neutral targets the text's."""
     hues = [tuple(theme.collection_color[hue].color) for hue in HUES]
     colors, others = {}, 0
     for _, targets in shown.by_set():
@@ -129,7 +129,7 @@ def _draw_graph_in(left, bottom, right, top, shot: weight_curves.Shot, shown: ta
 
 
 def _draw_legend(x, y, right, shown: target_weights.TargetWeights, colors, text_color):
-    """Names with their colours from left to right, as far as there is room; the neutral target's once."""
+    """Names with their colors from left to right, as far as there is room; the neutral target's once."""
     names = [target.name for target_set in shown.sets for target in target_set.targets]
     again = [targets.start for _, targets in shown.by_set()[1:]]
     square, space = pixels(SQUARE), pixels(4.0)

@@ -44,7 +44,7 @@ GIZMOS = 90.0  # that Blender's own buttons take at the right
 LEGEND = 160.0  # wide, of what the colors of the surface mean
 SHADED = 0.55  # how light the colored surface is where it is seen from the side
 NEARER = 2e-3  # of the body's size: that the colored surface is drawn before the mesh
-HELD = 2  # of the theme's collection colours: unlike those of selected and of unselected vertices
+HELD = 2  # of the theme's collection colors: unlike those of selected and of unselected vertices
 
 
 # The cage ----------------------------------------------------------------------------------------------------------

@@ -156,10 +156,10 @@ def report_lacking(operator, obj, lacking: dict[str, list[str]]):
         )
 
 
-def length(metres: float) -> str:
+def length(meters: float) -> str:
     """As the scene's units show it."""
     system = bpy.context.scene.unit_settings.system
-    return bpy.utils.units.to_string(system, "LENGTH", metres, precision=3).strip()
+    return bpy.utils.units.to_string(system, "LENGTH", meters, precision=3).strip()
 
 
 CLASSES = (DYNAMORPH_OT_save_setup, DYNAMORPH_OT_load_setup, DYNAMORPH_FH_setup, DYNAMORPH_OT_copy_to_selected)

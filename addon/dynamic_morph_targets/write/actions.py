@@ -72,7 +72,7 @@ def clips_of(obj) -> list[Clip]:
 
 @contextmanager
 def laid_out(rig, clips: Sequence[Clip]) -> Iterator[None]:
-    """`lay_out` for the duration of a `with` block, on an armature object that is restored afterwards."""
+    """`lay_out` for the duration of a `with` block, on an armature object that is restored afterward."""
     had = rig.animation_data is not None
     animation = rig.animation_data or rig.animation_data_create()
     before = animation.action, animation.action_slot, animation.use_nla

@@ -17,7 +17,7 @@ GROUP = "Dynamorph"  # of the curves of baked keys, which tells them from the ar
 
 def remove_keys(obj, names, action, active_index: int, new=()) -> list[Message]:
     """Remove these shape keys with the Action and its strips; what is the artist's in them stays. active_index: of the
-    key that is active afterwards, if the active one is among them; new: keys of the bake that takes the place. Returns
+    key that is active afterward, if the active one is among them; new: keys of the bake that takes the place. Returns
     what the artist should know.
     """
     blocks = obj.data.shape_keys.key_blocks

@@ -276,7 +276,7 @@ def _parents(obj) -> list:
 
 @contextmanager
 def frames_kept():
-    """Restore the scene's frame and range afterwards."""
+    """Restore the scene's frame and range afterward."""
     scene = bpy.context.scene
     frame, ends = (scene.frame_current, scene.frame_subframe), (scene.frame_start, scene.frame_end)
     try:

@@ -106,7 +106,7 @@ def size(obj) -> float:
 
 
 def _at_rest(obj) -> tuple[np.ndarray, np.ndarray]:
-    """Points (V, 3) of the Basis, local space, and the transform (4, 4) to the world now, metres. Raises SceneError."""
+    """Points (V, 3) of the Basis, local space, and the transform (4, 4) to the world now, meters. Raises SceneError."""
     world = rig_motion.world_now(obj)
     if determinant(world[:3, :3]) == 0:
         raise SceneError("'{name}' is scaled to zero: give it a size", name=obj.name)

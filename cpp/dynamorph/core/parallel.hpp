@@ -37,7 +37,7 @@ void run_tasks(int count, const ProgressFn& progress, const Work& work) {
   std::atomic<bool> stop{false};
   std::mutex mutex;
   std::condition_variable ended;
-  std::exception_ptr cancelled;
+  std::exception_ptr canceled;
   const auto take = [&](const auto& heard) {
     for (int i; (i = next++) < count && !stop;) try {
         work(i, [&, i](double fraction) {
@@ -45,7 +45,7 @@ void run_tasks(int count, const ProgressFn& progress, const Work& work) {
           heard();
           return !stop;
         });
-      } catch (const Cancelled&) {  // told to stop, because the caller cancelled or another call failed
+      } catch (const Canceled&) {  // told to stop, because the caller canceled or another call failed
         stop = true;
       } catch (...) {
         errors[i] = std::current_exception();
@@ -54,9 +54,9 @@ void run_tasks(int count, const ProgressFn& progress, const Work& work) {
   };
   const auto tell = [&] {  // reports to the caller
     try {
-      if (!cancelled) report(progress, std::accumulate(done.begin(), done.end(), 0.0) / count);
+      if (!canceled) report(progress, std::accumulate(done.begin(), done.end(), 0.0) / count);
     } catch (...) {
-      cancelled = std::current_exception();
+      canceled = std::current_exception();
       stop = true;
     }
   };
@@ -84,7 +84,7 @@ void run_tasks(int count, const ProgressFn& progress, const Work& work) {
   }
   lock.unlock();
   for (std::thread& thread : threads) thread.join();
-  if (cancelled) std::rethrow_exception(cancelled);
+  if (canceled) std::rethrow_exception(canceled);
   for (const std::exception_ptr& error : errors)
     if (error) std::rethrow_exception(error);
 }

@@ -24,11 +24,11 @@ std::vector<int> along_curve(const TetMesh& mesh) {
   const double size = (mesh.nodes.rowwise() - low).maxCoeff();
   std::vector<std::pair<std::uint32_t, int>> keys;
   for (int e = 0; e < int(mesh.tets.rows()); ++e) {
-    Eigen::RowVector3d centre = -low;
-    for (int a = 0; a < 4; ++a) centre += 0.25 * mesh.nodes.row(mesh.tets(e, a));
+    Eigen::RowVector3d center = -low;
+    for (int a = 0; a < 4; ++a) center += 0.25 * mesh.nodes.row(mesh.tets(e, a));
     std::uint32_t key = 0;
     for (int bit = 9; bit >= 0; --bit)
-      for (int c = 0; c < 3; ++c) key = 2 * key + (std::uint32_t(centre(c) / size * 1023) >> bit & 1);
+      for (int c = 0; c < 3; ++c) key = 2 * key + (std::uint32_t(center(c) / size * 1023) >> bit & 1);
     keys.emplace_back(key, e);
   }
   std::sort(keys.begin(), keys.end());

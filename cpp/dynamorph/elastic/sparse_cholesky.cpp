@@ -41,7 +41,7 @@ struct SymbolicCholesky {
 
  private:
   using Structure = std::vector<std::vector<int>>;
-  Structure eliminate(const Structure& neighbours);
+  Structure eliminate(const Structure& neighbors);
   void gather_supernodes(const Structure& below);
   int local_row(const Supernode& s, int row) const;
   std::vector<int> link_supernodes();
@@ -59,24 +59,24 @@ constexpr int kDepth = 48;  // scalar columns eliminated between two updates of 
 int padded(int scalars) { return (scalars + kStrip + 3) / 4 * 4; }
 
 /// The nodes that share a block with each node, ascending and without the node itself.
-std::vector<std::vector<int>> neighbours_of(const SparseMatrix& A) {
-  std::vector<std::vector<int>> neighbours(A.cols() / 3);
+std::vector<std::vector<int>> neighbors_of(const SparseMatrix& A) {
+  std::vector<std::vector<int>> neighbors(A.cols() / 3);
   for (int c = 0; c < A.outerSize(); ++c)
     for (SparseMatrix::InnerIterator it(A, c); it; ++it)
-      if (it.row() / 3 != c / 3) neighbours[c / 3].push_back(int(it.row()) / 3);
-  for (std::vector<int>& list : neighbours) {
+      if (it.row() / 3 != c / 3) neighbors[c / 3].push_back(int(it.row()) / 3);
+  for (std::vector<int>& list : neighbors) {
     std::sort(list.begin(), list.end());
     list.erase(std::unique(list.begin(), list.end()), list.end());
   }
-  return neighbours;
+  return neighbors;
 }
 
-std::vector<int> minimum_degree(const std::vector<std::vector<int>>& neighbours) {
-  const int n = int(neighbours.size());
+std::vector<int> minimum_degree(const std::vector<std::vector<int>>& neighbors) {
+  const int n = int(neighbors.size());
   std::vector<Eigen::Triplet<double>> entries;
   for (int j = 0; j < n; ++j) {
     entries.emplace_back(j, j, 1.0);
-    for (int i : neighbours[j]) entries.emplace_back(i, j, 1.0);
+    for (int i : neighbors[j]) entries.emplace_back(i, j, 1.0);
   }
   SparseMatrix graph(n, n);
   graph.setFromTriplets(entries.begin(), entries.end());
@@ -151,9 +151,9 @@ std::vector<Group> group_columns(const std::vector<std::vector<int>>& below) {
 SymbolicCholesky::SymbolicCholesky(const SparseMatrix& A)
     : outer_(A.outerIndexPtr(), A.outerIndexPtr() + A.cols() + 1),
       inner_(A.innerIndexPtr(), A.innerIndexPtr() + A.nonZeros()) {
-  const Structure neighbours = neighbours_of(A);
-  order = minimum_degree(neighbours);
-  gather_supernodes(eliminate(neighbours));
+  const Structure neighbors = neighbors_of(A);
+  order = minimum_degree(neighbors);
+  gather_supernodes(eliminate(neighbors));
   place_updates(link_supernodes());
   place_entries(A);
 }
@@ -165,13 +165,13 @@ bool SymbolicCholesky::has_pattern_of(const SparseMatrix& A) const {
 }
 
 /// Returns the rows below the diagonal of each of the factor's columns, and puts `order` in postorder.
-SymbolicCholesky::Structure SymbolicCholesky::eliminate(const Structure& neighbours) {
-  const int n = int(neighbours.size());
+SymbolicCholesky::Structure SymbolicCholesky::eliminate(const Structure& neighbors) {
+  const int n = int(neighbors.size());
   const std::vector<int> position = inverse(order);
   Structure below(n);
   for (int j = 0; j < n; ++j) {
     std::vector<int>& rows = below[j];  // already holds the children's rows
-    for (int i : neighbours[order[j]])
+    for (int i : neighbors[order[j]])
       if (position[i] > j) rows.push_back(position[i]);
     std::sort(rows.begin(), rows.end());
     rows.erase(std::unique(rows.begin(), rows.end()), rows.end());

@@ -133,7 +133,7 @@ void Closing::orient_patches() {
   defects_.flipped_faces = int(std::count(flipped.begin(), flipped.end(), true));
 }
 
-/// The volume of a patch, closed towards the middle of its border, relative to that of a sphere with the same area: 1
+/// The volume of a patch, closed toward the middle of its border, relative to that of a sphere with the same area: 1
 /// for a sphere, -1 for a sphere inside out.
 double Closing::outwardness(const std::vector<int>& patch) const {
   Vector3d middle = Vector3d::Zero();

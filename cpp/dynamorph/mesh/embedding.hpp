@@ -31,7 +31,7 @@ Embedding embed(const TetMesh& mesh, const Points& points, const MayCarry& may_c
 
 /// Extends values (V, k) at surface points to values (n, k) at nodes: least squares at the points plus a little
 /// smoothness along edges, which alone decides deep inside. Constants stay constant. Values overshoot slightly, so
-/// clamp and normalize skin weights afterwards.
+/// clamp and normalize skin weights afterward.
 MatrixXd extend_to_nodes(const TetMesh& mesh, const Embedding& embedding, const MatrixXd& values);
 
 }  // namespace dynamorph

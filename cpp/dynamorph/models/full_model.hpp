@@ -61,7 +61,7 @@ class FullModel {
   const RestShape& shape(int target) const { return shapes_[target]; }
   int dofs() const { return int(3 * body_->free_nodes.size()); }
   /// Norm of the coordinates when the whole body moves by one meter.
-  double metre() const { return std::sqrt(double(body_->free_nodes.size())); }
+  double meter() const { return std::sqrt(double(body_->free_nodes.size())); }
 
   void blend(const VectorXd& w, Blend& out) const;
   double energy(const Blend& blend, const VectorXd& q) const;

@@ -56,11 +56,11 @@ SoftBody::SoftBody(TetMesh mesh_, VectorXd fill_, const VectorXd& stiffness, Mat
   volumes = lumped(fill);
   if ((hold.array() > 0).any()) holds = lumped(stiffness_scale.cwiseProduct(hold));
   volume = volumes.sum();
-  centre.setZero();
-  for (Eigen::Index i = 0; i < f; ++i) centre += volumes.row(i).sum() / volume * rest.segment<3>(3 * i);
+  center.setZero();
+  for (Eigen::Index i = 0; i < f; ++i) center += volumes.row(i).sum() / volume * rest.segment<3>(3 * i);
   moments.assign(skin.cols(), Eigen::Matrix4d::Zero());
   for (Eigen::Index i = 0; i < f; ++i) {
-    const Eigen::Vector4d p = (rest.segment<3>(3 * i) - centre).homogeneous();
+    const Eigen::Vector4d p = (rest.segment<3>(3 * i) - center).homogeneous();
     for (SkinWeights::InnerIterator b(skin, i); b; ++b)
       moments[b.col()] += volumes.row(i).sum() * b.value() * p * p.transpose();
   }

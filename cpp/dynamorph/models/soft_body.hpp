@@ -35,8 +35,8 @@ struct SoftBody {
   MatrixXd holds;
   double size;      ///< bounding-box diagonal, m
   double volume;    ///< of the free nodes, m^3
-  Vector3d centre;  ///< of that volume, m
-  /// Moments of each bone's soft tissue: the sum of volume times weight times p p^T, where p = (X - centre, 1).
+  Vector3d center;  ///< of that volume, m
+  /// Moments of each bone's soft tissue: the sum of volume times weight times p p^T, where p = (X - center, 1).
   std::vector<Eigen::Matrix4d> moments;
 
   int sets() const { return int(region_weights.cols()); }

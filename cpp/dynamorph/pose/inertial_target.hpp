@@ -8,7 +8,7 @@
 
 namespace dynamorph {
 
-/// The target that inertia pulls the body towards, as a sum of posed positions,
+/// The target that inertia pulls the body toward, as a sum of posed positions,
 ///
 ///   sum_mn coefficients(m, n) x(q_m, bones_n) - gravity_offset,
 ///

@@ -63,7 +63,7 @@ double largest(const MatrixXd& u) {
 double width(const SoftBody& body) {
   double farthest = 0;
   for (Eigen::Index i = 0; i < body.rest.size(); i += 3)
-    farthest = std::max(farthest, (body.rest.segment<3>(i) - body.centre).norm());
+    farthest = std::max(farthest, (body.rest.segment<3>(i) - body.center).norm());
   return 2 * farthest;
 }
 
@@ -76,7 +76,7 @@ MatrixXd bone_loads(const SoftBody& body) {
   // Nodes with their own transforms are loaded as if one bone moved them.
   const Eigen::Index nodes = body.skin.rows(), bones = body.own_transforms ? 1 : body.skin.cols();
   const auto X = [&](Eigen::Index i) { return Vector3d(body.rest.segment<3>(3 * i)); };
-  MatrixXd centres = MatrixXd::Zero(3, bones);
+  MatrixXd centers = MatrixXd::Zero(3, bones);
   VectorXd weight = VectorXd::Zero(bones), spread = weight;
   const auto for_each = [&](const auto& visit) {
     for (Eigen::Index i = 0; i < nodes; ++i)
@@ -85,10 +85,10 @@ MatrixXd bone_loads(const SoftBody& body) {
   };
   for_each([&](Eigen::Index i, Eigen::Index b, double m) {
     weight(b) += m;
-    centres.col(b) += m * X(i);
+    centers.col(b) += m * X(i);
   });
-  centres.array().rowwise() /= weight.transpose().array().max(1e-300);
-  for_each([&](Eigen::Index i, Eigen::Index b, double m) { spread(b) += m * (X(i) - centres.col(b)).squaredNorm(); });
+  centers.array().rowwise() /= weight.transpose().array().max(1e-300);
+  for_each([&](Eigen::Index i, Eigen::Index b, double m) { spread(b) += m * (X(i) - centers.col(b)).squaredNorm(); });
   spread = (spread.array() / weight.array().max(1e-300)).sqrt().max(1e-9 * body.size);
 
   std::vector<Eigen::Triplet<double>> entries;
@@ -96,7 +96,7 @@ MatrixXd bone_loads(const SoftBody& body) {
     for (int axis = 0; axis < 3; ++axis) {
       entries.emplace_back(3 * i + axis, 6 * b + axis, m);
       // Rotation, as fast at the bone's radius as the translation.
-      const Vector3d turn = m / spread(b) * Vector3d::Unit(axis).cross(X(i) - centres.col(b));
+      const Vector3d turn = m / spread(b) * Vector3d::Unit(axis).cross(X(i) - centers.col(b));
       for (int c = 0; c < 3; ++c) entries.emplace_back(3 * i + c, 6 * b + 3 + axis, turn(c));
     }
   });

@@ -116,7 +116,7 @@ DYNAMORPH_INLINE double weigh(const double* coefficients, double b0, double b1, 
 /// What one bone contributes to the terms (BoneMotion). bones: its twelve entries in each pose. coefficients (kMoments,
 /// kPoses), row-major. Only the sums are rounded, because each is as large as what it adds to the force.
 template <class Single>
-DYNAMORPH_INLINE void combine(const double* const* bones, const double* coefficients, const double* centre,
+DYNAMORPH_INLINE void combine(const double* const* bones, const double* coefficients, const double* center,
                               const double* gravity_offset, Single (*out)[12]) {
   for (int i = 0; i < 3; ++i) {
     double first[4];  // the row of the first difference, with its translation moved to the center
@@ -127,7 +127,7 @@ DYNAMORPH_INLINE void combine(const double* const* bones, const double* coeffici
       first[j] = weigh(coefficients, b0, b1, b2, b3, b4);
       for (int m = 1; m < kMoments; ++m) out[m + 1][e] = Single(weigh(coefficients + m * kPoses, b0, b1, b2, b3, b4));
     }
-    first[3] += first[0] * centre[0] + first[1] * centre[1] + first[2] * centre[2] - gravity_offset[i];
+    first[3] += first[0] * center[0] + first[1] * center[1] + first[2] * center[2] - gravity_offset[i];
     for (int j = 0; j < 4; ++j) out[1][4 * i + j] = Single(first[j]);
   }
 }

@@ -31,7 +31,7 @@ void gather(const std::vector<BoneMotion>& bones, const std::vector<std::pair<in
 
 }  // namespace
 
-ModalInertia::ModalInertia(const SoftBody& body, const MatrixXd& U) : r_(U.cols()), centre_(body.centre) {
+ModalInertia::ModalInertia(const SoftBody& body, const MatrixXd& U) : r_(U.cols()), center_(body.center) {
   const Index nodes = body.skin.rows();
   VectorXd motion(nodes);  // how much each node moves in the modes
   for (Index i = 0; i < nodes; ++i) motion(i) = U.middleRows<3>(3 * i).squaredNorm();
@@ -85,7 +85,7 @@ void ModalInertia::tabulate(const SoftBody& body, const MatrixXd& U, int s, Tens
   for_each_term(body, s, [&](Index i, const Bones& bones, double part) {
     const auto found = column.find(bones);
     if (found == column.end()) return;
-    if (i != seen) node_tensor(U.middleRows<3>(3 * i), body.rest.segment<3>(3 * i) - centre_, entry);
+    if (i != seen) node_tensor(U.middleRows<3>(3 * i), body.rest.segment<3>(3 * i) - center_, entry);
     seen = i;
     sums.col(found->second) += part * entry;
   });
@@ -108,7 +108,7 @@ void ModalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
   for (size_t b = 0; b < used_.size(); ++b) {
     const double* poses[InertialTarget::kPoses];
     for (int n = 0; n < InertialTarget::kPoses; ++n) poses[n] = inertial.bones[n]->data() + 12 * used_[b];
-    combine_poses(poses, coefficients.data(), centre_.data(), inertial.gravity_offset.data(), out.bones[b].values);
+    combine_poses(poses, coefficients.data(), center_.data(), inertial.gravity_offset.data(), out.bones[b].values);
   }
 
   out.slopes.resize(9 * r_);

@@ -65,7 +65,7 @@ class ModalInertia {
   void tabulate(const SoftBody& body, const MatrixXd& U, int set, Tensors& out) const;
 
   Eigen::Index r_;
-  Vector3d centre_;        ///< of the body; rest positions are relative to it
+  Vector3d center_;        ///< of the body; rest positions are relative to it
   std::vector<int> used_;  ///< the bones of the terms
   std::vector<Tensors> sets_;
 };

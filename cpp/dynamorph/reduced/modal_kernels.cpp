@@ -35,7 +35,7 @@ DYNAMORPH_INLINE void add_rigid(const FloatW* table, Index r, const Coefficients
 }
 
 /// Adds up the neighbors, the pairs of neighbors, or the halves of each of two vectors.
-DYNAMORPH_INLINE Float8 added_neighbours(const Float8& a, const Float8& b) {
+DYNAMORPH_INLINE Float8 added_neighbors(const Float8& a, const Float8& b) {
   return __builtin_shufflevector(a, b, 0, 8, 2, 10, 4, 12, 6, 14) +
          __builtin_shufflevector(a, b, 1, 9, 3, 11, 5, 13, 7, 15);
 }
@@ -70,15 +70,15 @@ void add_lanes(const FloatW* sums, Index count, float* totals) {
     Float8 four[2];
     for (int half = 0; half < 2; ++half) {
       const FloatW* v = sums + 4 * half;
-      four[half] = added_pairs(added_neighbours(v[0].all, v[1].all), added_neighbours(v[2].all, v[3].all));
+      four[half] = added_pairs(added_neighbors(v[0].all, v[1].all), added_neighbors(v[2].all, v[3].all));
     }
     store(added_halves(four[0], four[1]), totals + kLanes * i);
   }
 }
 
-void combine_poses(const double* const* bones, const double* coefficients, const double* centre,
+void combine_poses(const double* const* bones, const double* coefficients, const double* center,
                    const double* gravity_offset, float (*out)[12]) {
-  combine(bones, coefficients, centre, gravity_offset, out);
+  combine(bones, coefficients, center, gravity_offset, out);
 }
 
 }  // namespace dynamorph::DYNAMORPH_ISA

@@ -8,8 +8,8 @@
 namespace dynamorph {
 
 /// What one bone contributes to the terms (ModalInertia::BoneMotion). bones: its twelve entries in each pose.
-/// coefficients (kMoments, kPoses), row-major. centre and gravity_offset (3).
-DYNAMORPH_KERNEL(void, combine_poses, const double* const* bones, const double* coefficients, const double* centre,
+/// coefficients (kMoments, kPoses), row-major. center and gravity_offset (3).
+DYNAMORPH_KERNEL(void, combine_poses, const double* const* bones, const double* coefficients, const double* center,
                  const double* gravity_offset, float (*out)[12]);
 /// Adds eight terms, one per lane, to force (r) and packed mass. motion: what the bones contribute, entry after entry.
 /// sign: 1 for a bone, -1 for a pair. largest_force: the largest part of the force that one term can have; infinite

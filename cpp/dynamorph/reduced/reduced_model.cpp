@@ -68,7 +68,7 @@ MatrixXd checked_responses(const ReducedTables& tables) {
 }
 
 /// Shifts a table (Taylor) from v = z - z_j to z. Returns the energy at z = 0, and writes the force (r) there.
-double recentre(const TableLayout& layout, const VectorXd& coordinates, VectorXd& table, VectorXd& force) {
+double recenter(const TableLayout& layout, const VectorXd& coordinates, VectorXd& table, VectorXd& force) {
   const Eigen::Index r = layout.r, pairs = layout.pairs();
   VectorXd packed;
   MatrixXd tangent;
@@ -147,7 +147,7 @@ ReducedModel::ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<Mor
     rest_stiffness_.push_back(table.head(layout_.pairs()));
     forces_.push_back(VectorXd::Zero(r));
     energies_.push_back(0);
-    if (blending_ == Blending::forces) energies_[j] = recentre(layout_, coordinates_[j], table, forces_[j]);
+    if (blending_ == Blending::forces) energies_[j] = recenter(layout_, coordinates_[j], table, forces_[j]);
     stiffness_.push_back(table.head(layout_.pairs()));
     tables_.push_back(in_single_precision(layout_, table));
   }
@@ -168,7 +168,7 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
   out.stiffness.setZero(pairs);
   out.packed_damping.setZero(pairs);
   out.force.setZero(r);
-  out.centre.setZero(r);
+  out.center.setZero(r);
   out.energy = 0;
   out.only = -1;
   for (size_t j = 0; j < targets_.size(); ++j) {
@@ -179,7 +179,7 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
     out.stiffness += w(j) * stiffness_[j];
     out.packed_damping += w(j) * targets_[j].stiffness_damping * rest_stiffness_[j];
     if (blending_ == Blending::even) {
-      out.centre += w(j) * coordinates_[j];
+      out.center += w(j) * coordinates_[j];
     } else {
       out.force += w(j) * forces_[j];
       out.energy += w(j) * energies_[j];
@@ -198,7 +198,7 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
 void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
   const Eigen::Index r = layout_.r, rows = padded_pairs_;
   Blend::Orders &now = blend.now, &anchor = blend.anchor;
-  now.v = z.head(r) - blend.centre;
+  now.v = z.head(r) - blend.center;
   if (!layout_.nonlinear && now.linear.size() == rows) return;  // always zero
   if (!layout_.nonlinear) {
     now.linear.setZero(rows);

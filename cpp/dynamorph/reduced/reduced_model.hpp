@@ -47,7 +47,7 @@ class ReducedModel {
     int only = -1;            ///< that target
     VectorXd force;           ///< f at v = 0
     double energy = 0;        ///< E at v = 0
-    VectorXd centre;          ///< v = z - centre
+    VectorXd center;          ///< v = z - center
     /// Scratch: v, its pairs and the orders of the packed tangent, first where they were summed in double precision
     /// (`expand`), then where they are wanted; changes of v and pairs; results that the energy does not need.
     struct Orders {
@@ -75,7 +75,7 @@ class ReducedModel {
   int dofs() const { return int(basis_.cols()); }
   int modes() const { return int(layout_.r); }  ///< the first coordinates; those of the responses follow
   /// Norm of the coordinates when the whole body moves by one meter, as far as the modes can.
-  double metre() const { return std::sqrt(body_->volume); }
+  double meter() const { return std::sqrt(body_->volume); }
 
   void blend(const VectorXd& w, Blend& out) const;
   double energy(const Blend& blend, const VectorXd& z) const;

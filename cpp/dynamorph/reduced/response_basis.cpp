@@ -41,13 +41,13 @@ RowMajor bone_loads(const SoftBody& body, Index most) {
     const VectorXd part = weights.col(b).cwiseProduct(volumes);
     const double volume = part.sum();
     if (!(volume > 0)) continue;
-    const Eigen::RowVector3d centre = part.transpose() * X / volume;
+    const Eigen::RowVector3d center = part.transpose() * X / volume;
     for (Index i = 0; i < nodes; ++i)
       for (int axis = 0; axis < 3 && weights(i, b) != 0; ++axis)
         for (int c = 0; c < 4; ++c)
           entries.emplace_back(
               int(3 * i + axis), int(columns + 4 * axis + c),
-              std::sqrt(volumes(i)) * weights(i, b) * (c < 3 ? (X(i, c) - centre(c)) / (kRadius * body.size) : 1));
+              std::sqrt(volumes(i)) * weights(i, b) * (c < 3 ? (X(i, c) - center(c)) / (kRadius * body.size) : 1));
     columns += 12;
   }
   SparseMatrix loads(3 * nodes, columns);

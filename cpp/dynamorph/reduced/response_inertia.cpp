@@ -20,12 +20,12 @@ constexpr double kEven = 1e-6;
 
 using Affine = Eigen::Matrix<double, 3, 4, Eigen::RowMajor>;
 
-/// What pulls the rest positions relative to `centre` of bone b, or of node b with its own transform.
-Affine inertial_target(const InertialTarget& inertial, Index b, const Vector3d& centre) {
+/// What pulls the rest positions relative to `center` of bone b, or of node b with its own transform.
+Affine inertial_target(const InertialTarget& inertial, Index b, const Vector3d& center) {
   Affine target = Affine::Zero();
   for (int n = 0; n < InertialTarget::kPoses; ++n)
     target += inertial.coefficients.col(n).sum() * Eigen::Map<const Affine>(inertial.bones[n]->data() + 12 * b);
-  target.col(3) += target.leftCols<3>() * centre - inertial.gravity_offset;
+  target.col(3) += target.leftCols<3>() * center - inertial.gravity_offset;
   return target;
 }
 
@@ -102,7 +102,7 @@ void ResponseInertia::tabulate_loads(const MatrixXd& own, int s, Set& set) {
       const auto found = column.find(bones);
       if (found == column.end()) return;
       Eigen::Vector4d X;
-      X << b.rest.segment<3>(3 * i) - b.centre, 1;
+      X << b.rest.segment<3>(3 * i) - b.center, 1;
       for (int axis = 0; axis < 3; ++axis)
         for (int j = 0; j < 4; ++j)
           loads.col(found->second + 4 * axis + j).head(count_) += part * X(j) * own.row(3 * i + axis).transpose();
@@ -125,7 +125,7 @@ void ResponseInertia::take_loads(const InertialTarget& inertial, Scratch& scratc
     const auto [first, second, size] = terms_[t];
     Eigen::Map<Affine> load(scratch.loads.data() + 12 * t);
     if (first == second) {
-      scratch.targets[first] = inertial_target(inertial, bones_[first], body_->centre);
+      scratch.targets[first] = inertial_target(inertial, bones_[first], body_->center);
       load.noalias() = pose(first).transpose() * scratch.targets[first];
       scratch.growth(first) = growth(affine(first));
       largest = std::max(largest, load.norm() * size);

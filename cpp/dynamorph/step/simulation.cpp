@@ -156,7 +156,7 @@ void Simulation<Model>::set_state(const State& state) {
 template <class Model>
 double Simulation<Model>::farthest(const Transforms& bones) const {
   return bones.rightCols<1>().cwiseAbs().maxCoeff() + bones.col(3).cwiseAbs().maxCoeff() +
-         bones.col(7).cwiseAbs().maxCoeff() + model_->body().centre.norm() + model_->body().size;
+         bones.col(7).cwiseAbs().maxCoeff() + model_->body().center.norm() + model_->body().size;
 }
 
 template <class Model>
@@ -231,9 +231,9 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   if constexpr (std::is_same_v<Model, ReducedModel>) blend_.near = std::min(0.03, 1e5 * options_.tolerance);
   Potential<Matrix, decltype(quadratic_), decltype(elastic_), decltype(grabs_)> potential(quadratic_, elastic_, grabs_);
   const auto ask = [&] {
-    if (options_.keep_going && !options_.keep_going()) throw Cancelled();
+    if (options_.keep_going && !options_.keep_going()) throw Canceled();
   };
-  const double negligible = options_.tolerance * model_->body().size * model_->metre();
+  const double negligible = options_.tolerance * model_->body().size * model_->meter();
   const NewtonReport found =
       dynamorph::minimize(potential, newton_, q, {options_.tolerance, negligible, max_iterations}, ask);
   if (found.broken)

@@ -89,7 +89,7 @@ class Simulation {
   void pose(const Transforms& bones, const VectorXd& weights);
   /// Takes a step that is posed and checked, and in which the rig does not jump.
   StepReport advance(const StepInput& input);
-  /// Sets g of the quadratic term to the forces at its origin: inertia's towards `inertial` divided by `square` s^2,
+  /// Sets g of the quadratic term to the forces at its origin: inertia's toward `inertial` divided by `square` s^2,
   /// external forces on the nodes if there are any, and gravity in the targets' own poses.
   void load(const InertialTarget& inertial, double square, const VectorXd* external);
   /// Moves q to the minimum of the sum of the terms.

@@ -62,7 +62,7 @@ struct ElasticTerm {
     return stiffness_;
   }
   RoundOff round_off() {
-    const double length = q_.norm() + reference + 0.1 * model->body().size * model->metre();
+    const double length = q_.norm() + reference + 0.1 * model->body().size * model->meter();
     const double largest = values(hessian()).cwiseAbs().maxCoeff();  // terms of that size cancel in the force
     return {force_.norm(), 1e-14 * largest * length, length};
   }

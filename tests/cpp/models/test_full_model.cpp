@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The full model: its vectorised assembly against the element laws, one element at a time, and its stiffness at rest.
+// The full model: its vectorized assembly against the element laws, one element at a time, and its stiffness at rest.
 #include <doctest/doctest.h>
 
 #include "derivatives.hpp"

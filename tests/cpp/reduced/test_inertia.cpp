@@ -119,7 +119,7 @@ void contract_in_double(const SoftBody& body, const MatrixXd& U, const InertialT
   for (Index b = 0; b < body.skin.cols(); ++b) {
     const double* poses[InertialTarget::kPoses];
     for (int n = 0; n < InertialTarget::kPoses; ++n) poses[n] = inertial.bones[n]->data() + 12 * b;
-    combine(poses, coefficients.data(), body.centre.data(), inertial.gravity_offset.data(), bones[b].values);
+    combine(poses, coefficients.data(), body.center.data(), inertial.gravity_offset.data(), bones[b].values);
   }
   std::vector<double> y, slopes(9 * r);
   take_differences(inertial, y);
@@ -129,7 +129,7 @@ void contract_in_double(const SoftBody& body, const MatrixXd& U, const InertialT
     std::map<std::pair<int, int>, VectorXd> tensors;
     VectorXd entry(entries(r)), own_force = VectorXd::Zero(r), change = VectorXd::Zero(r * (r + 1) / 2);
     for_each_term(body, s, [&](Index i, const std::pair<int, int>& pair, double part) {
-      node_tensor(U.middleRows<3>(3 * i), body.rest.segment<3>(3 * i) - body.centre, entry);
+      node_tensor(U.middleRows<3>(3 * i), body.rest.segment<3>(3 * i) - body.center, entry);
       tensors.try_emplace(pair, VectorXd::Zero(entries(r))).first->second += part * entry;
     });
     for (const auto& [pair, tensor] : tensors) {

@@ -140,7 +140,7 @@ TEST_CASE("responses: every target is exact, its force and energy are zero, and 
         continue;  // set 1 has the twist alone, whose weight is always one
       }
       Simulation<ReducedModel> simulation(model, precise());
-      VectorXd q = at + 0.02 * model->metre() * random_vector(r + h, 0.05, 9);
+      VectorXd q = at + 0.02 * model->meter() * random_vector(r + h, 0.05, 9);
       CHECK(simulation.solve_static({bent(0.8), w}, q).converged);
       model->displacement(q, u);
       CHECK((u - scene.full.target(j)).cwiseAbs().maxCoeff() <= 1e-6 * scene.full.body().size);
@@ -169,7 +169,7 @@ TEST_CASE("responses: balanced targets do not sag, and a held body's targets are
       const ResponseScene other(held, targets(*body), Law::stvk, blending);
       Simulation<ReducedModel> still(other.model, precise());
       for (int j = 0; j < 3; ++j) {
-        VectorXd at = other.model->target(j) + 0.02 * other.model->metre() * random_vector(30, 0.05, 9);
+        VectorXd at = other.model->target(j) + 0.02 * other.model->meter() * random_vector(30, 0.05, 9);
         CHECK(still.solve_static({bent(0.3), VectorXd::Unit(3, j)}, at).converged);
         other.model->displacement(at, u);
         CHECK((u - other.full.target(j)).cwiseAbs().maxCoeff() <= 1e-6 * body->size);
@@ -233,8 +233,8 @@ TEST_CASE("response basis: reports its progress, can be stopped, and refuses wha
   CHECK(std::is_sorted(reported.begin(), reported.end()));
   for (double when : {0.0, 0.1, 0.4, 0.6, 0.84}) {
     const auto stop = [&](double done) { return done < when; };
-    CHECK_THROWS_AS(make_response_basis(full, 9, 12, stop), Cancelled);
-    CHECK_THROWS_AS(reduce(full, basis, stop), Cancelled);
+    CHECK_THROWS_AS(make_response_basis(full, 9, 12, stop), Canceled);
+    CHECK_THROWS_AS(reduce(full, basis, stop), Canceled);
   }
   CHECK_THROWS_WITH_AS(make_response_basis(full, 2, 12),
                        "2 modes in full detail are too few: the shapes of the targets alone take 2. Ask for 3 or more.",
@@ -259,7 +259,7 @@ TEST_CASE("response basis: how the modes bend takes a while, of which it reports
     return true;
   });
   CHECK(reports > 0);
-  CHECK_THROWS_AS(make_response_basis(full, 25, 10, [&](double done) { return !bending(done); }), Cancelled);
+  CHECK_THROWS_AS(make_response_basis(full, 25, 10, [&](double done) { return !bending(done); }), Canceled);
 }
 
 TEST_CASE("response basis: of a body that nothing but a hold keeps in place") {
