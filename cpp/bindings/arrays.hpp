@@ -51,9 +51,9 @@ Matrix to_indices(const IndexArray& array, const char* name) {
   const py::array_t<std::int64_t, py::array::c_style | py::array::forcecast> whole(array);
   const Wide wide = to_matrix<Wide>(whole, name);
   const bool wraps = kind == 'u' && array.itemsize() == 8;  // numbers from 2^63 up become negative
-  constexpr std::int64_t most = std::numeric_limits<std::int32_t>::max();
-  if (wide.size() > 0 && (wide.maxCoeff() > most || wide.minCoeff() < (wraps ? 0 : -most)))
-    throw std::invalid_argument(std::string(name) + ": expected indices up to " + std::to_string(most) + ", got " +
+  constexpr std::int64_t largest = std::numeric_limits<std::int32_t>::max();
+  if (wide.size() > 0 && (wide.maxCoeff() > largest || wide.minCoeff() < (wraps ? 0 : -largest)))
+    throw std::invalid_argument(std::string(name) + ": expected indices up to " + std::to_string(largest) + ", got " +
                                 py::str(array.attr("min")()).cast<std::string>() + " to " +
                                 py::str(array.attr("max")()).cast<std::string>());
   return wide.template cast<std::int32_t>();

@@ -693,7 +693,7 @@ def reduce(model: FullModel, basis: ResponseBasis, progress: typing.Any = None) 
     """
     The same in a basis with responses, whose stiffness and coupling are computed too.
     """
-def set_threads(most: typing.SupportsInt | typing.SupportsIndex) -> None:
+def set_threads(limit: typing.SupportsInt | typing.SupportsIndex) -> None:
     """
     Uses at most this many cores from now on; 0 means all that the process may use. Results do not depend on it.
     """

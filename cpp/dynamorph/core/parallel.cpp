@@ -13,8 +13,8 @@ namespace {
 /// wait until all of them have started, even after it has done their work itself.
 class Helpers {
  public:
-  /// Calls work(0) .. work(count - 1) on the calling thread and at most `most` helpers.
-  void run(int count, int most, const std::function<void(int)>& work) {
+  /// Calls work(0) .. work(count - 1) on the calling thread and at most `limit` helpers.
+  void run(int count, int limit, const std::function<void(int)>& work) {
     std::unique_lock lock(mutex_);
     if (work_) {  // the helpers work for another thread
       lock.unlock();
@@ -22,13 +22,13 @@ class Helpers {
       return;
     }
     try {
-      for (; threads_ < most; ++threads_) std::thread([this] { help(); }).detach();
+      for (; threads_ < limit; ++threads_) std::thread([this] { help(); }).detach();
     } catch (const std::exception&) {  // the system has no more threads; the next loop tries again
     }
     work_ = &work;
     count_ = count;
     next_ = 0;
-    wanted_ = most;
+    wanted_ = limit;
     ++loop_;
     lock.unlock();
     begun_.notify_all();
@@ -65,9 +65,9 @@ class Helpers {
   std::atomic<int> next_{0};
 };
 
-std::atomic<int> most_threads{0};  ///< the limit set by the user; 0 for none
+std::atomic<int> thread_limit{0};  ///< the limit set by the user; 0 for none
 
-int given_cores() {
+int allowed_cores() {
 #ifdef __linux__  // hardware_concurrency counts all cores of the machine
   cpu_set_t allowed;
   if (sched_getaffinity(0, sizeof allowed, &allowed) == 0) return CPU_COUNT(&allowed);
@@ -78,13 +78,14 @@ int given_cores() {
 }  // namespace
 
 int usable_cores() {
-  const int most = most_threads, given = std::max(1, given_cores());
-  return most > 0 ? std::min(most, given) : given;
+  const int limit = thread_limit, cores = std::max(1, allowed_cores());
+  return limit > 0 ? std::min(limit, cores) : cores;
 }
 
-void set_threads(int most) {
-  if (most < 0) throw std::invalid_argument("threads: expected 0, for all cores, or more, got " + std::to_string(most));
-  most_threads = most;
+void set_threads(int limit) {
+  if (limit < 0)
+    throw std::invalid_argument("threads: expected 0, for all cores, or more, got " + std::to_string(limit));
+  thread_limit = limit;
 }
 
 void parallel_for(int count, const std::function<void(int)>& work) {

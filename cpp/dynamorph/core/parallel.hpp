@@ -22,8 +22,8 @@ namespace dynamorph {
 /// has.
 int usable_cores();
 
-/// Sets the most cores to use from now on; 0 means all that the system gives.
-void set_threads(int most);
+/// Limits how many cores are used from now on; 0 means all that the system gives.
+void set_threads(int limit);
 
 /// Calls work(i, progress) for i = 0..count-1. Each call has its own progress, which asks it to stop once another call
 /// has failed. The caller's `progress` gets the mean and is called only from the calling thread. Rethrows what a call
@@ -38,21 +38,21 @@ void run_tasks(int count, const ProgressFn& progress, const Work& work) {
   std::mutex mutex;
   std::condition_variable ended;
   std::exception_ptr canceled;
-  const auto take = [&](const auto& heard) {
+  const auto take = [&](const auto& notify) {
     for (int i; (i = next++) < count && !stop;) try {
         work(i, [&, i](double fraction) {
           done[i] = fraction;
-          heard();
+          notify();
           return !stop;
         });
-      } catch (const Canceled&) {  // told to stop, because the caller canceled or another call failed
+      } catch (const Canceled&) {  // asked to stop, because the caller canceled or another call failed
         stop = true;
       } catch (...) {
         errors[i] = std::current_exception();
         stop = true;
       }
   };
-  const auto tell = [&] {  // reports to the caller
+  const auto report_mean = [&] {  // to the caller
     try {
       if (!canceled) report(progress, std::accumulate(done.begin(), done.end(), 0.0) / count);
     } catch (...) {
@@ -74,12 +74,12 @@ void run_tasks(int count, const ProgressFn& progress, const Work& work) {
         ended.notify_one();
       });
   } catch (const std::exception&) {  // the system has no more threads
-    if (threads.empty()) take(tell);
+    if (threads.empty()) take(report_mean);
   }
   std::unique_lock lock(mutex);
   while (!ended.wait_for(lock, std::chrono::milliseconds(20), [&] { return ended_threads == int(threads.size()); })) {
     lock.unlock();
-    tell();
+    report_mean();
     lock.lock();
   }
   lock.unlock();

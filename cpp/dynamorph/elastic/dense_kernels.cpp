@@ -45,7 +45,7 @@ void add_squares(const double* __restrict J, const double* __restrict d, Index k
 bool decompose_dense(double* __restrict V, Index n, double* __restrict inverse) {
   const Index stride = whole_vectors(n);
   for (Index j = 0; j < n; ++j) {
-    double* own = V + j * stride;
+    double* column = V + j * stride;
     const Index first = j / 4 * 4;
     Index k = 0;
     for (; k + 4 <= j; k += 4) {
@@ -54,16 +54,17 @@ bool decompose_dense(double* __restrict V, Index n, double* __restrict inverse) 
       const double x2 = v2[j] * inverse[k + 2], x3 = v3[j] * inverse[k + 3];
       for (Index i = first; i < stride; i += 4) {
         const Double4 others = mul_add(load(v3 + i) * x3, x2, load(v2 + i));
-        store(mul_sub(mul_sub(load(own + i), x0, load(v0 + i)), x1, load(v1 + i)) - others, own + i);
+        store(mul_sub(mul_sub(load(column + i), x0, load(v0 + i)), x1, load(v1 + i)) - others, column + i);
       }
     }
     for (; k < j; ++k) {
       const double x = V[k * stride + j] * inverse[k];
-      for (Index i = first; i < stride; i += 4) store(mul_sub(load(own + i), x, load(V + k * stride + i)), own + i);
+      for (Index i = first; i < stride; i += 4)
+        store(mul_sub(load(column + i), x, load(V + k * stride + i)), column + i);
     }
-    if (!(own[j] > 0) || !__builtin_isfinite(own[j])) return false;
-    inverse[j] = 1 / own[j];
-    for (Index i = first; i <= j; ++i) own[i] = 0;
+    if (!(column[j] > 0) || !__builtin_isfinite(column[j])) return false;
+    inverse[j] = 1 / column[j];
+    for (Index i = first; i <= j; ++i) column[i] = 0;
   }
   return true;
 }
@@ -71,8 +72,8 @@ bool decompose_dense(double* __restrict V, Index n, double* __restrict inverse) 
 void substitute_dense(const double* __restrict V, const double* __restrict inverse, Index n, double* __restrict x) {
   const Index stride = whole_vectors(n);
   for (Index j = 0; j < n; ++j) {
-    const double own = x[j] * inverse[j];
-    for (Index i = j / 4 * 4; i < stride; i += 4) store(mul_sub(load(x + i), own, load(V + j * stride + i)), x + i);
+    const double pivot = x[j] * inverse[j];
+    for (Index i = j / 4 * 4; i < stride; i += 4) store(mul_sub(load(x + i), pivot, load(V + j * stride + i)), x + i);
   }
   for (Index j = n - 1; j >= 0; --j) {
     Double4 sum = {};

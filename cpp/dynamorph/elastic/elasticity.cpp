@@ -33,14 +33,14 @@ RestShape rest_shape(const TetMesh& mesh, const VectorXd& displacement, const Ve
     const Matrix3d map = deformed * neutral.inverse();
     const double ratio = map.determinant();
     const bool usable = ratio >= 0.2 && ratio <= 5 && Eigen::JacobiSVD<Matrix3d>(map).singularValues()(2) >= 0.2;
-    const bool own = usable && !shifted;
-    const Matrix3d& rest = own ? deformed : neutral;
+    const bool about_shape = usable && !shifted;
+    const Matrix3d& rest = about_shape ? deformed : neutral;
     Element& element = shape.elements[e];
     element.gradients.rightCols<3>() = rest.inverse().transpose();
     element.gradients.col(0) = -element.gradients.rightCols<3>().rowwise().sum();
     element.weight = rest.determinant() / 6 * scale(e);
     // Either way F(d) = I. The deformed rest shape gives F0 = D(X) D(X+d)^-1, the neutral one F0 = I - grad d.
-    element.origin = own ? Matrix3d(neutral * deformed.inverse()) : Matrix3d(2 * Matrix3d::Identity() - map);
+    element.origin = about_shape ? Matrix3d(neutral * deformed.inverse()) : Matrix3d(2 * Matrix3d::Identity() - map);
     shape.fallbacks += !usable && !shifted;
   }
   return shape;

@@ -197,8 +197,8 @@ void bring_up_to_date(int version, Content& content) {
 }  // namespace
 
 const Array* Content::find(const std::string& name) const {
-  for (const auto& [own, array] : arrays)
-    if (own == name) return &array;
+  for (const auto& [stored_name, array] : arrays)
+    if (stored_name == name) return &array;
   return nullptr;
 }
 

@@ -209,8 +209,8 @@ int InteriorGraph::nearest(const Vector3d& p) const {
   if (any.triangle < 0) return -1;
   // p lies inside another part that overlaps this one, so it does not belong to this one, although this one is near.
   const bool other = any.outside && body_.contains(p);
-  const Place own = other ? nearest_place(p, true) : any;
-  const Place& place = own.triangle < 0 ? any : own;
+  const Place same_side = other ? nearest_place(p, true) : any;
+  const Place& place = same_side.triangle < 0 ? any : same_side;
   return nearest_corner(place.triangle, place.at);
 }
 

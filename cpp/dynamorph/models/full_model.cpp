@@ -60,15 +60,15 @@ void FullModel::blend(const VectorXd& w, Blend& out) const {
   if (linear && out.stiffness.nonZeros() != assembly_.pattern().nonZeros()) out.stiffness = assembly_.pattern();
   const Eigen::Index size = out.damping.nonZeros();
   parallel_for(int((size + kBlended - 1) / kBlended), [&](int chunk) {
-    const Eigen::Index first = chunk * kBlended, some = std::min(kBlended, size - first);
-    auto damping = values(out.damping).segment(first, some);
+    const Eigen::Index first = chunk * kBlended, count = std::min(kBlended, size - first);
+    auto damping = values(out.damping).segment(first, count);
     damping.setZero();
-    if (linear) values(out.stiffness).segment(first, some).setZero();
+    if (linear) values(out.stiffness).segment(first, count).setZero();
     for (Eigen::Index j = 0; j < w.size(); ++j) {
       if (w(j) == 0) continue;
-      const auto rest = rest_stiffness_[j].segment(first, some);
+      const auto rest = rest_stiffness_[j].segment(first, count);
       damping += w(j) * targets_[j].stiffness_damping * rest;
-      if (linear) values(out.stiffness).segment(first, some) += w(j) * rest;
+      if (linear) values(out.stiffness).segment(first, count) += w(j) * rest;
     }
   });
   if (even) {
@@ -112,11 +112,11 @@ void FullModel::blend_hold(const VectorXd& w, Blend& out) const {
   out.hold_energy = 0;
   for (Eigen::Index j = 0; j < w.size(); ++j) {
     if (w(j) == 0) continue;
-    const VectorXd own = at_coordinates(w(j) * targets_[j].lame.mu * body_->holds.col(targets_[j].set));
-    out.hold += own;
+    const VectorXd stiffness = at_coordinates(w(j) * targets_[j].lame.mu * body_->holds.col(targets_[j].set));
+    out.hold += stiffness;
     if (blending_ == Blending::even) continue;  // x is zero at each target's own shape, so there are no more terms
-    out.hold_shapes += own.cwiseProduct(rest_displacements_[j]);
-    out.hold_energy += 0.5 * own.dot(rest_displacements_[j].cwiseAbs2());
+    out.hold_shapes += stiffness.cwiseProduct(rest_displacements_[j]);
+    out.hold_energy += 0.5 * stiffness.dot(rest_displacements_[j].cwiseAbs2());
   }
 }
 

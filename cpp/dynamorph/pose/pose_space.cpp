@@ -149,7 +149,7 @@ void PoseSpace::weights(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<Vect
 void PoseSpace::distances(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<VectorXd> d) const {
   Eigen::Index target = 0;
   for (const Interpolant& in : sets_)
-    for (const Rotations& own : in.set.poses) d(target++) = pose_distance(in.set.bones, own, pose);
+    for (const Rotations& target_pose : in.set.poses) d(target++) = pose_distance(in.set.bones, target_pose, pose);
 }
 
 }  // namespace dynamorph

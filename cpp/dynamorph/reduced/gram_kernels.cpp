@@ -19,9 +19,9 @@ DYNAMORPH_INLINE void quarter_tile(const double* __restrict A, const double* __r
     for (int v = 0; v < 3; ++v) store(load(C + i * kTile + 4 * v) + sums[i][v], C + i * kTile + 4 * v);
 }
 
-DYNAMORPH_INLINE double column_dot(const double* own, int a, const double* other, Index r, int b) {
-  return mul_add(mul_add(own[3 * a] * other[3 * b * r], own[3 * a + 1], other[(3 * b + 1) * r]), own[3 * a + 2],
-                 other[(3 * b + 2) * r]);
+DYNAMORPH_INLINE double column_dot(const double* column, int a, const double* other, Index r, int b) {
+  return mul_add(mul_add(column[3 * a] * other[3 * b * r], column[3 * a + 1], other[(3 * b + 1) * r]),
+                 column[3 * a + 2], other[(3 * b + 2) * r]);
 }
 
 }  // namespace
@@ -36,11 +36,12 @@ void trace_row(const double* __restrict G, Index r, bool pairs, double scale, do
   if (!pairs) return;
   row += r;
   for (Index k = 0; k < r; row += r - k, ++k) {
-    double own[9];
-    for (int c = 0; c < 9; ++c) own[c] = 0.5 * scale * G[c * r + k];
+    double column[9];
+    for (int c = 0; c < 9; ++c) column[c] = 0.5 * scale * G[c * r + k];
     for (Index l = 0; l < r - k; ++l) {
       const double* other = G + k + l;
-      row[l] = column_dot(own, 0, other, r, 0) + column_dot(own, 1, other, r, 1) + column_dot(own, 2, other, r, 2);
+      row[l] =
+          column_dot(column, 0, other, r, 0) + column_dot(column, 1, other, r, 1) + column_dot(column, 2, other, r, 2);
     }
   }
 }
@@ -62,10 +63,10 @@ void deviator_rows(const double* __restrict G, Index r, bool pairs, double scale
   if (!pairs) return;
   rows += r;
   for (Index k = 0; k < r; rows += r - k, ++k) {
-    double own[9];
-    for (int c = 0; c < 9; ++c) own[c] = 0.5 * G[c * r + k];
+    double column[9];
+    for (int c = 0; c < 9; ++c) column[c] = 0.5 * G[c * r + k];
     for (Index l = 0; l < r - k; ++l) {
-      const auto product = [&](int a, int b) { return column_dot(own, a, G + k + l, r, b); };
+      const auto product = [&](int a, int b) { return column_dot(column, a, G + k + l, r, b); };
       put(rows + l, product(0, 0), product(1, 1), product(2, 2), product(0, 1) + product(1, 0),
           product(1, 2) + product(2, 1), product(2, 0) + product(0, 2));
     }
@@ -75,16 +76,16 @@ void deviator_rows(const double* __restrict G, Index r, bool pairs, double scale
 void crosses_of_pairs(const double* __restrict G, Index r, double* __restrict cross) {
   const Index stride = r * (r + 1) / 2;
   for (Index k = 0; k < r; cross += r - k, ++k) {
-    double own[9];
-    for (int c = 0; c < 9; ++c) own[c] = G[c * r + k];
+    double column[9];
+    for (int c = 0; c < 9; ++c) column[c] = G[c * r + k];
     DYNAMORPH_INDEPENDENT  // rows of the result do not overlap
         for (Index l = 0; l < r - k; ++l) {
       const double* other = G + k + l;
       const auto put = [&](int i, int c) {
         const int j = 3 * ((i + 1) % 3), h = 3 * ((i + 2) % 3), a = (c + 1) % 3, b = (c + 2) % 3;
-        const double one = mul_sub(own[j + a] * other[(h + b) * r], own[j + b], other[(h + a) * r]);
+        const double one = mul_sub(column[j + a] * other[(h + b) * r], column[j + b], other[(h + a) * r]);
         cross[(3 * i + c) * stride + l] =
-            mul_sub(mul_add(one, other[(j + a) * r], own[h + b]), other[(j + b) * r], own[h + a]);
+            mul_sub(mul_add(one, other[(j + a) * r], column[h + b]), other[(j + b) * r], column[h + a]);
       };
       put(0, 0), put(0, 1), put(0, 2);
       put(1, 0), put(1, 1), put(1, 2);

@@ -15,17 +15,17 @@ namespace {
 
 constexpr int kSteps = 10;
 
-/// Orthonormal combinations of columns with the eigenvectors of their Gram matrix, strongest first, as long as they are
-/// strong.
+/// The orthonormal combinations, rotated to the eigenvectors of A^T A in their span, strongest first, without those
+/// that are zero but for round-off.
 MatrixXd strong_only(const SparseMatrix& A, const MatrixXd& combinations) {
   const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(gram(RowMajor(A * combinations)));
   const Eigen::Index strong = (eigen.eigenvalues().array() > 1e-14 * A.squaredNorm()).count();
   return combinations * eigen.eigenvectors().rightCols(strong).rowwise().reverse();
 }
 
-/// Orthonormal combinations (columns, `count`) that include the strongest. Halko, Martinsson and Tropp, SIAM Review 53
-/// (2011), algorithm 4.4. An iteration from one vector, as Lanczos's, is no faster, and of several that are equally
-/// strong, as those of a part and its copies, it finds some alone.
+/// Orthonormal combinations (columns, `count`) whose span contains the strongest ones. Halko, Martinsson and Tropp,
+/// SIAM Review 53 (2011), algorithm 4.4. Lanczos's iteration, which starts from a single vector, is no faster, and
+/// finds only one of several equally strong combinations, such as those of a part and its copies.
 MatrixXd random_combinations(const SparseMatrix& A, Eigen::Index count) {
   std::mt19937 random(1);
   MatrixXd Q(A.cols(), count);
@@ -59,16 +59,16 @@ MatrixXd orthonormal(const MatrixXd& columns) {
   return svd.matrixU().leftCols(rank);
 }
 
-MatrixXd strongest(const RowMajor& columns, Eigen::Index most) {
+MatrixXd strongest(const RowMajor& columns, Eigen::Index count) {
   const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(gram(columns));
   const VectorXd& squares = eigen.eigenvalues();
   const Eigen::Index strong = (squares.array() > 1e-14 * squares.maxCoeff()).count();
-  return columns * eigen.eigenvectors().rightCols(std::min(most, strong)).rowwise().reverse();
+  return columns * eigen.eigenvectors().rightCols(std::min(count, strong)).rowwise().reverse();
 }
 
-MatrixXd strongest_combinations(const SparseMatrix& A, Eigen::Index most) {
-  const MatrixXd found = strong_only(A, random_combinations(A, std::min(A.cols(), 2 * most + 20)));
-  return found.leftCols(std::min(most, found.cols()));
+MatrixXd strongest_combinations(const SparseMatrix& A, Eigen::Index count) {
+  const MatrixXd combinations = strong_only(A, random_combinations(A, std::min(A.cols(), 2 * count + 20)));
+  return combinations.leftCols(std::min(count, combinations.cols()));
 }
 
 }  // namespace dynamorph

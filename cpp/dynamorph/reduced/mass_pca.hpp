@@ -12,16 +12,16 @@ MatrixXd gram(const RowMajor& A);
 /// Orthonormal basis of the columns' span, with a relative rank tolerance of 1e-9.
 MatrixXd orthonormal(const MatrixXd& columns);
 
-/// The `most` strongest orthogonal combinations of the columns, strongest first, as long as they are strong; fewer
+/// The `count` strongest orthogonal combinations of the columns, strongest first, as long as they are strong; fewer
 /// where the columns have fewer beyond a relative 1e-7.
-MatrixXd strongest(const RowMajor& columns, Eigen::Index most);
+MatrixXd strongest(const RowMajor& columns, Eigen::Index count);
 
 /// Columns up to which `strongest` is fast. A rig of hundreds of bones has more loads, each with few entries.
 constexpr Eigen::Index kManyColumns = 1200;
 
-/// The combinations (columns, at most `most`) of sparse columns that are strongest, strongest first: orthonormal
-/// eigenvectors of A^T A, for columns of which `most` are few. The weakest are the less exact the less the next ones
-/// are weaker.
-MatrixXd strongest_combinations(const SparseMatrix& A, Eigen::Index most);
+/// The strongest combinations (columns, at most `count`) of sparse columns, strongest first: orthonormal eigenvectors
+/// of A^T A. It is meant for many more columns than `count`. The last combinations are the least exact, unless the ones
+/// that were left out are much weaker.
+MatrixXd strongest_combinations(const SparseMatrix& A, Eigen::Index count);
 
 }  // namespace dynamorph

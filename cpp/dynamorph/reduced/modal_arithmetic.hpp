@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The arithmetic of modal_inertia: how the tensors of bones and of pairs of bones (modal_terms.hpp) are contracted.
-// Lanes are eight terms in single precision; tests use one term in double.
+// The arithmetic of modal_inertia: how the tensors of pairs of bones (bone_pairs.hpp) are contracted.
+// Lanes are eight pairs in single precision; tests use one pair in double.
 #pragma once
 
 #include "dynamorph/simd/lanes.hpp"
 
-namespace dynamorph::terms {
+namespace dynamorph::bone_pairs {
 
 constexpr int kMoments = 4, kPoses = 5;  ///< as in InertialTarget
 constexpr int kRigid = 12, kSymmetric = 6, kSkew = 3;
 
-/// Number of entries of a term's tensor.
+/// Number of entries of a pair's tensor.
 constexpr Index entries(Index r) { return (kRigid + kSymmetric) * r + (kSymmetric + kSkew) * (r * (r - 1) / 2); }
 
-/// The coefficients that the tensor of each lane's term is contracted with.
+/// The coefficients that the tensor of each lane's pair is contracted with.
 template <class Lanes>
 struct Coefficients {
   Lanes rigid[kRigid];                              ///< of the rest positions, and of the weights alone
@@ -32,8 +32,8 @@ DYNAMORPH_INLINE void split(const Lanes G[3][4], Lanes* parts) {
   }
 }
 
-/// Computes the coefficients from the motions of eight terms, entry after entry. sign: 1 for a bone, with a mass
-/// counted by how far the bone is from rigid; -1 for a pair.
+/// Computes the coefficients from the motions of eight pairs, entry after entry. sign: 1 for one bone, with a mass
+/// counted by how far the bone is from rigid; -1 for two.
 template <class Lanes>
 DYNAMORPH_INLINE void contract_bones(const Lanes (*motion)[12], const Lanes& sign, Coefficients<Lanes>& out) {
   Lanes R[3][3], G[3][4];
@@ -63,23 +63,24 @@ DYNAMORPH_INLINE void take_slopes(const Coefficients<Lanes>& c, const Number* y,
   for (int e = 0; e < kSymmetric + kSkew; ++e) {
     const Lanes c0 = c.differences[0][e], c1 = c.differences[1][e], c2 = c.differences[2][e], c3 = c.differences[3][e];
     for (Index l = 0; l < r; ++l) {
-      const Number* own = y + kMoments * l;
-      slopes[9 * l + e] = mul_add(own[0] * c0, own[1], c1) + mul_add(own[2] * c2, own[3], c3);
+      const Number* difference = y + kMoments * l;
+      slopes[9 * l + e] =
+          mul_add(difference[0] * c0, difference[1], c1) + mul_add(difference[2] * c2, difference[3], c3);
     }
   }
 }
 
 /// force += tensors : coefficients, and with kHeavy the same for the packed mass. slopes: 9 coefficients of each mode.
 template <bool kHeavy, class Lanes>
-DYNAMORPH_INLINE void add_terms(const Lanes* table, Index r, const Lanes* __restrict slopes,
-                                const Coefficients<Lanes>& c, Lanes* __restrict force, Lanes* __restrict mass) {
+DYNAMORPH_INLINE void add_tensors(const Lanes* table, Index r, const Lanes* __restrict slopes,
+                                  const Coefficients<Lanes>& c, Lanes* __restrict force, Lanes* __restrict mass) {
   constexpr int kEntries = kSymmetric + kSkew;
   for (Index k = 0; k < r; ++k) {
-    const Lanes* own = slopes + kEntries * k;
+    const Lanes* slope = slopes + kEntries * k;
     Lanes sums[3] = {};  // independent, so that no addition waits for the one before
     for (int e = 0; e < kRigid; ++e) sums[e % 3] = mul_add(sums[e % 3], table[e], c.rigid[e]);
     table += kRigid;
-    for (int e = 0; e < kSymmetric; ++e) sums[e % 3] = mul_add(sums[e % 3], table[e], own[e]);
+    for (int e = 0; e < kSymmetric; ++e) sums[e % 3] = mul_add(sums[e % 3], table[e], slope[e]);
     // Two loops, so that each keeps its coefficients in registers.
     if (kHeavy) {
       const Lanes* row = table;
@@ -91,17 +92,17 @@ DYNAMORPH_INLINE void add_terms(const Lanes* table, Index r, const Lanes* __rest
     }
     table += kSymmetric;
     for (Index l = k + 1; l < r; ++l, table += kEntries) {
-      const Lanes* other = slopes + kEntries * l;
-      Lanes theirs[2] = {};
+      const Lanes* other_slope = slopes + kEntries * l;
+      Lanes other_sums[2] = {};
       for (int e = 0; e < kSymmetric; ++e) {
-        sums[e % 3] = mul_add(sums[e % 3], table[e], other[e]);
-        theirs[e % 2] = mul_add(theirs[e % 2], table[e], own[e]);
+        sums[e % 3] = mul_add(sums[e % 3], table[e], other_slope[e]);
+        other_sums[e % 2] = mul_add(other_sums[e % 2], table[e], slope[e]);
       }
       for (int e = kSymmetric; e < kEntries; ++e) {
-        sums[e % 3] = mul_add(sums[e % 3], table[e], other[e]);
-        theirs[e % 2] = mul_sub(theirs[e % 2], table[e], own[e]);
+        sums[e % 3] = mul_add(sums[e % 3], table[e], other_slope[e]);
+        other_sums[e % 2] = mul_sub(other_sums[e % 2], table[e], slope[e]);
       }
-      force[l] += theirs[0] + theirs[1];
+      force[l] += other_sums[0] + other_sums[1];
     }
     force[k] += (sums[0] + sums[1]) + sums[2];
   }
@@ -113,7 +114,7 @@ DYNAMORPH_INLINE double weigh(const double* coefficients, double b0, double b1, 
       coefficients[4], b4);
 }
 
-/// What one bone contributes to the terms (BoneMotion). bones: its twelve entries in each pose. coefficients (kMoments,
+/// What one bone contributes to its pairs (BoneMotion). bones: its twelve entries in each pose. coefficients (kMoments,
 /// kPoses), row-major. Only the sums are rounded, because each is as large as what it adds to the force.
 template <class Single>
 DYNAMORPH_INLINE void combine(const double* const* bones, const double* coefficients, const double* center,
@@ -132,4 +133,4 @@ DYNAMORPH_INLINE void combine(const double* const* bones, const double* coeffici
   }
 }
 
-}  // namespace dynamorph::terms
+}  // namespace dynamorph::bone_pairs

@@ -6,26 +6,25 @@
 #include <map>
 
 #include "dynamorph/reduced/modal_kernels.hpp"
-#include "dynamorph/reduced/modal_terms.hpp"
 
 namespace dynamorph {
 
 namespace {
 
-using namespace terms;
+using namespace bone_pairs;
 
-/// Pairs of bones with a smaller part of the force are left out, whatever the pose (see modal_kernels.cpp).
+/// Two bones with a smaller part of the force are left out, whatever the pose (see modal_kernels.cpp).
 constexpr double kNegligible = 1e-5;
 using BoneMotion = ModalInertia::BoneMotion;
 
-/// lanes[m][e][t] = entry e of matrix m of term t: that of its bone, minus that of the second bone for a pair.
-void gather(const std::vector<BoneMotion>& bones, const std::vector<std::pair<int, int>>& terms,
+/// lanes[m][e][p] = entry e of matrix m of pair p: that of its bone, or the difference of its two bones.
+void gather(const std::vector<BoneMotion>& bones, const std::vector<BonePair>& pairs,
             const std::array<float, kLanes>& signs, FloatW lanes[][12]) {
-  for (size_t t = 0; t < terms.size(); ++t) {
-    const auto &a = bones[terms[t].first].values, &b = bones[terms[t].second].values;
-    const float less = signs[t] < 0;
+  for (size_t p = 0; p < pairs.size(); ++p) {
+    const auto &a = bones[pairs[p].first].values, &b = bones[pairs[p].second].values;
+    const float less = signs[p] < 0;
     for (int m = 0; m <= InertialTarget::kMoments; ++m)
-      for (int e = 0; e < 12; ++e) lanes[m][e][t] = a[m][e] - less * b[m][e];
+      for (int e = 0; e < 12; ++e) lanes[m][e][p] = a[m][e] - less * b[m][e];
   }
 }
 
@@ -37,34 +36,34 @@ ModalInertia::ModalInertia(const SoftBody& body, const MatrixXd& U) : r_(U.cols(
   for (Index i = 0; i < nodes; ++i) motion(i) = U.middleRows<3>(3 * i).squaredNorm();
   const double all_motion = body.volumes.rowwise().sum().dot(motion);
   for (int s = 0; s < body.sets(); ++s) {
-    std::map<Bones, double> volumes, motions;
-    for_each_term(body, s, [&](Index i, const Bones& bones, double part) {
-      volumes[bones] += part / body.volume;
-      motions[bones] += part * motion(i) / all_motion;
+    std::map<BonePair, double> volumes, motions;
+    for_each_bone_pair(body, s, [&](Index i, const BonePair& pair, double part) {
+      volumes[pair] += part / body.volume;
+      motions[pair] += part * motion(i) / all_motion;
     });
-    std::vector<std::pair<double, Bones>> terms,
-        pairs;  // with a bound (Cauchy-Schwarz) on their part of the force
-    for (const auto& [bones, volume] : volumes) {
-      const double largest_force = std::sqrt(volume * motions[bones]);
-      if (largest_force > kNegligible) (bones.first == bones.second ? terms : pairs).push_back({largest_force, bones});
+    // With a bound (Cauchy-Schwarz) on their part of the force.
+    std::vector<std::pair<double, BonePair>> pairs, of_two;
+    for (const auto& [pair, volume] : volumes) {
+      const double largest_force = std::sqrt(volume * motions[pair]);
+      if (largest_force > kNegligible) (pair.first == pair.second ? pairs : of_two).push_back({largest_force, pair});
     }
     Tensors& set = sets_.emplace_back();
-    std::sort(pairs.rbegin(), pairs.rend());
-    const size_t bones = terms.size();
-    terms.insert(terms.end(), pairs.begin(), pairs.end());
-    for (size_t t = 0; t < terms.size(); ++t) {
-      if (t % kLanes == 0) {
-        set.groups.push_back({{}, {}, t < bones ? HUGE_VAL : terms[t].first});
-        set.groups.back().signs.fill(-1);  // a lane without a term looks like two bones that move together
+    std::sort(of_two.rbegin(), of_two.rend());
+    const size_t bones = pairs.size();
+    pairs.insert(pairs.end(), of_two.begin(), of_two.end());
+    for (size_t p = 0; p < pairs.size(); ++p) {
+      if (p % kLanes == 0) {
+        set.groups.push_back({{}, {}, p < bones ? HUGE_VAL : pairs[p].first});
+        set.groups.back().signs.fill(-1);  // a lane without a pair looks like two bones that move together
       }
-      set.groups.back().bones.push_back(terms[t].second);
-      set.groups.back().signs[t % kLanes] = t < bones ? 1 : -1;
+      set.groups.back().pairs.push_back(pairs[p].second);
+      set.groups.back().signs[p % kLanes] = p < bones ? 1 : -1;
     }
     tabulate(body, U, s, set);
   }
   for (Tensors& set : sets_)
     for (Group& group : set.groups)
-      for (Bones& bones : group.bones) bones = {used(bones.first), used(bones.second)};
+      for (BonePair& pair : group.pairs) pair = {used(pair.first), used(pair.second)};
 }
 
 int ModalInertia::used(int bone) {
@@ -76,14 +75,14 @@ int ModalInertia::used(int bone) {
 
 void ModalInertia::tabulate(const SoftBody& body, const MatrixXd& U, int s, Tensors& set) const {
   set.mass.setZero(r_ * (r_ + 1) / 2);
-  std::map<Bones, Index> column;
+  std::map<BonePair, Index> column;
   for (const Group& group : set.groups)
-    for (const Bones& bones : group.bones) column.emplace(bones, Index(column.size()));
+    for (const BonePair& pair : group.pairs) column.emplace(pair, Index(column.size()));
   MatrixXd sums = MatrixXd::Zero(entries(r_), Index(column.size()));
   VectorXd entry(entries(r_));
   Index seen = -1;
-  for_each_term(body, s, [&](Index i, const Bones& bones, double part) {
-    const auto found = column.find(bones);
+  for_each_bone_pair(body, s, [&](Index i, const BonePair& pair, double part) {
+    const auto found = column.find(pair);
     if (found == column.end()) return;
     if (i != seen) node_tensor(U.middleRows<3>(3 * i), body.rest.segment<3>(3 * i) - center_, entry);
     seen = i;
@@ -96,7 +95,7 @@ void ModalInertia::tabulate(const SoftBody& body, const MatrixXd& U, int s, Tens
   set.table.assign(set.groups.size() * entries(r_), FloatW{});
   Index next = 0;
   for (size_t g = 0; g < set.groups.size(); ++g)
-    for (size_t lane = 0; lane < set.groups[g].bones.size(); ++lane, ++next)
+    for (size_t lane = 0; lane < set.groups[g].pairs.size(); ++lane, ++next)
       for (Index e = 0; e < entries(r_); ++e) set.table[g * entries(r_) + e][lane] = float(sums(e, next));
 }
 
@@ -122,10 +121,10 @@ void ModalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
     std::fill(out.sums.begin(), out.sums.end(), FloatW{});
     for (size_t g = 0; g < set.groups.size(); ++g) {
       FloatW lanes[1 + InertialTarget::kMoments][12] = {};
-      gather(out.bones, set.groups[g].bones, set.groups[g].signs, lanes);
+      gather(out.bones, set.groups[g].pairs, set.groups[g].signs, lanes);
       FloatW sign;
       std::copy_n(set.groups[g].signs.data(), kLanes, reinterpret_cast<float*>(&sign));
-      add_eight_terms(lanes, sign, set.groups[g].largest_force, out.differences.data(), r_,
+      add_eight_pairs(lanes, sign, set.groups[g].largest_force, out.differences.data(), r_,
                       set.table.data() + g * entries(r_), out.slopes.data(), out.sums.data(), out.sums.data() + r_);
     }
     add_lanes(out.sums.data(), Index(out.sums.size()) / kLanes, out.totals.data());

@@ -7,9 +7,9 @@ namespace dynamorph::DYNAMORPH_ISA {
 
 namespace {
 
-using namespace terms;
+using namespace bone_pairs;
 
-// Pairs of bones with a smaller part of the force than this are simplified. Together with those that ModalInertia
+// Two bones with a smaller part of the force than this are simplified. Together with those that ModalInertia
 // leaves out for good, they change Herbert's dive (sample_blends) by 1e-4 of its motion. Skin weights below 1 %, which
 // count as zero, change it more.
 constexpr double kUnnoticed = 1e-7;  ///< left out, because the pose turns the bones so little against each other
@@ -17,10 +17,10 @@ constexpr double kSlight = 1e-4;     ///< counted as if the soft tissue did not 
 
 /// The most that the coefficients of the mass can change it.
 DYNAMORPH_INLINE float largest(const Coefficients<FloatW>& c) {
-  FloatW most = c.mass[0] * c.mass[0];
-  for (int e = 1; e < kSymmetric; ++e) most = mul_add(most, c.mass[e], c.mass[e]);
+  FloatW squares = c.mass[0] * c.mass[0];
+  for (int e = 1; e < kSymmetric; ++e) squares = mul_add(squares, c.mass[e], c.mass[e]);
   float out = 0;
-  for (int lane = 0; lane < kLanes; ++lane) out = out < most[lane] ? most[lane] : out;
+  for (int lane = 0; lane < kLanes; ++lane) out = out < squares[lane] ? squares[lane] : out;
   return __builtin_sqrtf(out);
 }
 
@@ -50,19 +50,19 @@ DYNAMORPH_INLINE Float8 added_halves(const Float8& a, const Float8& b) {
 
 }  // namespace
 
-void add_eight_terms(const FloatW (*motion)[12], const FloatW& sign, double largest_force, const float* y, Index r,
+void add_eight_pairs(const FloatW (*motion)[12], const FloatW& sign, double largest_force, const float* y, Index r,
                      const FloatW* table, FloatW* slopes, FloatW* force, FloatW* mass) {
   Coefficients<FloatW> c;
   contract_bones(motion, sign, c);
   const float change = largest(c);
-  const bool pairs = largest_force < __builtin_huge_val();
-  if (pairs && change * largest_force < kUnnoticed) return;
-  if (pairs && change * largest_force < kSlight) return add_rigid(table, r, c, force);
+  const bool of_two_bones = largest_force < __builtin_huge_val();
+  if (of_two_bones && change * largest_force < kUnnoticed) return;
+  if (of_two_bones && change * largest_force < kSlight) return add_rigid(table, r, c, force);
   take_slopes(c, y, r, slopes);
   if (change > 1e-6F)  // Blender's bones are rigid only to single precision
-    add_terms<true>(table, r, slopes, c, force, mass);
+    add_tensors<true>(table, r, slopes, c, force, mass);
   else
-    add_terms<false>(table, r, slopes, c, force, mass);
+    add_tensors<false>(table, r, slopes, c, force, mass);
 }
 
 void add_lanes(const FloatW* sums, Index count, float* totals) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The loops of modal_inertia, over eight terms at a time.
+// The loops of modal_inertia, over eight pairs of bones at a time.
 #pragma once
 
 #include "dynamorph/simd/dispatch.hpp"
@@ -7,14 +7,14 @@
 
 namespace dynamorph {
 
-/// What one bone contributes to the terms (ModalInertia::BoneMotion). bones: its twelve entries in each pose.
+/// What one bone contributes to its pairs (ModalInertia::BoneMotion). bones: its twelve entries in each pose.
 /// coefficients (kMoments, kPoses), row-major. center and gravity_offset (3).
 DYNAMORPH_KERNEL(void, combine_poses, const double* const* bones, const double* coefficients, const double* center,
                  const double* gravity_offset, float (*out)[12]);
-/// Adds eight terms, one per lane, to force (r) and packed mass. motion: what the bones contribute, entry after entry.
-/// sign: 1 for a bone, -1 for a pair. largest_force: the largest part of the force that one term can have; infinite
-/// unless all are pairs. y: each mode's backward differences. slopes (9, r): scratch.
-DYNAMORPH_KERNEL(void, add_eight_terms, const FloatW (*motion)[12], const FloatW& sign, double largest_force,
+/// Adds eight pairs of bones, one per lane, to force (r) and packed mass. motion: what the bones contribute, entry
+/// after entry. sign: 1 for one bone, -1 for two. largest_force: the largest part of the force that one pair can have;
+/// infinite unless all are of two bones. y: each mode's backward differences. slopes (9, r): scratch.
+DYNAMORPH_KERNEL(void, add_eight_pairs, const FloatW (*motion)[12], const FloatW& sign, double largest_force,
                  const float* y, Index r, const FloatW* table, FloatW* slopes, FloatW* force, FloatW* mass);
 
 /// totals[8 i + j] = the sum of the lanes of sums[8 i + j], for i < count.

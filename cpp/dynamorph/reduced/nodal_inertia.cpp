@@ -5,8 +5,8 @@
 
 namespace dynamorph {
 
+using bone_pairs::kPoses;
 using Eigen::Index;
-using terms::kPoses;
 
 namespace {
 

@@ -5,7 +5,7 @@ namespace dynamorph::DYNAMORPH_ISA {
 
 namespace {
 
-using terms::kPoses;
+using bone_pairs::kPoses;
 
 DYNAMORPH_INLINE DoubleW dot(const DoubleW* a, const DoubleW* b) {
   return mul_add(mul_add(a[0] * b[0], a[1], b[1]), a[2], b[2]);
@@ -42,15 +42,15 @@ void add_eight_nodes(const EightNodes& nodes, const DoubleW* table, Index r, con
     for (int i = 0; i < 3; ++i) modes[3 * k + i] = dot(A + 4 * i, u);
   }
   for (Index k = 0; k < r; ++k) {
-    const DoubleW own[3] = {modes[3 * k], modes[3 * k + 1], modes[3 * k + 2]};
-    const DoubleW heavy[3] = {nodes.mass * own[0], nodes.mass * own[1], nodes.mass * own[2]};
+    const DoubleW mode[3] = {modes[3 * k], modes[3 * k + 1], modes[3 * k + 2]};
+    const DoubleW heavy[3] = {nodes.mass * mode[0], nodes.mass * mode[1], nodes.mass * mode[2]};
     force[k] += dot(heavy, y);
     for (Index l = k; l < r; ++l) {
       const DoubleW* other = modes + 3 * l;
       *mass++ += dot(heavy, other);
     }
     if (!damped) continue;
-    const DoubleW braked[3] = {nodes.damped * own[0], nodes.damped * own[1], nodes.damped * own[2]};
+    const DoubleW braked[3] = {nodes.damped * mode[0], nodes.damped * mode[1], nodes.damped * mode[2]};
     for (Index l = k; l < r; ++l) {
       const DoubleW* other = modes + 3 * l;
       *damped++ += dot(braked, other);

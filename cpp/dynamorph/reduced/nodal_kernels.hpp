@@ -10,7 +10,7 @@ namespace dynamorph {
 
 /// Eight nodes' transforms in the poses of an inertial target, [A | a] row-major, and their masses.
 struct EightNodes {
-  DoubleW poses[terms::kPoses][12];
+  DoubleW poses[bone_pairs::kPoses][12];
   DoubleW mass, damped;
 };
 

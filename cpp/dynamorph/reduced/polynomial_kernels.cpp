@@ -102,13 +102,13 @@ void add_short_symmetric_product(const float* __restrict A, Index size, const fl
   const Index chunks = size / kChunk;
   for (Index panel = 0; panel < 2 * chunks; ++panel) {  // of four columns
     const Index diagonal = panel / 2;
-    const float* own = x + 4 * panel;
+    const float* entries = x + 4 * panel;
     Float8 sums[4] = {};
     for (Index i = diagonal; i < chunks; ++i, A += 4 * kChunk) {
       const Float8 x8 = load(x + kChunk * i),
                    columns[4] = {load(A), load(A + kChunk), load(A + 2 * kChunk), load(A + 3 * kChunk)};
-      Float8 block = own[0] * columns[0];
-      for (int c = 1; c < 4; ++c) block = mul_add(block, own[c], columns[c]);
+      Float8 block = entries[0] * columns[0];
+      for (int c = 1; c < 4; ++c) block = mul_add(block, entries[c], columns[c]);
       if (i > diagonal)  // the diagonal chunk is stored in full
         for (int c = 0; c < 4; ++c) sums[c] = mul_add(sums[c], columns[c], x8);
       const DoubleW added = to_double(block);
@@ -179,7 +179,7 @@ void blend_tables(const float* const* __restrict tables, const double* __restric
 void couple(const float* __restrict S, Index h, Index r, const double* __restrict v, const double* __restrict y,
             double* __restrict slopes, double* __restrict products) {
   for (Index k = 0; k < r; ++k) {
-    double* own = slopes + k * h;
+    double* slope = slopes + k * h;
     for (Index l = k; l < r; ++l, S += h) {
       double* other = slopes + l * h;
       const double vk = v[k], vl = l == k ? 0 : v[l];
@@ -191,8 +191,8 @@ void couple(const float* __restrict S, Index h, Index r, const double* __restric
         store(mul_add(load(other + i), vk, entries.low), other + i);
         store(mul_add(load(other + i + 4), vk, entries.high), other + i + 4);
         if (l == k) continue;
-        store(mul_add(load(own + i), vl, entries.low), own + i);
-        store(mul_add(load(own + i + 4), vl, entries.high), own + i + 4);
+        store(mul_add(load(slope + i), vl, entries.low), slope + i);
+        store(mul_add(load(slope + i + 4), vl, entries.high), slope + i + 4);
       }
       *products++ = sum_of(sums[0] + sums[1]);
     }

@@ -4,11 +4,12 @@
 #include <cmath>
 #include <map>
 
-#include "dynamorph/reduced/modal_terms.hpp"
+#include "dynamorph/reduced/bone_pairs.hpp"
 #include "dynamorph/reduced/table_layout.hpp"
 
 namespace dynamorph {
 
+using bone_pairs::BonePair;
 using Eigen::Index;
 
 namespace {
@@ -46,27 +47,27 @@ ResponseInertia::ResponseInertia(std::shared_ptr<const SoftBody> body, const Mat
     if (b.moments[bone](3, 3) > 0) {
       place[bone] = int(bones_.size());
       bones_.push_back(int(bone));
-      terms_.push_back({place[bone], place[bone], 0});
+      pairs_.push_back({place[bone], place[bone], 0});
     }
   if (!b.own_transforms) {
-    std::map<terms::Bones, double> shared;  // volumes, relative to all
+    std::map<BonePair, double> shared;  // volumes, relative to all
     for (int s = 0; s < b.sets(); ++s)
-      terms::for_each_term(b, s, [&](Index, const terms::Bones& bones, double part) {
-        if (bones.first != bones.second) shared[bones] += part / b.volume;
+      bone_pairs::for_each_bone_pair(b, s, [&](Index, const BonePair& pair, double part) {
+        if (pair.first != pair.second) shared[pair] += part / b.volume;
       });
-    for (const auto& [bones, volume] : shared)
-      if (volume > kNegligible) terms_.push_back({place[bones.first], place[bones.second], 0});
+    for (const auto& [pair, volume] : shared)
+      if (volume > kNegligible) pairs_.push_back({place[pair.first], place[pair.second], 0});
   }
   const VectorXd mass = b.unit_mass();
   modal_ = W.transpose() * (mass.asDiagonal() * U);
   bound_ = (1 + MatrixXd(modal_.transpose() * modal_).selfadjointView<Eigen::Lower>().eigenvalues().maxCoeff()) / 2;
-  const MatrixXd own = W - U * modal_.transpose();
+  const MatrixXd remainder = W - U * modal_.transpose();
   for (int s = 0; s < b.sets(); ++s) {
     Set& set = sets_.emplace_back();
     const VectorXd part = at_coordinates(b.volumes.col(s));
-    set.border = own.transpose() * (part.asDiagonal() * U);
+    set.border = remainder.transpose() * (part.asDiagonal() * U);
     tabulate_mass(W, s, set);
-    tabulate_loads(own, s, set);
+    tabulate_loads(remainder, s, set);
   }
 }
 
@@ -87,42 +88,42 @@ void ResponseInertia::tabulate_mass(const MatrixXd& W, int s, Set& set) {
   set.parts.assign(parts.data(), parts.data() + parts.size());
 }
 
-void ResponseInertia::tabulate_loads(const MatrixXd& own, int s, Set& set) {
+void ResponseInertia::tabulate_loads(const MatrixXd& remainder, int s, Set& set) {
   const SoftBody& b = *body_;
   const Index nodes = b.volumes.rows();
-  MatrixXd loads = MatrixXd::Zero(rows_, b.own_transforms ? 3 * nodes : 12 * Index(terms_.size()));
+  MatrixXd loads = MatrixXd::Zero(rows_, b.own_transforms ? 3 * nodes : 12 * Index(pairs_.size()));
   if (b.own_transforms) {
     for (Index i = 0; i < nodes; ++i)
-      loads.block(0, 3 * i, count_, 3) = b.volumes(i, s) * own.middleRows<3>(3 * i).transpose();
+      loads.block(0, 3 * i, count_, 3) = b.volumes(i, s) * remainder.middleRows<3>(3 * i).transpose();
   } else {
-    std::map<terms::Bones, Index> column;
-    for (size_t t = 0; t < terms_.size(); ++t)
-      column.emplace(std::pair(bones_[terms_[t].first], bones_[terms_[t].second]), 12 * Index(t));
-    terms::for_each_term(b, s, [&](Index i, const terms::Bones& bones, double part) {
-      const auto found = column.find(bones);
+    std::map<BonePair, Index> column;
+    for (size_t t = 0; t < pairs_.size(); ++t)
+      column.emplace(std::pair(bones_[pairs_[t].first], bones_[pairs_[t].second]), 12 * Index(t));
+    bone_pairs::for_each_bone_pair(b, s, [&](Index i, const BonePair& pair, double part) {
+      const auto found = column.find(pair);
       if (found == column.end()) return;
       Eigen::Vector4d X;
       X << b.rest.segment<3>(3 * i) - b.center, 1;
       for (int axis = 0; axis < 3; ++axis)
         for (int j = 0; j < 4; ++j)
-          loads.col(found->second + 4 * axis + j).head(count_) += part * X(j) * own.row(3 * i + axis).transpose();
+          loads.col(found->second + 4 * axis + j).head(count_) += part * X(j) * remainder.row(3 * i + axis).transpose();
     });
-    for (size_t t = 0; t < terms_.size(); ++t)
-      terms_[t].size = std::max(terms_[t].size, loads.middleCols(12 * Index(t), 12).norm());
+    for (size_t t = 0; t < pairs_.size(); ++t)
+      pairs_[t].size = std::max(pairs_[t].size, loads.middleCols(12 * Index(t), 12).norm());
   }
   set.loads.assign(loads.data(), loads.data() + loads.size());
 }
 
 void ResponseInertia::take_loads(const InertialTarget& inertial, Scratch& scratch) const {
-  scratch.loads.resize(12 * Index(terms_.size()));
+  scratch.loads.resize(12 * Index(pairs_.size()));
   scratch.growth.resize(Index(bones_.size()));
   scratch.targets.resize(bones_.size());
   scratch.active.clear();
   double largest = 0;
   const auto affine = [&](int bone) { return Eigen::Map<const Affine>(inertial.bones[0]->data() + 12 * bones_[bone]); };
   const auto pose = [&](int bone) { return affine(bone).leftCols<3>(); };
-  for (size_t t = 0; t < terms_.size(); ++t) {
-    const auto [first, second, size] = terms_[t];
+  for (size_t t = 0; t < pairs_.size(); ++t) {
+    const auto [first, second, size] = pairs_[t];
     Eigen::Map<Affine> load(scratch.loads.data() + 12 * t);
     if (first == second) {
       scratch.targets[first] = inertial_target(inertial, bones_[first], body_->center);

@@ -41,7 +41,7 @@ class ResponseInertia {
     MatrixXd between, gram;
     Eigen::LLT<MatrixXd> corner{MatrixXd()};  // or a move would read what Eigen leaves unset
     Eigen::SelfAdjointEigenSolver<MatrixXd> eigen;
-    std::vector<int> active;  ///< terms
+    std::vector<int> active;  ///< pairs
     std::vector<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>> targets;
   };
 
@@ -50,21 +50,21 @@ class ResponseInertia {
                 ArrowMatrix& damped, VectorXd& force) const;
 
  private:
-  /// A bone, or a pair of bones that share tissue, by their places in bones_.
-  struct Term {
-    int first, second;  ///< the same for a bone
+  /// One bone, or two bones that share tissue, by their places in bones_.
+  struct LoadedPair {
+    int first, second;  ///< the same for one bone
     double size;        ///< of its loads, the largest of the sets
   };
   /// Of one target set, for unit density.
   struct Set {
-    LaneVector<float> loads;  ///< (rows, 12 terms); or with transforms of their own, (rows, 3 nodes)
+    LaneVector<float> loads;  ///< (rows, 12 pairs); or with transforms of their own, (rows, 3 nodes)
     VectorXd mass;            ///< (h), at rest
     LaneVector<float> parts;  ///< of that mass, carried by each bone or node (rows, bones or nodes)
     MatrixXd border;          ///< W'^T M U (h, r), whose sum over the sets is zero
   };
-  void tabulate_loads(const MatrixXd& own, int s, Set& set);
+  void tabulate_loads(const MatrixXd& remainder, int s, Set& set);
   void tabulate_mass(const MatrixXd& W, int s, Set& set);
-  /// Writes the inertial target of each term (12), or of each node (3), in its own frame, which terms matter, and how
+  /// Writes the inertial target of each pair (12), or of each node (3), in its own frame, which pairs matter, and how
   /// bones or nodes scale.
   void take_loads(const InertialTarget& inertial, Scratch& scratch) const;
   void take_nodal_loads(const InertialTarget& inertial, Scratch& scratch) const;
@@ -73,10 +73,10 @@ class ResponseInertia {
 
   std::shared_ptr<const SoftBody> body_;
   Eigen::Index count_, rows_;
-  std::vector<int> bones_;   ///< those that carry soft tissue
-  std::vector<Term> terms_;  ///< bones, then pairs
-  MatrixXd modal_;           ///< C (h, r)
-  double bound_;             ///< definite_border's bound, a little above what it is at rest
+  std::vector<int> bones_;         ///< those that carry soft tissue
+  std::vector<LoadedPair> pairs_;  ///< one bone, then two
+  MatrixXd modal_;                 ///< C (h, r)
+  double bound_;                   ///< definite_border's bound, a little above what it is at rest
   std::vector<Set> sets_;
 };
 

@@ -136,7 +136,7 @@ DYNAMORPH_INLINE Double4 mul_add(const Double4& c, double a, const Double4& b) {
 DYNAMORPH_INLINE Double4 mul_sub(const Double4& c, double a, const Double4& b) { return mul_sub(c, all_of(a), b); }
 
 // --- Lanes -----------------------------------------------------------------------------------------------------------
-// One number for each of eight terms or nodes. These are structs so that they are aligned alike for every
+// One number for each of eight pairs of bones or nodes. These are structs so that they are aligned alike for every
 // instruction set, even in containers, where GCC's baseline would ask for 16 bytes.
 
 constexpr int kLanes = 8;

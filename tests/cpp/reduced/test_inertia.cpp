@@ -7,7 +7,7 @@
 
 #include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/reduced/basis.hpp"
-#include "dynamorph/reduced/modal_terms.hpp"
+#include "dynamorph/reduced/bone_pairs.hpp"
 #include "dynamorph/step/simulation.hpp"
 #include "reduced/motion.hpp"
 
@@ -109,7 +109,7 @@ namespace {
 /// Mass and force of the motion from the tensors of all bones and pairs of bones, in double throughout.
 void contract_in_double(const SoftBody& body, const MatrixXd& U, const InertialTarget& inertial,
                         const SetDensities& densities, MatrixXd& mass, VectorXd& force) {
-  using namespace terms;
+  using namespace bone_pairs;
   struct BoneMotion {
     double values[1 + InertialTarget::kMoments][12];
   };
@@ -126,9 +126,9 @@ void contract_in_double(const SoftBody& body, const MatrixXd& U, const InertialT
   mass.setZero(r, r);
   force.setZero(r);
   for (int s = 0; s < body.sets(); ++s) {
-    std::map<std::pair<int, int>, VectorXd> tensors;
+    std::map<BonePair, VectorXd> tensors;
     VectorXd entry(entries(r)), own_force = VectorXd::Zero(r), change = VectorXd::Zero(r * (r + 1) / 2);
-    for_each_term(body, s, [&](Index i, const std::pair<int, int>& pair, double part) {
+    for_each_bone_pair(body, s, [&](Index i, const BonePair& pair, double part) {
       node_tensor(U.middleRows<3>(3 * i), body.rest.segment<3>(3 * i) - body.center, entry);
       tensors.try_emplace(pair, VectorXd::Zero(entries(r))).first->second += part * entry;
     });
@@ -141,7 +141,7 @@ void contract_in_double(const SoftBody& body, const MatrixXd& U, const InertialT
       Coefficients<double> c;
       contract_bones(moved, single ? 1.0 : -1.0, c);
       take_slopes(c, y.data(), r, slopes.data());
-      add_terms<true>(tensor.data(), r, slopes.data(), c, own_force.data(), change.data());
+      add_tensors<true>(tensor.data(), r, slopes.data(), c, own_force.data(), change.data());
     }
     const VectorXd volumes = at_coordinates(body.volumes.col(s));
     MatrixXd own_mass = U.transpose() * volumes.asDiagonal() * U;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The tensors of bones and of pairs of bones that modal_inertia contracts, and the coefficients to contract them with.
+// One bone counts as a pair with itself.
 #pragma once
 
 #include <vector>
@@ -8,24 +9,25 @@
 #include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/reduced/modal_arithmetic.hpp"
 
-namespace dynamorph::terms {
+namespace dynamorph::bone_pairs {
 
 static_assert(kMoments == InertialTarget::kMoments && kPoses == InertialTarget::kPoses, "see modal_arithmetic.hpp");
 
-using Bones = std::pair<int, int>;  ///< (b, b) for one bone, (b, c) for a pair
+using BonePair = std::pair<int, int>;  ///< (b, b) for one bone, (b, c), b < c, for two
 
-/// Calls visit(node, bones, volume) for the bones (b, b) of every node, and for the pairs (b, c), b < c, that share it.
+/// Calls visit(node, pair, volume) for each bone (b, b) of every node, and for any two bones (b, c), b < c, that share
+/// it.
 template <class Visit>
-void for_each_term(const SoftBody& body, int set, const Visit& visit) {
+void for_each_bone_pair(const SoftBody& body, int set, const Visit& visit) {
   for (Index i = 0; i < body.skin.rows(); ++i)
     for (SkinWeights::InnerIterator b(body.skin, i); b; ++b)
       for (SkinWeights::InnerIterator c(body.skin, i); c; ++c)
         if (b.col() <= c.col())
-          visit(i, std::pair(int(b.col()), int(c.col())),
+          visit(i, BonePair(int(b.col()), int(c.col())),
                 body.volumes(i, set) * b.value() * (b.col() == c.col() ? 1 : c.value()));
 }
 
-/// One node's tensor in the order of add_terms. U (3, r) is that of the node, X is its rest position.
+/// One node's tensor in the order of add_tensors. U (3, r) is that of the node, X is its rest position.
 inline void node_tensor(const Eigen::Ref<const Eigen::Matrix3Xd>& U, const Vector3d& X, VectorXd& out) {
   double* entry = out.data();
   for (Index k = 0; k < U.cols(); ++k) {
@@ -61,4 +63,4 @@ void take_differences(const InertialTarget& inertial, std::vector<Number>& y) {
       y.push_back(Number(difference));
 }
 
-}  // namespace dynamorph::terms
+}  // namespace dynamorph::bone_pairs
