@@ -173,25 +173,25 @@ Candidates candidates(const FullModel& model, int target, int k, const MatrixXd&
 /// moves by `amplitude` meters, and the first modes of the others with about the same energy. A uniform acceleration
 /// moves each target as far as its first mode. Stiff targets therefore move less and count less; under the same loads
 /// they would hardly count at all.
-RowMajor in_common_units(const std::vector<Candidates>& found, double amplitude, const VectorXd& root) {
+RowMajor in_common_units(const std::vector<Candidates>& candidates, double amplitude, const VectorXd& root) {
   double softest = 0;
   Eigen::Index columns = 0;
-  for (const Candidates& some : found) {
-    softest = std::max(softest, largest(some.modes.col(0)));
-    columns += some.modes.cols() + some.bending.cols() + some.responses.cols();
+  for (const Candidates& of_target : candidates) {
+    softest = std::max(softest, largest(of_target.modes.col(0)));
+    columns += of_target.modes.cols() + of_target.bending.cols() + of_target.responses.cols();
   }
   RowMajor all(root.size(), columns);
   Eigen::Index column = 0;
-  const auto append = [&](const MatrixXd& some, double scale) {
-    all.middleCols(column, some.cols()) = (scale * root).asDiagonal() * some;
-    column += some.cols();
+  const auto append = [&](const MatrixXd& displacements, double scale) {
+    all.middleCols(column, displacements.cols()) = (scale * root).asDiagonal() * displacements;
+    column += displacements.cols();
   };
-  for (const Candidates& some : found) {
-    const double sway = largest(some.modes.col(0));
-    const double reach = amplitude * std::sqrt(sway / softest);
-    append(some.modes, reach / sway);
-    append(some.bending, reach / sway * reach / sway);
-    append(some.responses, reach / some.response);
+  for (const Candidates& of_target : candidates) {
+    const double sway = largest(of_target.modes.col(0));
+    const double distance = amplitude * std::sqrt(sway / softest);
+    append(of_target.modes, distance / sway);
+    append(of_target.bending, distance / sway * distance / sway);
+    append(of_target.responses, distance / of_target.response);
   }
   return all;
 }
@@ -238,10 +238,10 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   report(progress, 0);
   const MatrixXd loads = bone_loads(model.body());
   const std::vector<int> distinct = distinct_targets(model.targets());
-  std::vector<Candidates> found(distinct.size());
-  run_tasks(int(found.size()), progress,
-            [&](int i, const ProgressFn& done) { found[i] = candidates(model, distinct[i], k, loads, done); });
-  RowMajor all = in_common_units(found, 0.1 * width(model.body()), root);
+  std::vector<Candidates> all_candidates(distinct.size());
+  run_tasks(int(all_candidates.size()), progress,
+            [&](int i, const ProgressFn& done) { all_candidates[i] = candidates(model, distinct[i], k, loads, done); });
+  RowMajor all = in_common_units(all_candidates, 0.1 * width(model.body()), root);
 
   // Mass-PCA by the method of snapshots, on what the targets' shapes do not already span.
   const double total = all.squaredNorm();

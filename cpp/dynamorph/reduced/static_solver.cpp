@@ -42,11 +42,11 @@ VectorXd StaticSolver::solve(const VectorXd& load) const {
 }
 
 MatrixXd StaticSolver::solve_all(MatrixXd loads) const {
-  constexpr Eigen::Index kSome = 8;  // as many as the solver takes at a time
-  for (Eigen::Index first = 0; first < loads.cols(); first += kSome) {
-    const Eigen::Index some = std::min(kSome, loads.cols() - first);
-    solver.solve_in_place(loads.middleCols(first, some));
-    for (Eigen::Index c = 0; tick && c < some; ++c) tick();
+  constexpr Eigen::Index kBlock = 8;  // as many as the solver takes at a time
+  for (Eigen::Index first = 0; first < loads.cols(); first += kBlock) {
+    const Eigen::Index count = std::min(kBlock, loads.cols() - first);
+    solver.solve_in_place(loads.middleCols(first, count));
+    for (Eigen::Index c = 0; tick && c < count; ++c) tick();
   }
   return loads;
 }
