@@ -139,7 +139,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
            "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0, "keep_going"_a = py::none(),
            "h: seconds per step. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, "
            "meters, above which the past is carried along (0: never). keep_going() -> bool is called before every "
-           "Newton iteration; returning False raises Canceled.")
+           "Newton iteration; returning False raises Cancelled.")
       .def("balance_targets", &balance_targets_in<Simulation<Model>>, "bones"_a,
            "Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, "
            "so that targets do not sag.")

@@ -173,7 +173,7 @@ def test_a_pre_roll_can_be_canceled(shot):
     player = part("player").Player(
         shot.model, shot.character, settings, keep_going=lambda: len(asked) < 9 and not asked.append(1)
     )
-    with pytest.raises(pytest.importorskip("dynamorph").Canceled):
+    with pytest.raises(pytest.importorskip("dynamorph").Cancelled):
         player.begin(shot.computation.rig[:2])
     assert len(asked) == 9
 
@@ -228,7 +228,7 @@ def test_a_pre_roll_comes_in_chunks_too(shot, swaying, tmp_path, monkeypatch):
     while not (job.computation.shot and job.computation.done == 15):  # two chunks
         next(steps)
     job.canceled = True
-    with pytest.raises(errors.Canceled):
+    with pytest.raises(errors.Cancelled):
         list(steps)
     resumed = part("job").Job(swaying, "BAKE", (50, 60), cache_dir=caches)
     batch.run(resumed)
@@ -526,7 +526,7 @@ def test_a_loop_reports_its_passes_and_can_be_canceled(shot):
         return "pass 3" not in message
 
     settings = replace(shot.settings, end=12, loop=True)
-    with pytest.raises(dynamorph.Canceled):
+    with pytest.raises(dynamorph.Cancelled):
         part("simulate").bake(shot.model, shot.character, cyclic(shot), settings, progress)
     fractions = [fraction for fraction, _ in seen]
     assert fractions == sorted(fractions) and fractions[-1] < 1.0

@@ -283,7 +283,7 @@ def test_what_fails_or_is_canceled_leaves_all_as_it_was(game_arm, tmp_path, monk
         with pytest.raises(errors.ExportError, match="no disk"):
             exported(obj, tmp_path)
     assert state(obj) == before
-    with pytest.raises(errors.Canceled):
+    with pytest.raises(errors.Cancelled):
         export_actions.export(obj, "GLTF", tmp_path / "arm.glb", (1, 1), "ACTIONS", tick=lambda batch: batch.cancel())
     assert state(obj) == before
     assert list(tmp_path.iterdir()) == []

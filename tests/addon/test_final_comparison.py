@@ -169,7 +169,7 @@ def test_it_can_be_canceled(coarse):
     next(steps)
     assert comparison.fraction < 0.5
     comparison.cancel()
-    with pytest.raises(part("errors").Canceled):
+    with pytest.raises(part("errors").Cancelled):
         list(steps)
     comparison.stop()
     assert coarse.dynamorph.bake.off_final < 0

@@ -240,7 +240,7 @@ def test_canceling_is_fast_and_changes_nothing(soft_arm, stand_in):
     while job.message != "Frame 0":
         next(steps)
     job.canceled = True
-    with pytest.raises(errors.Canceled):
+    with pytest.raises(errors.Cancelled):
         list(steps)
     batch.stop()
     assert stand_in.looks < 10  # the bake did not run to its end

@@ -467,7 +467,7 @@ def test_canceled_while_the_cage_is_made(small_arm):
     next(steps), next(steps)
     assert batch.jobs[0].thread.is_alive()
     batch.cancel()
-    with pytest.raises(errors.Canceled):
+    with pytest.raises(errors.Cancelled):
         list(steps)
     assert small_arm.dynamorph.model.content_id == ""
 

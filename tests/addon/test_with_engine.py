@@ -145,6 +145,6 @@ def test_canceling_the_engine(small_arm):
     batch = part("batch").Batch([job], "BAKE")
     list(batch.read())
     job.canceled = True
-    with pytest.raises(errors.Canceled):
+    with pytest.raises(errors.Cancelled):
         list(batch.compute())
     assert not small_arm.dynamorph.bake.keys and not small_arm.dynamorph.model.content_id

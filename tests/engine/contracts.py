@@ -23,7 +23,7 @@ import numpy as np
 from scenes import bar, tube
 
 STUB = Path(dynamorph.__file__).with_name("_core.pyi")
-EXPECTED = (ValueError, TypeError, OverflowError, dynamorph.Error, dynamorph.Canceled)
+EXPECTED = (ValueError, TypeError, OverflowError, dynamorph.Error, dynamorph.Cancelled)
 
 
 @cache

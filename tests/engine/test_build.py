@@ -181,7 +181,7 @@ def test_progress_of_the_cage_is_the_whole_progress(cage):
     fractions = [fraction for fraction, _ in heard]
     assert fractions == sorted(fractions) and fractions[0] == 0 and fractions[-1] > 0.85
     assert {message for _, message in heard} == {"Meshing", "Embedding"}
-    with pytest.raises(dynamorph.Canceled):
+    with pytest.raises(dynamorph.Cancelled):
         build_cage(bar(cage_nodes=200), lambda fraction, message: message != "Embedding")
 
 

@@ -432,7 +432,7 @@ def test_progress_rises_and_false_cancels():
     dynamorph.mesh_body(*sphere(), 2000, progress=progress)
     assert seen == sorted(seen)
     assert 0 <= seen[0] < seen[-1] <= 1
-    with pytest.raises(dynamorph.Canceled):
+    with pytest.raises(dynamorph.Cancelled):
         dynamorph.mesh_body(*sphere(), 2000, progress=lambda fraction: False)
 
 

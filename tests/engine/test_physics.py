@@ -547,7 +547,7 @@ def test_regions_that_do_not_overlap_have_the_body_s_modes():
 
 def test_cancel_stops_a_long_call():
     model, _, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, False)
-    with pytest.raises(dynamorph.Canceled):
+    with pytest.raises(dynamorph.Cancelled):
         dynamorph.make_basis(model, 12, lambda fraction: fraction < 0.3)
 
 

@@ -143,7 +143,7 @@ def test_progress_can_cancel(character, rig):
         heard.append((fraction, message))
         return not message.startswith("pose-dependent shape: ")
 
-    with pytest.raises(dynamorph.Canceled):
+    with pytest.raises(dynamorph.Cancelled):
         compare.compare(character, rig, SHOT, progress=progress)
     assert heard[-1][1].startswith("pose-dependent shape: ")
     assert [fraction for fraction, _ in heard] == sorted(fraction for fraction, _ in heard)

@@ -103,9 +103,9 @@ def test_progress_is_reported_and_false_cancels():
     seen = []
     basis = dynamorph.make_response_basis(full, MODES, RESPONSES, progress=lambda done: seen.append(done) or True)
     assert seen[0] == 0 and seen[-1] == 1 and seen == sorted(seen)
-    with pytest.raises(dynamorph.Canceled):
+    with pytest.raises(dynamorph.Cancelled):
         dynamorph.make_response_basis(full, MODES, RESPONSES, progress=lambda done: False)
-    with pytest.raises(dynamorph.Canceled):
+    with pytest.raises(dynamorph.Cancelled):
         dynamorph.reduce(full, basis, progress=lambda done: False)
 
 

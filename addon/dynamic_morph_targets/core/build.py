@@ -35,7 +35,7 @@ def build(
 ) -> Model:
     """Builds the model of a character.
 
-    progress(fraction, message) -> bool; False raises dynamorph.Canceled. previous: a model of the same character,
+    progress(fraction, message) -> bool; False raises dynamorph.Cancelled. previous: a model of the same character,
     whose tetrahedra are used again if nothing that they depend on has changed. rehearse(model, report): coordinates (F,
     dofs) and target weights (F, J) of the shot to which modes are fitted. Raises dynamorph.Error or SceneError with
     advice when the mesh or the targets cannot be used.

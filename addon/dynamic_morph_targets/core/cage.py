@@ -344,7 +344,7 @@ class Stages:
             done = (start + share * fraction) / self.whole
             going_on = self.progress is None or self.progress(done, message)
             if not going_on:
-                raise dynamorph.Canceled("canceled")
+                raise dynamorph.Cancelled("canceled")
             return True
 
         report(0.0)

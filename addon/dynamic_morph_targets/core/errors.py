@@ -60,7 +60,7 @@ class MemoryShortError(DynamorphError, MemoryError):
     """Too little memory is free now. The message says how much is needed, and what to lower."""
 
 
-class Canceled(DynamorphError):
+class Cancelled(DynamorphError):
     """The user stopped the job."""
 
 

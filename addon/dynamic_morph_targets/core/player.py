@@ -48,7 +48,7 @@ class Player:
     """One character, stepped frame by frame, for bakes and playback.
 
     keep_going() -> bool is asked at every frame, for an unreduced model at every iteration; False raises
-    dynamorph.Canceled. number: the current frame; passes: how often it has begun again. amounts: applied by `shown`.
+    dynamorph.Cancelled. number: the current frame; passes: how often it has begun again. amounts: applied by `shown`.
     engine: model.engine(character), if it exists already; afterward None for static morph targets.
     """
 
@@ -214,9 +214,9 @@ class Player:
         return self.amounts.shown(frame.coordinates, frame.weights)
 
     def _ask(self) -> None:
-        """Raises dynamorph.Canceled when the caller wants it to stop."""
+        """Raises dynamorph.Cancelled when the caller wants it to stop."""
         if self._keep_going and not self._keep_going():
-            raise dynamorph.Canceled("canceled")
+            raise dynamorph.Cancelled("canceled")
 
     def _ends(self, rig: RigSamples) -> np.ndarray:
         """The skin at rest, posed by the first sample and by the last: (2, V, 3), world space."""

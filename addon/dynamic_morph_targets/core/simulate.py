@@ -37,7 +37,7 @@ def simulate(
     settings.first on.
 
     progress(fraction, message) -> bool is asked at every frame, for an unreduced model at every iteration; False raises
-    dynamorph.Canceled.
+    dynamorph.Cancelled.
     """
     return _player(model, character, settings, progress).run(rig)
 
@@ -84,7 +84,7 @@ class Shot:
     can be kept after each chunk and resumed, also by another process. A loop is one chunk.
 
     The run-up is part of the shot, but not of its bake. progress(fraction, message) -> bool; False raises
-    dynamorph.Canceled.
+    dynamorph.Cancelled.
     """
 
     def __init__(

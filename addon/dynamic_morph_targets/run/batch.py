@@ -14,7 +14,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from ..core.errors import Canceled, SceneError
+from ..core.errors import Cancelled, SceneError
 from ..core.message import joined
 from ..core.rig_samples import RigSamples
 from ..core.time_left import TimeLeft
@@ -83,7 +83,7 @@ class Batch:
 
     def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
         """The work, main thread. Yields when it has blocked that for about so many seconds, and every `pause` seconds
-        while a thread computes. Raises Canceled, SceneError and what the threads raise.
+        while a thread computes. Raises Cancelled, SceneError and what the threads raise.
         """
         yield from self.read(seconds, pause)
         yield from self.compute(seconds, pause)
@@ -150,7 +150,7 @@ class Batch:
         self.time_left.learn(time.monotonic(), self.fraction)
         yield
         if self._at.canceled:
-            raise Canceled
+            raise Cancelled
         if reading and self.undone:
             raise SceneError(UNDONE, name=self.name)
 

@@ -51,7 +51,7 @@ class Measurement:
         self._still = rig_motion.sample_present(obj, nodes)
 
     def run(self) -> float:
-        """In any thread. Raises dynamorph.Canceled, and what else the engine raises."""
+        """In any thread. Raises dynamorph.Cancelled, and what else the engine raises."""
         _, simulate = engine.engine()
         model, character = self._model, self._character
         settings = [replace(character.settings, solver=solver) for solver in ("REDUCED", "FULL")]

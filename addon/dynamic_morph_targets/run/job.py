@@ -14,7 +14,7 @@ import numpy as np
 from ..core import engine
 from ..core.baked import Bake
 from ..core.character import Character
-from ..core.errors import Canceled
+from ..core.errors import Cancelled
 from ..core.judge import Verdict
 from ..core.message import Message
 from ..core.rig_samples import RigSamples
@@ -151,12 +151,12 @@ class Job(Progress):
         self._start(self.computation.compute, self._reader.end_chunk())
 
     def wait(self, timeout: float | None = None) -> bool:
-        """True when the computation has ended. Raises what it raised, Canceled if the user stopped it."""
+        """True when the computation has ended. Raises what it raised, Cancelled if the user stopped it."""
         self.thread.join(timeout)
         if self.thread.is_alive():
             return False
         if self.canceled:
-            raise Canceled
+            raise Cancelled
         if self._error:
             raise self._error
         return True

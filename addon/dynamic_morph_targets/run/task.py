@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import bpy
 import numpy as np
 
-from ..core.errors import Canceled, SceneError
+from ..core.errors import Cancelled, SceneError
 from ..core.time_left import TimeLeft
 from ..scene.skin import ObjectHandle, SceneHandle
 from . import batch
@@ -47,7 +47,7 @@ class Task:
                 yield
                 ends = time.monotonic() + seconds
         if self._canceled:
-            raise Canceled
+            raise Cancelled
 
     def _next(self) -> bool:
         """Whether there was another piece to be done."""
@@ -80,7 +80,7 @@ def in_thread(work: Callable[[Report], T], message: str) -> Pieces[T]:
         nonlocal fraction
         fraction = done
         if not wanted:
-            raise Canceled
+            raise Cancelled
 
     def run() -> None:
         try:

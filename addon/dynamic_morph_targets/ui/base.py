@@ -19,7 +19,7 @@ def report_errors(operator, action, *args) -> set[str]:
     """Call `action`. An error becomes a report, a bug is also logged, and the operator is canceled."""
     try:
         return action(*args) or {"FINISHED"}
-    except errors.Canceled:
+    except errors.Cancelled:
         operator.report({"WARNING"}, "Canceled: nothing was changed")
     except engine.expected_errors() as error:
         operator.report({"ERROR"}, translated(errors.sentence(error), rpt_))

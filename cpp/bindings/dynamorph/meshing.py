@@ -24,7 +24,7 @@ from typing import IO
 
 import numpy as np
 
-from dynamorph._core import Canceled, Error, TetMesh, closed_surface, make_cage, points_on_bones, tetrahedralize
+from dynamorph._core import Cancelled, Error, TetMesh, closed_surface, make_cage, points_on_bones, tetrahedralize
 
 TRY_THIS = "Change the cage resolution a little, or clean the mesh (Mesh > Clean Up > Merge by Distance)."
 EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER, EXIT_MESHER, EXIT_DISK = 10, 11, 12, 13, 14  # 1 and 2 are Python's own
@@ -69,7 +69,7 @@ def mesh_body(
     called with 0..1 every 50 ms, returns False to cancel.
     Returns the cage's vertices (C, 3) and outward triangles (D, 3), and the TetMesh. Raises ValueError on wrong shapes
     or indices. Raises Error, which says what to do, when the mesh cannot be used, or when the mesher crashes, hangs or
-    needs too much memory at all resolutions near the requested one. Raises Canceled when progress returns False.
+    needs too much memory at all resolutions near the requested one. Raises Cancelled when progress returns False.
     """
     bones = np.zeros((0, 2, 3)) if bones is None else np.asarray(bones, np.float64)
     if bones.ndim != 3 or bones.shape[1:] != (2, 3):
@@ -183,7 +183,7 @@ def _run_child(arguments: list[float], request: IO[bytes], answer: IO[bytes], pr
     try:
         while child.poll() is None:
             if progress and not progress(fraction[0]):
-                raise Canceled("canceled")
+                raise Cancelled("canceled")
             if time.monotonic() > deadline:
                 raise _MesherFailed(f"Meshing took too long and was stopped. {TRY_THIS}")
             time.sleep(0.05)

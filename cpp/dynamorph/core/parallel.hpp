@@ -45,7 +45,7 @@ void run_tasks(int count, const ProgressFn& progress, const Work& work) {
           notify();
           return !stop;
         });
-      } catch (const Canceled&) {  // asked to stop, because the caller canceled or another call failed
+      } catch (const Cancelled&) {  // asked to stop, because the caller canceled or another call failed
         stop = true;
       } catch (...) {
         errors[i] = std::current_exception();

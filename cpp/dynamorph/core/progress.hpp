@@ -8,15 +8,15 @@
 namespace dynamorph {
 
 /// Thrown by a long call when its progress function returned false.
-struct Canceled : std::runtime_error {
-  Canceled() : std::runtime_error("canceled") {}
+struct Cancelled : std::runtime_error {
+  Cancelled() : std::runtime_error("canceled") {}
 };
 
 /// Called with the fraction done, 0..1. Returning false asks the call to stop.
 using ProgressFn = std::function<bool(double)>;
 
 inline void report(const ProgressFn& progress, double fraction) {
-  if (progress && !progress(fraction)) throw Canceled();
+  if (progress && !progress(fraction)) throw Cancelled();
 }
 
 }  // namespace dynamorph

@@ -27,7 +27,7 @@ struct StaticSolver {
   VectorXd mass;               ///< (3 free), kg
   double shift;                ///< 1/s^2
   SparseMatrix stiffness;      ///< K + shift M
-  std::function<void()> tick;  ///< called for every solve: reports progress, may throw Canceled
+  std::function<void()> tick;  ///< called for every solve: reports progress, may throw Cancelled
   BlockCholesky<double> solver;
 };
 

@@ -231,7 +231,7 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   if constexpr (std::is_same_v<Model, ReducedModel>) blend_.near = std::min(0.03, 1e5 * options_.tolerance);
   Potential<Matrix, decltype(quadratic_), decltype(elastic_), decltype(grabs_)> potential(quadratic_, elastic_, grabs_);
   const auto ask = [&] {
-    if (options_.keep_going && !options_.keep_going()) throw Canceled();
+    if (options_.keep_going && !options_.keep_going()) throw Cancelled();
   };
   const double negligible = options_.tolerance * model_->body().size * model_->meter();
   const NewtonReport found =

@@ -21,7 +21,7 @@ struct StepOptions {
   /// Jump of the skin off its course in one step, meters (root mean square), above which the past is carried along.
   /// 0: never.
   double teleport = 0;
-  /// Called before every Newton iteration. Returning false throws Canceled; after that, start() must be called first
+  /// Called before every Newton iteration. Returning false throws Cancelled; after that, start() must be called first
   /// again.
   std::function<bool()> keep_going = {};
 };

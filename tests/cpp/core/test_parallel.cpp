@@ -58,7 +58,7 @@ TEST_CASE("where the system gives fewer threads than there are cores, those ther
       for (;;) report(progress, 0);
     };
     threads_left = given;
-    CHECK_THROWS_AS(run_tasks(3, [](double) { return false; }, endless), Canceled);
+    CHECK_THROWS_AS(run_tasks(3, [](double) { return false; }, endless), Cancelled);
     threads_left = given;
     CHECK_THROWS_AS(run_tasks(3, [](double) -> bool { throw Error("no"); }, endless), Error);
 
@@ -95,7 +95,7 @@ TEST_CASE("false from progress stops the work, and its exceptions pass") {
   const auto endless = [](int, const ProgressFn& progress) {
     for (;;) report(progress, 0);
   };
-  CHECK_THROWS_AS(run_tasks(3, [](double) { return false; }, endless), Canceled);
+  CHECK_THROWS_AS(run_tasks(3, [](double) { return false; }, endless), Cancelled);
   CHECK_THROWS_AS(run_tasks(3, [](double) -> bool { throw Error("no"); }, endless), Error);
 }
 

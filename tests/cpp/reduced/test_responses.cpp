@@ -233,8 +233,8 @@ TEST_CASE("response basis: reports its progress, can be stopped, and refuses wha
   CHECK(std::is_sorted(reported.begin(), reported.end()));
   for (double when : {0.0, 0.1, 0.4, 0.6, 0.84}) {
     const auto stop = [&](double done) { return done < when; };
-    CHECK_THROWS_AS(make_response_basis(full, 9, 12, stop), Canceled);
-    CHECK_THROWS_AS(reduce(full, basis, stop), Canceled);
+    CHECK_THROWS_AS(make_response_basis(full, 9, 12, stop), Cancelled);
+    CHECK_THROWS_AS(reduce(full, basis, stop), Cancelled);
   }
   CHECK_THROWS_WITH_AS(make_response_basis(full, 2, 12),
                        "2 modes in full detail are too few: the shapes of the targets alone take 2. Ask for 3 or more.",
@@ -259,7 +259,7 @@ TEST_CASE("response basis: how the modes bend takes a while, of which it reports
     return true;
   });
   CHECK(reports > 0);
-  CHECK_THROWS_AS(make_response_basis(full, 25, 10, [&](double done) { return !bending(done); }), Canceled);
+  CHECK_THROWS_AS(make_response_basis(full, 25, 10, [&](double done) { return !bending(done); }), Cancelled);
 }
 
 TEST_CASE("response basis: of a body that nothing but a hold keeps in place") {
