@@ -381,6 +381,23 @@ void linear_step(State& state) {
 }
 BENCHMARK(linear_step)->ArgName("targets")->Arg(1)->Arg(6);
 
+/// One solve for Newton's direction in 20 modes and 100 responses, with so many rows of points of the skin beside the
+/// tangent.
+void solve_with_points(State& state) {
+  const OneCore pinned;
+  ArrowMatrix H(20, 100);
+  values(H).setRandom();
+  H.corner() = (H.corner() + MatrixXd(H.corner().transpose())).eval();
+  H.add_to_diagonal(1, VectorXd::Constant(H.rows(), 200));
+  const DensePoints points{RowMajor::Random(state.range(0), H.rows()), VectorXd::Constant(state.range(0), 30)};
+  const VectorXd b = VectorXd::Random(H.rows());
+  VectorXd x;
+  ArrowSolver solver;
+  for (auto _ : state)
+    if (!solver.solve(H, {&points}, b, x)) state.SkipWithError("the tangent is not positive definite");
+}
+BENCHMARK(solve_with_points)->ArgName("rows")->ArgsProduct({{0, 5, 10, 20, 50, 100, 200}});
+
 // --- Full steps ------------------------------------------------------------------------------------------------------
 
 void full_step(State& state, Law law, bool all_cores) {

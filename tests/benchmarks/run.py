@@ -27,7 +27,7 @@ REPORT = ROOT / "build" / "reports" / "bench.json"
 ENGINE = ROOT / "build" / "cmake" / "engine_benchmarks"
 SOLID = ROOT.parent / "shared" / "meshes" / "shoulder.npz"
 REPETITIONS = 5
-COUNTERS = ("per_second", "bytes", "coefficients", "iterations", "dofs", "bones", "nodes", "characters", "alone")
+COUNTERS = ("per_second", "bytes", "coefficients", "iterations", "dofs", "bones", "nodes")
 
 
 def main() -> int:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-UNITS = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "times": 1.0, "characters": 1.0, "of the bandwidth": 1.0}
+UNITS = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "times": 1.0, "of the bandwidth": 1.0}
 
 
 @dataclass(frozen=True)
@@ -102,6 +102,9 @@ ROWS = [
     ),
     Row("linear: blend, force, solve, update, 6 targets, r = 19", "µs", 3, seconds("linear_iteration/targets:6")),
     Row("whole linear step with its rig, 6 targets, r = 19", "µs", None, seconds("linear_step/targets:6")),
+    Row("solve in 20 modes and 100 responses", "µs", None, seconds("solve_with_points/rows:0")),
+    Row("the same with 10 rows of points of the skin", "µs", None, seconds("solve_with_points/rows:10")),
+    Row("the same with 100 rows", "µs", None, seconds("solve_with_points/rows:100")),
     Row("full linear step, 6 targets, 4,899 DOF", "ms", 4, seconds("full_step/linear")),
     Row("full StVK step, 6 targets, 4,899 DOF, all cores", "ms", 16, seconds("full_step/stvk_all_cores")),
     Row("rig of 53 bones: inertia, weights, r = 20, 500 nodes", "µs", 10, seconds("rig/chain:21/nodes:500")),

@@ -637,7 +637,7 @@ def extend_to_nodes(mesh: TetMesh, embedding: Embedding, values: typing.Annotate
     Extends values (V, k) at the embedded points to values (n, k) at the nodes.
     
     The fit is least squares at the points and smooth inside. Constants stay constant. Values overshoot slightly, so clamp
-    and normalize skin weights afterwards.
+    and normalize skin weights afterward.
     """
 def fill_fractions(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], progress: typing.Any = None) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
     """

@@ -88,21 +88,19 @@ Built built(const std::string& meta) {
   }
 }
 
-/// The modes at the surface (3V, r), local space: the basis, interpolated by `embedding_weights` and transformed by the
-/// inverse of `to_bind`.
-MatrixXd surface_modes(const Content& content, const SoftBody& body, const MatrixXd& basis) {
-  const auto nodes = table<std::int32_t>(content, "embedding_nodes", {-1, 4});
-  const auto weights = table<double>(content, "embedding_weights", {nodes.rows(), 4});
+/// The modes at the surface (3V, dofs), local space: those of the embedded points, turned by the inverse of `to_bind`.
+MatrixXd surface_modes(const Content& content, const ReducedModel& model) {
+  Embedding embedding;
+  embedding.nodes = table<std::int32_t>(content, "embedding_nodes", {-1, 4});
+  embedding.weights = table<double>(content, "embedding_weights", {embedding.nodes.rows(), 4});
+  const Eigen::Index n = model.body().mesh.nodes.rows();
+  if (embedding.nodes.size() > 0 && (embedding.nodes.minCoeff() < 0 || embedding.nodes.maxCoeff() >= n))
+    throw incomplete("embedding_nodes");
   const Matrix3d from_bind = table<double>(content, "to_bind", {3, 3}).inverse();
   if (!from_bind.allFinite()) throw incomplete("to_bind");
-  MatrixXd modes = MatrixXd::Zero(3 * nodes.rows(), basis.cols());
-  for (Eigen::Index v = 0; v < nodes.rows(); ++v)
-    for (int corner = 0; corner < 4; ++corner) {
-      const std::int32_t node = nodes(v, corner);
-      if (node < 0 || node >= body.mesh.nodes.rows()) throw incomplete("embedding_nodes");
-      const int free = body.free_of_node[std::size_t(node)];
-      if (free >= 0) modes.middleRows<3>(3 * v) += weights(v, corner) * (from_bind * basis.middleRows<3>(3 * free));
-    }
+  MatrixXd modes = model.skin_points(embedding).basis();
+  for (Eigen::Index v = 0; v < embedding.nodes.rows(); ++v)
+    modes.middleRows<3>(3 * v) = (from_bind * modes.middleRows<3>(3 * v)).eval();
   return modes;
 }
 
@@ -161,7 +159,7 @@ SoftSkin load_soft_skin(const Content& content, std::vector<MorphTarget> targets
   }
   add_responses(content, tables, J);
   auto model = std::make_shared<ReducedModel>(body, std::move(targets), tables, blending);
-  MatrixXd modes = surface_modes(content, *body, model->basis());
+  MatrixXd modes = surface_modes(content, *model);
   return {std::move(model), how.bone_names, std::move(modes), table<double>(content, "details", {J, V, 3}).transpose()};
 }
 

@@ -23,7 +23,6 @@ namespace dynamorph {
 
 // --- Vectors ---------------------------------------------------------------------------------------------------------
 
-typedef float Float4 __attribute__((vector_size(16)));
 typedef float Float8 __attribute__((vector_size(32)));
 typedef double Double4 __attribute__((vector_size(32)));
 typedef double Double8 __attribute__((vector_size(64)));
@@ -171,30 +170,12 @@ struct alignas(64) DoubleW {
     high += b.high;
     return *this;
   }
-  DYNAMORPH_INLINE DoubleW& operator-=(const DoubleW& b) {
-    low -= b.low;
-    high -= b.high;
-    return *this;
-  }
 };
 static_assert(sizeof(DoubleW) == 64 && alignof(DoubleW) == 64, "kernels of all instruction sets read the same memory");
 DYNAMORPH_INLINE DoubleW operator+(const DoubleW& a, const DoubleW& b) { return {a.low + b.low, a.high + b.high}; }
-DYNAMORPH_INLINE DoubleW operator-(const DoubleW& a, const DoubleW& b) { return {a.low - b.low, a.high - b.high}; }
 DYNAMORPH_INLINE DoubleW operator*(const DoubleW& a, const DoubleW& b) { return {a.low * b.low, a.high * b.high}; }
-DYNAMORPH_INLINE DoubleW operator/(const DoubleW& a, const DoubleW& b) { return {a.low / b.low, a.high / b.high}; }
-DYNAMORPH_INLINE DoubleW operator+(const DoubleW& a, double b) { return {a.low + b, a.high + b}; }
 DYNAMORPH_INLINE DoubleW operator-(const DoubleW& a, double b) { return {a.low - b, a.high - b}; }
 DYNAMORPH_INLINE DoubleW operator*(const DoubleW& a, double b) { return {a.low * b, a.high * b}; }
-DYNAMORPH_INLINE DoubleW operator/(const DoubleW& a, double b) { return {a.low / b, a.high / b}; }
-DYNAMORPH_INLINE DoubleW operator+(double a, const DoubleW& b) { return b + a; }
-DYNAMORPH_INLINE DoubleW operator*(double a, const DoubleW& b) { return b * a; }
-DYNAMORPH_INLINE DoubleW operator/(double a, const DoubleW& b) { return {a / b.low, a / b.high}; }
-
-DYNAMORPH_INLINE bool all_zero(const DoubleW& v) {
-  for (int lane = 0; lane < kLanes; ++lane)
-    if (v[lane] != 0) return false;
-  return true;
-}
 
 DYNAMORPH_INLINE FloatW mul_add(const FloatW& c, const FloatW& a, const FloatW& b) {
   return {mul_add(c.all, a.all, b.all)};
@@ -207,26 +188,14 @@ DYNAMORPH_INLINE FloatW mul_sub(const FloatW& c, float a, const FloatW& b) { ret
 DYNAMORPH_INLINE DoubleW mul_add(const DoubleW& c, const DoubleW& a, const DoubleW& b) {
   return {mul_add(c.low, a.low, b.low), mul_add(c.high, a.high, b.high)};
 }
-DYNAMORPH_INLINE DoubleW mul_sub(const DoubleW& c, const DoubleW& a, const DoubleW& b) {
-  return {mul_sub(c.low, a.low, b.low), mul_sub(c.high, a.high, b.high)};
-}
 DYNAMORPH_INLINE DoubleW mul_add(const DoubleW& c, double a, const DoubleW& b) {
   return {mul_add(c.low, a, b.low), mul_add(c.high, a, b.high)};
 }
-DYNAMORPH_INLINE DoubleW mul_sub(const DoubleW& c, double a, const DoubleW& b) {
-  return {mul_sub(c.low, a, b.low), mul_sub(c.high, a, b.high)};
-}
 
-DYNAMORPH_INLINE void to_single(const double& from, float& to) { to = float(from); }
-DYNAMORPH_INLINE void to_single(const DoubleW& from, FloatW& to) {
-  const Float4 low = __builtin_convertvector(from.low, Float4), high = __builtin_convertvector(from.high, Float4);
-  to.all = __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7);
-}
 DYNAMORPH_INLINE DoubleW to_double(const Float8& from) {
   const Double8 all = __builtin_convertvector(from, Double8);
   return {__builtin_shufflevector(all, all, 0, 1, 2, 3), __builtin_shufflevector(all, all, 4, 5, 6, 7)};
 }
-DYNAMORPH_INLINE DoubleW to_double(const FloatW& from) { return to_double(from.all); }
 
 }  // namespace dynamorph
 
