@@ -59,7 +59,7 @@ gui-test: build
 demo: module
 	@$(python) sample_blends/demo.py
 
-# docs/gallery.md with its moving pictures, one of which is the README's; takes about 10 minutes. only="Husky" films
+# docs/gallery.md with its moving pictures, among them the README's; takes about 10 minutes. only="Husky" films
 # those that begin so.
 gallery: build
 	@$(python) tests/benchmarks/gallery.py --only "$(only)"
@@ -93,7 +93,7 @@ bench-docs: build
 robustness: build
 	@$(python) tests/benchmarks/robustness_page.py
 
-# docs/reliability.md: what comes of each fault of tests/faults.toml, by the tests that are marked with it, and what the
+# docs/reliability.md: what happens at each fault of tests/faults.toml, by the tests that are marked with it, and what the
 # last runs of faults, fuzz, sanitize, soak and coverage found; takes about 10 minutes. runs=1 adds those runs alone.
 runs ?=
 reliability: build
@@ -128,7 +128,7 @@ sections ?=
 bakes: build
 	@$(python) tests/benchmarks/bakes_page.py $(sections)
 
-# Bakes on a Slurm of two nodes on this machine, of which one is killed; takes 5 to 10 minutes. What could not be installed
+# Bakes on a Slurm of two nodes on this machine, and kills one of them; takes 5 to 10 minutes. What could not be installed
 # (not root, not Debian) it names, and skips.
 farm-demo: build
 	@tools/setup.sh farm || :
@@ -174,7 +174,7 @@ sanitize: setup
 stubs: build
 	@$(stubgen) -o cpp/bindings
 
-# Formats the sources, and mends what the linter can.
+# Formats the sources, and fixes what the linter can.
 format: setup
 	@$(tools)ruff check --quiet --fix .
 	@$(tools)ruff format --quiet .

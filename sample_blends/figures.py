@@ -143,7 +143,7 @@ def own_error(shot: Shot) -> compare.MotionError:
 
 
 def sweep(shot: Shot) -> dict[str, dict]:
-    """Reduced variants by number of modes, of which there must be more than sculpted shapes."""
+    """Reduced variants by number of modes, which must be more than the sculpted shapes."""
     return {
         f"{law}{', fitted' if fitted else ''} {modes}": {
             "law": key, "solver": "REDUCED", "fit_to_shot": fitted, "modes": modes

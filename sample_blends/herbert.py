@@ -85,7 +85,7 @@ A cartoon swimmer of 46 bones. Two shots stand one after the other on the timeli
 timeline's markers switch on. Press Play for both.
 
   frames   1-127  Dive   walk, hurdle, board, somersault, into the water
-  frames 128-218  Wall   a run, a wall, and what comes of it
+  frames 128-218  Wall   a run, a wall, and the impact
 To work on one of them set the scene's frame range to it.
 
 Three dynamic morph targets, placed by the bend of the spine alone, so that walking and running leave the belly soft:

@@ -66,11 +66,11 @@ def write_page(folder: Path, machine: str, found: dict, pictures: dict[str, str]
         page.append(picture("5.1", pictures))
     for name, measured in found.items():
         subject = SUBJECTS[name]
-        told = [picture(sheet.figure, pictures) for sheet in subject.sheets if sheet.figure in pictures]
+        messages = [picture(sheet.figure, pictures) for sheet in subject.sheets if sheet.figure in pictures]
         if "claims" in measured:
-            told += TELL[name](measured["claims"])
-            told.append(f"![Claims]({IMAGES}/{name}_claims.svg)\n")
-        page += section(subject.title, told) if told else []
+            messages += TELL[name](measured["claims"])
+            messages.append(f"![Claims]({IMAGES}/{name}_claims.svg)\n")
+        page += section(subject.title, messages) if messages else []
     page += section("Reduced against full, linear against StVK", accuracy(a)) if (a := parts(found, "accuracy")) else []
     folder.mkdir(parents=True, exist_ok=True)
     text = "\n\n".join(map(wrapped, "\n".join(page).rstrip().split("\n\n")))
@@ -276,18 +276,18 @@ TELL: dict[str, Callable[[dict], list[str]]] = {
 
 
 def accuracy(found: dict[str, dict]) -> list[str]:
-    told = []
+    messages = []
     for name, measured in found.items():
         subject = SUBJECTS[name]
         first, last = subject.measured
-        told.append(f"### {subject.title}, frames {first} to {last}\n")
-        told.append(f"![Accuracy]({IMAGES}/{name}_accuracy.svg)\n")
-        told += [
+        messages.append(f"### {subject.title}, frames {first} to {last}\n")
+        messages.append(f"![Accuracy]({IMAGES}/{name}_accuracy.svg)\n")
+        messages += [
             errors(measured["reduced"], measured["best"]),
             *verdicts(measured, int(subject.thesis["modes"])),
             ringing(measured["tracked"]),
         ]
-    return told
+    return messages
 
 
 def errors(reduced: dict[str, dict], best: dict[str, float]) -> str:

@@ -5,7 +5,7 @@ The farm is Slurm with two nodes on this machine, each a slurmd with processes a
 farm/dynamorph.openjd.yaml, submitted by farm/slurm_submit.py. It runs on one node, on two, and on two where one fails:
 a bake on it is killed, and then the node itself. The bakes must come out the same, to the last bit.
 
-A machine that cannot run a farm (not root, not Debian) is told why, and counts as success; a failure on the farm does
+A machine that cannot run a farm (not root, not Debian) says why, and counts as success; a failure on the farm does
 not. Figures: build/farm/farm.json, and, if the machine has no other work, the table in docs/farm.md.
 """
 
@@ -312,7 +312,7 @@ def try_bad_input(farm: Farm, parameters: dict, folder: Path) -> int:
     return sum("exited with code: 2 " in log.read_text() for log in folder.glob("tasks/Bake/*.log"))
 
 
-# What comes of it ----------------------------------------------------------------------------------------------------
+# Outcome ------------------------------------------------------------------------------------------------------------
 
 
 def judge(runs: list[dict]) -> dict:

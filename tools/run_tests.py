@@ -38,7 +38,7 @@ def run_engine_tests() -> Counter:
 
 
 def report_of(version: str, suite: str, name: str = "tests") -> Path:
-    """Where pytest says what came of each test. name: of the run, of which the last one counts."""
+    """Where pytest writes the outcome of each test. name: of the run; the last one counts."""
     return ROOT / "build" / "reports" / f"{name}-{version}-{Path(suite).name}.xml"
 
 

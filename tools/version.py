@@ -69,7 +69,7 @@ def one() -> str:
     versions = found()
     if len({version for each in versions.values() for version in each}) != 1 or not all(versions.values()):
         named = ", ".join(f"{name}: {' '.join(each)}" for name, each in versions.items())
-        sys.exit(f"These are not of one version, which make version mends: {named}")
+        sys.exit(f"These are not of one version; make version fixes that: {named}")
     return versions["pyproject.toml"][0]
 
 

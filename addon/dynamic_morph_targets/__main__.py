@@ -42,7 +42,7 @@ def leave(code: int) -> NoReturn:
 
         export_child.remove_temporary()  # which it would have done
     for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError):  # `main` has told
+        with suppress(OSError):  # `main` has reported it
             stream.flush()
     os._exit(code)
 

@@ -25,16 +25,16 @@ auto in_turn(const InTurn<Stepper>& stepper, const Function& function) {
   return function();
 }
 
-/// The same for a call that changes it. Throws std::invalid_argument within another one: from keep_going, that is.
+/// The same for a call that changes it. Throws std::invalid_argument when keep_going makes such a call in another one.
 template <class Stepper, class Function>
 auto changing(InTurn<Stepper>& stepper, const Function& function) {
-  struct Under {
-    bool& way;
-    ~Under() { way = false; }
+  struct Reset {
+    bool& flag;
+    ~Reset() { flag = false; }
   };
   return in_turn(stepper, [&] {
     if (stepper.changes) throw std::invalid_argument("keep_going: must not change the simulation that calls it");
-    const Under under{stepper.changes = true};
+    const Reset at_the_end{stepper.changes = true};
     return function();
   });
 }

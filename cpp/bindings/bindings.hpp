@@ -35,7 +35,7 @@ inline bool answer(const char* name, const py::object& answered) {
                        py::repr(py::type::of(answered)).cast<std::string>());
 }
 
-/// A Python callable of which copies can be made and dropped without the GIL, as those of a std::function are.
+/// A Python callable that can be copied and dropped without the GIL, as a std::function is.
 using SharedCallable = std::shared_ptr<const py::object>;
 
 inline SharedCallable shared(const py::object& callable) {

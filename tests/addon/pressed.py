@@ -29,7 +29,7 @@ def in_window(patch):
 def press(obj, name, calls, **settings):
     """Press the button of the operator class `name`, by Blender, and let `calls` be what it does.
 
-    In the background Blender calls an operator's `execute` even where it is to be invoked, so that leads to
+    In the background Blender calls an operator's `execute` even where it should be invoked, so that leads to
     calls(operator, context). settings: the operator's properties.
     """
     activate(obj)

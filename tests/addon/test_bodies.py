@@ -102,7 +102,7 @@ def test_the_character_covers_all_meshes(figure):
     character = part("extract").character(body)
     counts = [len(figure[name].data.vertices) for name in ("Body", "Top", "Cap")]
     assert len(character.vertices) == len(character.weights) == sum(counts)
-    assert [each.name for each in character.parts] == ["Top", "Cap"] and character.own.stop == counts[0]
+    assert [each.name for each in character.parts] == ["Top", "Cap"] and character.own_vertices.stop == counts[0]
     world = np.concatenate([rest(figure[name]) for name in ("Body", "Top", "Cap")])
     assert np.abs(character.vertices - world).max() < 2e-5  # the body's object space is world space
     cap = character.parts[1].members
@@ -357,8 +357,8 @@ def test_soft_groups_of_the_other_meshes_count(figure):
         group.add(range(len(obj.data.vertices)), weight, "REPLACE")
     body.dynamorph.soft_group = "Soft"
     character = part("extract").character(body)
-    seam = character.coincident[character.parts[0].members] < character.own.stop
-    assert (character.softness[character.own] == 1.0).all()
+    seam = character.coincident[character.parts[0].members] < character.own_vertices.stop
+    assert (character.softness[character.own_vertices] == 1.0).all()
     assert character.softness[character.parts[0].members][~seam][:-16] == pytest.approx(0.25)
     assert (character.softness[character.parts[1].members] == 0.0).all()  # it is held nevertheless
 

@@ -480,8 +480,8 @@ def test_reports_that_lack_something_are_refused_or_of_no_matter(run, reports, t
                 refused.add(way[-1])
     assert {"characters", "exit_code", "error", "versions", "name", "seconds", "bake", "frames", "hash"} <= refused
     (folder / "changed.json").write_text(json.dumps({**report, "characters": [{}]}))
-    code, _, told = run("collect", folder, "-o", page)
-    assert code == 2 and "'changed.json' is no report (something in it is missing or of another kind)" in told
+    code, _, message = run("collect", folder, "-o", page)
+    assert code == 2 and "'changed.json' is no report (something in it is missing or of another kind)" in message
     (folder / "changed.json").write_text(json.dumps({**report, "error": "\ud800"}))
     assert run("collect", folder, "-o", page)[0] == 0 and "\\ud800" in page.read_text()
 
@@ -491,41 +491,41 @@ def test_reports_of_any_depth_are_refused_or_collected(run, reports, tmp_path, d
     folder, report = reports
     text = json.dumps({**report, "more": "deep"}).replace('"deep"', "[" * depth + "]" * depth)
     (folder / "arm.json").write_text(text)
-    code, _, told = run("collect", folder, "-o", tmp_path / "page.html")
-    assert code == 0 if depth == 200 else code in (0, 2) and "fault" not in told
+    code, _, message = run("collect", folder, "-o", tmp_path / "page.html")
+    assert code == 0 if depth == 200 else code in (0, 2) and "fault" not in message
 
 
 @pytest.mark.parametrize("name", ["", "a\0b", "\ud800"])
 @pytest.mark.parametrize("option", ["--report", "--output", "--cache-dir", "--output-file"])
 def test_what_cannot_be_the_name_of_a_file(shot, run, stand_in, option, name):
     arguments = ("bake", shot, "--object", "Arm", "--in-place", "--format", "pc2", option, name)
-    code, _, told = run(*arguments)
-    assert code == 2 and f"argument {option if option != '--output' else '-o/--output'}: " in told
-    assert "cannot be the name of a file" in told and stand_in.built == 0
+    code, _, message = run(*arguments)
+    assert code == 2 and f"argument {option if option != '--output' else '-o/--output'}: " in message
+    assert "cannot be the name of a file" in message and stand_in.built == 0
 
 
 @pytest.mark.parametrize("content", [b"1," + b"9" * 200_000 + b",0", b"1,\x00,2", b"\xff\xfe1,2", b'"1\n' * 50_000])
 def test_a_table_that_no_reader_takes(shot, run, tmp_path, content):
     (tmp_path / "track.csv").write_bytes(content)
     arguments = ("fit", shot, "--all", "--in-place", "--target", "flexed", "--oscillation", tmp_path / "track.csv")
-    code, _, told = run(*arguments)
-    assert code == 2 and "'track.csv': expected 2 or 3 or 4 numbers with commas between them in every line" in told
+    code, _, message = run(*arguments)
+    assert code == 2 and "'track.csv': expected 2 or 3 or 4 numbers with commas between them in every line" in message
 
 
 def test_numbers_that_are_too_large_to_fit_anything(shot, run, tmp_path):
     rows = [f"{frame / 24},{1e308 * (-1) ** frame},0,0" for frame in range(48)]
     (tmp_path / "track.csv").write_text("\n".join(rows))
     arguments = ("fit", shot, "--all", "--in-place", "--target", "flexed", "--oscillation", tmp_path / "track.csv")
-    code, _, told = run(*arguments)
-    assert code == 2 and "some times or positions are not numbers" in told
+    code, _, message = run(*arguments)
+    assert code == 2 and "some times or positions are not numbers" in message
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device"])
 def test_a_report_that_never_ends_is_not_read(shot, run, kind):
     report = shot.parent / "report.json"
     os.mkfifo(report) if kind == "pipe" else report.symlink_to("/dev/zero")
-    code, _, told = run("collect", shot.parent, "-o", shot.parent / "all.html")
-    assert code == 2 and "report.json" in told
+    code, _, message = run("collect", shot.parent, "-o", shot.parent / "all.html")
+    assert code == 2 and "report.json" in message
 
 
 def test_a_folder_of_reports_is_not_made_on_the_way_out(shot, run):
@@ -533,8 +533,8 @@ def test_a_folder_of_reports_is_not_made_on_the_way_out(shot, run):
     victim = shot.parent / "settings.json"
     victim.write_text("mine")
     report = shot.parent / "out" / "shot a" / ".." / ".." / "settings.json"
-    code, _, told = run("check", shot, "--object", "Arm", "--report", report)
-    assert code == 2 and "there is no folder" in told
+    code, _, message = run("check", shot, "--object", "Arm", "--report", report)
+    assert code == 2 and "there is no folder" in message
     assert victim.read_text() == "mine" and not (shot.parent / "out").exists()
 
 
@@ -566,8 +566,8 @@ def test_values_that_a_stranger_s_file_has_stored_are_refused(shot, run, stand_i
     bpy.ops.wm.save_mainfile()
     setting = owner.bl_rna.properties[name].name
     for command in (["check"], ["build", "-o", shot.parent / "out.blend"], ["bake", "-o", shot.parent / "out.blend"]):
-        code, out, told = run(command[0], shot, "--object", "Arm", *command[1:])
-        assert code == 2 and f"'Arm': {setting} " in out + told and "set it again" in out + told
+        code, out, message = run(command[0], shot, "--object", "Arm", *command[1:])
+        assert code == 2 and f"'Arm': {setting} " in out + message and "set it again" in out + message
     assert stand_in.built == 0
 
 
@@ -704,8 +704,8 @@ def test_exit_codes_tell_bugs_from_what_is_expected(shot, run, stand_in):
         (MemoryError(), 75, "not enough memory.*try again"),
     ):
         stand_in.fail = failure
-        found, _out, told = run(*bake)
-        assert found == code and re.search(words, told), told
+        found, _out, message = run(*bake)
+        assert found == code and re.search(words, message), message
 
 
 def test_too_little_memory_is_found_before_any_work(shot, run, stand_in, monkeypatch):
@@ -714,8 +714,8 @@ def test_too_little_memory_is_found_before_any_work(shot, run, stand_in, monkeyp
     bake = ("bake", shot, "--object", "Arm", "-o", shot.parent / "baked.blend")
     for most, code, words in ((2.0**20, 2, "GB at most: lower Cage Nodes"), (2.0**40, 75, "are free: close other")):
         monkeypatch.setattr(memory, "room", lambda most=most: memory.Room(most, 2.0**20))
-        found, _out, told = run(*bake)
-        assert found == code and "'Arm' needs about" in told and words in told
+        found, _out, message = run(*bake)
+        assert found == code and "'Arm' needs about" in message and words in message
         assert stand_in.built == 0 and not sampled
 
 
@@ -725,14 +725,14 @@ def test_a_frame_of_a_week_is_refused(shot, run, stand_in):
     bpy.context.scene.render.fps, bpy.context.scene.render.fps_base = 1, 1e6
     bpy.ops.wm.save_mainfile()
     bake = ("bake", shot, "--object", "Arm", "-o", shot.parent / "baked.blend")
-    code, _, told = run(*bake)
-    assert code == 2 and "'Arm': a frame of 1e+06 s takes 120000000 time steps, and 1000 are the most" in told
+    code, _, message = run(*bake)
+    assert code == 2 and "'Arm': a frame of 1e+06 s takes 120000000 time steps, and 1000 are the most" in message
     assert stand_in.built == 0
     assert run(*bake, "--substeps", 1)[0] == 0
     assert run("info", bake[-1], "--all")[0] == 0
     for substeps in (0, 1001, 10**12):
-        code, _, told = run(*bake, "--substeps", substeps)
-        assert code == 2 and f"--substeps is {substeps}: give 1 to 1000" in told
+        code, _, message = run(*bake, "--substeps", substeps)
+        assert code == 2 and f"--substeps is {substeps}: give 1 to 1000" in message
 
 
 def test_info_lists_the_files_that_a_scene_needs(shot, run, monkeypatch):
@@ -743,5 +743,5 @@ def test_info_lists_the_files_that_a_scene_needs(shot, run, monkeypatch):
         bake = ("bake", shot, "--object", "Arm", "--sink", "pc2", "--set", change, "--frames", 1, 9 + mass_damping)
         assert run(*bake, "--in-place")[0] == 0
     written = {file.name for file in shot.parent.rglob("*") if file.suffix in (".pc2", ".dynamorph")}
-    told = re.search("files beside the .blend: (.*)", run("info", shot, "--object", "Arm")[1])[1].split(", ")
-    assert len(written) == 3 and len(told) == 2 and set(told) < written
+    message = re.search("files beside the .blend: (.*)", run("info", shot, "--object", "Arm")[1])[1].split(", ")
+    assert len(written) == 3 and len(message) == 2 and set(message) < written

@@ -215,16 +215,22 @@ def test_wheels_of_another_version_are_refused(tmp_path, built):
     project = make_project(tmp_path)
     shutil.copy2(built[0], project / "dist/wheels")
     old = remake(built[0], project / "dist/wheels", VERSION, "0.0.0")
-    told = refusal(project)
-    assert f"This is version {VERSION}" in told and f"dist/wheels/{old.name}" in told and built[0].name not in told
+    message = refusal(project)
+    assert (
+        f"This is version {VERSION}" in message
+        and f"dist/wheels/{old.name}" in message
+        and built[0].name not in message
+    )
 
 
 def test_two_wheels_for_one_platform_are_refused(tmp_path, built, platform):
     project = make_project(tmp_path)
     shutil.copy2(built[0], project / "dist/wheels")
     other = remake(built[0], project / "dist/wheels", tag_of(built[0]), TAGS[platform])
-    told = refusal(project)
-    assert "Delete one of them" in told and all(f"dist/wheels/{wheel.name}" in told for wheel in (built[0], other))
+    message = refusal(project)
+    assert "Delete one of them" in message and all(
+        f"dist/wheels/{wheel.name}" in message for wheel in (built[0], other)
+    )
 
 
 def test_wheels_for_no_platform_of_blender_are_refused(tmp_path, built):
@@ -238,8 +244,8 @@ def test_versions_rise_together(tmp_path, built, name):
     project = make_project(tmp_path)
     shutil.copy2(built[0], project / "dist/wheels")
     raise_version(project / name, NEXT)
-    told = refusal(project)
-    assert "not of one version" in told and f"{name}: {NEXT}" in told
+    message = refusal(project)
+    assert "not of one version" in message and f"{name}: {NEXT}" in message
 
 
 # Installing ----------------------------------------------------------------------------------------------------------
@@ -402,6 +408,6 @@ def test_zip_for_another_platform_is_refused(built, platform, served, tmp_path):
     package(project, "repository")
     (archive,) = project.glob("dist/repository/*.zip")
     folder.symlink_to(project / "dist/repository")
-    told = in_blender(REFUSED, tmp_path / "user", archive, url)
-    assert f"This platform ({platform}) isn't one of ({other})" in told
-    assert '"dynamic_morph_targets", found but not compatible with this system' in told
+    message = in_blender(REFUSED, tmp_path / "user", archive, url)
+    assert f"This platform ({platform}) isn't one of ({other})" in message
+    assert '"dynamic_morph_targets", found but not compatible with this system' in message

@@ -83,7 +83,7 @@ def test_a_weight_that_is_not_a_number(soft_arm):
 
 @pytest.mark.fault("K02")
 def test_a_key_with_another_number_of_vertices(soft_arm):
-    """Scripts and importers can make such a mesh; Blender itself makes its keys anew when Edit Mode is left."""
+    """Scripts and importers can make such a mesh; Blender itself rebuilds its keys when Edit Mode is left."""
     coarse(soft_arm)
     OPS.build()
     soft_arm.data.vertices.add(3)

@@ -61,7 +61,7 @@ def test_far_from_the_origin_the_tissue_is_as_calm(scene, skin):
 
 
 def chained(scene, count, deforming):
-    """A soft skin on a chain of `count` bones that bend together, of which each `deforming`-th carries it."""
+    """A soft skin on a chain of `count` bones that bend together; each `deforming`-th bone carries it."""
     rig = bpy.data.objects.new("Chain Rig", bpy.data.armatures.new("Chain Rig"))
     scene.collection.objects.link(rig)
     activate(rig)
@@ -105,7 +105,7 @@ def test_a_thousand_bones(scene, basis, deforming):
 
 @pytest.mark.fault("A02")
 def test_stepped_keys(scene, skin):
-    """Twelve poses a second at 24 frames: each jump is a blow, after the last of which the tissue comes to rest."""
+    """Twelve poses a second at 24 frames: each jump is a blow; after the last one the tissue comes to rest."""
     rig = rig_of(skin)
     rig.animation_data_clear()
     lower = rig.pose.bones["lower"]

@@ -444,18 +444,18 @@ OUTPUTS = ["--output", "--report", "--cache-dir", "--output-file", "point cache"
 @pytest.mark.fault("F11")
 @pytest.mark.parametrize("option", OUTPUTS)
 def test_a_read_only_folder_is_found_before_the_work(shot, run, stand_in, read_only, option):  # noqa: F811
-    code, _, told = run(*bake(shot, *outputs_in(read_only)[option]))
-    assert code == 2 and "Read-only file system. Choose a folder" in told and str(read_only) in told
-    assert "Traceback" not in told and told.count("error:") == 1
+    code, _, message = run(*bake(shot, *outputs_in(read_only)[option]))
+    assert code == 2 and "Read-only file system. Choose a folder" in message and str(read_only) in message
+    assert "Traceback" not in message and message.count("error:") == 1
     assert stand_in.built == 0 and names(read_only) == ["earlier"]
 
 
 @pytest.mark.parametrize("option", OUTPUTS)
 def test_a_full_disk_is_found_before_the_work(shot, run, stand_in, disk, option):  # noqa: F811
     fill(disk, room=0)
-    code, _, told = run(*bake(shot, *outputs_in(disk)[option]))
-    assert code == 75 and f"{FULL}. Free some space" in told and "try again" in told
-    assert "Traceback" not in told and told.count("error:") == 1
+    code, _, message = run(*bake(shot, *outputs_in(disk)[option]))
+    assert code == 75 and f"{FULL}. Free some space" in message and "try again" in message
+    assert "Traceback" not in message and message.count("error:") == 1
     assert stand_in.built == 0 and set(names(disk)) <= {"cache"}
 
 
@@ -469,8 +469,8 @@ def test_a_name_that_no_file_can_have_is_found_before_the_work(shot, run, stand_
     elif name == "a folder":
         last.write_bytes(EARLIER)
         words = "A part of it is a file"
-    code, _, told = run(*bake(shot, *arguments[:-1], last))
-    assert code == 2 and words in told and "Traceback" not in told
+    code, _, message = run(*bake(shot, *arguments[:-1], last))
+    assert code == 2 and words in message and "Traceback" not in message
     assert stand_in.built == 0
 
 
@@ -483,8 +483,8 @@ def test_outputs_of_other_commands_are_tried_too(shot, run, read_only, monkeypat
         ("check", shot, "--object", "Arm", "--report", read_only / "report.json"),
         ("delete-bake", shot, "--object", "Arm", "-o", read_only / "freed.blend"),
     ):
-        code, _, told = run(*arguments)
-        assert code == 2 and words in told and "Traceback" not in told, arguments
+        code, _, message = run(*arguments)
+        assert code == 2 and words in message and "Traceback" not in message, arguments
 
 
 def test_a_protected_file_is_not_replaced(shot, run, stand_in, tmp_path):  # noqa: F811
@@ -494,8 +494,8 @@ def test_a_protected_file_is_not_replaced(shot, run, stand_in, tmp_path):  # noq
     mounted(("--bind",), output, str(output))
     try:
         subprocess.run(["mount", "-o", "remount,ro,bind", str(output)], check=True)
-        code, _, told = run(*bake(shot, "-o", output))
-        assert code == 2 and "Read-only" in told and stand_in.built == 0
+        code, _, message = run(*bake(shot, "-o", output))
+        assert code == 2 and "Read-only" in message and stand_in.built == 0
     finally:
         subprocess.run(["umount", "--lazy", str(output)], check=True)
     assert output.read_bytes() == EARLIER
@@ -508,8 +508,8 @@ def test_a_read_only_temporary_folder_is_found_before_the_work(shot, run, stand_
     mounted(("--bind",), folder, folder)
     try:
         subprocess.run(["mount", "-o", "remount,ro,bind", folder], check=True)
-        code, _, told = run(*bake(shot, "--format", key))
-        assert code == 2 and folder in told and "Read-only file system" in told and "Traceback" not in told
+        code, _, message = run(*bake(shot, "--format", key))
+        assert code == 2 and folder in message and "Read-only file system" in message and "Traceback" not in message
         assert stand_in.built == 0 and names(shot.parent) == [shot.name]
     finally:
         subprocess.run(["umount", "--lazy", folder], check=True)
@@ -517,16 +517,16 @@ def test_a_read_only_temporary_folder_is_found_before_the_work(shot, run, stand_
 
 def test_the_export_on_a_full_disk_is_told_before_the_work(shot, run, stand_in, disk):  # noqa: F811
     fill(disk)
-    code, _, told = run(*bake(shot, "--format", "alembic", "--output-file", disk / "arm.abc"))
-    assert code == 75 and re.search(rf"arm.abc': {FULL}, about 0.1 MB are needed.*try again", told)
+    code, _, message = run(*bake(shot, "--format", "alembic", "--output-file", disk / "arm.abc"))
+    assert code == 75 and re.search(rf"arm.abc': {FULL}, about 0.1 MB are needed.*try again", message)
     assert stand_in.built == 0 and names(disk) == []
 
 
 def test_point_caches_that_do_not_fit_are_told_before_the_work(shot, run, stand_in, disk):  # noqa: F811
     fill(disk)
     more = ("--format", "pc2", "--output-file", disk / "arm.pc2", "-o", shot.parent / "baked.blend")
-    code, _, told = run(*bake(shot, *more))
-    assert code == 75 and re.search(rf"{FULL}, about 0.1 MB are needed", told)
+    code, _, message = run(*bake(shot, *more))
+    assert code == 75 and re.search(rf"{FULL}, about 0.1 MB are needed", message)
     assert stand_in.built == 0 and names(disk) == []
 
 
@@ -543,10 +543,10 @@ def test_a_blend_on_a_full_disk(shot, run, stand_in, disk, where, compress):  # 
         output = disk / "baked.blend"
         source, target = (disk / "shot.blend", [where]) if where == "--in-place" else (shot, [where, output])
         report = shot.parent / "report.json"
-        code, _, told = run(*bake(source, *target, "--report", report))
+        code, _, message = run(*bake(source, *target, "--report", report))
     finally:
         files.use_file_compression = before
-    assert code == 75 and f"{FULL}. Free some space" in told and "No such file" not in told
+    assert code == 75 and f"{FULL}. Free some space" in message and "No such file" not in message
     assert (disk / "shot.blend").read_bytes() == earlier and names(disk) == ["shot.blend"]
     assert FULL in json.loads(report.read_text())["error"]
 
@@ -645,16 +645,20 @@ def test_a_saved_file_is_compressed_as_it_was(soft_arm, tmp_path, compress):
 def test_faults_that_may_pass(shot, run, stand_in, name):  # noqa: F811
     number = getattr(errno, name)
     stand_in.fail = OSError(number, os.strerror(number), "/share/model")
-    code, _, told = run(*bake(shot, "--in-place"))
-    assert code == 75 and f"error: '/share/model': {os.strerror(number)}. " in told and told.endswith(": try again\n")
+    code, _, message = run(*bake(shot, "--in-place"))
+    assert (
+        code == 75
+        and f"error: '/share/model': {os.strerror(number)}. " in message
+        and message.endswith(": try again\n")
+    )
 
 
 @pytest.mark.parametrize("name", ["EROFS", "ENOENT", "EACCES", "EPERM", "ENAMETOOLONG", "EISDIR", "ENOTDIR"])
 def test_faults_that_stay(shot, run, stand_in, name):  # noqa: F811
     number = getattr(errno, name)
     stand_in.fail = OSError(number, os.strerror(number), "/share/model")
-    code, _, told = run(*bake(shot, "--in-place"))
-    assert code == 2 and f"error: '/share/model': {os.strerror(number)}. " in told and "again" not in told
+    code, _, message = run(*bake(shot, "--in-place"))
+    assert code == 2 and f"error: '/share/model': {os.strerror(number)}. " in message and "again" not in message
 
 
 def test_a_model_file_names_itself_when_the_disk_is_full(addon, disk):

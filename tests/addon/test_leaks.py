@@ -16,14 +16,14 @@ HEARD = ("frame_change_pre", "frame_change_post", "depsgraph_update_pre", "depsg
 @pytest.fixture
 def heard():
     """The scenes for which another add-on's handlers are called."""
-    told = []
+    evaluated = []
 
     def handler(scene, *_args):
-        told.append(scene.name)
+        evaluated.append(scene.name)
 
     for name in HEARD:
         getattr(bpy.app.handlers, name).append(handler)
-    yield told
+    yield evaluated
     for name in HEARD:
         getattr(bpy.app.handlers, name).remove(handler)
 

@@ -916,7 +916,7 @@ class Playing:
         return button.invoke(context, None)
 
     def send(self, kind="TIMER"):
-        """An event, and what comes of it."""
+        """An event and its consequences."""
         return self.button.modal(bpy.context, types.SimpleNamespace(type=kind, value="PRESS"))
 
 
@@ -959,7 +959,7 @@ def test_saving_and_loading_end_a_preview(shaken, tmp_path, monkeypatch):
     assert deltas(rig_of(obj)) == stood and button.send() == {"CANCELLED"}
     Playing(obj, "DYNAMORPH_OT_play_mode", monkeypatch)
     bpy.ops.wm.open_mainfile(filepath=path)
-    assert part("preview").preview is None and not part("live").lent
+    assert part("preview").preview is None and not part("live").suspended
     assert deltas(rig_of(bpy.data.objects["Arm"])) == stood
 
 

@@ -139,12 +139,12 @@ def test_a_file_of_a_newer_blender_is_not_replaced(shot, run, stand_in, monkeypa
     content = bytearray(shot.read_bytes())
     monkeypatch.setattr(part("main"), "bpy", Newer())
     code, _, errors = run("bake", shot, "--object", "Arm", "--in-place")
-    assert code == 2 and f"is of Blender 99.0, of which {version[0]}.{version[1]} keeps only a part" in errors
+    assert code == 2 and f"was saved by Blender 99.0, and {version[0]}.{version[1]} keeps only a part of it" in errors
     assert shot.read_bytes() == content
 
 
 class Newer:
-    """bpy, of which the open file is of a version that is not out yet."""
+    """bpy, as if the open file came from a version that is not out yet."""
 
     def __getattr__(self, name):
         return (
@@ -161,9 +161,9 @@ def test_python_in_a_file_is_told_of_or_runs(shot, run, stand_in):  # noqa: F811
     driver.expression = "sum([frame, 1.0])"  # more than Blender's own simple expressions
     bpy.ops.wm.save_mainfile()
     output = shot.parent / "baked.blend"
-    told = "warning: The file has Python"
-    assert told in run("bake", shot, "--object", "Arm", "-o", output)[1]
-    assert told not in run("bake", shot, "--object", "Arm", "-o", output, "--enable-autoexec")[1]
+    warning = "warning: The file has Python"
+    assert warning in run("bake", shot, "--object", "Arm", "-o", output)[1]
+    assert warning not in run("bake", shot, "--object", "Arm", "-o", output, "--enable-autoexec")[1]
 
 
 @pytest.mark.parametrize("fails", [False, True])

@@ -224,8 +224,8 @@ def test_a_driver_of_the_influence_that_goes_is_named(soft_arm, tmp_path):
     new = part("bake").NewBake(soft_arm, smooth_bake(soft_arm))
     new.add()
     new.show()
-    (told,) = new.remove_old()
-    assert "The driver of Bake Influence of 'Arm' was removed" in told
+    (messages,) = new.remove_old()
+    assert "The driver of Bake Influence of 'Arm' was removed" in messages
 
 
 def test_a_curve_of_an_earlier_cache_does_not_move_the_influence_of_the_next(scene, soft_arm, tmp_path):

@@ -97,7 +97,7 @@ def test_a_new_soft_skin_shows_twelve_controls_at_most(arm, stand_in):
 def test_nothing_but_state_live_and_bake_is_in_both_places(soft_arm, stand_in):
     bpy.ops.dynamorph.bake()
     both = set(controls(soft_arm)) & set(controls(soft_arm, PHYSICS))
-    assert both == {*TOP, "dynamorph.export"}  # glTF has a button of its own beside what the bake came to
+    assert both == {*TOP, "dynamorph.export"}  # glTF has a button of its own beside the bake's result
 
 
 def test_the_order_of_the_sections(soft_arm):

@@ -76,7 +76,7 @@ def test_a_rehearsal_keeps_the_skin_within_its_limits(new_arm):
     limit(new_arm, 0.6 * farthest)
     job = bake(new_arm)
     neutral = new_arm.dynamorph.targets[0]
-    assert job.verdict.most <= 0.6 * farthest < farthest
+    assert job.verdict.percentile <= 0.6 * farthest < farthest
     assert neutral.frequency > 3.5 and neutral.bounce == pytest.approx(neutral.frequency, rel=1e-3)
     assert neutral.material().stiffness_damping * 2.0 * np.pi * neutral.frequency / 2.0 == pytest.approx(0.2, rel=0.03)
     assert not neutral.by_hand
@@ -266,7 +266,7 @@ def test_wreckage_is_no_success(new_arm):
 
 def test_a_body_turned_inside_out_is_measured_by_volume():
     judge = part("judge")
-    found = judge.Verdict(displacement=0.01, most=0.01, inverted=0.2)
+    found = judge.Verdict(displacement=0.01, percentile=0.01, inverted=0.2)
     limits = judge.Limits(0.05, 0.6)
     assert found.is_wreckage and found.excess(limits) > judge.SLACK
     assert "20.0% of the volume" in found.text(limits)

@@ -727,30 +727,30 @@ def test_large_models_go_where_the_user_wants(soft_arm, stand_in, tmp_path, monk
 
 def test_threads_are_told_to_the_engine_by_whatever_uses_it_first(soft_arm, monkeypatch, chosen):
     dynamorph = pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
-    told = []
-    fake = types.SimpleNamespace(set_threads=told.append, unpack_model=dynamorph.unpack_model, Error=RuntimeError)
+    counts = []
+    fake = types.SimpleNamespace(set_threads=counts.append, unpack_model=dynamorph.unpack_model, Error=RuntimeError)
     monkeypatch.delitem(sys.modules, "dynamorph", raising=False)
     chosen.threads = 3  # nothing is loaded for it
     assert "dynamorph" not in sys.modules
     monkeypatch.setitem(sys.modules, "dynamorph", fake)
     refused(OPS.check_targets, "not built yet")
-    assert told == [3]
+    assert counts == [3]
     chosen.threads = 0
-    assert told == [3, 0]
+    assert counts == [3, 0]
     refused(OPS.check_targets, "not built yet")
-    assert told == [3, 0]
+    assert counts == [3, 0]
 
 
 def test_threads_chosen_before_the_add_on_starts_are_told(scene, monkeypatch):
-    told = []
-    engine = types.SimpleNamespace(set_threads=told.append, Error=RuntimeError)
+    counts = []
+    engine = types.SimpleNamespace(set_threads=counts.append, Error=RuntimeError)
     bpy.context.preferences.addons[MODULE].preferences.threads = 5
     try:
         addon_utils.disable(MODULE)
         part("engine").use_threads(0)
         monkeypatch.setitem(sys.modules, "dynamorph", engine)
         addon_utils.enable(MODULE)
-        assert told == [5]
+        assert counts == [5]
     finally:
         monkeypatch.undo()
         bpy.context.preferences.addons[MODULE].preferences.threads = 0

@@ -571,11 +571,11 @@ def test_a_baked_key_that_the_artist_has_sculpted_stays_without_effect(scene, so
         new = bake.NewBake(soft_arm, second)
         new.add()
         new.show()
-        told = new.remove_old()
+        messages = new.remove_old()
         assert_shows(soft_arm, second)
     else:
-        told = bake.free(soft_arm)
-    assert len(told) == 1 and "'Dynamorph Mode 02' of 'Arm' was edited after the bake: it stays" in told[0]
+        messages = bake.free(soft_arm)
+    assert len(messages) == 1 and "'Dynamorph Mode 02' of 'Arm' was edited after the bake: it stays" in messages[0]
     kept = [block for block in keys_of(soft_arm).key_blocks if [tuple(point.co) for point in block.points] == shape]
     scene.frame_set(9)
     assert len(kept) == 1 and kept[0].value == 0.0

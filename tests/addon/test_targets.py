@@ -143,9 +143,9 @@ def test_what_drivers_do_not_suggest(arm, capfd):
         drive(arm, name, expression, a=("ROT_X", "lower"))
     OPS.suggest_targets()
     assert names(arm) == ["Neutral", "flexed"]
-    told = capfd.readouterr().out
-    assert "Targets added: flexed; Keys skipped: " in told and "'late': it has the pose of 'flexed'" in told
-    assert "'always': its driver turns it on in the neutral pose already" in told
+    messages = capfd.readouterr().out
+    assert "Targets added: flexed; Keys skipped: " in messages and "'late': it has the pose of 'flexed'" in messages
+    assert "'always': its driver turns it on in the neutral pose already" in messages
 
 
 def test_a_failure_puts_the_armature_back(arm, monkeypatch):

@@ -7,7 +7,7 @@ import pytest
 from builders import part
 
 
-def told(addon, fraction, seconds):
+def estimates(addon, fraction, seconds):
     """The time left at each tenth of a second of a work with this fraction(time)."""
     left, found = part("time_left").TimeLeft(), []
     for tick in range(int(10 * seconds) + 1):
@@ -42,7 +42,7 @@ SECONDS = {"linear": 20.0, "fast, then slow": 44.0, "slow, then fast": 30.0, "st
 @pytest.mark.parametrize("name", HISTORIES)
 def test_it_never_jumps(addon, name):
     """Beside the clock it changes in a tenth of a second by 5 %, near the end by half a second."""
-    found = [seconds for seconds in told(addon, HISTORIES[name], SECONDS[name]) if seconds is not None]
+    found = [seconds for seconds in estimates(addon, HISTORIES[name], SECONDS[name]) if seconds is not None]
     assert len(found) > 0.8 * 10 * (SECONDS[name] - 4.0)
     for before, after in pairwise(found):
         assert abs(after - (before - 0.1)) <= max(0.05 * before, 0.5), (before, after)
@@ -51,38 +51,38 @@ def test_it_never_jumps(addon, name):
 @pytest.mark.parametrize("name", ["linear", "fast, then slow", "stalled", "in steps"])
 def test_it_is_right_in_the_end(addon, name):
     """In the last sixteenth of the time, to a third or three seconds."""
-    found, seconds = told(addon, HISTORIES[name], SECONDS[name]), SECONDS[name]
+    found, seconds = estimates(addon, HISTORIES[name], SECONDS[name]), SECONDS[name]
     for tick in range(int(9.375 * seconds), int(10 * seconds) - 1):
         assert found[tick] == pytest.approx(seconds - 0.1 * tick, rel=0.33, abs=3.0), tick
 
 
 def test_a_work_that_becomes_eight_times_as_fast(addon):
     """It comes down by half in four seconds, and is never too short."""
-    found = told(addon, HISTORIES["slow, then fast"], 30.0)
+    found = estimates(addon, HISTORIES["slow, then fast"], 30.0)
     assert found[240] < 0.5 * found[200] and found[280] < 0.5 * found[240]
     assert all(seconds > 0.1 * (300 - tick) for tick, seconds in enumerate(found[200:300], 200))
 
 
 def test_a_steady_work_counts_down(addon):
-    found = told(addon, HISTORIES["linear"], 20.0)
+    found = estimates(addon, HISTORIES["linear"], 20.0)
     assert found[50] == pytest.approx(15.0, abs=0.1) and found[150] == pytest.approx(5.0, abs=0.1)
 
 
 def test_nothing_is_said_too_early_or_when_it_is_done(addon):
-    linear = told(addon, HISTORIES["linear"], 20.0)
+    linear = estimates(addon, HISTORIES["linear"], 20.0)
     assert set(linear[:9]) == {None} and linear[12] is not None and linear[-1] is None
-    assert set(told(addon, lambda time: 0.001 * time, 25.0)) == {None}
+    assert set(estimates(addon, lambda time: 0.001 * time, 25.0)) == {None}
 
 
 def test_a_stall_does_not_make_it_endless(addon):
-    found = told(addon, HISTORIES["stalled"], 32.0)
+    found = estimates(addon, HISTORIES["stalled"], 32.0)
     assert found[80] == pytest.approx(12.0, abs=0.2)  # at the stall
     assert found[120] > 12.0 and max(found[80:200]) < 50.0
 
 
 def test_a_work_that_begins_again_is_estimated_anew(addon):
     """As a rehearsal does."""
-    found = told(addon, lambda time: time / 10 if time < 9.95 else 0.2 + (time - 10.0) / 50, 40.0)
+    found = estimates(addon, lambda time: time / 10 if time < 9.95 else 0.2 + (time - 10.0) / 50, 40.0)
     assert found[105] is None and found[200] == pytest.approx(30.0, abs=1.0)
 
 

@@ -284,7 +284,7 @@ def test_the_cage_does_not_depend_on_the_scale(scene, scale):
     expected = original().model
     obj = limb(clear())
     scaled(obj, scale, scale)
-    volume = part("cage").volume(part("extract").character(obj), None, part("cage").Stages(None))
+    volume = part("cage").make_cage(part("extract").character(obj), None, part("cage").Stages(None))
     np.testing.assert_array_equal(volume.mesh.tets, expected.tets)
     np.testing.assert_allclose(volume.mesh.nodes, expected.nodes, atol=1e-6)
 

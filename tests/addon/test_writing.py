@@ -59,7 +59,7 @@ def test_no_model_is_stored_with_a_bake_that_is_refused(soft_arm, stand_in):
     assert soft_arm.dynamorph.model.content_id == ""
 
 
-@pytest.mark.parametrize("step", ["scaled_keys", "add_curve", "key_reach", "mute_targets"])
+@pytest.mark.parametrize("step", ["scaled_keys", "add_curve", "key_displacement", "mute_targets"])
 @pytest.mark.parametrize("first", ["first", "again"])
 def test_none_is_written_when_the_second_write_fails(soft_arm, leg, stand_in, monkeypatch, step, first):
     bake = part("bake")

@@ -194,7 +194,7 @@ def parsed_row(text: str) -> tuple[str, int]:
 
 
 def measure(name: str, rows: Sequence[tuple[str, int]], jobs: int) -> str:
-    """One character in a process of its own, with its output in a log; what is to be said of it."""
+    """One character in a process of its own, with its output in a log; its text."""
     CACHE.mkdir(parents=True, exist_ok=True)
     file, log = CACHE / f"{name}.json", CACHE / f"{name}.log"
     file.unlink(missing_ok=True)

@@ -192,10 +192,10 @@ def main() -> int:
                 print(line(found), flush=True)
                 if again := kept_unfolded(found):
                     print(f"  {line(again)}", flush=True)
-    told = [found for asset in chosen if (found := kept(asset))]
-    print(closing(told))
+    results = [found for asset in chosen if (found := kept(asset))]
+    print(closing(results))
     if arguments.sheet:
-        draw(told, arguments.sheet, small=False)
+        draw(results, arguments.sheet, small=False)
         return 0
     everything = [found for asset in find([]) if (found := kept(asset))]
     if len(everything) < len(find([])):
@@ -289,16 +289,16 @@ def line(found: dict) -> str:
     return f"{found['name']}: {wrong} | {clip(found)} | {figures} | {found['seconds']['click to baked']:.1f} s"
 
 
-def closing(told: list[dict]) -> str:
-    passed = sum(not failures(found) for found in told)
+def closing(results: list[dict]) -> str:
+    passed = sum(not failures(found) for found in results)
     misses = dict.fromkeys(("error", "refused", "hard", *(limit.key for limit in LIMITS)), 0)
-    for found in told:
+    for found in results:
         for key in failures(found):
             misses[key] += 1
     missed = ", ".join(f"{key} {count}" for key, count in misses.items() if count)
-    unfolded = sum(passes_unfolded(found) for found in told)
+    unfolded = sum(passes_unfolded(found) for found in results)
     return (
-        f"{passed} of {len(told)} characters pass all limits, {unfolded} where the bones fold no edges away; "
+        f"{passed} of {len(results)} characters pass all limits, {unfolded} where the bones fold no edges away; "
         f"missed: {missed or 'none'}"
     )
 
@@ -437,10 +437,10 @@ def pictures(baked: list[dict]) -> str:
     return "\n".join(lines)
 
 
-def draw(told: list[dict], path: Path, small: bool) -> None:
+def draw(results: list[dict], path: Path, small: bool) -> None:
     """Plain, baked and heat map of each character, one below the other."""
     rows = []
-    for found in filter(is_baked, told):
+    for found in filter(is_baked, results):
         images = [Image.open(CACHE / found["name"] / f"{name}.png") for name in ("plain", "baked", "heat")]
         wrong = [limit for limit in LIMITS if limit.key in failures(found)]
         about = ", ".join(f"{limit.title} {shown(limit, found)}" for limit in wrong) or "passes"

@@ -95,7 +95,7 @@ Solid solid(int nodes) {
   return solid_file ? read_solid(solid_file) : bar(kSolidNodes);
 }
 
-/// Bones of a rig of which `chain` carry flesh that moves, in the proportion of the MakeHuman body.
+/// Bones of a rig with `chain` bones that carry moving soft tissue, in the proportion of the MakeHuman body.
 constexpr int kBody = 21;
 int rig_bones(int chain) { return chain * 53 / kBody; }
 
@@ -134,7 +134,7 @@ std::vector<MorphTarget> targets(const SoftBody& body, int count) {
   return out;
 }
 
-/// A swinging chain of bones, which goes on beyond the flesh, and what its targets weigh meanwhile.
+/// A swinging chain of bones, which goes on beyond the soft tissue, and what its targets weigh meanwhile.
 struct Swing {
   std::vector<Transforms> bones;
   std::vector<Rotations> pose;

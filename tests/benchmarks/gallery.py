@@ -118,7 +118,7 @@ def main() -> int:
 
 
 def film(loop: Loop) -> str:
-    """One loop, and what is to be said of it."""
+    """One loop, and its text."""
     FILMED.mkdir(parents=True, exist_ok=True)
     with (FILMED / f"{loop.name}.log").open("w") as output:
         command = [sys.executable, Path(__file__).with_name("gallery_loop.py"), loop.name, FILMED]
@@ -152,10 +152,10 @@ def about(loop: Loop, found: dict) -> str:
         farthest = "; ".join(f"{title} {1000 * most:.3g} mm" for title, most in found["farthest"].items())
     else:
         farthest = f"{found['farthest']:.1%} of the body's size, in *{found['clip'].rpartition('|')[2]}*"
-    told = f"{loop.about} " if loop.about else ""
+    texts = f"{loop.about} " if loop.about else ""
     return (
         f"### {loop.title}\n\n![{loop.title}]({IMAGES}/{loop.name}.webp)\n\n"
-        f"{told}Frames {first} to {last}; the tissue moves by at most: {farthest}.\n"
+        f"{texts}Frames {first} to {last}; the tissue moves by at most: {farthest}.\n"
     )
 
 

@@ -32,10 +32,11 @@ FAULTS = ROOT / "tests" / "faults.toml"
 LARGE = {"DYNAMORPH_FACES": "2000000", "DYNAMORPH_KILLS": "10"}  # unless they say otherwise; more than in `make test`
 TEXT = """# Reliability
 
-What may go wrong, and what comes of it. The rule for all: never a silent wrong result, never lost work; a message names
-the object, the cause and the next step. Each row has tests that are marked with its id, which `make test` runs with all
-others. `make reliability` runs these alone and writes this page; nothing on it is written by hand. The largest mesh had
-{faces:,} faces, and one bake was killed {kills} times. What takes longer is [at the end](#longer-runs).
+What may go wrong, and what happens then. The rule for all: never a silent wrong result, never lost work; a message
+names the object, the cause and the next step. Each row has tests that are marked with its id, which `make test` runs
+with all others. `make reliability` runs these alone and writes this page; nothing on it is written by hand. The
+largest mesh had {faces:,} faces, and one bake was killed {kills} times. What takes longer is
+[at the end](#longer-runs).
 
 {commit}. {machine}.
 
@@ -46,7 +47,7 @@ HEAD = "| Id | Fault | What happens | Tests | Result |\n|---|---|---|---|---|"
 
 @dataclass
 class Shown:
-    """What came of the tests of one fault. tests: their names by file; outcomes: how many of each, in all Pythons."""
+    """The outcome of the tests of one fault. tests: their names by file; outcomes: how many of each, in all Pythons."""
 
     tests: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
     outcomes: Counter[str] = field(default_factory=Counter)
@@ -62,8 +63,8 @@ class Shown:
         tests = [f"`{file}`: {', '.join(sorted(names))}" for file, names in sorted(self.tests.items())]
         text = self.result if self.result in ("passed", "skipped") else f"**{self.result}**"
         skipped = [f"{self.outcomes['skipped']} skipped: {reason}" for reason in sorted(self.reasons)]
-        told = [f"{text} ({self.outcomes.total()})", *skipped, elsewhere]
-        return "<br>".join(tests), "<br>".join(filter(None, told))
+        texts = [f"{text} ({self.outcomes.total()})", *skipped, elsewhere]
+        return "<br>".join(tests), "<br>".join(filter(None, texts))
 
 
 def main() -> int:
@@ -155,7 +156,7 @@ What of the sources the tests run.""",
 
 
 def longer_runs() -> str:
-    """Their tables, of which each part is of the commit at which it last ran."""
+    """Their tables. Each part names the commit at which it last ran."""
     kept = json.loads(LONG_RUNS.read_text(encoding="utf-8")) if LONG_RUNS.exists() else {}
     for command, parts in long_runs.found().items():
         kept[command] = kept.get(command, {}) | parts

@@ -106,7 +106,7 @@ struct ResponseScene {
         model(std::make_shared<ReducedModel>(body, targets, tables, blending)) {}
 };
 
-/// A bar of 0.8 m on `count` bones along it, each of which moves what is near; pinned at x = 0. Each set has less of it
+/// A bar of 0.8 m on `count` bones along it; each moves what is near; pinned at x = 0. Each set has less of it
 /// toward the end than the one before. fine: 2 for cells of half the size.
 inline std::shared_ptr<const SoftBody> chain_bar(int count, int sets = 1, int fine = 1) {
   const TetMesh mesh = bar(16 * fine, 2 * fine, 2 * fine, 0.05 / fine);

@@ -3,7 +3,7 @@
 
 For each function, method, setter and constructor CALLS has one good call. Each of its parameters is then replaced by
 what its type invites: numbers that are none, integers out of range, arrays of another shape or type, None.
-As a program, `contracts.py FIRST` makes the calls from number FIRST on in this process, and writes what comes of each
+As a program, `contracts.py FIRST` makes the calls from number FIRST on in this process, and writes the outcome of each
 as a line of JSON, the number of a call before it is made: who reads the lines knows at which it crashed or hung.
 """
 
@@ -79,7 +79,7 @@ def started(kind: str):
 
 
 def run_on(simulation):
-    """What comes of a simulation that goes on."""
+    """The outcome of a simulation that goes on."""
     s = scene()
     return (simulation.start(s.bones, s.next, s.weights), simulation.advance(s.next[None], s.weights[None])), simulation
 
@@ -384,7 +384,7 @@ def has_nan(value: object, deep: int = 3) -> bool:
 
 
 def outcome(name: str, parameter: str, how: str) -> str:
-    """What comes of a call: "refused", "taken", or what is wrong with it."""
+    """The outcome of a call: "refused", "taken", or what is wrong with it."""
     value = value_of(name, parameter, how)
     try:
         result = call(name, calls()[name][1] | {parameter: value})

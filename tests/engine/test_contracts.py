@@ -26,7 +26,7 @@ MAY_DIE = {"tetrahedralize": 5.0}  # and after how many seconds it counts as suc
 
 @pytest.fixture(scope="module")
 def outcomes() -> dict[tuple[str, str, str], str]:
-    """What comes of each call."""
+    """The outcome of each call."""
     cases, found, first = contracts.cases(), {}, 0
     while first < len(cases):
         last = worked(first, found)
@@ -61,7 +61,7 @@ def worked(first: int, found: dict[int, str]) -> int:
 
 def test_the_good_calls_are_good():
     for name, (_, arguments) in contracts.calls().items():
-        if name != "unpack_model":  # of which a good one needs a whole model
+        if name != "unpack_model":  # a good one needs a whole model
             assert not contracts.has_nan(contracts.call(name, arguments)), name
 
 

@@ -102,10 +102,12 @@ def test_a_file_that_stays_in_use_is_named_with_the_remedy(tmp_path, refuse):
     disk.save(path, b"old")
     refuse("replace", SHARING_VIOLATION, times=1000)
     began = time.monotonic()
-    with pytest.raises(FileInUseError, match="model' cannot be replaced: another program.*Close it.*try again") as told:
+    with pytest.raises(
+        FileInUseError, match="model' cannot be replaced: another program.*Close it.*try again"
+    ) as raised:
         disk.save(path, b"new")
     assert 0.5 < time.monotonic() - began < 5.0
-    assert isinstance(told.value, OSError)  # worth another try, to a render farm
+    assert isinstance(raised.value, OSError)  # worth another try, to a render farm
     assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]
 
 

@@ -17,7 +17,7 @@ import motion  # noqa: E402
 @pytest.mark.fault("S02")
 @pytest.mark.skipif(not PROGRAM.exists(), reason="needs the C++ tests: make build")
 def test_the_same_bytes_as_before():
-    """Those of this version, or of the last one that has some. `make golden` keeps them anew, after a change of the
+    """Those of this version, or of the last one that has some. `make golden` replaces them after a change of the
     motion that is meant.
     """
     kept: dict[str, str] = {}

@@ -135,7 +135,7 @@ def test_the_limit_of_the_process_counts():
     most, free = map(float, run(code).split())
     assert 0 < free == most < 2**31
     whole = memory.room()
-    assert free < whole.most and 0 < whole.free <= whole.most
+    assert free < whole.limit and 0 < whole.free <= whole.limit
 
 
 @pytest.fixture

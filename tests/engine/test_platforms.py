@@ -62,10 +62,10 @@ def test_the_drive_of_a_path_stays_as_it_was_given(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def told(monkeypatch, tmp_path):
-    """told(error, system, machine): the sentence of a system whose loader fails so, with wheels for others."""
+def loader_message(monkeypatch, tmp_path):
+    """loader_message(error, system, machine): what a system says whose loader fails so, with wheels for others."""
 
-    def told(error, system, machine="x86_64", wheels=()):
+    def loader_message(error, system, machine="x86_64", wheels=()):
         really = builtins.__import__
 
         def fails(name, *args, **options):
@@ -85,24 +85,24 @@ def told(monkeypatch, tmp_path):
                 engine.engine()
         return sentence(refused.value)
 
-    return told
+    return loader_message
 
 
 PYTHON = f"{sys.version_info.major}.{sys.version_info.minor}"
 
 
-def test_a_missing_engine_says_for_which_systems_it_is_there(told):
+def test_a_missing_engine_says_for_which_systems_it_is_there(loader_message):
     wheels = (
         "dynamorph-0.1.0-cp311-cp311-win_amd64.whl",
         "dynamorph-0.1.0-cp313-cp313-manylinux_2_27_x86_64.manylinux_2_28_x86_64.whl",
     )
-    text = told(ModuleNotFoundError("No module named 'dynamorph'"), "Darwin", "arm64", wheels)
+    text = loader_message(ModuleNotFoundError("No module named 'dynamorph'"), "Darwin", "arm64", wheels)
     assert text == (
         f"The engine cannot be loaded on Darwin arm64 with Python {PYTHON} (No module named 'dynamorph'). This "
         "extension has it for cp311 win_amd64, cp313 manylinux_2_27_x86_64. Install the Dynamorph extension made for "
         "this Blender and system from its .zip, or with pip the package 'dynamorph', and restart"
     )
-    bare = told(ModuleNotFoundError("No module named 'dynamorph'"), "Windows", "AMD64")
+    bare = loader_message(ModuleNotFoundError("No module named 'dynamorph'"), "Windows", "AMD64")
     assert bare.startswith(f"The engine cannot be loaded on Windows AMD64 with Python {PYTHON} (No module")
 
 
@@ -125,8 +125,8 @@ def test_a_missing_engine_says_for_which_systems_it_is_there(told):
         ("Linux", "_core.so: cannot allocate memory in static TLS block", "made for this Blender and system"),
     ],
 )  # fmt: skip
-def test_each_loader_is_told_with_its_remedy(told, system, error, remedy):
-    text = told(ImportError(error), system)
+def test_each_loader_is_told_with_its_remedy(loader_message, system, error, remedy):
+    text = loader_message(ImportError(error), system)
     assert error in text and text.startswith(f"The engine cannot be loaded on {system}")
     _, _, advice = text.partition(error)
     assert re.search(remedy, advice), text

@@ -11,7 +11,7 @@ POINTS = np.array([[0.0, 0.0, 1.0], [0.5, 0.0, 0.0]])
 
 
 def numbered(count: int, first: float = 0.0) -> RigSamples:
-    """Samples of a rig of two bones, a wind and three nodes, each of which says which sample it is."""
+    """Samples of a rig of two bones, a wind and three nodes, each numbered by its sample."""
     times = first + np.arange(count, dtype=float)
     world = np.tile(np.eye(4), (count, 1, 1))
     world[:, 0, 3] = times

@@ -137,7 +137,7 @@ def tried(call: Callable, n: int) -> tuple[str | None, int]:
 
 
 def survives(call: Callable, n: int, expected: str) -> int:
-    """What comes of the failure of one allocation, in a process of its own: its exit code, or minus a signal."""
+    """The outcome of one failing allocation, in a process of its own: its exit code, or minus a signal."""
     child = os.fork()
     if child:
         return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])

@@ -119,7 +119,7 @@ class Attack:
         return {path.relative_to(self.folder).as_posix(): path.read_bytes() for path in files}
 
     def put_back(self) -> None:
-        """All files as before; each anew, as two may have become one (a link)."""
+        """Restores all files, each by itself, as two may have become one (a link)."""
         for name in self.files():
             (self.folder / name).unlink()
         for name, content in self.before.items():
@@ -137,12 +137,12 @@ class Attack:
         found += [f"exit code {code}, and {text}" for text in self.incomplete(files)]
         if code == 0:
             return found
-        told = re.findall("dynamorph: (.*)", said)
+        messages = re.findall("dynamorph: (.*)", said)
         if code != TRY_AGAIN:
-            found.append(f"exit code {code}: {told}")
-        unknown = (once or kind == "read") and any(each in (told or [""])[-1] for each in UNKNOWN)
-        if not told or (why.lower() not in told[-1].lower() and not unknown):
-            found.append(f"the message does not say '{why}': {told}")
+            found.append(f"exit code {code}: {messages}")
+        unknown = (once or kind == "read") and any(each in (messages or [""])[-1] for each in UNKNOWN)
+        if not messages or (why.lower() not in messages[-1].lower() and not unknown):
+            found.append(f"the message does not say '{why}': {messages}")
         return found
 
     def incomplete(self, files: dict[str, bytes]) -> list[str]:

@@ -190,7 +190,7 @@ def pop_up(position, name: str):
 
 
 def drop_down(position, name: str):
-    """The same for a property's list, of which nobody notes that it is drawn."""
+    """The same for a property's list, which nobody records when it is drawn."""
     yield from pop_up(position, name)
     opened.add(name)
 

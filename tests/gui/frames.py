@@ -121,7 +121,7 @@ def click(frame: int):
 
 
 def latency(skin, target, stiffness: float):
-    """Seconds from a change of a target's stiffness, while Live plays, until a picture shows what comes of it.
+    """Seconds from a change of a target's stiffness, while Live plays, until a picture shows its effect.
 
     Also why Live does not play, or ''.
     """

@@ -65,7 +65,7 @@ def check():
 
 
 def _watch(kind: type, shown=True):
-    """shown: to be drawn is to be opened."""
+    """shown: whether being drawn counts as being opened."""
     if issubclass(kind, UIList):
         draw_item = kind.draw_item
 

@@ -26,7 +26,7 @@ from ..scene import checks, extract, mesh_data, model_store, run_settings, skin,
 from ..write import bake, blend_file, export_process, exports, losses
 from ..write.reconcile import reconcile
 from . import signals
-from .record import Done, Progress, print_table
+from .record import Done, ProgressPrinter, print_table
 
 SETTABLE = (*(field.name for field in fields(Material)), "radius", "influence")  # properties of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
@@ -89,7 +89,7 @@ def work_on(
     goal = "BUILD" if args.clips == "actions" else args.goal  # clips are simulated while they are written
     frames = tuple(args.frames) if args.frames else None
     job = Job(obj, goal, frames, args.substeps, folder, rebuild=rebuild, cache_dir=caches, cache_files=files)
-    tick = Progress(args.progress == "openjd")
+    tick = ProgressPrinter(args.progress == "openjd")
     batch.run(job, tick)
     beside |= job.outcome.beside
     warnings = list(job.warnings)
@@ -226,7 +226,7 @@ def check_folder(path: Path) -> None:
 
 def export(args: argparse.Namespace, obj: bpy.types.Object, path: Path, frames: tuple[int, int]) -> list[str]:
     """Write the bake, or the clips, for other programs; returns warnings."""
-    chosen, clips, tick = format_of(args), args.clips.upper(), Progress(args.progress == "openjd")
+    chosen, clips, tick = format_of(args), args.clips.upper(), ProgressPrinter(args.progress == "openjd")
     warnings = [*losses.losses(obj, chosen, clips), *export_actions.export(obj, chosen, path, frames, clips, tick)]
     print(f"{obj.name}: written to {path.name}")
     return warnings
@@ -294,9 +294,9 @@ def run_report(args: argparse.Namespace) -> None:
     for obj in chosen_objects(args):
         frames = tuple(args.frames) if args.frames else None
         job = Job(obj, "BAKE", frames, args.substeps, whole=True, stored=False)
-        rig, tick = batch.read_rig(job), Progress()
+        rig, tick = batch.read_rig(job), ProgressPrinter()
 
-        def progress(fraction: float, message: str, job: Job = job, tick: Progress = tick) -> bool:
+        def progress(fraction: float, message: str, job: Job = job, tick: ProgressPrinter = tick) -> bool:
             job.fraction, job.message = fraction, message
             tick(job)
             return True
@@ -329,7 +329,7 @@ def run_fit(args: argparse.Namespace) -> None:
         patch = None
         if args.vertex_group:
             patch = np.zeros(len(character.vertices))
-            patch[character.own] = mesh_data.group_weights(obj, [args.vertex_group])[:, 0]
+            patch[character.own_vertices] = mesh_data.group_weights(obj, [args.vertex_group])[:, 0]
         if args.oscillation:
             fitted = material_fit.fit_oscillation(model, character, index, seen.frequency, seen.decay, patch)
         else:

@@ -97,7 +97,7 @@ def _run(args: argparse.Namespace, opens_file: bool) -> int:
     """Run the command and write its report; returns its exit code."""
     args.done, args.saved, code, error = [], False, DONE, ""
     try:
-        with signals.heeded():
+        with signals.propagated():
             open_file(args, opens_file)
             signals.check()
             args.run(args)
@@ -341,8 +341,8 @@ def open_file(args: argparse.Namespace, opens_file: bool) -> None:
         raise InputError("no .blend is open: name one that exists before -c")
     if getattr(args, "in_place", False):
         if bpy.data.version[:2] > bpy.app.version[:2]:
-            newer, own = (".".join(map(str, version[:2])) for version in (bpy.data.version, bpy.app.version))
-            text = f"'{bpy.data.filepath}' is of Blender {newer}, of which {own} keeps only a part"
+            newer, running = (".".join(map(str, version[:2])) for version in (bpy.data.version, bpy.app.version))
+            text = f"'{bpy.data.filepath}' was saved by Blender {newer}, and {running} keeps only a part of it"
             raise InputError(f"{text}: use that Blender, or say -o with another file")
         outputs.try_file(Path(bpy.data.filepath))
 

@@ -65,7 +65,7 @@ def character_record(done: Done) -> dict:
             "fps": job.settings.fps,
             "substeps": job.settings.substeps,
             "resumed": len(job.input.resumed.get("coordinates", ())),
-            "max_displacement": baked.reach(job.result, job.character.to_bind),
+            "max_displacement": baked.largest_displacement(job.result, job.character.to_bind),
             **{name: value for name, value in job.report.items() if name != "warnings"},
         }
     return found
@@ -75,7 +75,7 @@ def find_model(name: str) -> bpy.types.PropertyGroup:
     return bpy.context.scene.objects[name].dynamorph.model
 
 
-class Progress:
+class ProgressPrinter:
     """Prints a line at each tenth of the work. openjd: at each hundredth, for farms that use Open Job Description."""
 
     def __init__(self, openjd: bool = False):

@@ -45,8 +45,8 @@ def delayed() -> Iterator[None]:
 
 
 @contextmanager
-def heeded() -> Iterator[None]:
-    """Within `raised`: they leave the block, whatever Blender has made of them."""
+def propagated() -> Iterator[None]:
+    """Within `raised`: signals leave the block as exceptions, even if Blender has swallowed them."""
     try:
         yield
     except Exception:

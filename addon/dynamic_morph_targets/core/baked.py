@@ -30,14 +30,16 @@ def digest(bake: Bake, *more: ArrayLike) -> str:
     return found.hexdigest()
 
 
-def reach(bake: Bake, to_bind: np.ndarray) -> float:
+def largest_displacement(bake: Bake, to_bind: np.ndarray) -> float:
     """The largest displacement of a vertex from the Basis, in meters; to_bind (3, 3): local to metric space."""
     in_meters = replace(bake, modes=bake.modes @ to_bind.T, residual_shapes=bake.residual_shapes @ to_bind.T)
     return max(float(np.linalg.norm(chunk, axis=2).max(initial=0.0)) for chunk in surfaces(in_meters, 0.0))
 
 
 def distance(bake: Bake, other: Bake, to_bind: np.ndarray) -> float:
-    """The largest distance of a vertex between two bakes of the same frames, in meters; to_bind as for `reach`."""
+    """The largest distance of a vertex between two bakes of the same frames, in meters; to_bind (3, 3): local to
+    metric space.
+    """
     difference = Bake(
         frames=bake.frames,
         coordinates=np.hstack([bake.coordinates, -other.coordinates]),
@@ -47,13 +49,13 @@ def distance(bake: Bake, other: Bake, to_bind: np.ndarray) -> float:
         target_names=(),
         static=np.zeros((len(bake.frames), 0)),
     )
-    return reach(difference, to_bind)
+    return largest_displacement(difference, to_bind)
 
 
 def motion_distance(bake: Bake, reference: Bake, to_bind: np.ndarray, areas: np.ndarray) -> float:
     """How far two bakes of the same frames are apart, each about its own mean: RMS over frames and skin, as a fraction
-    of that of the reference; 0 if that does not move. areas (V,): of the skin about each vertex; to_bind as for
-    `reach`.
+    of that of the reference; 0 if that does not move. areas (V,): of the skin about each vertex; to_bind (3, 3): local
+    to metric space.
     """
     pair = bake, reference
     shapes = np.concatenate([shapes for each in pair for shapes in (each.modes, each.residual_shapes)])

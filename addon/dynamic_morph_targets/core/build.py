@@ -15,30 +15,30 @@ import dynamorph
 import numpy as np
 
 from . import cage
-from .cage import Progress, Report, Stages
+from .cage import ProgressFn, Report, Stages
 from .character import Character, Target
 from .errors import SceneError
 from .model import CAGE_DEPENDENCIES, MESH_DEPENDENCIES, Model, array_hash, engine_hash, morph_targets
 from .settings import ENGINE, FREE_SETTINGS, LATER_SETTINGS, TABULATED, ModelSettings
 
-Rehearsal = Callable[[Model, Report], tuple[np.ndarray, np.ndarray]]
-REHEARSED_IN_FULL = 1500  # degrees of freedom up to which a rehearsal for fitted modes is unreduced
+SimulateShot = Callable[[Model, Report], tuple[np.ndarray, np.ndarray]]
+FITTED_IN_FULL = 1500  # degrees of freedom up to which a shot is simulated unreduced, to fit modes to it
 FEW = 1e-3  # fraction of the tetrahedra that may fall back without a warning
 CAGE_SHARE = 0.35  # of the time of a build
 
 
 def build(
     character: Character,
-    progress: Progress | None = None,
+    progress: ProgressFn | None = None,
     previous: Model | None = None,
-    rehearse: Rehearsal | None = None,
+    simulate_shot: SimulateShot | None = None,
 ) -> Model:
     """Builds the model of a character.
 
     progress(fraction, message) -> bool; False raises dynamorph.Cancelled. previous: a model of the same character,
-    whose tetrahedra are used again if nothing that they depend on has changed. rehearse(model, report): coordinates (F,
-    dofs) and target weights (F, J) of the shot to which modes are fitted. Raises dynamorph.Error or SceneError with
-    advice when the mesh or the targets cannot be used.
+    whose tetrahedra are used again if nothing that they depend on has changed. simulate_shot(model, report):
+    coordinates (F, dofs) and target weights (F, J) of the shot to which modes are fitted. Raises dynamorph.Error or
+    SceneError with advice when the mesh or the targets cannot be used.
     """
     authored = dependencies(character)
     character = character.by_method()
@@ -55,7 +55,7 @@ def build(
     basis: Basis
     if character.settings.solver == "REDUCED":
         if character.settings.fits_shot:
-            basis = _fitted_basis(model, body, full, character, rehearse, stages)
+            basis = _fitted_basis(model, body, full, character, simulate_shot, stages)
         else:
             with stages("Modes", 0.35) as report:
                 basis = _basis(full, len(targets), character.settings, report)
@@ -75,7 +75,7 @@ def build(
     return model
 
 
-def build_cage(character: Character, progress: Progress | None = None, previous: Model | None = None) -> Model:
+def build_cage(character: Character, progress: ProgressFn | None = None, previous: Model | None = None) -> Model:
     """The tetrahedra alone and what holds them: a model to look at, which `build` accepts as its `previous`. Arguments
     and errors as for `build`.
     """
@@ -139,7 +139,7 @@ def _fitted_basis(
     body: dynamorph.SoftBody,
     full: dynamorph.FullModel,
     character: Character,
-    rehearse: Rehearsal | None,
+    simulate_shot: SimulateShot | None,
     stages: Stages,
 ) -> np.ndarray:
     """Modes (3 free, r) for a shot: the targets' shapes exactly, then the largest motion about them in a rehearsal
@@ -148,10 +148,10 @@ def _fitted_basis(
     The rehearsal is unreduced where that takes seconds, and otherwise uses more modes than requested. The usual modes
     are mixed in with a small weight, so that there are enough modes in a shot with little motion.
     """
-    if rehearse is None:
-        raise ValueError(f"'{character.name}': its modes are to be fitted to a shot, but there is none")
+    if simulate_shot is None:
+        raise ValueError(f"'{character.name}': there is no shot to fit the modes to")
     wanted = character.settings.modes
-    in_full = full.dofs <= REHEARSED_IN_FULL
+    in_full = full.dofs <= FITTED_IN_FULL
     with stages("Modes", 0.05 if in_full else 0.15) as report:
         more = 0 if in_full else min(character.settings.rehearsed_modes, full.dofs // 3)
         usual = dynamorph.make_basis(full, max(wanted, more), report).U
@@ -164,7 +164,7 @@ def _fitted_basis(
         else:
             orthonormal, scale, little = usual, 1.0, np.eye(usual.shape[1])
             rehearsed = _reduced(model, full, usual, lambda fraction: report(building * fraction))
-        coordinates, weights = rehearse(rehearsed, lambda fraction: report(building + (1.0 - building) * fraction))
+        coordinates, weights = simulate_shot(rehearsed, lambda fraction: report(building + (1.0 - building) * fraction))
         targets = rehearsed.target_coordinates(rehearsed.engine(character))
         motion = (scale * (coordinates - weights @ targets)).T
         u, s, _ = np.linalg.svd((scale * targets).T, full_matrices=False)
@@ -212,7 +212,7 @@ def _with_tissue(
     character: Character, authored: dict[str, str], mesh: dynamorph.TetMesh | None, stages: Stages
 ) -> tuple[Model, dynamorph.Embedding]:
     """The tetrahedra around the skin with everything that they inherit from it; the targets' shapes are added later."""
-    tissue = cage.volume(character, mesh, stages)
+    tissue = cage.make_cage(character, mesh, stages)
     hold = tissue.hold
     model = _model(
         character,

@@ -16,7 +16,7 @@ from .character import Character
 from .geometry import connected_parts, diagonal, triangle_areas
 from .hold import Hold, hold
 
-Progress = Callable[[float, str], bool]  # of a build: how much is done, and what is at hand
+ProgressFn = Callable[[float, str], bool]  # of a build: how much is done, and what is at hand
 Report = Callable[[float], bool]  # of a stage of it
 Step = TypeVar("Step")
 GRID = (
@@ -28,7 +28,7 @@ FEWEST_NODES = 50  # of an attachment's own cage
 
 
 @dataclass(frozen=True)
-class Volume:
+class Cage:
     """The cage before the targets: n nodes, m tets, S target sets, B bones. Bind space, meters.
 
     embedding: of the V surface vertices; fill (m,) filled fraction; stiffness (m,) factor, painted and by thickness;
@@ -47,7 +47,7 @@ class Volume:
     summary: dict
 
 
-def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages) -> Volume:
+def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages) -> Cage:
     """The tetrahedra of a character; mesh: those of an earlier build, to be used again. Raises dynamorph.Error with
     advice when the skin cannot be filled or nothing holds it.
     """
@@ -95,7 +95,7 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
         + _glued_warnings(character, glued)
         + [_adrift_warning(character, embedding, nodes) for nodes in adrift],
     }
-    return Volume(mesh, embedding, fill, stiffness, region_weights, pinned, weights, of_thickness, summary)
+    return Cage(mesh, embedding, fill, stiffness, region_weights, pinned, weights, of_thickness, summary)
 
 
 def _hold(
@@ -184,8 +184,8 @@ def _together(
     first = np.cumsum([0] + [len(cage.mesh.nodes) for cage in cages])[:-1]
     nodes, weights = np.zeros((len(pieces), 4), np.int32), np.zeros((len(pieces), 4))
     for number, start, cage in zip(numbers, first, cages, strict=True):
-        own = pieces == number
-        nodes[own], weights[own] = cage.embedding.nodes[own] + start, cage.embedding.weights[own]
+        of_piece = pieces == number
+        nodes[of_piece], weights[of_piece] = cage.embedding.nodes[of_piece] + start, cage.embedding.weights[of_piece]
     tets = np.concatenate([cage.mesh.tets + start for start, cage in zip(first, cages, strict=True)])
     mesh = dynamorph.TetMesh(np.concatenate([cage.mesh.nodes for cage in cages]), tets)
     return mesh, dynamorph.Embedding(nodes, weights)
@@ -330,7 +330,7 @@ def _pinned(character: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) 
 class Stages:
     """Times the stages of a build and maps the progress 0..1 of each to a part of the total."""
 
-    def __init__(self, progress: Progress | None, whole: float = 1.0):
+    def __init__(self, progress: ProgressFn | None, whole: float = 1.0):
         self.progress = progress
         self.whole = whole
         self.done = 0.0

@@ -169,7 +169,7 @@ class Character:
             object.__setattr__(self, "coincident", np.arange(len(self.vertices)))
 
     @property
-    def own(self) -> slice:
+    def own_vertices(self) -> slice:
         """The vertices of the soft skin's own mesh."""
         first = self.parts[0].members if self.parts else None
         return slice(0, first.start if first else len(self.vertices))

@@ -88,7 +88,7 @@ def runs(
     rig: RigSamples,
     settings: SimulationSettings,
     variants: Mapping[str, dict],
-    progress: cage.Progress | None = None,
+    progress: cage.ProgressFn | None = None,
 ) -> Iterator[tuple[str, Run]]:
     """Simulates each variant on one core; they share one cage. progress(fraction, message) -> bool, as in `build`."""
     model = None
@@ -109,7 +109,7 @@ def runs(
         yield name, Run(varied, made, baked, report)
 
 
-def _part(progress: cage.Progress, done: int, parts: int, name: str, fraction: float, message: str) -> bool:
+def _part(progress: cage.ProgressFn, done: int, parts: int, name: str, fraction: float, message: str) -> bool:
     return progress((done + fraction) / parts, f"{name}: {message}")
 
 
@@ -132,7 +132,7 @@ def compare(
     rig: RigSamples,
     settings: SimulationSettings,
     variants: Mapping[str, dict] = VARIANTS,
-    progress: cage.Progress | None = None,
+    progress: cage.ProgressFn | None = None,
 ) -> dict:
     """All figures as plain data, ready for JSON: {"machine", "frames", "substeps", "variants": {name: figures}}."""
     rows, done = {}, {}

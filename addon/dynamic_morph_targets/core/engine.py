@@ -106,7 +106,7 @@ def engine_problem() -> str:
 
 
 def expected_errors() -> tuple[type[Exception], ...]:
-    """The exceptions that the artist is told of, by `errors.sentence`. All others are bugs."""
+    """The exceptions that `errors.sentence` explains to the artist. All others are bugs."""
     return (DynamorphError, OSError, MemoryError, *engine_errors())
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What can go wrong that an artist can mend: one tree with one base. Everything else that is raised is a bug."""
+"""The errors that an artist can do something about: one tree with one base. Everything else that is raised is a bug."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from .message import Message
 
 NO_MEMORY = "There is not enough memory for this. Close other programs, bake fewer frames, or lower Cage Nodes or Modes"
 
-# What no repetition mends. Anything else may pass: a full disk, a lost network, another process.
+# Errors that come back however often the call is repeated. All others may pass: a full disk, a lost network, another
+# process.
 PERMANENT = {
     errno.EACCES, errno.EEXIST, errno.EFBIG, errno.EINVAL, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.ENODEV,
     errno.ENOENT, errno.ENOSYS, errno.ENOTDIR, errno.ENXIO, errno.EOPNOTSUPP, errno.EPERM, errno.EROFS,
@@ -97,7 +98,7 @@ class SinkError(DynamorphError):
 
 
 def sentence(error: BaseException) -> str:
-    """What the artist is told of an error that is expected (see `engine.expected_errors`), for `message.translated`."""
+    """What the artist reads of an expected error (see `engine.expected_errors`), for `message.translated`."""
     if isinstance(error, DynamorphError):
         return error.args[0]
     if isinstance(error, MemoryError):

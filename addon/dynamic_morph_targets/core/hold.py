@@ -66,8 +66,8 @@ def hold(
         phi = np.maximum(phi, np.maximum(rigid, 1.0 - smooth_step(radius / body, *THIN)))
     else:
         phi = np.maximum(phi, 1.0 - softness[mesh.tets] @ QUADRATURE.T)
-    ratio, most = STIFFER
-    stiffness = np.clip((ratio * body / radius) ** 2, 1.0, most)
+    ratio, limit = STIFFER
+    stiffness = np.clip((ratio * body / radius) ** 2, 1.0, limit)
     nodes = mesh.tets.ravel()
     weights = np.repeat(volume, 4)
     shown = np.bincount(nodes, weights * phi.ravel(), len(mesh.nodes)) / np.bincount(nodes, weights, len(mesh.nodes))
@@ -79,5 +79,5 @@ def hold(
 
 def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
     order = np.argsort(values)
-    reached = np.cumsum(weights[order])
-    return float(values[order][min(np.searchsorted(reached, share * reached[-1]), len(values) - 1)])
+    sums = np.cumsum(weights[order])
+    return float(values[order][min(np.searchsorted(sums, share * sums[-1]), len(values) - 1)])

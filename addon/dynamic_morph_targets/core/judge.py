@@ -43,14 +43,14 @@ class Limits:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What was found. displacement: the largest, of the size; most: its 99.9th percentile in the worst frame;
+    """What was found. displacement: the largest, of the size; percentile: its 99.9th percentile in the worst frame;
     over_thickness: 99th percentile over the skin of each point's largest displacement over the thickness there;
     stretch: 0.1th and 99.9th percentile of edges' length over that at rest; flipped: share of the skin turned over;
     inverted: share of the volume turned inside out; frame: the worst; vertices: of the character, at its worst place.
     """
 
     displacement: float = 0.0
-    most: float = 0.0
+    percentile: float = 0.0
     over_thickness: float = 0.0
     stretch: tuple[float, float] = (1.0, 1.0)
     flipped: float = 0.0
@@ -64,7 +64,7 @@ class Verdict:
             return 0.0
         ratios = [0.0]
         if limits.displacement:
-            ratios += [self.most / limits.displacement, self.displacement / (1.8 * limits.displacement)]
+            ratios += [self.percentile / limits.displacement, self.displacement / (1.8 * limits.displacement)]
         if limits.thickness:
             ratios.append(self.over_thickness / limits.thickness)
         low, high = self.stretch
@@ -113,24 +113,24 @@ def judge(model: Model, character: Character, bake: Bake) -> Verdict:
     skin = _Skin(character, triangles, model.thickness)
     motion = bake.coordinates - bake.static
     modes = (bake.modes @ character.to_bind.T).reshape(len(bake.modes), -1)
-    reach = np.linalg.norm(motion * np.linalg.norm(modes, axis=1), axis=1)
-    chosen = np.sort(np.argsort(-reach)[:LOOKED_AT])
+    displacement = np.linalg.norm(motion * np.linalg.norm(modes, axis=1), axis=1)
+    chosen = np.sort(np.argsort(-displacement)[:LOOKED_AT])
     farthest, found = np.zeros(len(skin.rest)), []
     for frame in chosen:
         u = (motion[frame] @ modes).reshape(-1, 3)
         distance = np.linalg.norm(u, axis=1) / skin.size
         farthest = np.maximum(farthest, distance)
         found.append((frame, *skin.measures(u, distance)))
-    frames, largest, most, low, high, flipped = np.array(found).T
+    frames, largest, percentile, low, high, flipped = np.array(found).T
     worst = int(frames[(largest / max(largest.max(), 1e-300) + flipped / max(flipped.max(), TURNED)).argmax()])
     u = (motion[worst] @ modes).reshape(-1, 3)
     return Verdict(
         displacement=float(largest.max()),
-        most=float(most.max()),
+        percentile=float(percentile.max()),
         over_thickness=skin.over_thickness(farthest),
         stretch=(float(low.min()), float(high.max())),
         flipped=float(flipped.max()),
-        inverted=_inverted(model, bake, motion, chosen[np.argsort(-reach[chosen])[:CHECKED]]),
+        inverted=_inverted(model, bake, motion, chosen[np.argsort(-displacement[chosen])[:CHECKED]]),
         frame=float(bake.frames[worst]),
         vertices=skin.place(u),
     )
@@ -214,6 +214,6 @@ def _inverted(model: Model, bake: Bake, motion: np.ndarray, frames: np.ndarray) 
 
 def _quantiles(values: np.ndarray, weights: np.ndarray, shares: Sequence[float]) -> list[float]:
     order = np.argsort(values)
-    reached = np.cumsum(weights[order])
-    at = np.searchsorted(reached, np.array(shares) * reached[-1]).clip(max=len(values) - 1)
+    sums = np.cumsum(weights[order])
+    at = np.searchsorted(sums, np.array(shares) * sums[-1]).clip(max=len(values) - 1)
     return values[order][at].tolist()

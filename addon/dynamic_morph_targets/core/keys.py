@@ -26,7 +26,8 @@ MOST_KEYS = 2000  # keys of single frames; more of them, with their curves, woul
 
 def as_keys(bake: Bake, output: OutputSettings, to_bind: np.ndarray) -> tuple[Bake, float]:
     """The bake as the shape keys that `output` requires, and the largest error of the surface, meters; to_bind as for
-    `reach`. A point cache has keys only for what shows without it. Raises ClipError when there would be too many.
+    `baked.largest_displacement`. A point cache has keys only for what shows without it. Raises ClipError when there
+    would be too many.
     """
     if output.sink == "FRAMES":
         kept = key_frames(bake, output.tolerance, to_bind) if output.tolerance else every_nth(bake, output.every)
@@ -110,7 +111,7 @@ def splice(bake: Bake, patch: Bake, fade: float, to_bind: np.ndarray) -> tuple[B
     the two where they meet, meters.
 
     The patch fades in and out within `fade` frames, at most a quarter of it, where the bake also has frames. Both are
-    of one mesh; their modes may differ. Residual shapes become modes. to_bind: as for `reach`.
+    of one mesh; their modes may differ. Residual shapes become modes. to_bind: as for `largest_displacement`.
     """
     (begin, end), (first, last) = bake.frames[[0, -1]], patch.frames[[0, -1]]
     frames = np.concatenate([bake.frames[bake.frames < first], patch.frames, bake.frames[bake.frames > last]])
@@ -157,7 +158,7 @@ def _apart(bake: Bake, patch: Bake, to_bind: np.ndarray) -> float:
 
 def targets_alone(bake: Bake) -> Bake:
     """The targets' shapes as residual shapes, without motion. If the bake does not distinguish them, their blend."""
-    nothing = np.zeros((len(bake.frames), 0))
+    no_coordinates = np.zeros((len(bake.frames), 0))
     if not bake.weights.shape[1]:
         still = with_fewer_keys(replace(bake, coordinates=bake.static))
         residual_shapes, weights = still.modes, still.static
@@ -169,8 +170,8 @@ def targets_alone(bake: Bake) -> Bake:
     modes = np.zeros((0, *bake.modes.shape[1:]))
     return replace(
         bake,
-        coordinates=nothing,
-        static=nothing,
+        coordinates=no_coordinates,
+        static=no_coordinates,
         weights=weights,
         modes=modes,
         residual_shapes=residual_shapes,
@@ -216,7 +217,7 @@ def key_frames(bake: Bake, tolerance: float, to_bind: np.ndarray) -> np.ndarray:
     """Indices of frames between which the surface can be interpolated with an error of at most `tolerance`, meters.
 
     Each span is divided at its worst frame until all spans are accurate enough (Douglas and Peucker 1973). to_bind: as
-    for `reach`.
+    for `largest_displacement`.
     """
     end, rows = len(bake.frames) - 1, np.hstack([bake.coordinates, bake.weights])
     kept, spans = {0, end}, [(0, end)]

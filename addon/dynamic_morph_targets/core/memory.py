@@ -91,7 +91,7 @@ def bake_bytes(
 def inertia_bytes(node_weights: np.ndarray, modes: int, sets: int) -> float:
     """What the inertia of a stored model takes at most: a tensor for each pair of bones that move one node together.
 
-    node_weights: (n, B + 1), of which the engine leaves out what is below LIGHTEST of a node's sum.
+    node_weights: (n, B + 1). The engine leaves out weights below LIGHTEST of a node's sum.
     """
     moves = node_weights >= LIGHTEST * node_weights.sum(axis=1, keepdims=True)
     columns = node_weights.shape[1]
@@ -123,14 +123,14 @@ def _tables(size: Size, settings: ModelSettings) -> tuple[float, float, float]:
 class Room(NamedTuple):
     """Bytes: what this process could ever take beside what it has, and what is free now; inf where nothing says."""
 
-    most: float
+    limit: float
     free: float
 
 
 def room() -> Room:
     """The least of what the machine has, of the limit of the process (ulimit -v), and of that of its container."""
     rooms = [Room(inf, inf), *filter(None, (_of_machine(), _of_process(), of_container()))]
-    return Room(min(each.most for each in rooms), min(each.free for each in rooms))
+    return Room(min(each.limit for each in rooms), min(each.free for each in rooms))
 
 
 def check(name: str, needs: Mapping[str, float], there: Room | None = None) -> None:
@@ -143,11 +143,11 @@ def check(name: str, needs: Mapping[str, float], there: Room | None = None) -> N
         return
     largest = max(needs, key=lambda part: needs[part])
     values = {"name": name, "needed": _gigabytes(needed), "remedy": REMEDIES[largest]}
-    if needed > there.most:
+    if needed > there.limit:
         raise SceneError(
             "'{name}' needs about {needed} GB of memory, and there are {most} GB at most: {remedy}",
             **values,
-            most=_gigabytes(there.most),
+            most=_gigabytes(there.limit),
         )
     raise MemoryShortError(
         "'{name}' needs about {needed} GB of memory, and {free} GB are free: close other programs, or {remedy}",
@@ -184,13 +184,13 @@ def _of_process() -> Room | None:
         import resource
     except ImportError:  # Windows
         return None
-    most = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if most == resource.RLIM_INFINITY:
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit == resource.RLIM_INFINITY:
         return None
     taken = 0.0
     with suppress(OSError, ValueError):
         taken = float(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-    return Room(most - taken, most - taken)
+    return Room(limit - taken, limit - taken)
 
 
 def of_container(groups: Path = Path("/proc/self/cgroup"), tree: Path = Path("/sys/fs/cgroup")) -> Room | None:
@@ -212,21 +212,21 @@ def of_container(groups: Path = Path("/proc/self/cgroup"), tree: Path = Path("/s
     return found
 
 
-def _of_group(folder: Path, limit: str, usage: str) -> Room | None:
+def _of_group(folder: Path, limit_file: str, usage_file: str) -> Room | None:
     try:
-        most = float((folder / limit).read_text().replace("max", "inf"))
-        taken = float((folder / usage).read_text())
+        limit = float((folder / limit_file).read_text().replace("max", "inf"))
+        taken = float((folder / usage_file).read_text())
     except (OSError, ValueError):
         return None
-    if most > 2**60:  # none
+    if limit > 2**60:  # none
         return None
     with suppress(OSError, ValueError):  # files that were read go when somebody needs the memory
         lines = (line.split() for line in (folder / "memory.stat").read_text().splitlines())
         taken -= max(float(size) for name, size in lines if name.endswith("inactive_file"))
-    return Room(most, most - taken)
+    return Room(limit, limit - taken)
 
 
 def _smaller(first: Room | None, second: Room | None) -> Room | None:
     if first is None or second is None:
         return first or second
-    return Room(min(first.most, second.most), min(first.free, second.free))
+    return Room(min(first.limit, second.limit), min(first.free, second.free))

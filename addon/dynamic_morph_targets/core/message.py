@@ -20,7 +20,7 @@ class Message(str):
 
 
 def joined(separator: str, texts: Sequence[str]) -> Message:
-    """Sentences one after the other, each of which can still be translated."""
+    """Sentences one after the other. Each can still be translated."""
     template = separator.join(f"{{text{k}}}" for k in range(len(texts)))
     return Message(template, **{f"text{k}": text for k, text in enumerate(texts)})
 

@@ -17,14 +17,14 @@ from .errors import ModelFileError, SceneError
 from .settings import Material, ModelSettings
 
 RESPONSE_ARRAYS = ("responses", "response_lambda", "response_mu", "coupling_lambda", "coupling_mu", "reach")
-# Of the tetrahedra depends a model on these, by the names in `Model.dependencies`,
+# The tetrahedra of a model depend on these, named as in `Model.dependencies`.
 MESH_DEPENDENCIES = (
     "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage grading", "how far targets move",
     "cage object", "pin radius", "pieces", "engine", "hold", "one cage",
 )  # fmt: skip
-# and of the tetrahedra and what holds them on these:
+# The tetrahedra together with what holds them depend on these.
 CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Soft vertex group", "what is rigid")
-# The names in model files of the fields that were renamed since.
+# The names that renamed fields have in model files.
 STORED_NAMES = {"residual_shapes": "details", "region_weights": "shares", "hold_strength": "held"}
 
 EngineModel = dynamorph.ReducedModel | dynamorph.FullModel
@@ -78,7 +78,9 @@ class Model:
     summary: dict
 
     def __post_init__(self) -> None:
-        """As a stored model's: with another layout in memory NumPy would sum otherwise, and a bake had other digits."""
+        """Lays the arrays out as a stored model's are. NumPy sums another layout in another order, and a bake would
+        differ in its last digits.
+        """
         for name in self.array_names():
             object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name)))
 
@@ -132,7 +134,7 @@ class Model:
         if self.settings.solver == "REDUCED" and not self.only_cage:
             room = memory.room()
             needed = memory.inertia_bytes(self.node_weights, self.basis.shape[1], self.region_weights.shape[1])
-            if needed > room.most:
+            if needed > room.limit:
                 raise model_schema.damaged("it needs more memory than there is")
             if needed > room.free:
                 raise MemoryError

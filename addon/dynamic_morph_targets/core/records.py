@@ -89,7 +89,7 @@ def is_number(value: object) -> TypeGuard[int | float]:
 
 
 def _read(record: str, unreadable: str, needed: dict[str, Callable], known: dict[str, Callable]) -> dict:
-    """The values of a record, of which `needed` are there and `known` may be, each as its check wants it.
+    """The values of a record: all of `needed`, and those of `known` that it has. Each must pass its check.
 
     unreadable: what RecordError says otherwise.
     """

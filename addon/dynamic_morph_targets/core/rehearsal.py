@@ -47,8 +47,8 @@ class Rehearsal:
             return None
         low = max(beyond)
         if not self._within:
-            least, most = FACTOR
-            return low * min(max((self.tried[low] / judge.SLACK) ** STIFFER, least), most)
+            smallest, largest = FACTOR
+            return low * min(max((self.tried[low] / judge.SLACK) ** STIFFER, smallest), largest)
         high = self.best
         if self.tried[high] >= LIVELY or high < CLOSE * low:
             return None

@@ -98,13 +98,13 @@ class ForceField(Track):
 class PosedNodes(Track):
     """n nodes of the cage where Blender's own modifiers put them, at S sample times.
 
-    rest (n, 3) bind space. points (S, 4, n, 3) float32, the object's space: the nodes, and the nodes moved by `reach`
+    rest (n, 3) bind space. points (S, 4, n, 3) float32, the object's space: the nodes, and the nodes moved by `offset`
     meters along each axis of bind space.
     """
 
     SAMPLED = ("points",)
     rest: np.ndarray
-    reach: float
+    offset: float
     points: np.ndarray
 
     def transforms(self, object_world: np.ndarray) -> np.ndarray:
@@ -114,7 +114,7 @@ class PosedNodes(Track):
             here, *beside = points @ world[:3, :3].T
             frames[..., 3] = here + world[:3, 3]
             for axis, moved in enumerate(beside):
-                frames[..., axis] = (moved - here) / self.reach
+                frames[..., axis] = (moved - here) / self.offset
                 frames[..., 3] -= frames[..., axis] * self.rest[:, axis, None]
         return out
 

@@ -30,15 +30,15 @@ WHOLLY = 0.8  # of its weight; skin with more from head bones is as rigid as bon
 # Points and parts ----------------------------------------------------------------------------------------------------
 
 
-def coincident(points: np.ndarray, reach: float) -> np.ndarray:
-    """For each of the points (V, 3) the index (V,) of the first point at its place: within `reach`, or up to a few
+def coincident(points: np.ndarray, distance: float) -> np.ndarray:
+    """For each of the points (V, 3) the index (V,) of the first point at its place: within `distance`, or up to a few
     times as far.
     """
     if not len(points):
         return np.arange(0)
-    scaled = (points - points.min(axis=0)) / (2.0 * max(reach, 1e-300))
+    scaled = (points - points.min(axis=0)) / (2.0 * max(distance, 1e-300))
     pairs = []
-    # Two points within reach are in one cell of at least one of these grids, which are shifted by half a cell.
+    # Two points within that distance are in one cell of at least one of these grids, which are shifted by half a cell.
     for shift in itertools.product((0.0, 0.5), repeat=3):
         cells = np.floor(scaled + shift).astype(np.int64)
         counts = cells.max(axis=0) + 1
@@ -149,8 +149,8 @@ def _looking_like_heads(
     below: see `_below`; share (B,), carried (V, B): of the area and of each vertex's weight, including descendants.
     """
     candidates = []
-    least, most = SHARE[0] * (1.0 - ALIKE), SHARE[1] * (1.0 + ALIKE)  # a twin may be a little smaller, or larger
-    for bone in np.flatnonzero((share >= least) & (share <= most) & (skeleton.parents >= 0)):
+    smallest, largest = SHARE[0] * (1.0 - ALIKE), SHARE[1] * (1.0 + ALIKE)  # a twin may be a little smaller, or larger
+    for bone in np.flatnonzero((share >= smallest) & (share <= largest) & (skeleton.parents >= 0)):
         widths = _widths(points, areas * (carried[:, bone] > 0.5))
         candidates.append((bone, widths))
     found = []

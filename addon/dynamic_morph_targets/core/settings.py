@@ -93,8 +93,8 @@ class ModelSettings:
     @property
     def rehearsed_modes(self) -> int:
         """How many modes a large model is built with at most: to be fitted to a shot it is rehearsed with more."""
-        least, most = REHEARSED
-        return max(self.modes, min(max(2 * self.modes, least), most)) if self.fits_shot else self.modes
+        fewest, limit = REHEARSED
+        return max(self.modes, min(max(2 * self.modes, fewest), limit)) if self.fits_shot else self.modes
 
     @property
     def tabulated(self) -> int:
@@ -103,8 +103,8 @@ class ModelSettings:
         """
         if self.basis == "MODES":
             return self.modes
-        least, most = TABULATED
-        return min(max(self.modes // 6, least), most, self.modes)
+        fewest, limit = TABULATED
+        return min(max(self.modes // 6, fewest), limit, self.modes)
 
 
 @dataclass(frozen=True)

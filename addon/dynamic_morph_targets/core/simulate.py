@@ -11,7 +11,7 @@ import numpy as np
 
 from .baked import Bake
 from .build import build
-from .cage import Progress, Report
+from .cage import ProgressFn, Report
 from .character import Character
 from .geometry import determinant
 from .loops import cycle, loop_warnings
@@ -31,7 +31,7 @@ def simulate(
     character: Character,
     rig: RigSamples,
     settings: SimulationSettings,
-    progress: Progress | None = None,
+    progress: ProgressFn | None = None,
 ) -> Iterator[Frame]:
     """Yields one frame per entry of settings.frames, in one pass. rig: 1 + (end - first) * substeps samples, from
     settings.first on.
@@ -42,7 +42,7 @@ def simulate(
     return _player(model, character, settings, progress).run(rig)
 
 
-def _player(model: Model, character: Character, settings: SimulationSettings, progress: Progress | None) -> Player:
+def _player(model: Model, character: Character, settings: SimulationSettings, progress: ProgressFn | None) -> Player:
     """A player that reports to `progress`."""
 
     def keep_going() -> bool:
@@ -61,7 +61,7 @@ def build_for(
     character: Character,
     rig: RigSamples | None,
     settings: SimulationSettings | None,
-    progress: Progress | None = None,
+    progress: ProgressFn | None = None,
     previous: Model | None = None,
 ) -> Model:
     """`build.build` for a character and, if its modes are fitted, for this shot."""
@@ -69,11 +69,11 @@ def build_for(
     if rig is None or settings is None:
         return build(character, progress, previous)
 
-    def rehearse(model: Model, report: Report) -> tuple[np.ndarray, np.ndarray]:
+    def simulate_shot(model: Model, report: Report) -> tuple[np.ndarray, np.ndarray]:
         frames = list(simulate(model, character, rig, settings, lambda fraction, _message: report(fraction)))
         return np.array([frame.coordinates for frame in frames]), np.array([frame.weights for frame in frames])
 
-    model = build(character, progress, previous, rehearse)
+    model = build(character, progress, previous, simulate_shot)
     if "rehearsal" in model.summary["seconds"]:
         model.summary["fitted"] = [settings.start, settings.end]
     return model
@@ -88,7 +88,7 @@ class Shot:
     """
 
     def __init__(
-        self, model: Model, character: Character, settings: SimulationSettings, progress: Progress | None = None
+        self, model: Model, character: Character, settings: SimulationSettings, progress: ProgressFn | None = None
     ):
         self.player = _player(model, character, settings, progress)
         self.done = 0  # number of settings.times
@@ -172,7 +172,7 @@ def bake(
     character: Character,
     rig: RigSamples,
     settings: SimulationSettings,
-    progress: Progress | None = None,
+    progress: ProgressFn | None = None,
 ) -> tuple[Bake, dict]:
     """Simulates a shot at once: (Bake, report); as `Shot`."""
     shot = Shot(model, character, settings, progress)
@@ -263,7 +263,7 @@ def node_modes(model: Model, free: np.ndarray) -> np.ndarray:
 
 def _few_modes(settings: ModelSettings, coordinates: np.ndarray, static: np.ndarray, exact: bool) -> np.ndarray:
     """As few orthonormal modes (r, dofs) as a shot needs: those of the targets' shapes, and for the rest of the motion
-    as many as `settings` say, of which those that hardly move in it are left out; exact: those for all of it.
+    as many as `settings` say, without those that hardly move in it; exact: those for all of it.
 
     coordinates, static (F, dofs): with and without motion.
     """
@@ -274,5 +274,5 @@ def _few_modes(settings: ModelSettings, coordinates: np.ndarray, static: np.ndar
     lost = NEGLIGIBLE if exact else LOST if settings.basis == "RESPONSES" else 0.0
     rounding = 1e-9 * np.linalg.norm(coordinates)  # the directions of less than this may be those of the shapes
     enough = int((without > max(lost * without[0], rounding)).sum())
-    most = enough if exact else min(enough, settings.modes)
-    return np.concatenate([shapes, others[: max(most, 1 - len(shapes))]])
+    limit = enough if exact else min(enough, settings.modes)
+    return np.concatenate([shapes, others[: max(limit, 1 - len(shapes))]])

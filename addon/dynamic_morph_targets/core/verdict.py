@@ -16,7 +16,7 @@ STIFFER = 1.5  # factor on Bounce where the verdict names none
 
 
 @dataclass(frozen=True)
-class Verdict:
+class StoredVerdict:
     """How believable a bake looks. ok; text: one sentence; figures: (what is measured, value), as they are shown.
 
     frame, vertices: where it looks worst; remedy: one of REMEDIES or ""; factor: on Bounce, for STIFFEN.
@@ -32,17 +32,17 @@ class Verdict:
 
 
 @lru_cache(maxsize=16)
-def parsed(text: str) -> Verdict | None:
+def parsed(text: str) -> StoredVerdict | None:
     """The verdict in a text; None without a text. An unreadable text gives a verdict that says so."""
     if not text:
         return None
     try:
         values = records.verdict(text)
     except RecordError:
-        return Verdict(False, UNREADABLE)
+        return StoredVerdict(False, UNREADABLE)
     frame, factor = _number(values.get("frame")), _number(values.get("factor"))
     vertices = values.get("vertices")
-    return Verdict(
+    return StoredVerdict(
         ok=values.get("ok") is True,
         text=values["text"],
         figures=tuple(_figures(values)),

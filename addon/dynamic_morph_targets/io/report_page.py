@@ -28,7 +28,7 @@ COLUMNS: dict[str, Callable[[dict, dict], str]] = {
 
 
 def _is_number(value: object) -> bool:
-    """Whether it is a number that a float can hold, or NaN, of which `failures` tells."""
+    """Whether it is a number that a float can hold, or NaN, which `failures` reports."""
     return type(value) is float or (type(value) is int and abs(value) < 10**300)
 
 

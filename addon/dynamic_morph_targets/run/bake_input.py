@@ -138,7 +138,7 @@ def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -
 
 def _try_caches(given: BakeInput) -> None:
     """Find out whether the point caches can be written. Raises OSError."""
-    surfaces = {given.name: given.character.vertices[given.character.own]}
+    surfaces = {given.name: given.character.vertices[given.character.own_vertices]}
     surfaces |= {follower.name: follower.vertices for follower in given.followers}
     sizes: Counter[Path] = Counter()
     for name, vertices in surfaces.items():

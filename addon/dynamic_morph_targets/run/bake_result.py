@@ -53,8 +53,11 @@ def write_all(writers: Sequence[Writer]) -> None:
 
 def target(request: Request, given: BakeInput) -> bpy.types.Object:
     """The object for which the results are. Raises SceneError when they do not fit it any more."""
-    own = given.character.vertices[given.character.own]
-    meshes = [(request.target, own), *zip(handles(given.followers), (f.vertices for f in given.followers), strict=True)]
+    points = given.character.vertices[given.character.own_vertices]
+    meshes = [
+        (request.target, points),
+        *zip(handles(given.followers), (f.vertices for f in given.followers), strict=True),
+    ]
     for handle, vertices in meshes:
         obj = handle.find()
         if len(obj.data.vertices) != len(vertices):
@@ -63,15 +66,15 @@ def target(request: Request, given: BakeInput) -> bpy.types.Object:
 
 
 class Writer:
-    """Writes what one job came to, in steps of which each is done for all jobs before the next one.
+    """Writes the result of one job in steps. Each step is done for all jobs before the next one begins.
 
-    What can be refused comes first. What was there before stays until all new bakes play, and is removed last: whatever
-    fails until then, it plays again.
+    Everything that can be refused is refused first. The earlier bake stays until all new bakes play, and is removed
+    last: if a step fails before that, the earlier bake plays again.
     """
 
     def __init__(self, request: Request, given: BakeInput, outcome: Outcome, progress: Progress):
         self.request, self.given, self.outcome, self.progress = request, given, outcome, progress
-        self._packed: bytes | None = None  # the model that is to be stored, if it is
+        self._packed: bytes | None = None  # the model to store, if one was built
         self._file: Path | None = None  # where, if not in the .blend
         self._new: list[NewBake] = []
 
@@ -165,16 +168,16 @@ class Writer:
             return
         obj = self.request.target.find()
         left = [(free, piece) for piece in self._left_behind()]
-        told: list[str] = []
+        messages: list[str] = []
         with self.request.scene.as_context():
             for remove, *what in ((live_key.remove_hidden, obj), *left, *((new.remove_old,) for new in self._new)):
                 try:
-                    told += remove(*what) or ()
+                    messages += remove(*what) or ()
                 except Exception as bug:
                     logger.log_bug(bug)
-        self.outcome.warnings += told
+        self.outcome.warnings += messages
         record = obj.dynamorph.bake
-        record.warnings = "\n".join(filter(None, [record.warnings, *told]))
+        record.warnings = "\n".join(filter(None, [record.warnings, *messages]))
 
     def store(self) -> None:
         """Store the model and the findings with the object."""
@@ -208,7 +211,7 @@ class Writer:
             size = f"{len(self._packed or b'') / 2**20:.1f}\u00a0MB, {self.progress.seconds['build']:.1f}\u00a0s"
             record.summary = "" if given.only_cage else f"{model_summary(given, model)}, {size}"
             record.cage = cage_summary(model)
-            record.vertices = given.character.own.stop
+            record.vertices = given.character.own_vertices.stop
             record.warnings = "\n".join(model.summary["warnings"])
         if given.reasons or not given.only_cage:
             record.stale, record.built = "only the cage is built" if given.only_cage else "", given.built_from
@@ -245,8 +248,8 @@ class Writer:
         record.warnings = "\n".join(text for text in outcome.warnings if text not in outcome.model.summary["warnings"])
         record.inputs = records.text(outcome.inputs | {"content_id": obj.dynamorph.model.content_id})
         found = outcome.verdict.as_dict(given.limits, given.can_rehearse)
-        own = given.character.own
-        record.verdict = records.text(found | {"vertices": [v for v in found["vertices"] if v < own.stop]})
+        own_vertices = given.character.own_vertices
+        record.verdict = records.text(found | {"vertices": [v for v in found["vertices"] if v < own_vertices.stop]})
         if outcome.rehearsed:
             obj.dynamorph.simulation.rehearsed = outcome.rehearsed
         record.content_id = outcome.content_id

@@ -52,7 +52,7 @@ W = TypeVar("W", bound=Work)
 
 
 class Batch:
-    """Jobs one after the other, of which all are written when all are done: one undo step, or nothing.
+    """Jobs one after the other. All are written when all are done: one undo step, or nothing.
 
     goal: the button's, as in Job, or "BAKE_ALL".
     """

@@ -58,7 +58,7 @@ class Computation:
             self.outcome.model = given.model
         self.rig: RigSamples | None = None
         self.shot: Shot | None = None
-        self.previous = given.previous  # the model whose cage may serve
+        self.previous = given.previous  # a model whose cage may be used again
         self.read_from = 0.0  # of the job, the part that is done before the rig is read
         self._shot_from = READ  # of the job, the part that is done before the shot is simulated
         self._needs_model = given.model is None
@@ -277,7 +277,7 @@ def of_meshes(given: BakeInput, model: Model, bake: Bake) -> list[Bake]:
     from ..core import followers, simulate  # which need the engine
 
     carried = (followers.follow(model, bake, follower) for follower in given.followers)
-    return [simulate.part_of(bake, character.own), *carried]
+    return [simulate.part_of(bake, character.own_vertices), *carried]
 
 
 def _splice(given: BakeInput, outcome: Outcome) -> None:
@@ -298,7 +298,7 @@ def _make_keys(given: BakeInput, outcome: Outcome, output: OutputSettings) -> No
     """The form of the results apart from Blender: shape keys, and the files of point caches."""
     character = given.character
     names = character.name, *(follower.name for follower in given.followers)
-    points_of = character.vertices[character.own], *(follower.points for follower in given.followers)
+    points_of = character.vertices[character.own_vertices], *(follower.points for follower in given.followers)
     off, all_keys, bakes = 0.0, [], []
     wholes = (outcome.bake, *outcome.carried)
     for name, whole, to_meters in zip(names, wholes, _to_meters(given, outcome), strict=False):

@@ -79,7 +79,7 @@ def known(obj: bpy.types.Object) -> float | None:
     return record.expected_error if record.expected_from == key else found.get(key)
 
 
-def told(obj: bpy.types.Object) -> str:
+def summary(obj: bpy.types.Object) -> str:
     """What the panel says of it, or ''."""
     error = known(obj)
     if error is not None:

@@ -82,7 +82,7 @@ def disabled_reason(obj: bpy.types.Object) -> str:
     return ""
 
 
-def told(obj: bpy.types.Object) -> str:
+def summary(obj: bpy.types.Object) -> str:
     """What was found, as a sentence; '' before the bake was compared."""
     distance = obj.dynamorph.bake.off_final
     return Message("Reduced motion: {percent:.1f} % off Final", percent=100 * distance) if distance >= 0 else ""

@@ -128,7 +128,9 @@ def _holds(session_uid: int, _content_id: str) -> dict[int, np.ndarray] | str:
     on_skin = np.einsum("va,va->v", model.embedding_weights, model.hold[model.embedding_nodes]).clip(0.0, 1.0)
     if len(on_skin) != len(character.vertices):
         return Message("'{name}' has other vertices than its model: press Build Model", name=obj.name)
-    return {session_uid: on_skin[character.own]} | {part.session_uid: on_skin[part.members] for part in character.parts}
+    return {session_uid: on_skin[character.own_vertices]} | {
+        part.session_uid: on_skin[part.members] for part in character.parts
+    }
 
 
 def stiffness(obj: bpy.types.Object) -> dict[int, np.ndarray]:

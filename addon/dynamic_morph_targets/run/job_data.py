@@ -62,7 +62,7 @@ class BakeInput:
     followers: list[Follower] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     # The model.
-    previous: Model | None = None  # the one that the object has, or that another process has built; its cage may serve
+    previous: Model | None = None  # that of the object, or of another process; its cage may be used again
     model: Model | None = None  # that one, if it is up to date
     cached_model: Model | None = None
     cache_dir: CacheDir | None = None  # where built models and unfinished bakes are kept for other processes
@@ -70,7 +70,7 @@ class BakeInput:
     reasons: list[str] = field(default_factory=list)  # why the model must be built
     built_from: str = ""  # the settings, as JSON
     # The shot.
-    has_shot: bool = False  # else a model alone is to be built, for which no rig is read; the next are not set
+    has_shot: bool = False  # otherwise only a model is built, no rig is read, and the fields below are not set
     settings: SimulationSettings = field(init=False)
     inputs: dict = field(default_factory=dict)
     whole: bool = True  # it is read as one chunk
@@ -102,7 +102,7 @@ class BakeInput:
 
 @dataclass(repr=False, eq=False)
 class Outcome:
-    """What was computed for a job. Of a build there is a model, of a bake all the rest too.
+    """What was computed for a job: for a build the model, for a bake everything.
 
     character: with the materials that a build or a rehearsal has found. bake: of the body. carried: of the followers
     that are not in its cage. written: for each mesh its shape keys, and the file of its point cache or None.

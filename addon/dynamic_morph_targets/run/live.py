@@ -2,7 +2,7 @@
 """Live: the soft skin is simulated while Blender plays, by the same Player as a bake, and shown by one shape key.
 
 A session is kept in this module by its object's session id. It never holds a reference into Blender, because undo and
-loading move everything there; what it needs to know it asks anew at each frame.
+loading move everything there; it asks for what it needs again at each frame.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ SCRUBBED = 0.02  # seconds between two checks whether the artist still drags thr
 AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 sessions: dict[int, Session] = {}  # by Object.session_uid
 _problems: dict[int, tuple[str, tuple[str, ...]]] = {}  # why an object does not play, and the state of its model then
-lent: set[int] = set()  # objects whose live key shows something else for a while
+suspended: set[int] = (
+    set()
+)  # objects that Live leaves alone, because a preview shows something else with their live key
 _hidden: list[int] = []  # session ids of the objects whose live key is hidden while their file is saved
 _asleep = True  # whether the extension was enabled and has not yet looked for what is live
 _any_live: bool | None = None  # whether an object of this file is live; None: not known yet
@@ -31,7 +33,7 @@ _any_live: bool | None = None  # whether an object of this file is live; None: n
 
 
 def is_on(obj: bpy.types.Object) -> bool:
-    return bool(obj.dynamorph.live.key.name) and obj.session_uid not in lent
+    return bool(obj.dynamorph.live.key.name) and obj.session_uid not in suspended
 
 
 def disabled_reason(obj: bpy.types.Object) -> str:
@@ -132,7 +134,7 @@ def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | Non
     if not _any_live or scene != bpy.context.scene or holds_still(scene):
         return
     live = [obj for obj in soft_skins(scene.objects) if is_on(obj)]
-    for gone in sessions.keys() - {obj.session_uid for obj in live} - lent:
+    for gone in sessions.keys() - {obj.session_uid for obj in live} - suspended:
         del sessions[gone]
     scrubbing = is_scrubbing()
     for obj in live:

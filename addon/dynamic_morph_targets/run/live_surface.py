@@ -14,7 +14,7 @@ from ..write import live_key
 Move = Callable[[np.ndarray], np.ndarray]
 
 
-class Surface:
+class LiveMesh:
     """A mesh whose live key shows the motion: the soft skin's own, or one that follows it.
 
     vertices (V, 3), residual_shapes (J, V, 3): local space. move: see Move. written (3 V,): the points of the key.

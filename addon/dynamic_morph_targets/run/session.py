@@ -21,7 +21,7 @@ from ..core.settings import Material, SimulationSettings
 from ..scene import extract, model_store, probe, references, rig_motion, run_settings, skin, skinning, staleness
 from ..write import comparison, live_key
 from ..write.reconcile import reconcile
-from .live_surface import Move, Surface, by_modes, by_nodes
+from .live_surface import LiveMesh, Move, by_modes, by_nodes
 
 if TYPE_CHECKING:  # it needs the engine
     from ..core.player import Frame, State
@@ -50,11 +50,15 @@ class Tissue:
         self.dofs = len(self.player.amounts.gains)
         self.modes = self.dofs if self.model.settings.solver == "REDUCED" else 0  # that can be shown one by one
         self.target_names = [target.name for target in self.character.by_method().targets]
-        model, own = self.model, self.character.own
-        move = self._move(len(self.character.vertices[own]), model.embedding_nodes[own], model.embedding_weights[own])
-        handle, residual_shapes = skin.ObjectHandle.of(obj), model.residual_shapes[:, own]
-        self.skin = Surface(handle, self.character.vertices[own], move, residual_shapes)
-        self.followers: list[Surface] = []
+        model, own_vertices = self.model, self.character.own_vertices
+        move = self._move(
+            len(self.character.vertices[own_vertices]),
+            model.embedding_nodes[own_vertices],
+            model.embedding_weights[own_vertices],
+        )
+        handle, residual_shapes = skin.ObjectHandle.of(obj), model.residual_shapes[:, own_vertices]
+        self.skin = LiveMesh(handle, self.character.vertices[own_vertices], move, residual_shapes)
+        self.followers: list[LiveMesh] = []
         for follower in extract.followers(obj, self.character):
             nodes, weights = model.embedding_nodes, model.embedding_weights
             if len(model.tets):
@@ -62,7 +66,7 @@ class Tissue:
             move = self._move(len(follower.points), nodes, weights, follower.from_body)
             handle = skin.ObjectHandle(follower.session_uid, follower.name)
             residual_shapes = carrying.residual_shapes_of(model, follower)
-            self.followers.append(Surface(handle, follower.points, move, residual_shapes))
+            self.followers.append(LiveMesh(handle, follower.points, move, residual_shapes))
 
     def _move(self, count: int, nodes: np.ndarray, weights: np.ndarray, from_body: np.ndarray | None = None) -> Move:
         """What displaces `count` points that the nodes (V, 4) carry by these weights (V, 4); from_body (3, 3): from
@@ -87,7 +91,7 @@ class Tissue:
     def vertices(self) -> dict[skin.ObjectHandle, int]:
         """The number of vertices of each mesh that shares the cage, by session_uid."""
         parts = {skin.ObjectHandle(part.session_uid, part.name): len(part.points) for part in self.character.parts}
-        return {self.skin.object: self.character.own.stop} | parts
+        return {self.skin.object: self.character.own_vertices.stop} | parts
 
     def values(self, frame: Frame) -> np.ndarray:
         """What `points` asks for: (dofs + J,) coordinates as shown, and target weights."""
@@ -120,13 +124,13 @@ class Tissue:
             for surface, to_meters in ((self.skin, to_bind), *others)
         )
 
-    def motion(self, values: np.ndarray, surface: Surface) -> np.ndarray:
+    def motion(self, values: np.ndarray, surface: LiveMesh) -> np.ndarray:
         """How far the points (V, 3) of the skin, or of what follows it, are from there: local space."""
         return surface.move(values[: self.dofs] - self.player.static(values[self.dofs :])).reshape(-1, 3)
 
 
 class Rig:
-    """The rig at true sub-frames, as a bake reads it: blocks of frames, of which the latest are kept until an edit."""
+    """The rig at true sub-frames, as a bake reads it: blocks of frames. The latest are kept until an edit."""
 
     def __init__(self, start: int, substeps: int, skeleton: Skeleton, probe: probe.Probe | None):
         self.start, self.substeps, self.skeleton, self.probe = start, substeps, skeleton, probe
@@ -179,8 +183,8 @@ class Session:
         return same and self.content_id == obj.dynamorph.model.content_id
 
     def values(self, obj: bpy.types.Object, settings: SimulationSettings, time: float, arrives: bool) -> np.ndarray:
-        """What `Tissue.show` asks for, at a frame or between two. arrives: the start of the range begins anew, else it
-        shows.
+        """What `Tissue.show` asks for, at a frame or between two. arrives: at the start of the range
+        the motion begins again; otherwise the start only shows.
 
         Raises SceneError.
         """
@@ -189,7 +193,7 @@ class Session:
         if fraction and self._frames and before + 1 == self.first:  # a shutter that opens before the first frame
             before, fraction = self.first, 0.0
         elif not fraction or before not in self._frames:
-            self._reach(obj, before, arrives)
+            self._simulate_to(obj, before, arrives)
         self.now = before
         values = self.tissue.values(self._frames[before])
         if fraction:  # as Blender goes between the keyframes of a bake
@@ -258,9 +262,9 @@ class Session:
         player.amounts.motion_amounts = _motion_amounts(obj, player.character)
         self.tissue.player = player
 
-    def _reach(self, obj: bpy.types.Object, number: int, arrives: bool) -> None:
-        """Simulate up to a frame: from the last one on, or, if playback cannot have come from there, beginning at
-        it.
+    def _simulate_to(self, obj: bpy.types.Object, number: int, arrives: bool) -> None:
+        """Simulate up to a frame: from the last one on, or starting at the frame itself if playback cannot have come
+        from there.
         """
         settings = self.tissue.player.settings
         starts = arrives and number == settings.start
@@ -351,7 +355,7 @@ def _motion_amounts(obj: bpy.types.Object, character: Character) -> np.ndarray:
 
 
 def _names(target_set: TargetSet) -> tuple[str, ...]:
-    """Of its targets, as `properties.named_targets` has them."""
+    """Of its targets, as `skin.named_targets` has them."""
     return "", *(target.name for target in target_set.targets[1:])
 
 

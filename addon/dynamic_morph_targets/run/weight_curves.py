@@ -84,7 +84,7 @@ def weights_now(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Target
 
 
 @dataclass(eq=False)
-class Shot:
+class RigPoses:
     """An armature's evaluated poses (F, B, 4, 4) from frame `start` on, for a skeleton with these bones. stale: an
     animation was edited since. problem: why there are no poses.
     """
@@ -97,7 +97,7 @@ class Shot:
     problem: str = ""
 
 
-shots: dict[int, Shot] = {}  # by the armature object's session_uid
+shots: dict[int, RigPoses] = {}  # by the armature object's session_uid
 
 
 class Reading:
@@ -108,7 +108,7 @@ class Reading:
         self.of = (obj.session_uid, start, end)
         self._rig = rig.session_uid
         self._skeleton = references.rest_skeleton(rig.data)
-        self._shot = Shot(start, end, bones_key(rig.data), np.zeros((0, 0, 4, 4)))
+        self._shot = RigPoses(start, end, bones_key(rig.data), np.zeros((0, 0, 4, 4)))
         self._sampling: rig_motion.RigSampling | None = None
 
     @property
@@ -150,7 +150,7 @@ def reading(session_uid: int, start: int, end: int) -> Pieces[TargetWeights]:
     return found[1]
 
 
-def drawn(obj: bpy.types.Object) -> tuple[Shot, TargetWeights] | None:
+def drawn(obj: bpy.types.Object) -> tuple[RigPoses, TargetWeights] | None:
     """The known frames with the present targets; evaluates nothing. Raises like `weights_now`."""
     rig = checks.armature_modifier(obj).object
     shot = shots.get(rig.session_uid)
@@ -160,7 +160,7 @@ def drawn(obj: bpy.types.Object) -> tuple[Shot, TargetWeights] | None:
 
 
 @lru_cache(maxsize=4)
-def _over(space: Space, shot: Shot) -> TargetWeights:
+def _over(space: Space, shot: RigPoses) -> TargetWeights:
     return space.weights_at(shot.pose)
 
 

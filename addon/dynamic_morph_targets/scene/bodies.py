@@ -38,32 +38,32 @@ class _Mesh:
     weights: np.ndarray
 
 
-def joined(obj, own: Character, groups, world: np.ndarray, rig_world: np.ndarray) -> Character:
+def joined(obj, single: Character, groups, world: np.ndarray, rig_world: np.ndarray) -> Character:
     """The character `own` of the mesh of `obj` alone, extended by the meshes of its body. Raises SceneError.
 
     groups: the vertex groups of `obj`; world, rig_world (4, 4): of it and its armature when the scene starts.
     """
     rig = checks.armature_modifier(obj).object
-    meshes = [_read(obj, piece, rig, world, own) for piece in clothes_in(obj)]
-    ends = np.cumsum([len(own.vertices), *(len(mesh.points) for mesh in meshes)]).tolist()
+    meshes = [_read(obj, piece, rig, world, single) for piece in clothes_in(obj)]
+    ends = np.cumsum([len(single.vertices), *(len(mesh.points) for mesh in meshes)]).tolist()
     slices = [slice(begin, end) for begin, end in zip([0, *ends], ends, strict=False)]
-    whole = _Whole(obj, own, groups, meshes, slices)
-    pieces, held = _attached(obj, own, groups, meshes)
+    whole = _Whole(obj, single, groups, meshes, slices)
+    pieces, held = _attached(obj, single, groups, meshes)
     beside = beside_body(obj, rig, [mesh.obj for mesh in meshes], world, rig_world)
-    bind = whole.vertices @ own.to_bind.T
-    others = [points @ own.to_bind.T for points, _ in beside]
+    bind = whole.vertices @ single.to_bind.T
+    others = [points @ single.to_bind.T for points, _ in beside]
     first = _coincident(bind, others)
     same = first[: len(bind)]
     pieces, rigidity = _closed_seams(pieces, held, same, first[len(bind) :], whole.triangles)
     _refuse_hard(obj, whole, pieces, rigidity, [(p, t) for p, (_, t) in zip(others, beside, strict=True)])
-    softness, painted = whole.painted("Soft", obj.dynamorph.soft_group, own.softness, 1.0)
-    stiffness, _ = whole.painted("Stiffness", obj.dynamorph.stiffness_group, own.stiffness, 1.0)
-    if own.settings.hold_head:
-        found = rigid.heads(own.skeleton, whole.weights, bind, whole.triangles)
-        head = rigid.head_rigidity(own.skeleton, whole.weights, bind, whole.triangles, found)
+    softness, painted = whole.painted("Soft", obj.dynamorph.soft_group, single.softness, 1.0)
+    stiffness, _ = whole.painted("Stiffness", obj.dynamorph.stiffness_group, single.stiffness, 1.0)
+    if single.settings.hold_head:
+        found = rigid.heads(single.skeleton, whole.weights, bind, whole.triangles)
+        head = rigid.head_rigidity(single.skeleton, whole.weights, bind, whole.triangles, found)
         rigidity = np.maximum(rigidity, np.where(painted & (softness > 0.0), 0.0, head))
     softness, rigidity = softness[same], _most(rigidity, same)
-    if own.settings.hold == "BONES" or own.painted:  # then nothing uses the rigidity of the skin
+    if single.settings.hold == "BONES" or single.painted:  # then nothing uses the rigidity of the skin
         softness = softness * (1.0 - rigidity)
     joint_bones = dict.fromkeys(
         bone for each in (obj, *(mesh.obj for mesh in meshes)) for bone in skinning.deforming_bones(each, rig)
@@ -76,15 +76,15 @@ def joined(obj, own: Character, groups, world: np.ndarray, rig_world: np.ndarray
         for mesh, members in zip(meshes, slices[1:], strict=True)
     ]  # fmt: skip
     return replace(
-        own,
+        single,
         vertices=whole.vertices,
         triangles=whole.triangles,
         weights=whole.weights,
         softness=softness,
         stiffness=stiffness[same],
-        bone_segments=mesh_data.bone_segments(list(joint_bones), inverse(world) @ rig_world, own.to_bind),
+        bone_segments=mesh_data.bone_segments(list(joint_bones), inverse(world) @ rig_world, single.to_bind),
         target_sets=whole.target_sets(same),
-        probed=own.probed or any(skinning.beyond_bones(mesh.obj) for mesh in meshes),
+        probed=single.probed or any(skinning.beyond_bones(mesh.obj) for mesh in meshes),
         pieces=pieces,
         rigidity=rigidity,
         coincident=same,
@@ -92,7 +92,7 @@ def joined(obj, own: Character, groups, world: np.ndarray, rig_world: np.ndarray
     )
 
 
-def _read(obj, piece, rig, world: np.ndarray, own: Character) -> _Mesh:
+def _read(obj, piece, rig, world: np.ndarray, single: Character) -> _Mesh:
     for problem in checks.follower(obj, piece):
         raise errors.SceneError(problem.text)
     to_body = inverse(world) @ mesh_data.worlds_at_start(piece, rig)[0]
@@ -113,20 +113,20 @@ class _Whole:
     mesh, the own one first.
     """
 
-    def __init__(self, obj, own: Character, groups, meshes: list[_Mesh], slices: list[slice]):
-        self.obj, self.own, self.groups, self.meshes, self.slices = obj, own, groups, meshes, slices
-        self.vertices = np.concatenate([own.vertices, *(mesh.vertices for mesh in meshes)])
+    def __init__(self, obj, single: Character, groups, meshes: list[_Mesh], slices: list[slice]):
+        self.obj, self.single, self.groups, self.meshes, self.slices = obj, single, groups, meshes, slices
+        self.vertices = np.concatenate([single.vertices, *(mesh.vertices for mesh in meshes)])
         shifted = (mesh.triangles + s.start for mesh, s in zip(meshes, slices[1:], strict=True))
-        self.triangles = np.concatenate([own.triangles, *shifted]).astype(np.int32)
-        self.weights = np.concatenate([own.weights, *(mesh.weights for mesh in meshes)])
+        self.triangles = np.concatenate([single.triangles, *shifted]).astype(np.int32)
+        self.weights = np.concatenate([single.weights, *(mesh.weights for mesh in meshes)])
 
     @cached_property
     def _near(self):
         """The own mesh's skin nearest to the other meshes' vertices, and its distances in body sizes."""
-        own, bind = self.own, self.vertices @ self.own.to_bind.T
-        of_body = (own.pieces[own.triangles] == 0).all(axis=1)
-        count = len(own.vertices)
-        found = nearest(bind[count:], bind[:count], own.triangles[of_body] if of_body.any() else own.triangles)
+        single, bind = self.single, self.vertices @ self.single.to_bind.T
+        of_body = (single.pieces[single.triangles] == 0).all(axis=1)
+        count = len(single.vertices)
+        found = nearest(bind[count:], bind[:count], single.triangles[of_body] if of_body.any() else single.triangles)
         return found, found.distances / diagonal(bind)
 
     def _carried(self, values: np.ndarray, beyond: float) -> np.ndarray:
@@ -158,7 +158,7 @@ class _Whole:
 
     def target_sets(self, same: np.ndarray) -> tuple[TargetSet, ...]:
         """The target sets of all meshes; same (V,): see `Character.coincident`."""
-        body, *regions = self.own.target_sets
+        body, *regions = self.single.target_sets
         weights = [self._carried(target_set.region_weights, 0.0)[same] for target_set in regions]
         rest = (1.0 - sum(weights, np.zeros(len(same)))).clip(0.0)
         rest[self.slices[0]] = body.region_weights
@@ -170,15 +170,15 @@ class _Whole:
                     replace(target, shape=self._carried(target.shape, 0.0)[same]) for target in target_set.targets
                 ),
             )
-            for target_set, own_weights in zip(self.own.target_sets, [rest, *weights], strict=True)
+            for target_set, own_weights in zip(self.single.target_sets, [rest, *weights], strict=True)
         )
 
 
-def _attached(obj, own: Character, groups, meshes: list[_Mesh]) -> tuple[np.ndarray, np.ndarray]:
+def _attached(obj, single: Character, groups, meshes: list[_Mesh]) -> tuple[np.ndarray, np.ndarray]:
     """The attachments (V,) of all meshes, like `Character.pieces`, and which (V,) of them are held. Raises
     SceneError.
     """
-    pieces, held = [own.pieces.copy()], [_held(parts_in(obj), groups, len(own.vertices))]
+    pieces, held = [single.pieces.copy()], [_held(parts_in(obj), groups, len(single.vertices))]
     wholly = {piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice == "HELD"}
     for mesh in meshes:
         parts = parts_of(obj, mesh.obj)
@@ -216,9 +216,9 @@ def _closed_seams(pieces, held, same, beside, triangles) -> tuple[np.ndarray, np
 
 def _most(values: np.ndarray, same: np.ndarray) -> np.ndarray:
     """The largest of the values (V,) at each place."""
-    most = np.zeros(len(values))
-    np.maximum.at(most, same, values)
-    return most[same]
+    largest = np.zeros(len(values))
+    np.maximum.at(largest, same, values)
+    return largest[same]
 
 
 def _refuse_hard(obj, whole: _Whole, pieces, rigidity, beside):
@@ -228,7 +228,7 @@ def _refuse_hard(obj, whole: _Whole, pieces, rigidity, beside):
     settings = obj.dynamorph
     if settings.soft_group or any(not piece.reason for piece in settings.pieces):
         return
-    bind, soft = whole.vertices @ whole.own.to_bind.T, (pieces >= 0) & (rigidity < 1.0)
+    bind, soft = whole.vertices @ whole.single.to_bind.T, (pieces >= 0) & (rigidity < 1.0)
     labels, volumes = rigid.part_volumes(bind, whole.triangles)
     areas = vertex_areas(bind, whole.triangles)
     share = np.bincount(labels, areas * soft) / np.maximum(np.bincount(labels, areas), 1e-300)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the add-on asks of Blender's events and windows, and how properties tell those who run that they were set."""
+"""What the add-on asks of Blender's events and windows, and how `run` learns that properties were set."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ EVALUATED = ("frame_change_pre", "frame_change_post", "depsgraph_update_pre", "d
 
 
 class Event(Enum):
-    """What properties tell, and what is passed along."""
+    """What properties announce, and what is passed along."""
 
     SHOWN_CHANGED = "what is shown of an object's motion"  # (object)
     CAGE_CHANGED = "what the cage of a built model depends on"  # ()
-    WEIGHTS_ASKED = "the weights over the frames are to be drawn"  # ()
+    WEIGHTS_ASKED = "someone wants to see the weights over the frames"  # ()
 
 
 _listeners: dict[Event, list[Callable]] = {event: [] for event in Event}
@@ -56,18 +56,18 @@ def remove(handlers: dict[str, Callable]):
 
 
 @contextmanager
-def unheard():
-    """What Blender evaluates meanwhile, in a scene of ours, is told to no handler: neither to those of other add-ons,
-    which would take its frames for the artist's, nor to ours.
+def without_handlers():
+    """No handler is called for what Blender evaluates in the block, in a scene of ours: other add-ons' handlers would
+    take its frames for the artist's, and ours do not need them.
     """
-    told = [getattr(bpy.app.handlers, name) for name in EVALUATED]
-    kept = [list(handlers) for handlers in told]
-    for handlers in told:
+    lists = [getattr(bpy.app.handlers, name) for name in EVALUATED]
+    kept = [list(handlers) for handlers in lists]
+    for handlers in lists:
         handlers.clear()
     try:
         yield
     finally:
-        for handlers, before in zip(told, kept, strict=True):
+        for handlers, before in zip(lists, kept, strict=True):
             handlers[:] = before
 
 

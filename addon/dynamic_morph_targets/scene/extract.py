@@ -15,7 +15,7 @@ from ..core.character import Character, Follower, OwnCage, Skeleton, Target, Tar
 from ..core.errors import SceneError, sentence
 from ..core.geometry import diagonal, inverse
 from ..core.settings import ModelSettings
-from . import checks, data_checks, skinning
+from . import bodies, checks, data_checks, skinning
 from .checks import armature_modifier, refuse
 from .mesh_data import (
     VertexGroups,
@@ -61,7 +61,7 @@ def character(obj, without_targets=False) -> Character:
         refuse(data_checks.poses(obj.name, target_set.targets, skeleton))
     world, rig_world = worlds_at_start(obj, modifier.object)
     to_bind, bones = stretch(world), skinning.deforming_bones(obj, modifier.object)
-    own = Character(
+    single = Character(
         name=obj.name,
         vertices=rest_points(obj),
         triangles=mesh_triangles(obj.data),
@@ -78,11 +78,9 @@ def character(obj, without_targets=False) -> Character:
         cage=_own_cage(obj, modifier.object, to_bind),
         painted=bool(obj.dynamorph.soft_group),
     )
-    if not own.settings.one_cage:
-        return own
-    from . import bodies  # imported here, because it uses functions of this module
-
-    return bodies.joined(obj, own, groups, world, rig_world)
+    if not single.settings.one_cage:
+        return single
+    return bodies.joined(obj, single, groups, world, rig_world)
 
 
 def model_settings(obj) -> ModelSettings:

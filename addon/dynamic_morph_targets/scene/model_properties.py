@@ -131,7 +131,7 @@ class DynamorphModel(PropertyGroup):
             ),
             (
                 "RESPONSES", "Bones",
-                "What each bone does to the soft tissue, of which the largest part in full detail and the rest "
+                "What each bone does to the soft tissue: the largest part in full detail and the rest "
                 "linearly. Best for whole bodies, with many modes",
                 1,
             ),

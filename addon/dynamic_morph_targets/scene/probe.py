@@ -19,7 +19,7 @@ from ..core.rig_samples import PosedNodes
 from . import skinning
 from .mesh_data import NO_WEIGHT, VertexGroups
 
-REACH = (
+OFFSET = (
     0.01  # body sizes; the nodes' offsets. Bendy bones bend within a long one, and float32 loses digits of a short one
 )
 NEGLIGIBLE = 0.01  # fraction of a node's weights below which the engine also ignores a bone (`SoftBody`)
@@ -34,14 +34,14 @@ class Probe:
 
     def __init__(self, obj, model, character: Character):
         self.rest = model.nodes[model.free]
-        self.reach = REACH * diagonal(model.nodes)
+        self.offset = OFFSET * diagonal(model.nodes)
         meshes = [next(o for o in bpy.data.objects if o.session_uid == part.session_uid) for part in character.parts]
         self._names, weights, masks, of_modifiers = _skin_groups(obj, meshes)
         at_nodes = model.at_nodes(np.hstack([weights, masks]))[model.free].clip(0.0, 1.0)
         weights, masks = np.split(at_nodes, [weights.shape[1]], axis=1)
         totals = weights @ of_modifiers.T
         kept = ((weights[:, None] >= NEGLIGIBLE * totals[..., None]) & of_modifiers).any(axis=1)
-        shifts = self.reach * np.vstack([np.zeros(3), np.eye(3)])
+        shifts = self.offset * np.vstack([np.zeros(3), np.eye(3)])
         points = (self.rest + shifts[:, None]) @ np.linalg.inv(model.to_bind).T
         self._mesh = _weighted(points.reshape(-1, 3), np.tile(np.hstack([weights * kept, masks]), (4, 1)))
         self._skeleton = character.skeleton
@@ -65,7 +65,7 @@ class Probe:
             copy.vertex_group = f"{MASK}{k}"
 
     def empty_samples(self, count: int) -> PosedNodes:
-        return PosedNodes(self.rest, self.reach, np.empty((count, 4, len(self.rest), 3), np.float32))
+        return PosedNodes(self.rest, self.offset, np.empty((count, 4, len(self.rest), 3), np.float32))
 
     def in_poses(self, scene, probe, rig, poses: np.ndarray) -> PosedNodes:
         """The nodes in poses (S, B, 4, 4) of the armature, with the objects where they are at the scene's frame.
@@ -116,8 +116,8 @@ class Probe:
 
 
 def _skin_groups(obj, others) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray]:
-    """What the K Armature modifiers of `obj` read: names of G vertex groups, their weights (V, G), of which Blender
-    uses the ratios, the part (V, K) that each modifier has in the result, and which groups are its bones' (K, G).
+    """What the K Armature modifiers of `obj` read: names of G vertex groups; their weights (V, G), which Blender
+    uses as ratios; the part (V, K) that each modifier has in the result; which groups belong to its bones (K, G).
 
     others: further objects whose vertices the character has; their skinning counts like that of `obj`.
     """
@@ -138,13 +138,13 @@ def _weights_and_masks(obj, names: list[str], of_modifiers: np.ndarray) -> tuple
     groups = VertexGroups(obj)
     weights = groups.weights(names)
     masks = np.zeros((len(weights), len(of_modifiers)))
-    for mask, modifier, own in zip(masks.T, skinning.armature_modifiers(obj), of_modifiers, strict=False):
+    for mask, modifier, in_modifier in zip(masks.T, skinning.armature_modifiers(obj), of_modifiers, strict=False):
         mask[:] = 1.0
         if modifier.vertex_group in obj.vertex_groups:
             painted = groups.weights([modifier.vertex_group])[:, 0]
             mask[:] = 1.0 - painted if modifier.invert_vertex_group else painted
         if not modifier.use_multi_modifier:  # one that does goes back to before the first, even where it has no weights
-            mask *= weights @ own > NO_WEIGHT
+            mask *= weights @ in_modifier > NO_WEIGHT
     totals = weights.sum(axis=1, keepdims=True)
     return weights / np.where(totals > NO_WEIGHT, totals, np.inf), masks
 

@@ -73,7 +73,7 @@ def basis_hash(blocks) -> str:
     return _hash("points", blocks[0], key_points(blocks[0]))
 
 
-_hashes: dict[tuple, tuple] = {}  # by what of which shape key: its fingerprint, and its hash
+_hashes: dict[tuple, tuple] = {}  # by shape key and what is hashed of it: its fingerprint, and its hash
 
 
 def forget():
@@ -104,7 +104,7 @@ def _factors(count: int) -> np.ndarray:
     return np.random.default_rng(1).integers(2**63, size=count, dtype=np.uint64) * np.uint64(2) + np.uint64(1)
 
 
-def key_reach(block) -> float:
+def key_displacement(block) -> float:
     """The largest displacement by a shape key. Unlike the hash it survives an edit of the Basis."""
     return float(np.abs(_key_shape(block)).max(initial=0.0))
 

@@ -289,7 +289,7 @@ def rig_scene(obj, rig, probe=None):
             probe.dress(follower, obj)
         scene.collection.objects.link(rig)
         scene.collection.objects.link(follower)
-        with events.unheard():
+        with events.without_handlers():
             yield scene, follower
     finally:
         remove_scene(scene, follower)

@@ -35,7 +35,7 @@ def skinning_settings(obj) -> list:
 
 
 def main_modifier(obj):
-    """The Armature modifier of `properties.rig_of`, or None."""
+    """The Armature modifier of `references.rig_of`, or None."""
     rig = rig_of(obj)
     return next((modifier for modifier in armature_modifiers(obj) if modifier.object == rig), None)
 

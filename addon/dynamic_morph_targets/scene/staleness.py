@@ -149,9 +149,9 @@ def bake_inputs(obj, simulation: SimulationSettings) -> dict:
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
     inputs["output"] = asdict(settings.output.settings())
     for name, target in named_targets(obj):
-        own = plain(target, skip=(*KEY_REFERENCE, *UNUSED))
+        values = plain(target, skip=(*KEY_REFERENCE, *UNUSED))
         seen = crc32(target.pose_bytes() + np.array(target.rig_world).tobytes())
-        inputs["targets"][name] |= own | {"bones": target.bone_names(), "pose": seen}
+        inputs["targets"][name] |= values | {"bones": target.bone_names(), "pose": seen}
     return json.loads(json.dumps(inputs))
 
 
@@ -181,8 +181,8 @@ def _target_changes(obj, then: dict, now: dict) -> list[str]:
     for name, target in named_targets(obj):
         before, after = then.get(name, {}), now[name]
         if not (before.get("mute") and after["mute"]):
-            told = [field for field in after if field != SCULPT]  # of the mesh `jobs.show_stale` tells
-            changed = [_title(target, field) for field in told if before.get(field, after[field]) != after[field]]
+            reported = [field for field in after if field != SCULPT]  # `watch` compares the sculpts
+            changed = [_title(target, field) for field in reported if before.get(field, after[field]) != after[field]]
             found += [Message('{setting} of "{name}" changed', setting=title, name=target.name) for title in changed]
     return found
 
@@ -200,5 +200,5 @@ def _piece_changes(obj) -> list[str]:
 
 def _title(group, name: str) -> Message:
     """The name of a setting in the panels."""
-    own = group and group.bl_rna.properties.get(name)
-    return Message(own.name if own else {"fps": "Frame rate"}.get(name, name.replace("_", " ").capitalize()))
+    prop = group and group.bl_rna.properties.get(name)
+    return Message(prop.name if prop else {"fps": "Frame rate"}.get(name, name.replace("_", " ").capitalize()))

@@ -16,7 +16,7 @@ from ..core import material_fit, oscillation
 from ..core.character import Skeleton
 from ..core.settings import Material
 from .events import shown_changed
-from .references import OVERRIDE, OVERRIDE_LIST, KeyReference, key_hash, key_reach
+from .references import OVERRIDE, OVERRIDE_LIST, KeyReference, key_displacement, key_hash
 from .skin import unit_scale
 
 NEUTRAL = "Neutral"
@@ -31,7 +31,7 @@ class DynamorphKey(KeyReference, PropertyGroup):
     was_muted: BoolProperty(name="Was Muted", description="Whether the artist had muted the key before the bake")
 
     def looks_like(self, block) -> bool:
-        return key_hash(block) == self.key_hash or math.isclose(key_reach(block), self.reach, rel_tol=0.01)
+        return key_hash(block) == self.key_hash or math.isclose(key_displacement(block), self.reach, rel_tol=0.01)
 
 
 class DynamorphBone(PropertyGroup):

@@ -82,7 +82,7 @@ class SoftSkinOperator:
 
 
 def reconciled(obj):
-    """The object, after references to what a script may have renamed just now are mended."""
+    """The object, once its references follow what a script may have renamed just now."""
     if obj and obj.dynamorph.targets:
         reconcile(obj)
     return obj

@@ -67,7 +67,7 @@ class DYNAMORPH_OT_apply_feel(SoftSkinOperator, Operator):
 # What the verdict on a bake asks for -------------------------------------------------------------------------------
 
 
-def _verdict(obj) -> verdict.Verdict:
+def _verdict(obj) -> verdict.StoredVerdict:
     """Raises SceneError when there is none."""
     found = verdict.parsed(obj.dynamorph.bake.verdict)
     if found is None:
@@ -88,17 +88,18 @@ class DYNAMORPH_OT_show_worst(SoftSkinOperator, Operator):
         if obj.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")  # Edit Mode has a selection of its own
         mesh = obj.data
-        own = [vertex for vertex in found.vertices if vertex < len(mesh.vertices)]  # not those of others in its cage
+        # Without the vertices of other meshes in its cage.
+        on_mesh = [vertex for vertex in found.vertices if vertex < len(mesh.vertices)]
         bpy.context.scene.frame_set(found.frame)
         for elements in (mesh.edges, mesh.polygons):
             elements.foreach_set("select", np.zeros(len(elements), bool))
         chosen = np.zeros(len(mesh.vertices), bool)
-        chosen[own] = True
+        chosen[on_mesh] = True
         mesh.vertices.foreach_set("select", chosen)
         mesh.update()
         bpy.context.window_manager.dynamorph.heat = True
         text = rpt_("Frame {frame}: {count} vertices selected; press Tab to see them in Edit Mode")
-        self.report({"INFO"}, text.format(frame=found.frame, count=len(own)))
+        self.report({"INFO"}, text.format(frame=found.frame, count=len(on_mesh)))
 
 
 class DYNAMORPH_OT_rehearse(JobOperator, Operator):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons: check, call, report. What all have in common, and those of the jobs: build, bake, free, cancel."""
+"""Buttons of jobs: build, bake, delete the bake, cancel. `base` has what all buttons have in common."""
 
 from __future__ import annotations
 
@@ -125,8 +125,8 @@ class JobOperator(SoftSkinOperator):
             built_first = job.input.is_bake and job.reasons
             text = "{name}: {result} (built first: {reasons})" if built_first else "{name}: {result}"
             reasons = joined("; ", job.reasons)
-            told = Message(text, name=job.name, result=job.summary(), reasons=reasons)
-            self.report({"INFO"}, translated(told, rpt_))
+            message = Message(text, name=job.name, result=job.summary(), reasons=reasons)
+            self.report({"INFO"}, translated(message, rpt_))
             if job.outcome.rehearsed:
                 self.report({"INFO"}, translated(joined(": ", [job.name, job.outcome.rehearsed]), rpt_))
         for job in batch.jobs:
@@ -220,7 +220,7 @@ class DYNAMORPH_OT_compare_final(JobOperator, Operator):
 
     def _done(self, batch):
         obj = batch.jobs[0].target()
-        self.report({"INFO"}, translated(joined(": ", [obj.name, final_comparison.told(obj)]), rpt_))
+        self.report({"INFO"}, translated(joined(": ", [obj.name, final_comparison.summary(obj)]), rpt_))
         return {"FINISHED"}
 
 

@@ -104,7 +104,7 @@ def draw_graph():
         _draw_graph_in(left + margin, bottom + margin, right - margin, bottom + margin + height, *known)
 
 
-def _draw_graph_in(left, bottom, right, top, shot: weight_curves.Shot, shown: target_weights.TargetWeights):
+def _draw_graph_in(left, bottom, right, top, shot: weight_curves.RigPoses, shown: target_weights.TargetWeights):
     context = bpy.context
     theme = context.preferences.themes[0]
     box, colors = theme.user_interface.wcol_box, curve_colors(shown, theme)

@@ -44,14 +44,14 @@ GIZMOS = 90.0  # that Blender's own buttons take at the right
 LEGEND = 160.0  # wide, of what the colors of the surface mean
 SHADED = 0.55  # how light the colored surface is where it is seen from the side
 NEARER = 2e-3  # of the body's size: that the colored surface is drawn before the mesh
-HELD = 2  # of the theme's collection colors: unlike those of selected and of unselected vertices
+HELD_COLOR = 2  # of the theme's collection colors: unlike those of selected and of unselected vertices
 
 
 # The cage ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
-class Cage:
+class CageDrawing:
     """What is drawn of a model's tetrahedra: k of its nodes.
 
     rest (k, 3) bind space; weights (k, B + 1); edges (E, 2) of the surface and held (h,), both indices of those k.
@@ -68,7 +68,7 @@ class Cage:
         return np.einsum("kij,kj->ki", skin[:, :, :3], self.rest) + skin[:, :, 3]
 
 
-def cage_of(model) -> Cage:
+def cage_of(model) -> CageDrawing:
     """Of a model.Model with tetrahedra."""
     edges = surface_edges(model.tets)
     held = model.pinned.astype(bool)
@@ -78,7 +78,7 @@ def cage_of(model) -> Cage:
     drawn[edges] = True
     drawn |= held
     place = np.cumsum(drawn) - 1
-    return Cage(
+    return CageDrawing(
         rest=model.nodes[drawn].astype(np.float32),
         weights=model.node_weights[drawn].astype(np.float32),
         edges=place[edges].astype(np.uint32),
@@ -95,7 +95,7 @@ def surface_edges(tets: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
-def _cage(session_uid: int, _content_id: str) -> Cage | None:
+def _cage(session_uid: int, _content_id: str) -> CageDrawing | None:
     try:
         model = model_store.load_model(skin.find(session_uid))
     except engine.expected_errors():  # the panel says it
@@ -154,7 +154,7 @@ def _draw_cage():
     gpu.state.depth_test_set("LESS_EQUAL")
     draw_lines(edges, (*theme.view_3d.bone_pose, 0.6), 1.0)
     gpu.state.depth_test_set("NONE")  # they are near the bones, inside the body
-    draw_points(held, (*theme.collection_color[HELD].color, 0.9), 3.0)
+    draw_points(held, (*theme.collection_color[HELD_COLOR].color, 0.9), 3.0)
 
 
 # The surface -------------------------------------------------------------------------------------------------------
@@ -299,13 +299,13 @@ def _draw_scale(right: float, top: float, title: str, texts: list[str]):
 def names_beside(obj, empty) -> tuple[str, str]:
     """What the soft skin `obj` shows, and what the copy beside it does."""
     if comparison.is_plain(obj) or not comparison.can_show(obj):
-        own = iface_("Bones Only")
+        name = iface_("Bones Only")
     elif live.is_on(obj):
-        own = iface_("Live {slot}").format(slot=obj.dynamorph.live.slot)
+        name = iface_("Live {slot}").format(slot=obj.dynamorph.live.slot)
     else:
-        own = iface_("Bake {slot}").format(slot=obj.dynamorph.bake.slot)
+        name = iface_("Bake {slot}").format(slot=obj.dynamorph.bake.slot)
     slot = empty.dynamorph.live.beside_slot
-    return own, iface_("Bake {slot}").format(slot=slot) if slot else iface_("Bones Only")
+    return name, iface_("Bake {slot}").format(slot=slot) if slot else iface_("Bones Only")
 
 
 def _draw_names_beside():

@@ -59,8 +59,8 @@ def draw_detail(layout, _context, obj):
         draw_message(layout, line, icon="DOT")
     if model.summary:
         draw_message(layout, model.summary, icon="CHECKMARK")
-    if expected_error.told(obj):
-        draw_message(layout, expected_error.told(obj), icon="INFO")
+    if expected_error.summary(obj):
+        draw_message(layout, expected_error.summary(obj), icon="INFO")
 
 
 def has_modes(obj) -> bool:

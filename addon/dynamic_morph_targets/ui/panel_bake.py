@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sections about the motion: what shows and compares it, the bake and what it came to, exports and setups."""
+"""The sections about the motion: what shows and compares it, the bake and its result, exports and setups."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def is_baked(obj) -> bool:
 
 
 def draw_result(layout, context, obj):
-    """What the bake came to: how much of it shows, how believable it looks, and its way to a game engine."""
+    """The result of the bake: how much of it shows, how believable it looks, and its way to a game engine."""
     influence = bake_influence.influence(obj)
     if influence:
         row = layout.row()
@@ -82,8 +82,8 @@ def draw_off_final(layout, obj):
     """How far the bake's reduced motion, which Live shows too, is from Final quality, and the button that finds out."""
     if not final_comparison.disabled_reason(obj):
         layout.operator("dynamorph.compare_final")
-    if final_comparison.told(obj):
-        draw_message(layout, final_comparison.told(obj), icon="INFO")
+    if final_comparison.summary(obj):
+        draw_message(layout, final_comparison.summary(obj), icon="INFO")
 
 
 def draw_bake(layout, _context, obj):

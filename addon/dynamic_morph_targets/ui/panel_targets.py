@@ -64,7 +64,7 @@ def draw_targets(layout, _context, obj):
     draw_target_list(layout, settings)
     if settings.active_target:
         draw_pose(layout, settings)
-        draw_reach(layout, obj, settings.active_target)
+        draw_extent(layout, obj, settings.active_target)
     for hint in checks.hints(obj):
         draw_message(layout, hint, icon="INFO")
 
@@ -95,7 +95,7 @@ def draw_pose(layout, settings):
         row.operator("dynamorph.sculpt_target", text="", icon="SCULPTMODE_HLT")
 
 
-def draw_reach(layout, obj, target):
+def draw_extent(layout, obj, target):
     """Where a target counts, on the body and around its pose, and how much moves there."""
     column = layout.column(align=True)
     column.enabled = batch.running is None
@@ -135,7 +135,7 @@ def draw_key(layout, context, obj):
     else:
         target = settings.targets[index]
         draw_pose(layout, settings)
-        draw_reach(layout, obj, target)
+        draw_extent(layout, obj, target)
         draw_swing(layout, target)
         draw_material(layout, context, obj)
 

@@ -94,7 +94,7 @@ def _find_attachments(obj) -> list[str]:
     """List what belongs to the body of `obj`, in one cage with it. Returns the problems with that."""
     obj.dynamorph.model.one_cage = obj.dynamorph.model.hold_head = True
     problem = next(checks.problems(obj), None)
-    if problem:  # which is told already
+    if problem:  # which is reported already
         return []
     try:
         attachments.find(obj)

@@ -100,11 +100,11 @@ class DYNAMORPH_OT_suggest_targets(JobOperator, Operator):
             target.set_bones(suggestion.bones)
             added.append(target.name)
         regions.update(obj)
-        told = [rpt_("Targets added: {names}").format(names=", ".join(added))] * bool(added)
-        told += [rpt_("Keys skipped: {names}").format(names=", ".join(skipped))] * bool(skipped)
+        messages = [rpt_("Targets added: {names}").format(names=", ".join(added))] * bool(added)
+        messages += [rpt_("Keys skipped: {names}").format(names=", ".join(skipped))] * bool(skipped)
         if not added:
-            raise SceneError("; ".join(told))
-        self.report({"WARNING" if skipped else "INFO"}, "; ".join(told))
+            raise SceneError("; ".join(messages))
+        self.report({"WARNING" if skipped else "INFO"}, "; ".join(messages))
         return {"FINISHED"}
 
 

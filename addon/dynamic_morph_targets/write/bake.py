@@ -23,7 +23,7 @@ from ..core.message import Message
 from ..core.slider_keys import Key, scaled_keys
 from ..scene import animation, checks
 from ..scene.animation import played
-from ..scene.references import basis_hash, key_points, key_reach
+from ..scene.references import basis_hash, key_displacement, key_points
 from ..scene.skin import cache_modifier, followers
 from .bake_influence import MOTION, SHAPES, carry_influence, keep_influence, strip_of
 from .bake_reading import baked_names
@@ -89,8 +89,8 @@ def check_cache(obj, folder: Path | None):
 
 def overwritten_keys(obj) -> list[str]:
     """The artist's own shape keys that move, and that a point cache overrides."""
-    own = {target.name for target in obj.dynamorph.targets[1:]} | animation.baked_keys(obj)
-    return [name for name in animation.moving_keys(obj) if name not in own]
+    excluded = {target.name for target in obj.dynamorph.targets[1:]} | animation.baked_keys(obj)
+    return [name for name in animation.moving_keys(obj) if name not in excluded]
 
 
 def check_not_edited(obj):
@@ -214,7 +214,7 @@ class NewBake:
             index = blocks.find(name)
             key = record.keys.add()
             key.refer_to(blocks, index)
-            key.reach = key_reach(blocks[index])
+            key.reach = key_displacement(blocks[index])
         record.basis = basis_hash(blocks)
         record.action = self._action
         record.slot = (self._skin or self._obj).dynamorph.live.slot
@@ -226,10 +226,10 @@ class NewBake:
     def remove_old(self) -> list[Message]:
         """Remove the bake that it has replaced, and take its names. Returns what the artist should know."""
         obj, record = self._obj, self._obj.dynamorph.bake
-        told = self._carry_influence()
+        messages = self._carry_influence()
         if self._old_cache:
             remove_modifier(obj, obj.modifiers[self._old_cache])
-        told += remove_keys(obj, self._old, self._old_action, self._old_index, self._names)
+        messages += remove_keys(obj, self._old, self._old_action, self._old_index, self._names)
         record.active_index = obj.active_shape_key_index
         blocks = obj.data.shape_keys.key_blocks
         for reference, name, key in zip(record.keys, self._names, self._keys, strict=True):
@@ -237,7 +237,7 @@ class NewBake:
             if name != key.name and key.name not in blocks:
                 blocks[index].name = key.name  # the curves' paths follow
             reference.refer_to(blocks, index)
-        return told + self._overridden()
+        return messages + self._overridden()
 
     def _overridden(self) -> list[Message]:
         """Keyframes of the artist's on baked keys, such as a keying set adds, which play instead of the bake."""
@@ -259,16 +259,16 @@ class NewBake:
         new = cache_modifier(obj) if self._cache else strip_of(obj.data.shape_keys, self._action)
         if self._skin or not old or not new or old.bl_rna == new.bl_rna:
             return []
-        told = []
+        messages = []
         if not carry_influence(obj, old, new):
-            told.append(
+            messages.append(
                 Message("The animation of Bake Influence of '{name}' could not be carried along", name=obj.name)
             )
         drivers = obj.animation_data.drivers if obj.animation_data and self._old_cache else ()
         if any(driver.data_path == old.path_from_id("factor") for driver in drivers):
             text = "The driver of Bake Influence of '{name}' was removed: only that of a point cache can have one"
-            told.append(Message(text, name=obj.name))
-        return told
+            messages.append(Message(text, name=obj.name))
+        return messages
 
 
 def ensure_basis(obj):
@@ -301,27 +301,27 @@ def free(obj) -> list[Message]:
     """Remove the bake of `obj` and of what follows it, if any, and restore what it changed: keys, order, active key,
     mute, animation data. Returns what the artist should know. Raises SinkError.
     """
-    baked, told = (obj, *followers(obj)), []
+    baked, messages = (obj, *followers(obj)), []
     for each in baked:
         check_free(each)
     for each in baked:
         reconcile(each)
-        told += _free(each, baked_names(each))
+        messages += _free(each, baked_names(each))
         if not each.dynamorph.live.key.name:  # which it still shows
             leave(each)
-    return told
+    return messages
 
 
 def check_free(obj):
-    """Refuse, before any work, data of which a bake cannot be removed. Raises SinkError."""
+    """Refuse, before any work, data that a bake cannot be removed from. Raises SinkError."""
     if obj.dynamorph.bake.exists and obj.data.shape_keys:  # otherwise the artist has removed everything
         check(obj)
 
 
 def _free(obj, names) -> list[Message]:
-    record, keys, told = obj.dynamorph.bake, obj.data.shape_keys, []
+    record, keys, messages = obj.dynamorph.bake, obj.data.shape_keys, []
     if record.exists and keys:
-        told = remove_keys(obj, names, record.action, record.active_index)
+        messages = remove_keys(obj, names, record.action, record.active_index)
         clear_unused(keys, record.had_animation_data)
     if obj.dynamorph.live.key.name:
         leave_to_live(obj)
@@ -334,7 +334,7 @@ def _free(obj, names) -> list[Message]:
     record.keys.clear()
     record.action = None
     record.off_final = -1.0
-    return told
+    return messages
 
 
 def _add_key(obj, key: Key):

@@ -22,15 +22,15 @@ def remove_keys(obj, names, action, active_index: int, new=()) -> list[Message]:
     """
     blocks = obj.data.shape_keys.key_blocks
     active = obj.active_shape_key.name if obj.active_shape_key else ""
-    told = []
+    messages = []
     for block in _edited(blocks, (*names, *new), action):
         block.value = 0.0  # that of the old motion, on top of the new one
         text = "'{key}' of '{name}' was edited after the bake: it stays, at the value 0"
-        told.append(Message(text, key=block.name, name=obj.name))
+        messages.append(Message(text, key=block.name, name=obj.name))
     _remove(obj, [blocks[name] for name in names], action, {f"{blocks[name].path_from_id()}.value" for name in new})
     index = blocks.find(active)
     obj.active_shape_key_index = index if index >= 0 else min(active_index, len(blocks) - 1)
-    return told
+    return messages
 
 
 def remove_modifier(obj, modifier):
@@ -116,7 +116,9 @@ def _others(action, paths: set[str], slot=None) -> list:
 def _is_copy(copy, action, paths: set[str], new: set[str]) -> bool:
     """Whether an Action is a copy that Blender has made and named, with a bake's curves alone."""
     moved = _curves(copy)
-    stem, own = (re.sub(r"\.\d+$", "", each.name) for each in (copy, action))
-    is_named = stem == own or (len(copy.name.encode()) > LONG_NAME and own.startswith(stem))  # Blender cuts long ones
+    stem, original = (re.sub(r"\.\d+$", "", each.name) for each in (copy, action))
+    is_named = stem == original or (
+        len(copy.name.encode()) > LONG_NAME and original.startswith(stem)
+    )  # Blender cuts long ones
     is_new = any(curve.data_path in new for _, curve in moved)
     return bool(moved) and is_named and not is_new and not _others(copy, paths)

@@ -97,7 +97,7 @@ def _beside(path: Path) -> Path:
 
 
 def _size() -> int:
-    """How many bytes the file takes, of which Blender leaves no trace when they do not fit."""
+    """How many bytes the file takes. Blender does not say when they do not fit."""
     with tempfile.TemporaryDirectory(dir=bpy.app.tempdir) as folder:
         blend = Path(folder) / "size.blend"
         try:

@@ -72,8 +72,8 @@ def leaves_python_out() -> bool:
 def _runs_python() -> bool:
     """Whether this session runs the Python of its file, which the child must not do otherwise.
 
-    Only evaluating some tells: `autoexec_fail` does not know of a driver that was never evaluated, as of objects that
-    only renders show, nor the preference of a file that was opened untrusted.
+    Only evaluating a driver shows it. `autoexec_fail` misses drivers that were never evaluated, such as those of
+    objects that only renders show, and the preference does not say whether this file was opened untrusted.
     """
     scene = bpy.context.scene
     if bpy.app.autoexec_fail or scene.library or not _has_python():
@@ -100,7 +100,7 @@ def _has_python() -> bool:
 
 
 def _copy(collection, blend: Path):
-    """Write the scene with what it needs as a .blend, which no handler is told of. Raises OSError."""
+    """Write the scene with what it needs as a .blend, without calling a handler. Raises OSError."""
     for obj in collection.objects:
         obj.update_from_editmode()
     try:

@@ -28,7 +28,7 @@ class Format:
     """suffix: of its files; write(obj, collection, path, frames, takes), collection: the name of the one that holds the
     character, raises RuntimeError, OSError, MemoryError; skins: whether it contains armature and keys, and so a clip
     for each Action; surface: whether it contains the resulting surface; has_parts: whether other files belong to it;
-    scenes: whether its frames are those of the scene, of which none is before 0; option: of bpy.app.build_options that
+    scenes: whether its frames are those of the scene, which must not be before 0; option: of bpy.app.build_options that
     it needs.
     """
 

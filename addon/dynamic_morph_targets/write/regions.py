@@ -46,10 +46,10 @@ def driver_bones(obj, skeleton: Skeleton, neutral: np.ndarray, local: np.ndarray
     _, bends_around = _of_skin(skeleton, skin, region(*_surface(obj), shape))
     counts = bends_around * turned(neutral, local) * ((bends >= BENDS) | (skins >= SKINS))
     candidates = [skeleton.names.index(name) for name in names]
-    most = counts[candidates].max()
-    if most <= 0.0:
+    largest = counts[candidates].max()
+    if largest <= 0.0:
         return _nearest(skeleton, candidates, skins)
-    return [skeleton.names[bone] for bone in candidates if counts[bone] >= LESS * most]
+    return [skeleton.names[bone] for bone in candidates if counts[bone] >= LESS * largest]
 
 
 def _of_skin(skeleton: Skeleton, skin: np.ndarray, where: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

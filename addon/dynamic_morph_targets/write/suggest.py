@@ -69,7 +69,7 @@ def suggestions(session_uid: int) -> Generator[tuple[float, str], None, tuple[li
         yield done / len(read), Message("Trying the driver of '{name}'", name=key)
         obj = find(session_uid)
         rig = checks.armature_modifier(obj).object
-        with _unchanged_pose(rig), events.unheard(), _Trial(obj, rig) as trial:
+        with _unchanged_pose(rig), events.without_handlers(), _Trial(obj, rig) as trial:
             targets.pose_rig(rig, skeleton, neutral)
             angles, top, turns = _turned_until_on(trial, key, axes)
             bones = {bone for (bone, _), angle in zip(turns, angles, strict=True) if angle}

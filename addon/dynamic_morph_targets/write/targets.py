@@ -90,7 +90,7 @@ def _blend(character: Character, local: np.ndarray) -> np.ndarray:
     if not character.target_sets:
         return np.zeros_like(character.vertices)
     weights = posing.pose_space(character).weights(local[None])[0]
-    return np.tensordot(weights, [target.shape[character.own] for target in character.targets], 1)
+    return np.tensordot(weights, [target.shape[character.own_vertices] for target in character.targets], 1)
 
 
 # Targets -----------------------------------------------------------------------------------------------------------
@@ -309,12 +309,12 @@ def learn_from_sculpt(obj):
     local = target.local(skeleton)
     sculpted = mesh_data.target_shape(obj, name)
     if is_new and not (target.mute or engine.engine_problem()):
-        sculpted = sculpted - _blend(_with_sets(obj, name, own=True), local)
+        sculpted = sculpted - _blend(_with_sets(obj, name, with_set=True), local)
     if target.auto_bones and np.abs(sculpted).max() > NOTHING * np.abs(key_points(animation.keys_of(obj)[name])).max():
         choose_bones(obj, target, skeleton, sculpted)
     regions.update(obj)
     if is_new and target.region and not (target.mute or engine.engine_problem()):
-        others = _blend(_with_sets(obj, name, own=False), local)
+        others = _blend(_with_sets(obj, name, with_set=False), local)
         if others.any():
             set_shape(animation.keys_of(obj)[name], mesh_data.target_shape(obj, name) - others)
             regions.update(obj)
@@ -342,13 +342,13 @@ def _is_in_pose(obj, target, depsgraph) -> bool:
     return data_checks.same_pose(target.local(skeleton)[used], local[used])
 
 
-def _with_sets(obj, name: str, own: bool) -> Character:
-    """The character without a target and, unless `own`, without its whole set."""
+def _with_sets(obj, name: str, with_set: bool) -> Character:
+    """The character without a target and, unless `with_set`, without its whole set."""
     reconcile(obj)
     character, sets = extract.character(obj), []
     for target_set in character.target_sets:
         others = tuple(target for target in target_set.targets[1:] if target.name != name)
-        if own or len(others) == len(target_set.targets) - 1:
+        if with_set or len(others) == len(target_set.targets) - 1:
             sets.append(replace(target_set, targets=(target_set.targets[0], *others)))
     return replace(character, target_sets=tuple(sets))
 

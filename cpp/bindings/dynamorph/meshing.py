@@ -36,7 +36,7 @@ RESOLUTIONS = (1.0, 0.9, 1.12, 0.75)
 # only.
 FAULT_VARIABLE = "DYNAMORPH_MESHER_FAULT"
 
-Progress = Callable[[float], bool]  # called with 0..1, returns False to cancel
+ProgressFn = Callable[[float], bool]  # called with 0..1, returns False to cancel
 Surface = tuple[np.ndarray, np.ndarray]  # vertices (V, 3) and triangles (T, 3)
 
 
@@ -57,7 +57,7 @@ def mesh_body(
     pin_radius: float = 0.4,
     time_limit: float | None = None,
     memory_limit_gb: float = 4.0,
-    progress: Progress | None = None,
+    progress: ProgressFn | None = None,
 ) -> tuple[np.ndarray, np.ndarray, TetMesh]:
     """Wraps a closed cage around any triangle soup and fills it with about `target_nodes` nodes.
 
@@ -92,7 +92,7 @@ def mesh_body(
 
 
 def _mesh_in_child(
-    arrays: list[np.ndarray], arguments: list[float], progress: Progress | None
+    arrays: list[np.ndarray], arguments: list[float], progress: ProgressFn | None
 ) -> tuple[np.ndarray, np.ndarray, TetMesh]:
     with tempfile.TemporaryFile() as request, tempfile.TemporaryFile() as answer:
         for array in arrays:
@@ -154,7 +154,7 @@ def _checked(vertices: np.ndarray, triangles: np.ndarray) -> Surface:
     return arrays
 
 
-def _run_child(arguments: list[float], request: IO[bytes], answer: IO[bytes], progress: Progress | None) -> None:
+def _run_child(arguments: list[float], request: IO[bytes], answer: IO[bytes], progress: ProgressFn | None) -> None:
     """Runs `_child` on open files. Its standard error carries progress (numbers) and, at the end, a message."""
     time_limit, memory_limit_gb = arguments[1:3]
     # Isolated, with our own paths: the child must not see the artist's Python environment. Inside Blender it runs
@@ -254,7 +254,7 @@ def _child() -> None:
 
 
 def _answer(arrays: Iterable[np.ndarray]) -> None:
-    """Raises OSError on a full disk, of which `np.save` to a file does not tell."""
+    """Raises OSError on a full disk, which `np.save` to a file would not notice."""
     content = io.BytesIO()
     for array in arrays:
         np.save(content, array, allow_pickle=False)
@@ -379,11 +379,11 @@ def _moved_nearby(cage: Surface, body: Surface, moved: np.ndarray) -> np.ndarray
     vertices, triangles = cage
     moving = np.flatnonzero(moved > 0.05)
     moving = moving[:: max(1, len(moving) // 1000)]
-    reach = 2 * np.linalg.norm(vertices[triangles[:, 0]] - vertices[triangles[:, 1]], axis=1).mean()
+    spread = 2 * np.linalg.norm(vertices[triangles[:, 0]] - vertices[triangles[:, 1]], axis=1).mean()
     nearby = np.zeros(len(vertices))
     for point, amount in zip(body[0][moving], moved[moving], strict=True):
         distance = np.linalg.norm(vertices - point, axis=1)
-        np.maximum(nearby, amount * np.exp(-((distance / reach) ** 2)), out=nearby)
+        np.maximum(nearby, amount * np.exp(-((distance / spread) ** 2)), out=nearby)
     return nearby
 
 

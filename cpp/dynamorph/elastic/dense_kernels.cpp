@@ -7,7 +7,7 @@ namespace dynamorph::DYNAMORPH_ISA {
 
 namespace {
 
-/// Adds to the rows from i on of `width` columns of A, of which j is the first; `width` is at most four. Sums over the
+/// Adds to the rows from i on of the `width` columns of A from j on; `width` is at most four. Sums over the
 /// rows of J stay in registers.
 template <int kVectors>
 DYNAMORPH_INLINE void add_block(const double* J, const double* d, Index k, Index n, Index i, Index j, Index width,

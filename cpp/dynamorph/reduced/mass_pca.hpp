@@ -12,8 +12,8 @@ MatrixXd gram(const RowMajor& A);
 /// Orthonormal basis of the columns' span, with a relative rank tolerance of 1e-9.
 MatrixXd orthonormal(const MatrixXd& columns);
 
-/// The `count` strongest orthogonal combinations of the columns, strongest first, as long as they are strong; fewer
-/// where the columns have fewer beyond a relative 1e-7.
+/// The `count` strongest orthogonal combinations of the columns, strongest first; fewer where the
+/// columns have fewer than that beyond a relative 1e-7.
 MatrixXd strongest(const RowMajor& columns, Eigen::Index count);
 
 /// Columns up to which `strongest` is fast. A rig of hundreds of bones has more loads, each with few entries.

@@ -32,8 +32,8 @@ DYNAMORPH_KERNEL(double, contract_orders, const double* constant, const double* 
 DYNAMORPH_KERNEL(void, blend_tables, const float* const* tables, const double* weights, int count, Index size,
                  float* out);
 
-/// For S (h, pairs of r), of which a pair stands for both its orders, and h a whole number of chunks: adds S v to
-/// slopes (h, r), and writes products (pairs) = S^T y.
+/// For S (h, pairs of r), where a pair stands for both its orders and h is a whole number of chunks: adds S v to slopes
+/// (h, r), and writes products (pairs) = S^T y.
 DYNAMORPH_KERNEL(void, couple, const float* S, Index h, Index r, const double* v, const double* y, double* slopes,
                  double* products);
 

@@ -73,7 +73,7 @@ TEST_CASE("block Cholesky: says when a matrix is not positive definite, and take
   shifted.diagonal().array() += 0.02 * lowest;
   CHECK(factor.factorize(shifted));
 
-  // Another pattern is analyzed anew: here the nodes of A without its last ones, and one coupled to all others.
+  // Another pattern is analyzed again: here the nodes of A without its last ones, and one coupled to all others.
   const Eigen::Index rows = A.rows() - 30;
   MatrixXd dense = MatrixXd(A).topLeftCorner(rows, rows);
   dense.row(4).setConstant(-0.01);

@@ -140,7 +140,7 @@ TEST_CASE("what is cut once has nothing left to cut, and cutting is repeatable")
   CHECK(MeshCut(mesh, skin.vertices, skin.triangles).cut().tets == cut.tets);
 }
 
-TEST_CASE("a thin slab is not cut, its two sides are one flesh") {
+TEST_CASE("a thin slab is not cut, because its two sides belong to the same tissue") {
   std::vector<Vector3d> line;
   for (int i = 0; i <= 20; ++i) line.emplace_back(i / 20.0, 0, 0.1 * std::sin(i / 4.0));
   const Surfaces slab = tube(line, 0.01, 0.5, 32);

@@ -56,7 +56,7 @@ void check_skin(std::shared_ptr<const Model> model) {
   map.pull_back(bones, forces, pulled);
   CHECK(forces.dot(moved - x) == doctest::Approx(pulled.dot(dq)).epsilon(1e-11));
 
-  // Two numbers, of which one depends on two points.
+  // Two numbers; one depends on two points.
   PointRows numbers, scratch;
   const Vector3d up(0.3, -1, 2), side(1, 0.5, 0);
   numbers.add_row();

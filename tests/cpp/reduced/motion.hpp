@@ -90,7 +90,7 @@ struct Moving {
   }
 };
 
-/// The same body, of which nothing is known but where its nodes go.
+/// The same body, known only by where its nodes go.
 inline std::shared_ptr<const SoftBody> with_own_transforms(const SoftBody& body) {
   std::vector<bool> pinned(body.free_of_node.size());
   for (size_t i = 0; i < pinned.size(); ++i) pinned[i] = body.free_of_node[i] < 0;

@@ -167,7 +167,7 @@ TEST_CASE("Newton: a step that is too long is halved by values alone") {
   CHECK(bowl.values > bowl.linearizations);  // each of which asks for the value too
 }
 
-TEST_CASE("Newton: a force that is not finite is told") {
+TEST_CASE("Newton: a force that is not finite is reported") {
   for (double begin : {std::numeric_limits<double>::quiet_NaN(), 1e200}) {  // cosh overflows
     Hills hills;
     VectorXd q = VectorXd::Constant(2, begin);
