@@ -97,13 +97,13 @@ dropped, faces are turned outward, and holes are capped. Returns the vertices (W
 last, and the counts of defects by name. Raises Error when the input is empty, flat, not finite, or not between 1e-6 and
 1e6 m across.)");
   m.def(
-      "make_cage",
+      "make_cage_surface",
       [](const FloatArray& vertices, const IndexArray& faces, int target_vertices, double thickness,
          const py::object& progress) {
         const Points v = points(vertices, "vertices");
         const Triangles f = triangles(faces);
         const ProgressFn report = with_gil(progress);
-        Cage cage = without_gil([&] { return make_cage(v, f, target_vertices, thickness, report); });
+        CageSurface cage = without_gil([&] { return make_cage_surface(v, f, target_vertices, thickness, report); });
         return std::make_pair(std::move(cage.vertices), std::move(cage.triangles));
       },
       "vertices"_a, "triangles"_a, "target_vertices"_a, "thickness"_a = 0.0, "progress"_a = py::none(),

@@ -248,7 +248,10 @@ def test_unusable_bodies_are_refused_with_advice(children, body, message):
         (lambda v, t: dynamorph.mesh_body(v, t.ravel(), 300), r"triangles: expected shape \(any, 3\), got \(36,\)"),
         (lambda v, t: dynamorph.mesh_body(v, t + 1, 300), "triangles: expected vertex indices from 0 to 7"),
         (lambda v, t: dynamorph.mesh_body(v, t, 2), "target_nodes: expected at least 4, got 2"),
-        (lambda v, t: dynamorph.make_cage(v[:, :2], t, 300), r"vertices: expected shape \(any, 3\), got \(8, 2\)"),
+        (
+            lambda v, t: dynamorph.make_cage_surface(v[:, :2], t, 300),
+            r"vertices: expected shape \(any, 3\), got \(8, 2\)",
+        ),
         (lambda v, t: dynamorph.TetMesh(v, t), r"tets: expected shape \(any, 4\), got \(12, 3\)"),
         (lambda v, t: dynamorph.TetMesh(v[:4], [[0, 1, 2, 9]]), "tets: expected node indices from 0 to 3"),
         (lambda v, t: dynamorph.TetMesh(v[:4], [[0, 1, 2, 3]]), "tets: tet 0 is flat"),

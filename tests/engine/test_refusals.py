@@ -280,7 +280,7 @@ def test_the_cut_of_a_mesh_without_tetrahedra():
 )
 def test_cages_that_would_take_for_ever(size, message):
     with pytest.raises(ValueError, match=message):
-        dynamorph.make_cage(*box(), **size)
+        dynamorph.make_cage_surface(*box(), **size)
 
 
 def box():

@@ -24,7 +24,15 @@ from typing import IO
 
 import numpy as np
 
-from dynamorph._core import Cancelled, Error, TetMesh, closed_surface, make_cage, points_on_bones, tetrahedralize
+from dynamorph._core import (
+    Cancelled,
+    Error,
+    TetMesh,
+    closed_surface,
+    make_cage_surface,
+    points_on_bones,
+    tetrahedralize,
+)
 
 TRY_THIS = "Change the cage resolution a little, or clean the mesh (Mesh > Clean Up > Merge by Distance)."
 EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER, EXIT_MESHER, EXIT_DISK = 10, 11, 12, 13, 14  # 1 and 2 are Python's own
@@ -313,7 +321,7 @@ def _wrapped(
     for attempt in range(3):
         progress = functools.partial(_report, attempt)
         wanted = max(int(cage_vertices), 4)
-        cage = _graded(make_cage(*body, _coarser(wanted, moved), thickness, progress), wanted, body, moved)
+        cage = _graded(make_cage_surface(*body, _coarser(wanted, moved), thickness, progress), wanted, body, moved)
         arrays = _filled(cage, body, bones, pin_radius, target_nodes)
         nodes = len(arrays[2])
         error = abs(math.log(nodes / target_nodes))

@@ -76,8 +76,8 @@ Wrap wrap_with_vertices(const Soup& soup, int target, double thickness, const Pr
   return best;
 }
 
-Cage to_cage(const Wrap& wrap, const UnitBox& box) {
-  Cage cage{Points(wrap.number_of_vertices(), 3), Triangles(wrap.number_of_faces(), 3)};
+CageSurface to_cage(const Wrap& wrap, const UnitBox& box) {
+  CageSurface cage{Points(wrap.number_of_vertices(), 3), Triangles(wrap.number_of_faces(), 3)};
   std::vector<int> number(wrap.num_vertices());
   int row = 0;
   for (const auto v : wrap.vertices()) {
@@ -96,8 +96,8 @@ Cage to_cage(const Wrap& wrap, const UnitBox& box) {
 
 }  // namespace
 
-Cage make_cage(const Points& vertices, const Triangles& triangles, int target_vertices, double thickness,
-               const ProgressFn& progress) {
+CageSurface make_cage_surface(const Points& vertices, const Triangles& triangles, int target_vertices, double thickness,
+                              const ProgressFn& progress) {
   constexpr int kMost = 1000000;  // takes minutes
   if (target_vertices < 4 || target_vertices > kMost)
     throw std::invalid_argument("target_vertices: expected 4 to " + std::to_string(kMost) + ", got " +

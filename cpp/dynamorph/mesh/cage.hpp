@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Wraps a closed cage around any triangle soup, coarse enough to simulate.
+// Wraps a closed surface around any triangle soup, coarse enough to simulate: that of the cage of tetrahedra.
 //
 // CGAL's alpha wrap (Portaneri et al. 2022, Alpha wrapping with an offset, doi 10.1145/3528223.3530152) shrinks a
 // surface around the soup with balls of radius alpha, at distance offset = 0.2 alpha or more. The result is closed and
@@ -13,16 +13,16 @@
 
 namespace dynamorph {
 
-struct Cage {
+struct CageSurface {
   Points vertices;
   Triangles triangles;  ///< outward
 };
 
-/// Makes a cage of about `target_vertices` vertices (within 7 % where the shape allows), at least `thickness` (meters)
-/// away from the soup. Open, self-intersecting or multi-part input is fine; parts closer than about alpha come out
-/// glued. Throws Error when the input is empty, flat, not finite, or outside 1e-6 .. 1e6 m, and std::invalid_argument
-/// for more than a million vertices or a thickness larger than the input.
-Cage make_cage(const Points& vertices, const Triangles& triangles, int target_vertices, double thickness = 0,
-               const ProgressFn& progress = {});
+/// Makes a surface of about `target_vertices` vertices (within 7 % where the shape allows), at least `thickness`
+/// (meters) away from the soup. Open, self-intersecting or multi-part input is fine; parts closer than about alpha come
+/// out glued. Throws Error when the input is empty, flat, not finite, or outside 1e-6 .. 1e6 m, and
+/// std::invalid_argument for more than a million vertices or a thickness larger than the input.
+CageSurface make_cage_surface(const Points& vertices, const Triangles& triangles, int target_vertices,
+                              double thickness = 0, const ProgressFn& progress = {});
 
 }  // namespace dynamorph

@@ -19,9 +19,9 @@ using namespace dynamorph;
 namespace {
 
 /// A sphere of radius 1, outward, of rings x 2 rings quads cut in two.
-Cage sphere(int rings = 24) {
+CageSurface sphere(int rings = 24) {
   const int around = 2 * rings;
-  Cage s{Points((rings - 1) * around + 2, 3), Triangles(2 * (rings - 1) * around, 3)};
+  CageSurface s{Points((rings - 1) * around + 2, 3), Triangles(2 * (rings - 1) * around, 3)};
   const int south = static_cast<int>(s.vertices.rows()) - 2, north = south + 1;
   s.vertices.row(south) << 0, 0, -1;
   s.vertices.row(north) << 0, 0, 1;
@@ -55,14 +55,14 @@ std::vector<Vector3d> random_points(int count, double extent) {
 }
 
 TetMesh sphere_mesh(int nodes = 800) {
-  const Cage s = sphere(8);
+  const CageSurface s = sphere(8);
   return tetrahedralize(s.vertices * 1.2, s.triangles, nodes);
 }
 
 }  // namespace
 
 TEST_CASE("distance to a surface equals a search through all triangles") {
-  const Cage s = sphere(6);
+  const CageSurface s = sphere(6);
   const Surface surface(s.vertices, s.triangles);
   for (const Vector3d& p : random_points(200, 2)) {
     double best = std::numeric_limits<double>::infinity();
@@ -76,7 +76,7 @@ TEST_CASE("distance to a surface equals a search through all triangles") {
 }
 
 TEST_CASE("winding numbers tell inside from outside, open or inside out") {
-  const Cage s = sphere();
+  const CageSurface s = sphere();
   const Surface closed(s.vertices, s.triangles);
   const Surface open(s.vertices, s.triangles.topRows(s.triangles.rows() * 9 / 10));
   const Surface inside_out(s.vertices, s.triangles.rowwise().reverse());
@@ -97,7 +97,7 @@ TEST_CASE("an empty surface contains nothing and is infinitely far") {
 }
 
 TEST_CASE("tets fill the cage: volume, boundary, orientation, node count") {
-  const Cage s = sphere(8);
+  const CageSurface s = sphere(8);
   const TetMesh mesh = tetrahedralize(s.vertices, s.triangles, 800);
   double volume = 0;
   for (Eigen::Index t = 0; t < s.triangles.rows(); ++t) {
@@ -132,7 +132,7 @@ TEST_CASE("an embedding reproduces points and linear fields, and stays bounded f
 }
 
 TEST_CASE("fill fractions add up to the body's volume") {
-  const Cage s = sphere();
+  const CageSurface s = sphere();
   const TetMesh mesh = sphere_mesh();
   const VectorXd fill = fill_fractions(mesh, s.vertices, s.triangles);
   CHECK(fill.minCoeff() >= 0.05);
@@ -141,7 +141,7 @@ TEST_CASE("fill fractions add up to the body's volume") {
 }
 
 TEST_CASE("extended values keep constants and fit what varies smoothly") {
-  const Cage s = sphere();
+  const CageSurface s = sphere();
   const TetMesh mesh = sphere_mesh();
   const Embedding e = embed(mesh, s.vertices);
   MatrixXd values(s.vertices.rows(), 2);
@@ -152,7 +152,7 @@ TEST_CASE("extended values keep constants and fit what varies smoothly") {
 }
 
 TEST_CASE("bones hold more nodes as the ratio grows, none outside the body") {
-  const Cage s = sphere();
+  const CageSurface s = sphere();
   const TetMesh mesh = sphere_mesh();
   Points head(1, 3), tail(1, 3);
   head << 0, 0, -0.5;
@@ -174,6 +174,6 @@ TEST_CASE("bones hold more nodes as the ratio grows, none outside the body") {
 }
 
 TEST_CASE("a canceled cage stops") {
-  const Cage s = sphere();
-  CHECK_THROWS_AS(make_cage(s.vertices, s.triangles, 100, 0, [](double) { return false; }), Cancelled);
+  const CageSurface s = sphere();
+  CHECK_THROWS_AS(make_cage_surface(s.vertices, s.triangles, 100, 0, [](double) { return false; }), Cancelled);
 }
