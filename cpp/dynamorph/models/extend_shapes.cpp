@@ -15,7 +15,7 @@ MatrixXd extend_shapes(const SoftBody& body, const Embedding& embedding, const M
   neutral.lame = {1, 1};
   auto whole = std::make_shared<SoftBody>(body);
   whole->region_weights.setOnes(body.mesh.tets.rows(), 1);
-  whole->holds.resize(0, 0);  // the hold acts about the target's shape, which is not known yet
+  whole->hold_stiffness.resize(0, 0);  // the hold acts about the target's shape, which is not known yet
   const FullModel model(whole, {neutral}, Law::linear, Blending::forces);
   SparseMatrix A = model.rest_stiffness(0);
   const double pull = 1e4 * A.diagonal().mean();

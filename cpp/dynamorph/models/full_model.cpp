@@ -35,8 +35,8 @@ FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarg
     // The linear law's stiffness is StVK's at the rest shape.
     const Law law = law_ == Law::linear ? Law::stvk : law_;
     assembly_.linearize(law, {{1, target.lame, &elements_.back()}}, VectorXd::Zero(d.size()), force, K);
-    for (Eigen::Index i = 0; body_->holds.size() > 0 && i < dofs(); ++i)
-      K.valuePtr()[diagonal_[i]] += target.lame.mu * body_->holds(i / 3, target.set);
+    for (Eigen::Index i = 0; body_->hold_stiffness.size() > 0 && i < dofs(); ++i)
+      K.valuePtr()[diagonal_[i]] += target.lame.mu * body_->hold_stiffness(i / 3, target.set);
     rest_stiffness_.push_back(values(K));
     rest_pull_.push_back(K * d);
     if (blending_ == Blending::forces) elements_.back() = assembly_.pack(shapes_.back(), true);
@@ -106,13 +106,13 @@ VectorXd FullModel::displacement_from_shape(const Blend& blend, const VectorXd& 
 }
 
 void FullModel::blend_hold(const VectorXd& w, Blend& out) const {
-  if (body_->holds.size() == 0) return;
+  if (body_->hold_stiffness.size() == 0) return;
   out.hold.setZero(dofs());
   out.hold_shapes.setZero(blending_ == Blending::even ? 0 : dofs());
   out.hold_energy = 0;
   for (Eigen::Index j = 0; j < w.size(); ++j) {
     if (w(j) == 0) continue;
-    const VectorXd stiffness = at_coordinates(w(j) * targets_[j].lame.mu * body_->holds.col(targets_[j].set));
+    const VectorXd stiffness = at_coordinates(w(j) * targets_[j].lame.mu * body_->hold_stiffness.col(targets_[j].set));
     out.hold += stiffness;
     if (blending_ == Blending::even) continue;  // x is zero at each target's own shape, so there are no more terms
     out.hold_shapes += stiffness.cwiseProduct(rest_displacements_[j]);
@@ -132,7 +132,7 @@ double FullModel::energy(const Blend& blend, const VectorXd& q) const {
   if (law_ == Law::linear) return blend.energy + q.dot(0.5 * (blend.stiffness * q) + blend.force);
   const VectorXd x = displacement_from_shape(blend, q);
   VectorXd pull;
-  const double of_hold = body_->holds.size() > 0 ? hold_energy(blend, x, pull) : 0;
+  const double of_hold = body_->hold_stiffness.size() > 0 ? hold_energy(blend, x, pull) : 0;
   return assembly_.energy(law_, parts(blend), x) + of_hold;
 }
 
@@ -141,7 +141,7 @@ double FullModel::linearize(const Blend& blend, const VectorXd& q, VectorXd& for
   if (law_ != Law::linear) {
     const VectorXd x = displacement_from_shape(blend, q);
     const double energy = assembly_.linearize(law_, parts(blend), x, force, stiffness);
-    if (body_->holds.size() == 0) return energy;
+    if (body_->hold_stiffness.size() == 0) return energy;
     VectorXd pull;
     const double of_hold = hold_energy(blend, x, pull);
     force += pull;

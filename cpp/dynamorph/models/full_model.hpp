@@ -34,7 +34,7 @@ class FullModel {
     SetDensities mass;
     Matrix damping;          ///< sum_j w_j beta_j K_j
     VectorXd displacement;   ///< even blending: d(q) (3 free); otherwise empty
-    VectorXd hold;           ///< sum_j w_j mu_j holds (3 free); empty without a hold
+    VectorXd hold;           ///< sum_j w_j mu_j hold_stiffness (3 free); empty without a hold
     VectorXd hold_shapes;    ///< forces blending: the same times d_j
     double hold_energy = 0;  ///< forces blending: its energy at u = 0
     Matrix stiffness;        ///< linear law only: f = stiffness q + force, E = energy + ...

@@ -54,7 +54,7 @@ SoftBody::SoftBody(TetMesh mesh_, VectorXd fill_, const VectorXd& stiffness, Mat
     return out;
   };
   volumes = lumped(fill);
-  if ((hold.array() > 0).any()) holds = lumped(stiffness_scale.cwiseProduct(hold));
+  if ((hold.array() > 0).any()) hold_stiffness = lumped(stiffness_scale.cwiseProduct(hold));
   volume = volumes.sum();
   center.setZero();
   for (Eigen::Index i = 0; i < f; ++i) center += volumes.row(i).sum() / volume * rest.segment<3>(3 * i);

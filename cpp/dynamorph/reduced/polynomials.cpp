@@ -100,9 +100,9 @@ class TargetSums {
 /// Adds the hold's U^T H U, which is quadratic about the target's shape, as K0 is.
 void add_hold(const SoftBody& body, int set, const RowMajor& U, VectorXd& table) {
   MatrixXd hold = MatrixXd::Zero(U.cols(), U.cols());
-  for (Index i = 0; i < body.holds.rows(); ++i) {
+  for (Index i = 0; i < body.hold_stiffness.rows(); ++i) {
     const auto rows = U.middleRows<3>(3 * i);
-    hold.noalias() += body.holds(i, set) * rows.transpose() * rows;
+    hold.noalias() += body.hold_stiffness(i, set) * rows.transpose() * rows;
   }
   Index at = 0;
   for_pairs(U.cols(), [&](Index k, Index l) { table(at++) += hold(k, l); });
@@ -169,7 +169,7 @@ ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn
       if (mode_gradients(body, element, e, modes, G)) sums.add(element.weight, G);
     }
     sums.tables(tables.lambda[j], tables.mu[j]);
-    if (body.holds.size() > 0) add_hold(body, model.targets()[j].set, modes, tables.mu[j]);
+    if (body.hold_stiffness.size() > 0) add_hold(body, model.targets()[j].set, modes, tables.mu[j]);
   });
   report(progress, 1);
   return tables;
