@@ -141,7 +141,7 @@ def test_an_animated_mute_of_an_attachment_s_key_is_refused(built):
     refused(OPS.live, "'Sleeve': .*mute is animated")
 
 
-def test_influence_that_strips_animate_is_told(built, tmp_path):
+def test_influence_that_strips_animate_is_reported(built, tmp_path):
     """It cannot be carried from a point cache to shape keys."""
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
     obj = bpy.data.objects["Arm"]
@@ -156,7 +156,7 @@ def test_influence_that_strips_animate_is_told(built, tmp_path):
     assert "could not be carried along" in obj.dynamorph.bake.warnings
 
 
-def test_keyframes_on_baked_keys_are_told(built):
+def test_keyframes_on_baked_keys_are_reported(built):
     """A keying set adds them, and they play instead of the bake."""
     OPS.bake()
     keys_of(built).key_blocks[built.dynamorph.bake.keys[0].name].keyframe_insert("value", frame=3)
@@ -236,7 +236,7 @@ def test_an_animated_mute_is_exported(soft_arm, tmp_path, name):
 
 
 @pytest.mark.parametrize("modifier", [False, True])
-def test_a_parent_of_type_armature_is_mended(soft_arm, modifier):
+def test_a_parent_of_type_armature_is_fixed(soft_arm, modifier):
     """It deforms like a modifier."""
     rig, before = rig_of(soft_arm), round_trips.shown("Arm", EVERY)
     world = soft_arm.matrix_world.copy()
@@ -249,7 +249,7 @@ def test_a_parent_of_type_armature_is_mended(soft_arm, modifier):
     assert round_trips.shown("Arm", EVERY) == pytest.approx(before, abs=1e-5)
 
 
-def test_a_rig_whose_library_is_missing_is_told(built, tmp_path):
+def test_a_rig_whose_library_is_missing_is_reported(built, tmp_path):
     """Blender puts an empty in its place. The bake plays on, and can be removed."""
     library = tmp_path / "rig.blend"
     rig = rig_of(baked(built))
@@ -271,7 +271,7 @@ def test_a_rig_whose_library_is_missing_is_told(built, tmp_path):
     assert list(keys_of(obj).key_blocks.keys()) == ["Basis", "flexed", "smile"]
 
 
-def test_a_parent_is_mended_where_a_constraint_places_the_mesh_too(soft_arm):
+def test_a_parent_is_fixed_where_a_constraint_places_the_mesh_too(soft_arm):
     mark = bpy.data.objects.new("Mark", None)
     bpy.context.scene.collection.objects.link(mark)
     mark.location = 1.0, 2.0, 3.0

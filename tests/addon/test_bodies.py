@@ -514,7 +514,7 @@ def chain_figure(scene, names=("a", "b", "c"), head=0.45):
 
 
 @pytest.mark.parametrize("names, found", [(("a", "b", "c"), "c"), (("hips", "spine", "Head_05"), "Head_05")])
-def test_a_head_is_told_by_shape_or_name(scene, names, found):
+def test_a_head_is_recognized_by_shape_or_name(scene, names, found):
     obj = chain_figure(scene, names)
     assert obj.dynamorph.model.head == found
     character = part("extract").character(obj, without_targets=True)

@@ -476,7 +476,7 @@ def test_reports_that_lack_something_are_refused_or_of_no_matter(run, reports, t
             try:
                 found = read(folder)
                 part("report_page").page(found, part("report_page").failures(found))
-            except part("errors").CollectError:
+            except part("errors").ReportPageError:
                 refused.add(way[-1])
     assert {"characters", "exit_code", "error", "versions", "name", "seconds", "bake", "frames", "hash"} <= refused
     (folder / "changed.json").write_text(json.dumps({**report, "characters": [{}]}))

@@ -31,7 +31,7 @@ def test_all_errors_of_the_extension_are_one_tree(addon):
     assert not issubclass(base, ValueError)
 
 
-def test_the_artist_is_told_of_these_alone(addon):
+def test_the_artist_sees_these_alone(addon):
     expected = part("engine").expected_errors()
     assert {part("errors").DynamorphError, OSError, MemoryError} <= set(expected)
     for bug in (ValueError, TypeError, KeyError, RuntimeError, AttributeError, ReferenceError):
@@ -41,7 +41,7 @@ def test_the_artist_is_told_of_these_alone(addon):
 
 
 @pytest.mark.parametrize("bug", [ValueError("shapes (3,) (4,)"), TypeError("no"), KeyError("mesh"), RuntimeError("x")])
-def test_a_bug_in_a_button_is_logged_and_told(soft_arm, stand_in, caplog, bug):
+def test_a_bug_in_a_button_is_logged_and_reported(soft_arm, stand_in, caplog, bug):
     bpy.ops.dynamorph.bake()
     before = fingerprint(soft_arm)
     stand_in.fail = bug
@@ -50,7 +50,7 @@ def test_a_bug_in_a_button_is_logged_and_told(soft_arm, stand_in, caplog, bug):
 
 
 @pytest.mark.fault("C08")
-def test_what_is_expected_is_told_and_not_logged(soft_arm, stand_in, caplog):
+def test_what_is_expected_is_reported_and_not_logged(soft_arm, stand_in, caplog):
     stand_in.fail = part("errors").SceneError("'Arm': the tissue is too soft")
     refused(bpy.ops.dynamorph.bake, "^Error: 'Arm': the tissue is too soft")
     stand_in.fail = OSError(28, "No space left on device")

@@ -70,7 +70,7 @@ def test_another_file_while_a_bake_computes(soft_arm, stand_in, tmp_path, other)
     for name in ("another", "shot"):
         bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / f"{name}.blend"))
     before = fingerprint(soft_arm)
-    stand_in.waits["Arm"] = threading.Event()  # it is canceled before it is told to go on
+    stand_in.waits["Arm"] = threading.Event()  # it is canceled before it may go on
     seconds = []
 
     def load(batch):

@@ -515,14 +515,14 @@ def test_a_read_only_temporary_folder_is_found_before_the_work(shot, run, stand_
         subprocess.run(["umount", "--lazy", folder], check=True)
 
 
-def test_the_export_on_a_full_disk_is_told_before_the_work(shot, run, stand_in, disk):  # noqa: F811
+def test_the_export_on_a_full_disk_is_reported_before_the_work(shot, run, stand_in, disk):  # noqa: F811
     fill(disk)
     code, _, message = run(*bake(shot, "--format", "alembic", "--output-file", disk / "arm.abc"))
     assert code == 75 and re.search(rf"arm.abc': {FULL}, about 0.1 MB are needed.*try again", message)
     assert stand_in.built == 0 and names(disk) == []
 
 
-def test_point_caches_that_do_not_fit_are_told_before_the_work(shot, run, stand_in, disk):  # noqa: F811
+def test_point_caches_that_do_not_fit_are_reported_before_the_work(shot, run, stand_in, disk):  # noqa: F811
     fill(disk)
     more = ("--format", "pc2", "--output-file", disk / "arm.pc2", "-o", shot.parent / "baked.blend")
     code, _, message = run(*bake(shot, *more))
@@ -638,7 +638,7 @@ def test_a_saved_file_is_compressed_as_it_was(soft_arm, tmp_path, compress):
     assert path.read_bytes()[:4] == theirs[:4]
 
 
-# What is told --------------------------------------------------------------------------------------------------------
+# Messages ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["ENOSPC", "EIO", "ESTALE", "EDQUOT", "EINTR", "EAGAIN", "ETIMEDOUT", "EBUSY"])

@@ -156,7 +156,7 @@ class Newer:
         )
 
 
-def test_python_in_a_file_is_told_of_or_runs(shot, run, stand_in):  # noqa: F811
+def test_python_in_a_file_is_reported_or_runs(shot, run, stand_in):  # noqa: F811
     driver = bpy.data.objects["Arm Rig"].driver_add("location", 2).driver
     driver.expression = "sum([frame, 1.0])"  # more than Blender's own simple expressions
     bpy.ops.wm.save_mainfile()
@@ -190,7 +190,7 @@ def test_a_point_cache_changes_with_the_blend_that_plays_it(shot, run, stand_in,
     assert {path.name for path in shot.parent.iterdir()} - set(there) <= {"shot ü.blend2"}
 
 
-def test_a_point_cache_that_is_gone_is_told(shot, run):  # noqa: F811
+def test_a_point_cache_that_is_gone_is_reported(shot, run):  # noqa: F811
     cache = shot.parent / "Arm.pc2"
     assert run("bake", shot, "--object", "Arm", "--in-place", "--format", "pc2", "--output-file", cache)[0] == 0
     assert "bake state: up to date" in run("info", shot, "--object", "Arm")[1]

@@ -305,7 +305,7 @@ def test_a_piece_alone_is_freed_when_its_body_is_gone(dressed):
     assert keys_of(sleeve).key_blocks.keys() == ["Basis"] and not OPS.free_bake.poll()
 
 
-def test_what_is_far_from_the_skin_is_told(dressed):
+def test_what_is_far_from_the_skin_is_reported(dressed):
     arm, sleeve = dressed
     sleeve.data.vertices[0].co.x += 3.0
     job = bake(arm)

@@ -207,8 +207,8 @@ def test_a_local_object_with_a_linked_mesh_is_refused(asset):
     before = state()
     for name in set(CALLS) - {"apply_feel", "apply_material", "fit_bounce", "fit_material", "fix"}:
         assert not getattr(OPS, name).poll(), name
-    told = part("job_operators").DYNAMORPH_OT_bake.disabled_reason(bpy.context)
-    assert told.startswith(f"The mesh of '{obj.name}' is linked") and "make it local" in told
+    why = part("job_operators").DYNAMORPH_OT_bake.disabled_reason(bpy.context)
+    assert why.startswith(f"The mesh of '{obj.name}' is linked") and "make it local" in why
     with pytest.raises(part("errors").SinkError, match="Mesh 'Arm' is linked.*make it local"):
         bake(obj)
     assert state() == before

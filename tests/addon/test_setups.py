@@ -725,7 +725,7 @@ def test_large_models_go_where_the_user_wants(soft_arm, stand_in, tmp_path, monk
         model_store.stored_model(soft_arm)
 
 
-def test_threads_are_told_to_the_engine_by_whatever_uses_it_first(soft_arm, monkeypatch, chosen):
+def test_threads_are_passed_to_the_engine_by_whatever_uses_it_first(soft_arm, monkeypatch, chosen):
     dynamorph = pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
     counts = []
     fake = types.SimpleNamespace(set_threads=counts.append, unpack_model=dynamorph.unpack_model, Error=RuntimeError)
@@ -741,7 +741,7 @@ def test_threads_are_told_to_the_engine_by_whatever_uses_it_first(soft_arm, monk
     assert counts == [3, 0]
 
 
-def test_threads_chosen_before_the_add_on_starts_are_told(scene, monkeypatch):
+def test_threads_chosen_before_the_add_on_starts_are_passed_on(scene, monkeypatch):
     counts = []
     engine = types.SimpleNamespace(set_threads=counts.append, Error=RuntimeError)
     bpy.context.preferences.addons[MODULE].preferences.threads = 5

@@ -594,7 +594,7 @@ def test_a_baked_key_that_was_renamed_and_sculpted_stays_without_effect(scene, s
     assert len(keys_of(soft_arm).animation_data.nla_tracks) == 2
 
 
-def test_nothing_is_told_of_a_baked_key_that_was_deleted(soft_arm):
+def test_nothing_is_said_of_a_baked_key_that_was_deleted(soft_arm):
     bake = part("bake")
     bake.write_keys(soft_arm, hand_made_bake(soft_arm))
     soft_arm.shape_key_remove(keys_of(soft_arm).key_blocks["Dynamorph Mode 02"])

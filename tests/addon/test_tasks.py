@@ -117,7 +117,7 @@ def test_a_thread_that_is_left_ends_at_its_next_report(soft_arm, waiting):
     assert not thread.is_alive() and batch.winding_down == [] and task.result is None
 
 
-def test_what_a_thread_raises_is_told(soft_arm):
+def test_what_a_thread_raises_is_reported(soft_arm):
     def fails(_report):
         raise part("errors").SceneError("'{name}' is too soft", name="Arm")
 

@@ -16,10 +16,10 @@ from dynamic_morph_targets.io import model_file
 
 LENGTH, HELD = 0.8, 0.1  # meters; the bar is held up to this height
 BONES = np.tile(np.eye(3, 4), (2, 1, 1))
-FLESH = Material(stiffness=2e4, poisson=0.0)
+TISSUE = Material(stiffness=2e4, poisson=0.0)
 
 
-def bar(stiffness=1.0, material=FLESH, **settings):
+def bar(stiffness=1.0, material=TISSUE, **settings):
     """A bar along z that stands on its held foot. stiffness: painted, a number or a function of the height."""
     vertices, faces = scenes.tube(rings=33, around=16, radius=0.08, length=LENGTH)
     every = np.ones(len(vertices))
@@ -70,7 +70,7 @@ def test_nothing_painted_is_exactly_one(cage):
 @pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
 def test_painted_everywhere_is_a_stiffer_material(cage, solver):
     painted = pulled(bar(stiffness=4.0, solver=solver), cage, 0)
-    stiffer = pulled(bar(material=replace(FLESH, stiffness=8e4), solver=solver), cage, 0)
+    stiffer = pulled(bar(material=replace(TISSUE, stiffness=8e4), solver=solver), cage, 0)
     np.testing.assert_allclose(painted, stiffer, rtol=1e-6, atol=1e-9 * np.abs(stiffer).max())
 
 

@@ -125,7 +125,7 @@ def test_a_missing_engine_says_for_which_systems_it_is_there(loader_message):
         ("Linux", "_core.so: cannot allocate memory in static TLS block", "made for this Blender and system"),
     ],
 )  # fmt: skip
-def test_each_loader_is_told_with_its_remedy(loader_message, system, error, remedy):
+def test_each_loader_error_comes_with_its_remedy(loader_message, system, error, remedy):
     text = loader_message(ImportError(error), system)
     assert error in text and text.startswith(f"The engine cannot be loaded on {system}")
     _, _, advice = text.partition(error)

@@ -12,13 +12,13 @@ from dynamic_morph_targets.core.settings import Material, SimulationSettings
 from test_build import bar
 
 SECONDS = 1.0
-FLESH = Material(stiffness=3e4, poisson=0.3, mass_damping=2.0, stiffness_damping=0.002)
+TISSUE = Material(stiffness=3e4, poisson=0.3, mass_damping=2.0, stiffness_damping=0.002)
 
 
 def swaying_bar(blending="EVEN"):
     """A reduced bar of stable StVK, and what it does when its foot sways: coordinates (F, r) at the frames."""
     settings = replace(bar().settings, law="STABLE_STVK", solver="REDUCED", blending=blending)
-    character = replace(bar(material=FLESH), settings=settings)
+    character = replace(bar(material=TISSUE), settings=settings)
     model = build(character)
 
     def run(fps, substeps, scheme="BDF2"):

@@ -249,7 +249,7 @@ def set_property(obj: bpy.types.Object, change: str) -> None:
 
 
 def run_collect(args: argparse.Namespace) -> None:
-    """Raises CollectError when a bake failed or is missing, after the page is written."""
+    """Raises ReportPageError when a bake failed or is missing, after the page is written."""
     reports = report_page.read(args.folder)
     wrong = report_page.failures(reports, args.expect)
     page_json = args.page.with_suffix(".json")
@@ -260,7 +260,7 @@ def run_collect(args: argparse.Namespace) -> None:
     disk.save(page_json, json.dumps({"reports": reports, "wrong": wrong}, indent=1).encode())
     print(f"{len(reports)} reports in {args.page}")
     if wrong:
-        raise errors.CollectError("; ".join(wrong))
+        raise errors.ReportPageError("; ".join(wrong))
 
 
 def run_check(args: argparse.Namespace) -> None:

@@ -41,11 +41,11 @@ class InputError(DynamorphError):
     """The command line or the file does not say what to do. The message does."""
 
 
-class ClipError(DynamorphError):
+class KeysError(DynamorphError):
     """A bake cannot become that. The message says what to do."""
 
 
-class CollectError(DynamorphError):
+class ReportPageError(DynamorphError):
     """Reports are missing or wrong. The message lists them."""
 
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from .baked import CHUNK, Bake, at_rows, displaced, distance, samples_per_frame, surfaces
-from .errors import ClipError
+from .errors import KeysError
 from .geometry import smooth_step
 from .settings import POINT_CACHES, OutputSettings
 
@@ -26,13 +26,13 @@ MOST_KEYS = 2000  # keys of single frames; more of them, with their curves, woul
 
 def as_keys(bake: Bake, output: OutputSettings, to_bind: np.ndarray) -> tuple[Bake, float]:
     """The bake as the shape keys that `output` requires, and the largest error of the surface, meters; to_bind as for
-    `baked.largest_displacement`. A point cache has keys only for what shows without it. Raises ClipError when there
+    `baked.largest_displacement`. A point cache has keys only for what shows without it. Raises KeysError when there
     would be too many.
     """
     if output.sink == "FRAMES":
         kept = key_frames(bake, output.tolerance, to_bind) if output.tolerance else every_nth(bake, output.every)
         if len(kept) > MOST_KEYS:
-            raise ClipError(
+            raise KeysError(
                 "{count} shape keys are too many, {most} are the most: raise Frame Step or Tolerance, or choose a "
                 "point cache",
                 count=len(kept),

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from ..core.errors import CollectError
+from ..core.errors import ReportPageError
 from . import disk
 
 Check = Callable[[object], bool]
@@ -74,7 +74,7 @@ IS_REPORT = _has(
 
 
 def read(folder: Path) -> dict[str, dict]:
-    """The reports (*.json of `--report`) in a folder, by name. Raises CollectError."""
+    """The reports (*.json of `--report`) in a folder, by name. Raises ReportPageError."""
     reports = {}
     for path in sorted(folder.glob("*.json")):
         try:
@@ -85,10 +85,10 @@ def read(folder: Path) -> dict[str, dict]:
             if not IS_REPORT(found):
                 raise ValueError("something in it is missing or of another kind")
         except (ValueError, RecursionError) as error:
-            raise CollectError(f"'{path.name}' is no report ({error}): delete it, or run its task again") from error
+            raise ReportPageError(f"'{path.name}' is no report ({error}): delete it, or run its task again") from error
         reports[path.stem] = found
     if not reports:
-        raise CollectError(f"There are no reports in '{folder}': bake with --report first")
+        raise ReportPageError(f"There are no reports in '{folder}': bake with --report first")
     return reports
 
 

@@ -304,7 +304,7 @@ def _make_keys(given: BakeInput, outcome: Outcome, output: OutputSettings) -> No
     for name, whole, to_meters in zip(names, wholes, _to_meters(given, outcome), strict=False):
         try:
             keys, error = as_keys(whole, output, to_meters)
-        except errors.ClipError as refusal:
+        except errors.KeysError as refusal:
             raise SceneError("'{name}': {refusal}", name=name, refusal=refusal) from refusal
         off = max(off, error)
         all_keys += of_meshes(given, outcome.model, keys)

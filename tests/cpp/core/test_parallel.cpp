@@ -83,7 +83,7 @@ TEST_CASE("every piece of work is done once, whatever the number of threads") {
 TEST_CASE("an error is rethrown, not what it stopped") {
   const auto work = [](int i, const ProgressFn& progress) {
     if (i == 1) throw Error("this one");
-    for (int k = 0; k < 100; ++k) {  // until it is told to stop; on one core it ends by itself
+    for (int k = 0; k < 100; ++k) {  // until it must stop; on one core it ends by itself
       report(progress, 0);
       std::this_thread::sleep_for(std::chrono::milliseconds(2));
     }
