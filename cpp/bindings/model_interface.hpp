@@ -144,8 +144,9 @@ void bind_skin(py::module_& m, const char* name) {
              return std::make_shared<Map>(model, std::move(skin));
            }),
            "model"_a.none(false), "rest"_a, "embedding"_a, "weights"_a, "residual_shapes"_a = py::none(),
-           "rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights "
-           "at any positive scale, of which those below 1 % do not count. residual_shapes (J, P, 3): what the mesh "
+           "rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin "
+           "weights "
+           "at any positive scale; those below 1 % do not count. residual_shapes (J, P, 3): what the mesh "
            "cannot carry of each target's shape, or None.")
       .def(
           "displacement",

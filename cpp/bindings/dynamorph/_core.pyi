@@ -316,7 +316,7 @@ class FullSkin:
     """
     def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> None:
         """
-        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale, of which those below 1 % do not count. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None.
+        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale; those below 1 % do not count. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None.
         """
     def displacement(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
         """
@@ -442,7 +442,7 @@ class ReducedSkin:
     """
     def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> None:
         """
-        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale, of which those below 1 % do not count. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None.
+        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale; those below 1 % do not count. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None.
         """
     def displacement(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
         """

@@ -214,7 +214,7 @@ void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
     for (Eigen::Index l = k + 1; l < r; ++l) *pair++ = 2 * now.v(k) * now.v(l);
   }
   const float* table = (blend.only >= 0 ? tables_[blend.only] : blend.table).data();
-  // With forces blending v is the displacement from rest, of which even a small part hides the way to a target.
+  // With forces blending v is the displacement from rest. Even a small relative error of it hides the way to a target.
   const bool near = blending_ == Blending::even && blend.anchored;
   if (!near || (now.v - anchor.v).norm() > blend.near * now.v.norm()) {
     now.linear.setZero(rows);

@@ -29,7 +29,7 @@ MatrixXd side_by_side(const ResponseBasis& basis) {
   return out;
 }
 
-/// The same body, each node of which moves with its first bone alone.
+/// The same body, with nodes that each move with their first bone alone.
 std::shared_ptr<const SoftBody> unblended(const SoftBody& body) {
   MatrixXd weights = MatrixXd::Zero(Eigen::Index(body.free_of_node.size()), body.skin.cols());
   std::vector<bool> pinned(body.free_of_node.size());

@@ -249,7 +249,7 @@ TEST_CASE("response basis: reports its progress, can be stopped, and refuses wha
   CHECK(make_response_basis(neutral, 30, 12).U.cols() == 30);  // more than two bones' loads
 }
 
-TEST_CASE("response basis: how the modes bend takes a while, of which it reports and in which it can be stopped") {
+TEST_CASE("response basis: how the modes bend takes a while, reports progress and can be stopped") {
   const auto body = chain_bar(8, 1, 2);
   const FullModel full(body, {targets(*body)[0]}, Law::stvk, Blending::even);
   const auto bending = [](double done) { return done > 0.5 && done < 0.85; };
