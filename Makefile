@@ -150,7 +150,7 @@ steps ?=
 soak: build
 	@$(python) tests/addon/soak.py $(if $(seed),--seed $(seed)) $(if $(steps),--steps $(steps),--minutes $(minutes))
 
-# Every write, fsync, rename and open of each command fails once, and every allocation of the engine, of which `make test`
+# Every write, fsync, rename and open of each command fails once, and every allocation of the engine; `make test`
 # tries a few: nothing is lost, nothing partial is left, and the message is right. Takes about 20 minutes.
 faults: build
 	@status=0; for each in $(shell ls -d .venv/3.*/bin/python); do \

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The programs in examples/ build and run, and come to what they should."""
+"""The programs in examples/ build, run, and give the right results."""
 
 import re
 import shutil

@@ -13,7 +13,7 @@ STILL = np.stack([np.eye(3, 4)] * 2)
 
 
 def bent(angle: float) -> np.ndarray:
-    """The bar's two bones (2, 3, 4), of which the second has turned about y."""
+    """The bar's two bones (2, 3, 4). The second has turned about y."""
     bones = STILL.copy()
     bones[1, :, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
     bones[1, :, 3] = [0.02, 0.0, -0.01]

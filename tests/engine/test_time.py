@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One motion, whatever the frame rate: with smaller steps all come to it, at the order of their scheme."""
+"""One motion, whatever the frame rate: with smaller steps all converge to it, at the order of their scheme."""
 
 from dataclasses import replace
 

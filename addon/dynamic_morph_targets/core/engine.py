@@ -29,7 +29,7 @@ REMEDIES = {
     r"map segment|Cannot allocate memory": "Memory is short: close other programs or raise the limit (ulimit -v), "
     "and restart",
 }
-_threads, _told = 0, True  # what the user wants, and whether the engine knows; 0 is its own choice
+_threads, _passed_on = 0, True  # what the user wants, and whether the engine knows; 0 is its own choice
 
 
 def engine() -> tuple[ModuleType, ModuleType]:
@@ -120,17 +120,17 @@ def engine_errors() -> tuple[type[Exception], ...]:
 
 def use_threads(count: int) -> None:
     """How many threads the engine takes, from now on or from when it is loaded; 0: as many as there are cores."""
-    global _threads, _told
-    _threads, _told = count, count == _threads and _told
+    global _threads, _passed_on
+    _threads, _passed_on = count, count == _threads and _passed_on
     if sys.modules.get("dynamorph"):  # None where it is known to be missing
         _tell_threads()
 
 
 def _tell_threads() -> None:
     """When it is loaded, by whatever uses it first: a job, Live, a fit."""
-    global _told
-    if not _told:
+    global _passed_on
+    if not _passed_on:
         import dynamorph
 
         dynamorph.set_threads(_threads)
-        _told = True
+        _passed_on = True

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Work that is no job, in pieces: a window shows its progress, and Esc stops it."""
+"""Work that is no job, in chunks: a window shows its progress, and Esc stops it."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from ..scene.skin import ObjectHandle, SceneHandle
 from . import batch
 
 T = TypeVar("T")
-Pieces = Generator[tuple[float, str], None, T]  # yields (fraction, message) after each piece, and returns the result
+Chunks = Generator[tuple[float, str], None, T]  # yields (fraction, message) after each chunk, and returns the result
 Report = Callable[[float], None]
 
 
 class Task:
-    """Runs where a `batch.Batch` does. result: of its pieces, when all are done. goal: the button's.
+    """Runs where a `batch.Batch` does. result: of its chunks, when all are done. goal: the button's.
 
-    The pieces run in the main thread and in the scene that it is made in; between them Blender does other things.
+    The chunks run in the main thread and in the scene that it is made in; between them Blender does other things.
     """
 
-    def __init__(self, obj: bpy.types.Object, goal: str, pieces: Pieces[Any]):
+    def __init__(self, obj: bpy.types.Object, goal: str, chunks: Chunks[Any]):
         self.object, self.scene = ObjectHandle.of(obj), SceneHandle.present()
         self.name, self.goal = obj.name, goal
         self.fraction, self.message = 0.0, ""
         self.undone = False  # by the user, since it began
         self.time_left = TimeLeft()
         self.result: Any = None
-        self._pieces, self._canceled = pieces, False
+        self._chunks, self._canceled = chunks, False
 
     def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
         """As `batch.Batch.steps`."""
@@ -50,10 +50,10 @@ class Task:
             raise Cancelled
 
     def _next(self) -> bool:
-        """Whether there was another piece to be done."""
+        """Whether there was another chunk to be done."""
         with self.scene.as_context():
             try:
-                self.fraction, self.message = next(self._pieces)
+                self.fraction, self.message = next(self._chunks)
             except StopIteration as end:
                 self.result = end.value
                 return False
@@ -63,15 +63,15 @@ class Task:
         self._canceled = True
 
     def abandon(self) -> None:
-        """What the pieces have begun is ended; a thread goes on until it reports."""
+        """What the chunks have begun is ended; a thread goes on until it reports."""
         self.cancel()
-        self._pieces.close()
+        self._chunks.close()
 
     stop = abandon  # `batch.stop` waits for the thread
 
 
-def in_thread(work: Callable[[Report], T], message: str) -> Pieces[T]:
-    """The pieces of work in a thread, which never touches bpy and calls its argument with the fraction that is done."""
+def in_thread(work: Callable[[Report], T], message: str) -> Chunks[T]:
+    """The chunks of work in a thread, which never touches bpy and calls its argument with the fraction that is done."""
     found: list[T] = []
     errors: list[BaseException] = []
     fraction, wanted = 0.0, True

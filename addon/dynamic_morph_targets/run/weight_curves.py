@@ -25,7 +25,7 @@ from ..core.target_weights import Space, TargetWeights
 from ..scene import checks, events, references, rig_motion, skin
 from ..scene.references import bones_key
 from . import batch
-from .task import Pieces
+from .task import Chunks
 
 PATIENCE = 0.5  # seconds without an edit before the graph is updated
 SLICE = 0.02  # seconds of reading frames, between which Blender does other things
@@ -138,7 +138,7 @@ class Reading:
         return True
 
 
-def reading(session_uid: int, start: int, end: int) -> Pieces[TargetWeights]:
+def reading(session_uid: int, start: int, end: int) -> Chunks[TargetWeights]:
     """The pieces of a `task.Task` that evaluates the rig of an object at every frame from start to end, and keeps its
     poses for `drawn`. The result is the weights there, F = end - start + 1. Raises `engine.expected_errors`.
     """

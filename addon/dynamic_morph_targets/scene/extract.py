@@ -43,7 +43,7 @@ FAR = 0.1  # body sizes; a mesh farther away than this does not move like the ti
 
 
 def character(obj, without_targets=False) -> Character:
-    """The soft skin authored on `obj`, whose references `write.reconcile` has updated. without_targets: the neutral
+    """The soft skin authored on `obj`, whose references `reconcile.reconcile` has updated. without_targets: the neutral
     target is enough. Raises SceneError.
     """
     modifier = armature_modifier(obj)

@@ -2,8 +2,8 @@
 """Nearest points of a surface. Never touches bpy.
 
 `mathutils` finds the triangle, but its places on a triangle are not good enough: the weights of
-`interpolation.poly_3d_calc` have single precision and are NaN on a triangle without area, and
-`geometry.closest_point_on_tri` goes wrong where the corners lie in a line.
+`mathutils.interpolate.poly_3d_calc` have single precision and are NaN on a triangle without area, and
+`mathutils.geometry.closest_point_on_tri` goes wrong where the corners lie in a line.
 """
 
 from __future__ import annotations

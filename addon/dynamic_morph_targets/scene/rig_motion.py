@@ -300,8 +300,8 @@ def rig_scene(obj, rig, probe=None):
 def remove_scene(scene, *objects):
     """Remove a scene that no window shows, with objects of its own.
 
-    Not by `scenes.remove`: Blender 5.2 crashes in it while the artist scrubs through the frames, when it asks which
-    scene the window plays.
+    Not by `bpy.data.scenes.remove`: Blender 5.2 crashes in it while the artist scrubs through the frames, when it
+    asks which scene the window plays.
     """
     bpy.data.batch_remove((scene, *objects))
 

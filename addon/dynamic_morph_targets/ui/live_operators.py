@@ -303,7 +303,7 @@ class DYNAMORPH_OT_check_targets(JobOperator, Operator):
         return task.Task(obj, self.goal, self._misses(obj))
 
     @staticmethod
-    def _misses(obj) -> task.Pieces[list[str]]:
+    def _misses(obj) -> task.Chunks[list[str]]:
         model, character = model_store.current_model(obj)
         from ..core import compare  # needs the engine, which is there now
 

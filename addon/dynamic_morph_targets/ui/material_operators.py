@@ -73,7 +73,7 @@ class FitsBounce(TargetOperator, JobOperator):
         return task.Task(obj, self.goal, self._fitted(obj, self.frequency, oscillation.decay_of(self.settle)))
 
     @staticmethod
-    def _fitted(obj, frequency: float, decay: float) -> task.Pieces[tuple]:
+    def _fitted(obj, frequency: float, decay: float) -> task.Chunks[tuple]:
         """The result: the index of the target in the list, and its material."""
         index = obj.dynamorph.active_target_index
         given = model_store.fit_input(obj, obj.dynamorph.active_target)

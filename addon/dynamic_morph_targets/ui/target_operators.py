@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons of the list of targets: which shape keys are targets, at which poses, of which material."""
+"""Buttons of the list of targets: which shape keys are targets, at which poses, with which material."""
 
 from __future__ import annotations
 

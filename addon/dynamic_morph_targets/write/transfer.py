@@ -2,7 +2,8 @@
 """Copies a soft skin to another mesh on the same armature, such as another resolution of the body, or tight clothes.
 
 Both are compared at rest in the world: shape keys and vertex groups are taken from the nearest point of the source's
-Basis. `object.data_transfer` cannot do this: it carries no shape keys, and it measures from the source as it is posed.
+Basis. `bpy.ops.object.data_transfer` cannot do this: it carries no shape keys, and it measures from the source as
+it is posed.
 """
 
 from __future__ import annotations
