@@ -122,7 +122,7 @@ def test(python: Path, tests: list[str]) -> None:
 
 
 def of_cpp() -> dict[str, Covered]:
-    """By file. Branches that only an exception takes do not count: nearly each call has one."""
+    """The coverage by file. Branches that only an exception takes do not count: nearly each call has one."""
     report = OUT / "cpp.json"
     filters = [word for folder in CPP for word in ("--filter", f"{folder}/")]
     options = ("--exclude-throw-branches", "--merge-lines", "--gcov-suspicious-hits-threshold", 10**15)

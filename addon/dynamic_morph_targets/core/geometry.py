@@ -7,7 +7,7 @@ import numpy as np
 
 
 def diagonal(points: np.ndarray) -> float:
-    """Of the bounding box of points (V, 3)."""
+    """The diagonal of the bounding box of points (V, 3)."""
     return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 

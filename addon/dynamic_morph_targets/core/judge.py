@@ -97,7 +97,10 @@ class Verdict:
         return f"{moved} (frame {self.frame:g}){': ' if faults else ''}{', '.join(faults)}"
 
     def as_dict(self, limits: Limits, can_rehearse: bool) -> dict:
-        """As JSON data, with the texts for the panel. can_rehearse: whether another bake may find the frequency."""
+        """The verdict as JSON data, with the texts for the panel.
+
+        can_rehearse: whether another bake may find the frequency.
+        """
         excess = self.excess(limits)
         ok = not self.is_wreckage and excess <= SHOWS
         remedy = "" if ok else ("REHEARSE" if can_rehearse else "STIFFEN")

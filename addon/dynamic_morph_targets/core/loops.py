@@ -74,7 +74,8 @@ class Loop:
 
 
 def repeat_accelerated(loop: Loop) -> bool:
-    """Call `loop` until it ends as it began; False when that takes too many passes, or comes to no numbers.
+    """Call `loop` until it ends as it began; False when that takes too many passes, or leads to values that
+    are not finite.
 
     Anderson's acceleration of repeated passes: the next one begins where the last ones, combined by weights that sum
     to one, would have ended as they began, in the least squares sense.

@@ -264,8 +264,8 @@ def _at_target(character: Character, target: int) -> np.ndarray:
 
 
 def _with_stiffness(character: Character, target: int, stiffness: float) -> Character:
-    """The character with another Young's modulus at one target. To the artist the neutral targets of all sets are
-    one.
+    """The character with another Young's modulus at one target. The artist sees the neutral targets of all sets
+    as one.
     """
     ranges = target_indices(character)
     neutrals = [indices[0] for indices in ranges]

@@ -2,8 +2,8 @@
 """What a build or bake takes of memory, estimated before it begins, and how much there is. Never touches bpy.
 
 The figures are fitted to the peaks that were measured with 500 to 20,000 nodes, 20 to 400 modes, 100 and 1,000 frames
-and 2 to 1,000 bones. They are nearer than a factor of 2, and rather too small than too large: what would fit is not to
-be refused, and what does not fit although it was begun ends with `errors.NO_MEMORY`.
+and 2 to 1,000 bones. They are nearer than a factor of 2, and rather too small than too large: what would fit must
+not be refused, and what does not fit after all ends with `errors.NO_MEMORY`.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ def _of_process() -> Room | None:
 
 
 def of_container(groups: Path = Path("/proc/self/cgroup"), tree: Path = Path("/sys/fs/cgroup")) -> Room | None:
-    """Of the control group that the process is in, and of those around it; both versions of Linux's groups."""
+    """The room in the control group of the process and in those around it; both versions of Linux's groups."""
     found = None
     with suppress(OSError, ValueError):
         for line in groups.read_text().splitlines():

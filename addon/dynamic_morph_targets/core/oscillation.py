@@ -172,7 +172,7 @@ def swing(reference: float, material: Material) -> Oscillation:
 def stiffness_for(reference: float, material: Material, frequency: float) -> float:
     """Young's modulus with which such tissue swings at `frequency` Hz, or as fast as its damping permits.
 
-    With x = w0^2: x - (alpha + beta x)^2 / 4 = (2 pi frequency)^2. Of its two roots the upper one is nearly overdamped.
+    With x = w0^2: x - (alpha + beta x)^2 / 4 = (2 pi frequency)^2. The upper one of its two roots is nearly overdamped.
     """
     alpha, beta = material.mass_damping, material.stiffness_damping
     if alpha * beta >= 1.0:  # overdamped whatever the stiffness

@@ -48,8 +48,8 @@ class Player:
     """One character, stepped frame by frame, for bakes and playback.
 
     keep_going() -> bool is asked at every frame, for an unreduced model at every iteration; False raises
-    dynamorph.Cancelled. number: the current frame; passes: how often it has begun again. amounts: applied by `shown`.
-    engine: model.engine(character), if it exists already; afterward None for static morph targets.
+    dynamorph.Cancelled. number: the current frame; passes: how often the motion has begun again. amounts:
+    applied by `shown`. engine: model.engine(character), if it exists already; afterward None for static targets.
     """
 
     def __init__(

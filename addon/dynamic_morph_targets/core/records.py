@@ -60,7 +60,7 @@ def animation(record: str) -> list[tuple[str, str]]:
 
 
 def verdict(record: str) -> dict:
-    """What a bake's judge said. Only `text` is sure to be there."""
+    """What a bake's judge said. Only `text` is always there."""
     return _read(record, BAKE, {"text": _is_text}, {})
 
 

@@ -160,7 +160,7 @@ class RigSamples(Track):
         return replace(super().still(count), tracks=tuple(track.still(count) for track in self.tracks))
 
     def moved(self, transforms: np.ndarray) -> RigSamples:
-        """The first of these samples, moved rigidly by world transforms (S, 4, 4). What is beside the rig stays."""
+        """The first of these samples, moved rigidly by world transforms (S, 4, 4). The tracks stay."""
         still = self.still(len(transforms))
         return replace(still, rig_world=transforms @ self.rig_world[0], object_world=transforms @ self.object_world[0])
 

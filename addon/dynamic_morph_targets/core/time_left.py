@@ -57,7 +57,7 @@ class TimeLeft:
 
 
 def clock(seconds: float) -> str:
-    """As a clock shows it: 0:07, 12:34, 1:02:03. Counted up, so that it ends at 0:01."""
+    """The time as a clock shows it: 0:07, 12:34, 1:02:03. Counted up, so that it ends at 0:01."""
     minutes, rest = divmod(max(int(-(-seconds // 1)), 1), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"

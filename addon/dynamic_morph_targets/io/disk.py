@@ -52,7 +52,7 @@ def remove_abandoned(folder: Path, pattern: str) -> None:
 
 
 def remove(path: Path) -> None:
-    """Delete a file, or a folder with all that is in it, that nobody needs."""
+    """Delete a file, or a folder with everything in it, that is not needed any more."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -121,6 +121,6 @@ def read(path: Path) -> bytes:
 
 
 def discard(path: Path) -> None:
-    """Delete a file that nobody needs, if it exists. One that another program has open stays."""
+    """Delete a file that is not needed any more, if it exists. One that another program has open stays."""
     with suppress(OSError):
         path.unlink()

@@ -155,7 +155,7 @@ class Batch:
             raise SceneError(UNDONE, name=self.name)
 
     def abandon(self) -> None:
-        """Cancel, and leave the thread to end when the engine notices; what it comes to is dropped."""
+        """Cancel, and leave the thread to end when the engine notices; its result is dropped."""
         self.cancel()
         winding_down[:] = [thread for thread in (*winding_down, *self._threads()) if thread.is_alive()]
 

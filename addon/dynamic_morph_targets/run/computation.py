@@ -43,10 +43,10 @@ class Sampling(Protocol):
 
 
 class Computation:
-    """Computes what a job is for, a chunk of the rig after the other, so that a long shot takes no more memory.
+    """Computes what a job is for, one chunk of the rig after the other, so that a long shot takes no more memory.
 
     The first bake of a whole shot is a rehearsal too: while the skin moves further than the limits allow, the tissue is
-    made stiffer and the shot begins again; what that comes to is stored with the targets.
+    made stiffer and the shot begins again; the stiffness is stored with the targets.
 
     rig: the chunk that was simulated last. shot: the `simulate.Shot` that goes on with the next one.
     """

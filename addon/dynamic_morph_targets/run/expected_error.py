@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How far the reduced motion of a new model is from Final quality, found in the background after a build or bake.
 
-The motion is the same for every character: the Shake Test's hop, in the pose that shows. Of a whole body it comes near
-the worst of its clips (docs/user_guide.md, Model). What was found is kept by what it depends on, so that neither undo
-nor redo loses it, and goes into the file when that is saved.
+The motion is the same for every character: the Shake Test's hop, in the pose that shows. For a whole body the error is
+near that of its worst clip (docs/user_guide.md, Model). What was found is kept by what it depends on, so that neither
+undo nor redo loses it, and goes into the file when that is saved.
 """
 
 from __future__ import annotations

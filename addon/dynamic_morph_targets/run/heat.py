@@ -87,12 +87,12 @@ def _baked_motion(obj: bpy.types.Object) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _points(session_uid: int, _key_hash: str, name: str) -> np.ndarray:
-    """Of a key of a bake, which is read once."""
+    """The points of a key of a bake, which is read once."""
     return references.key_points(skin.find(session_uid).data.shape_keys.key_blocks[name])
 
 
 def _live_motions(obj: bpy.types.Object) -> dict[int, np.ndarray]:
-    """Of the vertices (V, 3), local space, by session_uid. Raises SceneError when Live does not play."""
+    """The motion of the vertices (V, 3), local space, by session_uid. Raises SceneError when Live does not play."""
     session = live.sessions.get(obj.session_uid)
     motions = session.motions() if session else {}
     if not motions:
@@ -114,7 +114,7 @@ def holds(obj: bpy.types.Object) -> dict[int, np.ndarray]:
 
 @lru_cache(maxsize=4)
 def _holds(session_uid: int, _content_id: str) -> dict[int, np.ndarray] | str:
-    """As `holds`, or why there are none: it is asked whenever a viewport draws."""
+    """The result of `holds`, or why there is none. Cached, because a viewport asks whenever it draws."""
     obj = skin.find(session_uid)
     try:
         model = model_store.load_model(obj)

@@ -88,7 +88,7 @@ class Job(Progress):
 
     @property
     def report(self) -> dict:
-        """Of the simulation."""
+        """What the simulation reported."""
         return self.outcome.report
 
     @property

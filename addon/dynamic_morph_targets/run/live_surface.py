@@ -43,13 +43,13 @@ class LiveMesh:
 
 
 def by_modes(modes: np.ndarray) -> Move:
-    """Of a reduced simulation, whose modes displace the points by (r, V, 3)."""
+    """The Move of a reduced simulation, whose modes displace the points by (r, V, 3)."""
     shapes = modes.reshape(len(modes), modes.shape[1] * 3).astype(np.float32)
     return lambda coordinates: _blended(coordinates, shapes)
 
 
 def by_nodes(free: np.ndarray, nodes: np.ndarray, weights: np.ndarray, turn: np.ndarray) -> Move:
-    """Of an unreduced simulation, whose coordinates are displacements of the `free` nodes (n,) of the cage.
+    """The Move of an unreduced simulation, whose coordinates are displacements of the `free` nodes (n,) of the cage.
 
     nodes, weights (V, 4): which carry each point; turn (3, 3): from bind space to that of the points.
     """
@@ -64,7 +64,7 @@ def by_nodes(free: np.ndarray, nodes: np.ndarray, weights: np.ndarray, turn: np.
 
 
 def _blended(values: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """(k,) times (k, 3 V), float32. Not with @, which wakes threads: if they must wait, it takes a hundred times as
+    """The product of (k,) and (k, 3 V), float32. `@` would wake threads; if they must wait, it takes a hundred times as
     long.
     """
     return np.einsum("k,kv->v", values.astype(np.float32), shapes)

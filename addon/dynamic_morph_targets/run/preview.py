@@ -118,7 +118,7 @@ class _Mover:
 
 
 def _move_back(obj: bpy.types.Object) -> None:
-    """To where it stood before a `_Mover` moved it."""
+    """Move an object back to where it stood before a `_Mover` moved it."""
     numbers = iter(obj.dynamorph.live.deltas)
     for name in DELTAS:
         setattr(obj, name, [next(numbers) for _ in getattr(obj, name)])
@@ -150,7 +150,7 @@ def is_running(operator: str) -> bool:
 
 
 def begin_preview(obj: bpy.types.Object, operator: type[Operator]) -> Preview:
-    """Also ends the running one."""
+    """Begin a preview, and end the one that runs."""
     global preview
     end_preview()
     preview = Preview(obj, operator)

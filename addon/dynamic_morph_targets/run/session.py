@@ -287,7 +287,7 @@ class Session:
         self._start(number, frame)
 
     def _begin_again(self, obj: bpy.types.Object) -> None:
-        """From the end of a cycle to its start, without a jump."""
+        """Go from the end of a cycle to its start, without a jump."""
         settings = self.tissue.player.settings
         first, last = (self.rig.after(obj, frame)[:1] for frame in (settings.start, settings.end))
         cycle = first.concatenate(last)
@@ -349,13 +349,13 @@ def _gains(obj: bpy.types.Object, count: int) -> np.ndarray:
 
 
 def _motion_amounts(obj: bpy.types.Object, character: Character) -> np.ndarray:
-    """Of the character's targets (J,), as authored now."""
+    """The motion amounts of the character's targets (J,), as authored now."""
     by_name = {name: target.influence for name, target in skin.named_targets(obj)}
     return np.array([by_name[name] for target_set in character.target_sets for name in _names(target_set)])
 
 
 def _names(target_set: TargetSet) -> tuple[str, ...]:
-    """Of its targets, as `skin.named_targets` has them."""
+    """The names of its targets, as `skin.named_targets` has them."""
     return "", *(target.name for target in target_set.targets[1:])
 
 

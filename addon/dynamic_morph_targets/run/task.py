@@ -63,7 +63,7 @@ class Task:
         self._canceled = True
 
     def abandon(self) -> None:
-        """What the chunks have begun is ended; a thread goes on until it reports."""
+        """End what the chunks have begun; a thread runs until its next report."""
         self.cancel()
         self._chunks.close()
 

@@ -72,7 +72,7 @@ def without_handlers():
 
 
 def soon(look: Callable, seconds: float):
-    """Call `look` by a timer when nobody has asked for it for so long."""
+    """Call `look` by a timer once it has not been asked for during so many seconds."""
     forget(look)
     bpy.app.timers.register(look, first_interval=seconds)
 

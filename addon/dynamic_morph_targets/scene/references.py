@@ -82,8 +82,8 @@ def forget():
 
 
 def _hash(what: str, block, points: np.ndarray) -> str:
-    """Of points (V, 3) float32 of a shape key. Blender does not say which keys an edit has changed, so all are asked
-    after each step of a slider; hashing takes five times as long as a look whether they are the same.
+    """The hash of points (V, 3) float32 of a shape key. Blender does not say which keys an edit has changed, so
+    all are compared after each step of a slider; hashing takes five times as long as comparing.
     """
     where, seen = (what, block.id_data.session_uid, block.name), _fingerprint(points)
     if _hashes.get(where, ("",))[0] != seen:

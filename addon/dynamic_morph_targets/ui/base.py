@@ -96,7 +96,7 @@ def at_work() -> str:
 
 
 def listed(names: list[str]) -> str:
-    """As many names as a report has room for."""
+    """The names, as many as a report has room for."""
     first, more = ", ".join(names[:LISTED]), len(names) - LISTED
     return rpt_("{names} and {count} more").format(names=first, count=more) if more > 0 else first
 

@@ -62,7 +62,7 @@ def text_width(text: str) -> float:
 
 
 def pixels(length: float) -> float:
-    """Of a length that is given for a resolution scale of 1."""
+    """The pixels of a length that is given for a resolution scale of 1."""
     return length * bpy.context.preferences.system.ui_scale
 
 

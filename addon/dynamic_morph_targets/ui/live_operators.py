@@ -34,7 +34,7 @@ NAVIGATION = {
 
 
 class TissueOperator(SoftSkinOperator):
-    """Mixin: shows the motion of the built model, which nothing else may show meanwhile."""
+    """Mixin: shows the motion of the built model; nothing else may show it at the same time."""
 
     @classmethod
     def disabled_reason(cls, context):

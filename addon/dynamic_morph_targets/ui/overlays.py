@@ -69,7 +69,7 @@ class CageDrawing:
 
 
 def cage_of(model) -> CageDrawing:
-    """Of a model.Model with tetrahedra."""
+    """The drawing of the cage of a model.Model with tetrahedra."""
     edges = surface_edges(model.tets)
     held = model.pinned.astype(bool)
     if len(model.hold):  # by thickness: nothing is pinned
@@ -237,7 +237,7 @@ def shade(points: np.ndarray, corners: np.ndarray, toward: np.ndarray) -> np.nda
 
 
 def triangles(obj) -> np.ndarray:
-    """Of the mesh as it is, (T, 3) vertices."""
+    """The triangles of the mesh as it is, (T, 3) vertices."""
     mesh = obj.data
     mesh.calc_loop_triangles()
     corners = np.empty((len(mesh.loop_triangles), 3), np.int32)

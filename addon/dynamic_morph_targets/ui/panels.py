@@ -85,7 +85,7 @@ class Section:
 
 
 def draw_nothing(_layout, _context, _obj):
-    """Of a section that only holds others."""
+    """The drawing of a section that only contains others."""
 
 
 # While posing and sculpting.

@@ -157,7 +157,7 @@ def report_lacking(operator, obj, lacking: dict[str, list[str]]):
 
 
 def length(meters: float) -> str:
-    """As the scene's units show it."""
+    """A length as the scene's units show it."""
     system = bpy.context.scene.unit_settings.system
     return bpy.utils.units.to_string(system, "LENGTH", meters, precision=3).strip()
 

@@ -29,7 +29,7 @@ def draw_problem(layout, problem, icon: str):
 
 
 def progress_text(work: batch.Work) -> str:
-    """How much of it is done, the time left as soon as that can be said, and what it does."""
+    """How much is done, the time left once it can be estimated, and the present step."""
     seconds = work.time_left.seconds
     text = iface_("{done:.0%}  {message}" if seconds is None else "{done:.0%}  {time} left  {message}")
     return text.format(done=work.fraction, time=clock(seconds or 0.0), message=translated(work.message, iface_))

@@ -117,7 +117,7 @@ def carry_influence(obj, old, new) -> bool:
 
 
 def _remove_curve(obj, owner):
-    """Of a modifier alone: that of a strip goes with it."""
+    """For a modifier alone: that of a strip goes with it."""
     curve = None if hasattr(owner, "influence") else _curve_of(obj, owner)
     if curve and obj.animation_data.action.is_editable:
         animation.remove_curve(obj.animation_data.action, obj.animation_data.action_slot, curve)

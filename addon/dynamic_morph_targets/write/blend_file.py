@@ -118,7 +118,7 @@ def _is_compressed() -> bool:
 
 
 def _compress(path: Path):
-    """In place. Raises OSError."""
+    """Compress the file in place. Raises OSError."""
     small, frames = _beside(path), []
     try:
         with path.open("rb") as source, small.open("xb") as target:

@@ -35,7 +35,7 @@ def reconcile(obj):
 
 
 def _follow_baked_keys(blocks, bake):
-    """Delete Bake deletes these keys: one that only has the name of a key of ours is somebody else's.
+    """Delete Bake deletes these keys: a key that only has the name of a baked key is the artist's.
 
     Unless the mesh itself was edited, or its scale applied: then none looks as it did, and the name has to do.
     """

@@ -66,7 +66,7 @@ def _of_skin(skeleton: Skeleton, skin: np.ndarray, where: np.ndarray) -> tuple[n
 
 
 def _nearest(skeleton: Skeleton, candidates: list[int], skins: np.ndarray) -> list[str]:
-    """Of the candidates the joints nearest, in the hierarchy, to the bones that skin a sculpt.
+    """The candidates nearest, in the hierarchy, to the bones that skin a sculpt.
 
     skins (B,): the part that each bone skins. The joints of such a bone are its own and those of its children.
     """
@@ -92,8 +92,8 @@ def _nearest(skeleton: Skeleton, candidates: list[int], skins: np.ndarray) -> li
 def update(obj, left=()):
     """Update the automatic regions of `obj` from the sculpts. left: groups of a removed target.
 
-    An automatic region that was painted stays as it is from now on. In Edit Mode, where Blender writes no weights,
-    nothing happens. Raises SceneError.
+    An automatic region that was painted stays as it is from now on. It does nothing in Edit Mode, where Blender
+    writes no weights. Raises SceneError.
     """
     settings = obj.dynamorph
     automatic = [target for target in settings.targets[1:] if target.auto_region]
@@ -124,7 +124,7 @@ def update(obj, left=()):
 
 
 def automatic_regions(obj, targets) -> set[str]:
-    """The regions that are nobody's but ours: they were made here, and not painted since."""
+    """The regions that only the add-on has made: they were made here, and not painted since."""
     groups = mesh_data.VertexGroups(obj)
     return {target.region for target in targets if target.auto_region and not _is_painted(obj, target, groups)}
 

@@ -160,7 +160,7 @@ def _apply_pieces(obj, entries: list[dict], lacking: _Lacking):
 
 
 def _simple(entry: dict) -> dict:
-    """Of the entry of a target or piece what is a simple property of its own."""
+    """The simple properties in the entry of a target or attachment."""
     return {name: value for name, value in entry.items() if name not in ("bones", "pose", "object")}
 
 

@@ -354,7 +354,7 @@ def _with_sets(obj, name: str, with_set: bool) -> Character:
 
 
 def _make_active(obj):
-    """In Object Mode."""
+    """Make an object active in Object Mode."""
     objects = bpy.context.view_layer.objects
     for other in (objects.active, obj):  # each object may be in a different mode
         objects.active = other
@@ -377,8 +377,8 @@ def sculpted_key(obj):
 
 
 def capture(operator, obj, target, pose):
-    """Store a pose as returned by `rig_motion.current_pose`. Of the bones turned away from the neutral pose, those that
-    bend the sculpt place the target.
+    """Store a pose as returned by `rig_motion.current_pose`. The target is placed by those bones that are turned away
+    from the neutral pose and bend the sculpt.
     """
     skeleton, local, rig_world = pose
     target.set_pose(skeleton, local, rig_world)

@@ -291,7 +291,7 @@ def limit_resources(time_limit: float, memory_limit_gb: float) -> None:
 
 
 def _limit_on_windows(memory: int, cpu: int) -> None:
-    """memory: bytes; cpu: seconds. In a job object, which ends with this process, the only one in it."""
+    """memory: bytes; cpu: seconds. A job object with this process alone has these limits, and ends with it."""
     import ctypes
 
     extended_limits, this_process = 9, ctypes.c_void_p(-1)
