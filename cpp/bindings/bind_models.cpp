@@ -81,7 +81,10 @@ void bind_full_model(py::module_& m) {
             const LinearModes modes = linear_modes(model, checked_target(model, target), k);
             return std::make_pair(modes.omega, modes.shapes);
           },
-          "target"_a, "k"_a, "Returns (omega (k) in rad/s, mass-orthonormal shapes (3 free, k)) at a target's shape.")
+          "target"_a, "k"_a,
+          "Returns (omega (k) in rad/s, mass-orthonormal shapes (3 free, k)) at a target's shape. Raises Error when "
+          "the "
+          "body can move without resistance, as about a line on which all pinned nodes are.")
       .def(
           "fallbacks",
           [](const FullModel& model, int target) { return model.shape(checked_target(model, target)).fallbacks; },

@@ -20,7 +20,8 @@ void bind_reduced(py::module_& m) {
       },
       "model"_a, "r"_a, "progress"_a = py::none(),
       "Makes r modes. They span the targets' shapes exactly, then linear modes, modal derivatives and static responses "
-      "by mass-PCA. progress(fraction) -> bool: returning False raises Cancelled.");
+      "by mass-PCA. progress(fraction) -> bool: returning False raises Cancelled. Raises Error when the body can move "
+      "without resistance.");
 
   py::class_<ResponseBasis>(m, "ResponseBasis", "The subspace of a whole body: few modes and many responses.")
       .def_readonly("U", &ResponseBasis::U, "The modes (3 free, r), orthonormal in the mass for unit density.")
@@ -35,7 +36,8 @@ void bind_reduced(py::module_& m) {
       },
       "model"_a, "r"_a, "h"_a, "progress"_a = py::none(),
       "Makes r modes and h responses from the static answers to what the bones can do. The modes span the targets' "
-      "shapes exactly. progress(fraction) -> bool: returning False raises Cancelled.");
+      "shapes exactly. progress(fraction) -> bool: returning False raises Cancelled. Raises Error when the body can "
+      "move without resistance.");
 
   py::class_<ReducedTables>(m, "ReducedTables",
                             "The tables that a built reduced model stores. They hold geometry only, no material.")

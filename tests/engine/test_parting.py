@@ -185,6 +185,32 @@ def test_a_body_that_nothing_holds_is_refused():
         build(character(skin, lambda vertices: vertices[:, 0] > -1))
 
 
+def pinned_along_a_bone(*skins):
+    """Limbs in cages so coarse that there is room for nodes on the bone of the first, but not around it."""
+    of = character(join(*skins), lambda vertices: vertices[:, 0] > -1, cage_nodes=160, pin_radius=0.1)
+    return replace(of, bone_segments=np.array([[[0.1, 0.02, 0.01], [0.9, 0.02, 0.01]]]))
+
+
+def test_a_body_that_could_spin_about_its_bone_is_refused():
+    limb = tube([[x, 0, 0] for x in np.linspace(0, 1, 21)], 0.1)
+    with pytest.raises(
+        dynamorph.Error, match="pinned to 'root' on a line alone, about which it could turn: raise Bone"
+    ):
+        build(pinned_along_a_bone(limb))
+
+
+def test_a_part_that_could_spin_about_its_bone_stays_with_it():
+    limb = tube([[x, 0, 0] for x in np.linspace(0, 1, 21)], 0.1)
+    of = pinned_along_a_bone(limb, ball(0.15, (0.5, 0.0, 0.6)))
+    of = replace(of, softness=np.where(of.vertices[:, 2] > 0.7, 0.0, 1.0))
+    model = build(of)
+    (warning,) = model.summary["warnings"]
+    assert f"{len(limb[0])} vertices at 'root' is pinned on a line alone" in warning
+    on_limb = of.vertices[:, 2] < 0.3
+    moved = pushed(model, of, ~on_limb)
+    assert np.abs(moved[on_limb]).max() == 0 and np.abs(moved[~on_limb]).max() > 1e-4
+
+
 # Pieces ------------------------------------------------------------------------------------------------------------
 
 

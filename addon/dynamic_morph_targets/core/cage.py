@@ -24,6 +24,7 @@ GRID = (
 )  # body sizes; with a finer grid, the last digits of coordinates, which a scale changes, would change the mesh
 MOSTLY = 0.5  # fraction of the vertices; with more of them outside, a cage does not belong to this body
 PINNED = 0.05  # nodes whose softness is below this are pinned
+ON_A_LINE = 1e-6  # of the cage's size; pins across which a body is no wider are on a line
 FEWEST_NODES = 50  # of an attachment's own cage
 
 
@@ -76,9 +77,10 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
             stiffness = stiffness * of_thickness.stiffness
     if len(adrift) and np.concatenate(adrift).size == len(mesh.nodes):
         raise dynamorph.Error(
-            f"'{character.name}': no part of the cage is pinned to a bone: raise Bone Pinning, set Hold to Thickness, "
-            "or paint the Softness Map with 0 where it is attached"
+            f"'{character.name}': {_cause(character, weights[pinned])}: raise Bone Pinning, set Hold to Thickness, or "
+            "paint the Softness Map with 0 where it is attached"
         )
+    warned = [_adrift_warning(character, embedding, nodes, pinned) for nodes in adrift]
     for nodes in adrift:
         pinned[nodes] = True
     glued = {name: sum(cage.glued[name] for cage in filled) for name in filled[0].glued}
@@ -91,9 +93,7 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
         "quality": dynamorph.tet_quality(mesh),
         "glued": glued,
         "held_parts": len(adrift),  # loose parts that are pinned
-        "warnings": [text for cage in filled for text in cage.warnings]
-        + _glued_warnings(character, glued)
-        + [_adrift_warning(character, embedding, nodes) for nodes in adrift],
+        "warnings": [text for cage in filled for text in cage.warnings] + _glued_warnings(character, glued) + warned,
     }
     return Cage(mesh, embedding, fill, stiffness, region_weights, pinned, weights, of_thickness, summary)
 
@@ -282,18 +282,36 @@ def _glued_warnings(character: Character, glued: dict[str, int]) -> list[str]:
 
 
 def _adrift(mesh: dynamorph.TetMesh, pinned: np.ndarray) -> list[np.ndarray]:
-    """The nodes of each part of the mesh with fewer than three pins, which could move or turn without resistance."""
+    """The nodes of each part of the mesh that could move or turn without resistance, because its pins are at a point or
+    on a line, or there are none.
+    """
     part = connected_parts(mesh.tets, len(mesh.nodes))
-    pins = np.bincount(part[pinned], minlength=len(part))
-    return [np.flatnonzero(part == root) for root in np.unique(part) if pins[root] < 3]
+    near = ON_A_LINE * diagonal(mesh.nodes)
+    return [
+        np.flatnonzero(part == root) for root in np.unique(part) if _width(mesh.nodes[pinned & (part == root)]) <= near
+    ]
 
 
-def _adrift_warning(character: Character, embedding: dynamorph.Embedding, nodes: np.ndarray) -> str:
+def _width(points: np.ndarray) -> float:
+    """Of points (k, 3) across the line that fits them best; 0 for fewer than three."""
+    return float(np.linalg.svd(points - points.mean(axis=0))[1][1]) if len(points) > 2 else 0.0
+
+
+def _cause(character: Character, pins: np.ndarray) -> str:
+    """Why the whole cage could move. pins (k, B + 1): weights of the pinned nodes."""
+    if not len(pins):
+        return "no part of the cage is pinned to a bone"
+    bone = [*character.skeleton.names, "the object"][pins.sum(axis=0).argmax()]
+    return f"the cage is pinned to '{bone}' on a line alone, about which it could turn"
+
+
+def _adrift_warning(character: Character, embedding: dynamorph.Embedding, nodes: np.ndarray, pinned: np.ndarray) -> str:
     on_it = np.isin(embedding.nodes[:, 0], nodes) & embedding.weights.any(axis=1)
     bone = [*character.skeleton.names, "the object"][character.weights[on_it].sum(axis=0).argmax()]
+    how = "is pinned on a line alone" if pinned[nodes].any() else "is pinned to no bone"
     return (
-        f"A part of {int(on_it.sum())} vertices at '{bone}' is pinned to no bone, so it moves rigidly with its bones: "
-        "paint the Softness Map with 0 where it is attached"
+        f"A part of {int(on_it.sum())} vertices at '{bone}' {how}, so it moves rigidly with its bones: paint the "
+        "Softness Map with 0 where it is attached"
     )
 
 

@@ -292,7 +292,7 @@ class FullModel:
         """
     def linear_modes(self, target: typing.SupportsInt | typing.SupportsIndex, k: typing.SupportsInt | typing.SupportsIndex) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]]:
         """
-        Returns (omega (k) in rad/s, mass-orthonormal shapes (3 free, k)) at a target's shape.
+        Returns (omega (k) in rad/s, mass-orthonormal shapes (3 free, k)) at a target's shape. Raises Error when the body can move without resistance, as about a line on which all pinned nodes are.
         """
     def linearize(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> tuple[float, typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], scipy.sparse.csc_matrix]:
         """
@@ -652,7 +652,7 @@ def instruction_set() -> str:
     """
 def make_basis(model: FullModel, r: typing.SupportsInt | typing.SupportsIndex, progress: typing.Any = None) -> Basis:
     """
-    Makes r modes. They span the targets' shapes exactly, then linear modes, modal derivatives and static responses by mass-PCA. progress(fraction) -> bool: returning False raises Cancelled.
+    Makes r modes. They span the targets' shapes exactly, then linear modes, modal derivatives and static responses by mass-PCA. progress(fraction) -> bool: returning False raises Cancelled. Raises Error when the body can move without resistance.
     """
 def make_cage_surface(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], target_vertices: typing.SupportsInt | typing.SupportsIndex, thickness: typing.SupportsFloat | typing.SupportsIndex = 0.0, progress: typing.Any = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"], typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 3]"]]:
     """
@@ -664,7 +664,7 @@ def make_cage_surface(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.f
     """
 def make_response_basis(model: FullModel, r: typing.SupportsInt | typing.SupportsIndex, h: typing.SupportsInt | typing.SupportsIndex, progress: typing.Any = None) -> ResponseBasis:
     """
-    Makes r modes and h responses from the static answers to what the bones can do. The modes span the targets' shapes exactly. progress(fraction) -> bool: returning False raises Cancelled.
+    Makes r modes and h responses from the static answers to what the bones can do. The modes span the targets' shapes exactly. progress(fraction) -> bool: returning False raises Cancelled. Raises Error when the body can move without resistance.
     """
 def pinned(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], heads: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], tails: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], ratio: typing.SupportsFloat | typing.SupportsIndex) -> numpy.typing.NDArray[numpy.bool]:
     """

@@ -9,6 +9,7 @@
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/parallel.hpp"
+#include "dynamorph/models/free_motion.hpp"
 #include "dynamorph/reduced/gram_kernels.hpp"
 #include "dynamorph/reduced/mass_pca.hpp"
 #include "dynamorph/reduced/polynomials.hpp"
@@ -155,7 +156,7 @@ Candidates candidates(const FullModel& model, int target, int k, const MatrixXd&
   double solves = 0;
   const StaticSolver factored(model, target, [&] { report(progress, std::min(1.0, solves++ / expected)); });
   const LinearModes modes = solve_modes(factored, model.targets()[target].name, k);
-  // Rigid modes of an unpinned body would swamp all others.
+  // Without a bound, a part that is hardly held would swamp all others.
   const VectorXd frequencies = modes.omega.cwiseMax(1e-3 * modes.omega(k - 1));
   Candidates out{modes.shapes * frequencies.cwiseAbs2().cwiseInverse().asDiagonal(), {}, {}, 0};
   MatrixXd curvatures = -force_curvatures(model, target, out.modes.leftCols(bent));
@@ -218,10 +219,12 @@ LinearModes linear_modes(const FullModel& model, int target, int k) {
   if (k < 1 || k >= model.dofs())
     throw std::invalid_argument("k: expected 1 to " + std::to_string(model.dofs() - 1) + " modes, got " +
                                 std::to_string(k));
+  check_no_free_motion(model.body());
   return solve_modes(StaticSolver(model, target), model.targets()[target].name, k);
 }
 
 Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
+  check_no_free_motion(model.body());
   const int targets = int(model.targets().size());
   const VectorXd root = model.body().unit_mass().cwiseSqrt();  // all algebra below is in y = M^1/2 u
 

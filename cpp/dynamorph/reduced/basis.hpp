@@ -16,7 +16,8 @@ struct LinearModes {
 };
 
 /// The k lowest modes of `target`, found by Spectra with shift-invert and a sparse Cholesky factorization.
-/// Throws Error when the eigensolver does not converge.
+/// Throws Error when nothing resists some motion of the body (check_no_free_motion), or the eigensolver does not
+/// converge.
 LinearModes linear_modes(const FullModel& model, int target, int k);
 
 /// Second derivatives d2F[phi_k, phi_l] of the force about a target's shape, with the other sets in their neutral
@@ -32,7 +33,7 @@ struct Basis {
 };
 
 /// Makes r modes for all targets of the model. Throws Error when r cannot hold every target's shape and one mode of
-/// motion.
+/// motion, and when nothing resists some motion of the body (check_no_free_motion).
 Basis make_basis(const FullModel& model, int r, const ProgressFn& progress = {});
 
 }  // namespace dynamorph

@@ -8,6 +8,7 @@
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/parallel.hpp"
+#include "dynamorph/models/free_motion.hpp"
 #include "dynamorph/reduced/basis.hpp"
 #include "dynamorph/reduced/mass_pca.hpp"
 #include "dynamorph/reduced/static_solver.hpp"
@@ -214,6 +215,7 @@ MatrixXd modes(RowMajor candidates, const MatrixXd& shapes, Index r, VectorXd& a
 
 ResponseBasis make_response_basis(const FullModel& model, int r, int h, const ProgressFn& progress) {
   if (h < 1) throw std::invalid_argument("h: expected at least one response, got " + std::to_string(h));
+  check_no_free_motion(model.body());
   const VectorXd mass = model.body().unit_mass(), root = mass.cwiseSqrt(), inverse = root.cwiseInverse();
   const Index most = Index(r) + h;
   const MatrixXd shapes = shapes_of_targets(model, root);

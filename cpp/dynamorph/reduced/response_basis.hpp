@@ -16,8 +16,8 @@ struct ResponseBasis {
 };
 
 /// Makes r modes and h responses for all targets of the model; fewer responses where the bones cause fewer. Throws
-/// Error when r cannot hold every target's shape and one mode of motion, or the cage cannot move in so many, and
-/// std::invalid_argument unless h is at least 1.
+/// Error when r cannot hold every target's shape and one mode of motion, the cage cannot move in so many, or nothing
+/// resists some motion of it (check_no_free_motion), and std::invalid_argument unless h is at least 1.
 ResponseBasis make_response_basis(const FullModel& model, int r, int h, const ProgressFn& progress = {});
 
 }  // namespace dynamorph
