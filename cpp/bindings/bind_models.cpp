@@ -2,7 +2,7 @@
 #include "dynamorph/mesh/embedding.hpp"
 #include "dynamorph/models/extend_shapes.hpp"
 #include "dynamorph/models/full_model.hpp"
-#include "dynamorph/reduced/basis.hpp"
+#include "dynamorph/reduced/modes/basis.hpp"
 #include "model_interface.hpp"
 
 using namespace dynamorph;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-#include "dynamorph/reduced/basis.hpp"
+#include "dynamorph/reduced/modes/basis.hpp"
 #include "dynamorph/reduced/reduced_model.hpp"
-#include "dynamorph/reduced/response_tables.hpp"
+#include "dynamorph/reduced/responses/response_tables.hpp"
 #include "model_interface.hpp"
 
 using namespace dynamorph;

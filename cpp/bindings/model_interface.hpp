@@ -10,7 +10,7 @@
 #include "dynamorph/models/skin.hpp"
 #include "dynamorph/models/soft_body.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
-#include "dynamorph/reduced/arrow_matrix.hpp"
+#include "dynamorph/reduced/responses/arrow_matrix.hpp"
 
 namespace dynamorph {
 

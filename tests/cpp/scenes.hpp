@@ -7,9 +7,9 @@
 #include <memory>
 
 #include "dynamorph/models/full_model.hpp"
-#include "dynamorph/reduced/basis.hpp"
+#include "dynamorph/reduced/modes/basis.hpp"
 #include "dynamorph/reduced/reduced_model.hpp"
-#include "dynamorph/reduced/response_tables.hpp"
+#include "dynamorph/reduced/responses/response_tables.hpp"
 
 namespace scenes {
 

@@ -10,7 +10,8 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 # A file may include files of its own folder and of those before it.
-FOLDERS = ["core", "simd", "mesh", "elastic", "pose", "models", "reduced", "contact", "step", "file", "bindings"]
+REDUCED = ["reduced/modes", "reduced/responses", "reduced/inertia", "reduced"]
+FOLDERS = ["core", "simd", "mesh", "elastic", "pose", "models", *REDUCED, "contact", "step", "file", "bindings"]
 INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)
 
 
@@ -26,9 +27,9 @@ def includes_of(cpp: Path) -> dict[Path, list[Path]]:
 
 
 def folder_of(path: Path, cpp: Path) -> str:
-    """`mesh` for cpp/dynamorph/mesh/cage.hpp, `bindings` for all that is below cpp/bindings."""
-    parts = path.relative_to(cpp).parts
-    return parts[1] if parts[0] == "dynamorph" else parts[0]
+    """`reduced/modes` for cpp/dynamorph/reduced/modes/basis.hpp, `bindings` for all that is below cpp/bindings."""
+    top, *below = path.relative_to(cpp).parent.parts
+    return "/".join(below) if top == "dynamorph" else top
 
 
 def arrows_back(cpp: Path) -> list[str]:
@@ -86,6 +87,8 @@ def test_the_page_names_the_same_order():
 GOOD = {
     "dynamorph/core/types.hpp": "",
     "dynamorph/mesh/cage.hpp": '#include "dynamorph/core/types.hpp"\n',
+    "dynamorph/reduced/modes/basis.hpp": "",
+    "dynamorph/reduced/reduced_model.hpp": '#include "dynamorph/reduced/modes/basis.hpp"\n',
     "dynamorph/mesh/cage.cpp": '#include "dynamorph/mesh/cage.hpp"\n#include "tetgen.h"\n#include <vector>\n',
     "bindings/arrays.hpp": '#include "dynamorph/mesh/cage.hpp"\n',
     "bindings/bind_mesh.cpp": '#include "arrays.hpp"\n',
@@ -119,6 +122,12 @@ GOOD = {
             '#include "arrays.hpp"\n',
             [],
             ["bindings/arrays.hpp", "bindings/arrays.hpp"],
+        ),
+        (
+            "dynamorph/reduced/modes/basis.cpp",
+            '#include "dynamorph/reduced/reduced_model.hpp"\n',
+            ["dynamorph/reduced/modes/basis.cpp includes dynamorph/reduced/reduced_model.hpp"],
+            [],
         ),
         ("dynamorph/misc/junk.hpp", "", ["dynamorph/misc/junk.hpp is in no known folder"], []),
         ("dynamorph/loose.hpp", "", ["dynamorph/loose.hpp is in no known folder"], []),

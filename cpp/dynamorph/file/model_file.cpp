@@ -8,7 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "dynamorph/core/sha256.hpp"
-#include "dynamorph/reduced/table_layout.hpp"
+#include "dynamorph/reduced/modes/table_layout.hpp"
 
 namespace dynamorph::file {
 

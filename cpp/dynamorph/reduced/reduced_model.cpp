@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/reduced/reduced_model.hpp"
 
-#include "dynamorph/reduced/polynomial_kernels.hpp"
+#include "dynamorph/reduced/modes/polynomial_kernels.hpp"
 
 namespace dynamorph {
 

@@ -9,13 +9,13 @@
 #include "dynamorph/models/skin.hpp"
 #include "dynamorph/models/soft_body.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
-#include "dynamorph/reduced/arrow_matrix.hpp"
-#include "dynamorph/reduced/modal_inertia.hpp"
-#include "dynamorph/reduced/nodal_inertia.hpp"
-#include "dynamorph/reduced/polynomials.hpp"
-#include "dynamorph/reduced/response_inertia.hpp"
-#include "dynamorph/reduced/responses.hpp"
-#include "dynamorph/reduced/table_layout.hpp"
+#include "dynamorph/reduced/inertia/modal_inertia.hpp"
+#include "dynamorph/reduced/inertia/nodal_inertia.hpp"
+#include "dynamorph/reduced/inertia/response_inertia.hpp"
+#include "dynamorph/reduced/modes/polynomials.hpp"
+#include "dynamorph/reduced/modes/table_layout.hpp"
+#include "dynamorph/reduced/responses/arrow_matrix.hpp"
+#include "dynamorph/reduced/responses/responses.hpp"
 
 namespace dynamorph {
 

@@ -13,7 +13,7 @@
 
 #include "dynamorph/core/types.hpp"
 #include "dynamorph/elastic/sparse_solver.hpp"
-#include "dynamorph/reduced/arrow_matrix.hpp"
+#include "dynamorph/reduced/responses/arrow_matrix.hpp"
 
 namespace dynamorph {
 

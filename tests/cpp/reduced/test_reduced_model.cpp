@@ -4,7 +4,7 @@
 
 #include "derivatives.hpp"
 #include "dynamorph/core/errors.hpp"
-#include "dynamorph/reduced/basis.hpp"
+#include "dynamorph/reduced/modes/basis.hpp"
 #include "scenes.hpp"
 
 using namespace dynamorph;

@@ -1,0 +1,214 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/reduced/inertia/response_inertia.hpp"
+
+#include <cmath>
+#include <map>
+
+#include "dynamorph/reduced/inertia/bone_pairs.hpp"
+#include "dynamorph/reduced/modes/table_layout.hpp"
+
+namespace dynamorph {
+
+using bone_pairs::BonePair;
+using Eigen::Index;
+
+namespace {
+
+/// Pairs of bones that share less of the body are left out, and those with less of the largest load in a pose.
+constexpr double kNegligible = 1e-5, kInsignificant = 1e-4;
+/// Bones whose mean square scales differ by less scale alike.
+constexpr double kEven = 1e-6;
+
+using Affine = Eigen::Matrix<double, 3, 4, Eigen::RowMajor>;
+
+/// What pulls the rest positions relative to `center` of bone b, or of node b with its own transform.
+Affine inertial_target(const InertialTarget& inertial, Index b, const Vector3d& center) {
+  Affine target = Affine::Zero();
+  for (int n = 0; n < InertialTarget::kPoses; ++n)
+    target += inertial.coefficients.col(n).sum() * Eigen::Map<const Affine>(inertial.bones[n]->data() + 12 * b);
+  target.col(3) += target.leftCols<3>() * center - inertial.gravity_offset;
+  return target;
+}
+
+/// The mean of the squares of a transform's scales, less one.
+double growth(const Eigen::Map<const Affine>& pose) { return pose.leftCols<3>().squaredNorm() / 3 - 1; }
+
+/// Whether some bones or nodes scale otherwise than others.
+bool uneven(const VectorXd& growth) { return growth.maxCoeff() - growth.minCoeff() > kEven * (1 + growth.maxCoeff()); }
+
+}  // namespace
+
+ResponseInertia::ResponseInertia(std::shared_ptr<const SoftBody> body, const MatrixXd& U, const MatrixXd& W)
+    : body_(std::move(body)), count_(W.cols()), rows_(whole_chunks(W.cols())) {
+  if (count_ == 0) return;
+  const SoftBody& b = *body_;
+  std::vector<int> place(b.skin.cols(), -1);
+  for (Index bone = 0; !b.own_transforms && bone < b.skin.cols(); ++bone)
+    if (b.moments[bone](3, 3) > 0) {
+      place[bone] = int(bones_.size());
+      bones_.push_back(int(bone));
+      pairs_.push_back({place[bone], place[bone], 0});
+    }
+  if (!b.own_transforms) {
+    std::map<BonePair, double> shared;  // volumes, relative to all
+    for (int s = 0; s < b.sets(); ++s)
+      bone_pairs::for_each_bone_pair(b, s, [&](Index, const BonePair& pair, double part) {
+        if (pair.first != pair.second) shared[pair] += part / b.volume;
+      });
+    for (const auto& [pair, volume] : shared)
+      if (volume > kNegligible) pairs_.push_back({place[pair.first], place[pair.second], 0});
+  }
+  const VectorXd mass = b.unit_mass();
+  modal_ = W.transpose() * (mass.asDiagonal() * U);
+  bound_ = (1 + MatrixXd(modal_.transpose() * modal_).selfadjointView<Eigen::Lower>().eigenvalues().maxCoeff()) / 2;
+  const MatrixXd remainder = W - U * modal_.transpose();
+  for (int s = 0; s < b.sets(); ++s) {
+    Set& set = sets_.emplace_back();
+    const VectorXd part = at_coordinates(b.volumes.col(s));
+    set.border = remainder.transpose() * (part.asDiagonal() * U);
+    tabulate_mass(W, s, set);
+    tabulate_loads(remainder, s, set);
+  }
+}
+
+void ResponseInertia::tabulate_mass(const MatrixXd& W, int s, Set& set) {
+  const SoftBody& b = *body_;
+  MatrixXd parts = MatrixXd::Zero(rows_, b.skin.cols());  // nodes with transforms of their own are each a bone there
+  for (Index i = 0; i < b.skin.rows(); ++i) {
+    const VectorXd mass = b.volumes(i, s) * W.middleRows<3>(3 * i).colwise().squaredNorm();
+    for (SkinWeights::InnerIterator it(b.skin, i); it; ++it) parts.col(it.col()).head(count_) += it.value() * mass;
+  }
+  if (!b.own_transforms) {  // bones_ ascends
+    for (size_t c = 0; c < bones_.size(); ++c) parts.col(Index(c)) = parts.col(bones_[c]);
+    parts.conservativeResize(Eigen::NoChange, Index(bones_.size()));
+  }
+  set.mass = parts.rowwise().sum().head(count_);
+  for (Index k = 0; k < count_; ++k)
+    if (set.mass(k) > 0) parts.row(k) /= set.mass(k);
+  set.parts.assign(parts.data(), parts.data() + parts.size());
+}
+
+void ResponseInertia::tabulate_loads(const MatrixXd& remainder, int s, Set& set) {
+  const SoftBody& b = *body_;
+  const Index nodes = b.volumes.rows();
+  MatrixXd loads = MatrixXd::Zero(rows_, b.own_transforms ? 3 * nodes : 12 * Index(pairs_.size()));
+  if (b.own_transforms) {
+    for (Index i = 0; i < nodes; ++i)
+      loads.block(0, 3 * i, count_, 3) = b.volumes(i, s) * remainder.middleRows<3>(3 * i).transpose();
+  } else {
+    std::map<BonePair, Index> column;
+    for (size_t t = 0; t < pairs_.size(); ++t)
+      column.emplace(std::pair(bones_[pairs_[t].first], bones_[pairs_[t].second]), 12 * Index(t));
+    bone_pairs::for_each_bone_pair(b, s, [&](Index i, const BonePair& pair, double part) {
+      const auto found = column.find(pair);
+      if (found == column.end()) return;
+      Eigen::Vector4d X;
+      X << b.rest.segment<3>(3 * i) - b.center, 1;
+      for (int axis = 0; axis < 3; ++axis)
+        for (int j = 0; j < 4; ++j)
+          loads.col(found->second + 4 * axis + j).head(count_) += part * X(j) * remainder.row(3 * i + axis).transpose();
+    });
+    for (size_t t = 0; t < pairs_.size(); ++t)
+      pairs_[t].size = std::max(pairs_[t].size, loads.middleCols(12 * Index(t), 12).norm());
+  }
+  set.loads.assign(loads.data(), loads.data() + loads.size());
+}
+
+void ResponseInertia::take_loads(const InertialTarget& inertial, Scratch& scratch) const {
+  scratch.loads.resize(12 * Index(pairs_.size()));
+  scratch.growth.resize(Index(bones_.size()));
+  scratch.targets.resize(bones_.size());
+  scratch.active.clear();
+  double largest = 0;
+  const auto affine = [&](int bone) { return Eigen::Map<const Affine>(inertial.bones[0]->data() + 12 * bones_[bone]); };
+  const auto pose = [&](int bone) { return affine(bone).leftCols<3>(); };
+  for (size_t t = 0; t < pairs_.size(); ++t) {
+    const auto [first, second, size] = pairs_[t];
+    Eigen::Map<Affine> load(scratch.loads.data() + 12 * t);
+    if (first == second) {
+      scratch.targets[first] = inertial_target(inertial, bones_[first], body_->center);
+      load.noalias() = pose(first).transpose() * scratch.targets[first];
+      scratch.growth(first) = growth(affine(first));
+      largest = std::max(largest, load.norm() * size);
+    } else {
+      load.noalias() = (pose(second) - pose(first)).transpose() * (scratch.targets[first] - scratch.targets[second]);
+      if (load.norm() * size < kInsignificant * largest) continue;
+    }
+    scratch.active.push_back(int(t));
+  }
+}
+
+void ResponseInertia::take_nodal_loads(const InertialTarget& inertial, Scratch& scratch) const {
+  const Index nodes = body_->volumes.rows();
+  scratch.loads.resize(3 * nodes);
+  scratch.growth.resize(nodes);
+  for (Index i = 0; i < nodes; ++i) {
+    const Eigen::Map<const Affine> pose(inertial.bones[0]->data() + 12 * i);
+    const Affine target = inertial_target(inertial, i, Vector3d::Zero());
+    scratch.growth(i) = growth(pose);
+    scratch.loads.segment<3>(3 * i) =
+        pose.leftCols<3>().transpose() * (target.leftCols<3>() * body_->rest.segment<3>(3 * i) + target.col(3));
+  }
+}
+
+double ResponseInertia::definite_border(const ArrowMatrix& matrix, Scratch& scratch) const {
+  scratch.corner.compute(matrix.corner());
+  if (scratch.corner.info() != Eigen::Success) return 1;  // also where a target set has no damping
+  // The matrix [A, B^T; B, S] is positive definite when all eigenvalues of L^-1 B^T S^-1 B L^-T are below 1, A = L L^T.
+  scratch.between = matrix.border().transpose() * matrix.rest().cwiseSqrt().cwiseInverse().asDiagonal();
+  scratch.corner.matrixL().solveInPlace(scratch.between);
+  scratch.gram.noalias() = scratch.between * scratch.between.transpose();
+  scratch.eigen.compute(scratch.gram, Eigen::EigenvaluesOnly);
+  const double largest = scratch.eigen.eigenvalues().maxCoeff();
+  return largest > bound_ ? std::sqrt(bound_ / largest) : 1;
+}
+
+void ResponseInertia::evaluate(const InertialTarget& inertial, const SetDensities& densities, Scratch& scratch,
+                               ArrowMatrix& mass, ArrowMatrix& damped, VectorXd& force) const {
+  if (count_ == 0) return;
+  const Index r = mass.corner_size();
+  if (body_->own_transforms)
+    take_nodal_loads(inertial, scratch);
+  else
+    take_loads(inertial, scratch);
+  scratch.past.setZero(r + count_);
+  for (int m = 0; m < InertialTarget::kMoments; ++m)
+    scratch.past += inertial.coefficients.row(m).sum() * *inertial.q[m];
+  mass.border().noalias() = modal_ * mass.corner();
+  damped.border().noalias() = modal_ * damped.corner();
+  mass.rest().setZero();
+  damped.rest().setZero();
+  force.tail(count_).noalias() = modal_ * force.head(r);
+  for (size_t s = 0; s < sets_.size(); ++s) {
+    const Set& set = sets_[s];
+    const double density = densities.density(Index(s)), damping = densities.damped(Index(s));
+    scratch.force.setZero(rows_);
+    if (body_->own_transforms)
+      add_single_product(set.loads.data(), rows_, scratch.loads.data(), scratch.loads.size(), scratch.force.data());
+    for (int t : scratch.active)
+      add_single_product(set.loads.data() + 12 * t * rows_, rows_, scratch.loads.data() + 12 * t, 12,
+                         scratch.force.data());
+    force.tail(count_) += density * scratch.force.head(count_);
+    scratch.scales.setOnes(rows_);
+    add_single_product(set.parts.data(), rows_, scratch.growth.data(), scratch.growth.size(), scratch.scales.data());
+    const auto scales = scratch.scales.head(count_);
+    mass.rest() += density * scales.cwiseProduct(set.mass);
+    damped.rest() += damping * scales.cwiseProduct(set.mass);
+    if (sets_.size() == 1) continue;  // its border is zero
+    mass.border() += density * scales.asDiagonal() * set.border;
+    damped.border() += damping * scales.asDiagonal() * set.border;
+    scratch.border_force.noalias() = set.border * scratch.past.head(r);
+    force.tail(count_) += density * scales.cwiseProduct(scratch.border_force);
+  }
+  if (uneven(scratch.growth)) {
+    const double kept = definite_border(mass, scratch);
+    damped.border() *= sets_.size() == 1 ? kept : definite_border(damped, scratch);
+    scratch.border_force.noalias() = mass.border() * scratch.past.head(r);
+    force.tail(count_) -= (1 - kept) * scratch.border_force;
+    mass.border() *= kept;
+  }
+  force.head(r).noalias() += mass.border().transpose() * scratch.past.tail(count_);
+  force.tail(count_) += mass.rest().cwiseProduct(scratch.past.tail(count_));
+}
+
+}  // namespace dynamorph

@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/reduced/modes/gram_accumulator.hpp"
+
+#include <algorithm>
+
+#include "dynamorph/reduced/modes/gram_kernels.hpp"
+
+namespace dynamorph {
+
+namespace {
+
+Index tiles_for(Index size) { return (size + kTile - 1) / kTile; }
+
+/// Packs row `at` of a batch into panels.
+void pack(const double* row, Index size, Index at, double* panels) {
+  panels += at * kTile;
+  Index i = 0;
+  for (; i + kTile <= size; i += kTile, panels += kDepth * kTile) std::copy_n(row + i, kTile, panels);
+  std::copy_n(row + i, size - i, panels);
+}
+
+}  // namespace
+
+GramAccumulator::GramAccumulator(Index n) : GramAccumulator(n, n, [](Index i) { return i; }) {
+  a_.clear();
+  a_.shrink_to_fit();
+}
+
+GramAccumulator::GramAccumulator(Index m, Index n, const std::function<Index(Index)>& first) : m_(m), n_(n) {
+  Index tiles = 0;
+  for (Index i = 0; i < tiles_for(m); ++i) {
+    first_.push_back(first(i * kTile) / kTile);
+    start_.push_back(tiles);
+    tiles += tiles_for(n) - first_[i];
+  }
+  tiles_.resize(tiles * kTile * kTile);
+  a_.resize(tiles_for(m) * kDepth * kTile);
+  b_.resize(tiles_for(n) * kDepth * kTile);
+}
+
+void GramAccumulator::add(const double* row) {
+  pack(row, n_, filled_, b_.data());
+  if (++filled_ == kDepth) finish();
+}
+
+void GramAccumulator::add(const double* a, const double* b) {
+  pack(a, m_, filled_, a_.data());
+  add(b);
+}
+
+void GramAccumulator::finish() {
+  const double* A = a_.empty() ? b_.data() : a_.data();
+  for (Index i = 0; i < tiles_for(m_); ++i)
+    multiply_panels(A + i * kDepth * kTile, b_.data() + first_[i] * kDepth * kTile, tiles_for(n_) - first_[i], filled_,
+                    tiles_.data() + start_[i] * kTile * kTile);
+  filled_ = 0;
+}
+
+double GramAccumulator::operator()(Index i, Index j) const {
+  const Index row = i / kTile;
+  return tiles_[((start_[row] + j / kTile - first_[row]) * kTile + i % kTile) * kTile + j % kTile];
+}
+
+}  // namespace dynamorph

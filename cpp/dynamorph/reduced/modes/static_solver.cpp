@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/reduced/modes/static_solver.hpp"
+
+#include <algorithm>
+#include <set>
+
+#include "dynamorph/core/errors.hpp"
+
+namespace dynamorph {
+
+std::vector<int> summed_at(const std::vector<MorphTarget>& targets, int j) {
+  std::vector<int> summed{j};
+  std::set<int> sets{targets[j].set};
+  for (int other = 0; other < int(targets.size()); ++other)
+    if (sets.insert(targets[other].set).second) summed.push_back(other);
+  return summed;
+}
+
+std::vector<int> distinct_targets(const std::vector<MorphTarget>& targets) {
+  const std::vector<int> neutral = summed_at(targets, 0);
+  std::vector<int> distinct{0};
+  for (int j = 1; j < int(targets.size()); ++j)
+    if (std::find(neutral.begin(), neutral.end(), j) == neutral.end()) distinct.push_back(j);
+  return distinct;
+}
+
+StaticSolver::StaticSolver(const FullModel& model, int target, std::function<void()> tick_)
+    : mass(model.body().unit_mass() * model.targets()[target].density),
+      stiffness(model.zero()),
+      tick(std::move(tick_)) {
+  for (int j : summed_at(model.targets(), target)) values(stiffness) += values(model.rest_stiffness(j));
+  shift = 1e-9 * (stiffness.diagonal().array() / mass.array()).maxCoeff();
+  stiffness.diagonal() += shift * mass;
+  if (!solver.factorize(stiffness))
+    throw Error("Target '" + model.targets()[target].name +
+                "' has a shape with degenerate elements. Smooth its sculpt, or raise the cage resolution.");
+}
+
+VectorXd StaticSolver::solve(const VectorXd& load) const {
+  if (tick) tick();
+  return solver.solve(load);
+}
+
+MatrixXd StaticSolver::solve_all(MatrixXd loads) const {
+  constexpr Eigen::Index kBlock = 8;  // as many as the solver takes at a time
+  for (Eigen::Index first = 0; first < loads.cols(); first += kBlock) {
+    const Eigen::Index count = std::min(kBlock, loads.cols() - first);
+    solver.solve_in_place(loads.middleCols(first, count));
+    for (Eigen::Index c = 0; tick && c < count; ++c) tick();
+  }
+  return loads;
+}
+
+}  // namespace dynamorph

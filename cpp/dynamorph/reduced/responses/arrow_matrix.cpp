@@ -1,0 +1,134 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/reduced/responses/arrow_matrix.hpp"
+
+#include "dynamorph/elastic/dense_kernels.hpp"
+
+namespace dynamorph {
+
+VectorXd ArrowMatrix::diagonal() const {
+  VectorXd out(rows());
+  out << corner().diagonal(), rest();
+  return out;
+}
+
+void ArrowMatrix::add_to_diagonal(double factor, const VectorXd& values) {
+  corner().diagonal() += factor * values.head(r_);
+  rest() += factor * values.tail(h_);
+}
+
+void ArrowMatrix::multiply(const VectorXd& x, VectorXd& y) const {
+  y.resize(rows());
+  y.head(r_).noalias() = corner() * x.head(r_);
+  if (h_ == 0) return;
+  y.head(r_).noalias() += border().transpose() * x.tail(h_);
+  y.tail(h_) = rest().cwiseProduct(x.tail(h_));
+  y.tail(h_).noalias() += border() * x.head(r_);
+}
+
+MatrixXd ArrowMatrix::dense() const {
+  MatrixXd out;
+  dense(out);
+  return out;
+}
+
+void ArrowMatrix::dense(MatrixXd& out) const {
+  out.setZero(rows(), rows());
+  out.topLeftCorner(r_, r_) = corner();
+  out.bottomLeftCorner(h_, r_) = border();
+  out.topRightCorner(r_, h_) = border().transpose();
+  out.bottomRightCorner(h_, h_).diagonal() = rest();
+}
+
+bool ArrowFactor::compute(const ArrowMatrix& H) {
+  H_ = &H;
+  schur_ = H.corner();
+  const auto d = H.rest();
+  if (d.size() > 0) {
+    if (!(d.minCoeff() > 0) || !d.allFinite()) return false;
+    inverse_ = d.cwiseInverse();
+    scaled_.noalias() = inverse_.cwiseSqrt().asDiagonal() * H.border();
+    schur_.noalias() -= scaled_.transpose() * scaled_;
+  }
+  return factor_.compute(schur_);
+}
+
+void ArrowFactor::solve(const VectorXd& b, VectorXd& x) {
+  const Eigen::Index r = H_->corner_size(), h = b.size() - r;
+  if (h == 0) return factor_.solve(b, x);
+  corner_ = b.head(r);
+  rest_ = inverse_.cwiseProduct(b.tail(h));
+  corner_.noalias() -= H_->border().transpose() * rest_;
+  factor_.solve(corner_, solved_);
+  x.resize(b.size());
+  x.head(r) = solved_;
+  x.tail(h) = b.tail(h);
+  x.tail(h).noalias() -= H_->border() * solved_;
+  x.tail(h).array() *= inverse_.array();
+}
+
+namespace {
+
+/// Multiplications of a solve with `k` rows of points: by the arrow's own factor, and by that of the dense matrix.
+double work_by_rows(double r, double h, double k) {
+  const double n = r + h, factor = r * r * r / 6 + r * r * h / 2, solve = r * r + 2 * r * h;
+  return factor + k * solve + k * k * n / 2 + k * k * k / 6;
+}
+double work_dense(double n, double k) { return n * n * n / 6 + k * n * n / 2; }
+
+}  // namespace
+
+bool ArrowSolver::solve(const ArrowMatrix& H, const std::vector<const DensePoints*>& points, const VectorXd& b,
+                        VectorXd& x) {
+  gather(points, H.rows());
+  const double r = double(H.corner_size()), n = double(H.rows()), k = double(stiffness_.size());
+  if (k == 0) {
+    if (!arrow_.compute(H)) return false;
+    arrow_.solve(b, x);
+    return true;
+  }
+  if (work_by_rows(r, n - r, k) < work_dense(n, k) && solve_by_rows(H, b, x)) return true;
+  return solve_dense(H, b, x);  // also where H alone is not positive definite
+}
+
+void ArrowSolver::gather(const std::vector<const DensePoints*>& points, Eigen::Index size) {
+  Eigen::Index count = 0;
+  for (const DensePoints* each : points) count += (each->stiffness.array() > 0).count();
+  rows_.resize(count, size);
+  stiffness_.resize(count);
+  count = 0;
+  for (const DensePoints* each : points)
+    for (Eigen::Index i = 0; i < each->stiffness.size(); ++i) {
+      if (!(each->stiffness(i) > 0)) continue;
+      rows_.row(count) = each->rows.row(i);
+      stiffness_(count++) = each->stiffness(i);
+    }
+}
+
+bool ArrowSolver::solve_by_rows(const ArrowMatrix& H, const VectorXd& b, VectorXd& x) {
+  if (!arrow_.compute(H)) return false;
+  const Eigen::Index k = rows_.rows();
+  answers_.resize(H.rows(), k);
+  for (Eigen::Index i = 0; i < k; ++i) {
+    right_ = rows_.row(i);
+    arrow_.solve(right_, one_);
+    answers_.col(i) = one_;
+  }
+  small_.noalias() = rows_ * answers_;
+  small_.diagonal() += stiffness_.cwiseInverse();
+  if (!factor_.compute(small_)) return false;
+  arrow_.solve(b, x);
+  right_.noalias() = rows_ * x;
+  factor_.solve(right_, forces_);
+  x.noalias() -= answers_ * forces_;
+  return true;
+}
+
+bool ArrowSolver::solve_dense(const ArrowMatrix& H, const VectorXd& b, VectorXd& x) {
+  H.dense(dense_);
+  add_squares(rows_.data(), stiffness_.data(), rows_.rows(), rows_.cols(), dense_.data());
+  if (!factor_.compute(dense_)) return false;
+  factor_.solve(b, x);
+  return true;
+}
+
+}  // namespace dynamorph
