@@ -44,12 +44,12 @@ void bind_reduced(py::module_& m) {
       .def(py::init([](Law law, const MatrixXd& basis, const std::vector<VectorXd>& lambda,
                        const std::vector<VectorXd>& mu, const MatrixXd& responses,
                        const std::vector<VectorXd>& response_lambda, const std::vector<VectorXd>& response_mu,
-                       const VectorXd& reach) {
-             return ReducedTables{law, basis, lambda, mu, responses, response_lambda, response_mu, reach};
+                       const std::vector<MatrixXd>& relaxation) {
+             return ReducedTables{law, basis, lambda, mu, responses, response_lambda, response_mu, relaxation};
            }),
            "law"_a, "basis"_a, "lame_lambda"_a, "lame_mu"_a, "responses"_a = MatrixXd(),
            "response_lambda"_a = std::vector<VectorXd>(), "response_mu"_a = std::vector<VectorXd>(),
-           "reach"_a = VectorXd())
+           "relaxation"_a = std::vector<MatrixXd>())
       .def_readonly("law", &ReducedTables::law)
       .def_readonly("basis", &ReducedTables::basis)
       .def_readonly("lame_lambda", &ReducedTables::lambda, "Per target, for lambda = 1 Pa.")
@@ -58,7 +58,8 @@ void bind_reduced(py::module_& m) {
       .def_readonly("response_lambda", &ReducedTables::response_lambda,
                     "Per target, stiffness and coupling of the responses for lambda = 1 Pa.")
       .def_readonly("response_mu", &ReducedTables::response_mu, "Per target, for mu = 1 Pa.")
-      .def_readonly("reach", &ReducedTables::reach, "How far in each mode the responses' coupling acts (r).");
+      .def_readonly("relaxation", &ReducedTables::relaxation,
+                    "Per target A (h, r): its tables are of the modes basis - responses A.");
   m.def(
       "reduce",
       [](const FullModel& model, const MatrixXd& U, const py::object& progress) {

@@ -258,19 +258,6 @@ def test_a_model_with_them_is_stored_and_read(baked):
     assert not model.Model.from_arrays(older, meta).responses.size
 
 
-def test_a_model_whose_coupling_is_in_double_is_simulated_as_before(baked):
-    model, simulate = part("model"), part("simulate")
-    arrays, meta = baked.model.to_arrays()
-    for lame in ("lambda", "mu"):
-        arrays[f"response_{lame}"] = np.hstack([arrays[f"response_{lame}"], arrays.pop(f"coupling_{lame}")])
-    older = model.Model.from_arrays(arrays, meta)
-    first, second = (
-        list(simulate.simulate(each, baked.character, baked.computation.rig, baked.settings))[-1].coordinates
-        for each in (baked.model, older)
-    )
-    assert np.array_equal(first, second)
-
-
 def test_a_setup_from_before_has_the_modes_of_before(skin):
     setups = part("setups")
     setup = setups.of_object(skin)

@@ -161,7 +161,7 @@ def calls() -> dict[str, tuple[object, dict]]:
         "FullModel.fallbacks": (s.full, {"target": 1}),
         "FullModel.linear_modes": (s.full, {"target": 0, "k": 4}),
         "ReducedTables": (lib, {"law": s.law, **{name: getattr(s.with_responses, name) for name in (
-            "basis", "lame_lambda", "lame_mu", "responses", "response_lambda", "response_mu", "reach")}}),
+            "basis", "lame_lambda", "lame_mu", "responses", "response_lambda", "response_mu", "relaxation")}}),
         "ReducedModel": (lib, {"body": s.body, "targets": s.targets, "tables": s.tables, "blending": s.blending}),
         "FullSkin": (lib, {"model": s.full, **points}),
         "ReducedSkin": (lib, {"model": s.reduced, **points}),

@@ -33,7 +33,7 @@ def tables_like(tables, **changes):
         "responses": tables.responses,
         "response_lambda": tables.response_lambda,
         "response_mu": tables.response_mu,
-        "reach": tables.reach,
+        "relaxation": tables.relaxation,
     }
     return dynamorph.ReducedTables(**(given | changes))
 
@@ -64,11 +64,12 @@ def test_static_solution_at_a_target_is_the_sculpted_shape(law, blending):
 def test_sizes_and_tables_survive_a_round_trip_through_arrays():
     model, targets, full, basis, tables = with_responses(dynamorph.Law.STVK, dynamorph.Blending.EVEN)
     assert basis.U.shape == (full.dofs, MODES) and basis.W.shape == (full.dofs, RESPONSES)
-    assert basis.amplitudes.shape == tables.reach.shape == (MODES,)
-    assert np.all(basis.amplitudes > 0) and np.all(tables.reach > 0)
+    assert basis.amplitudes.shape == (MODES,) and np.all(basis.amplitudes > 0)
     assert model.dofs == MODES + RESPONSES
     pairs = MODES * (MODES + 1) // 2
     assert [table.shape for table in tables.response_mu] == 3 * [(RESPONSES * (1 + pairs),)]
+    assert [table.shape for table in tables.relaxation] == 3 * [(RESPONSES, MODES)]
+    assert not tables.relaxation[0].any() and tables.relaxation[1].any()
     again = dynamorph.ReducedModel(full.body, targets, tables_like(tables), dynamorph.Blending.EVEN)
     assert moved(again).tobytes() == moved(model).tobytes()
 
@@ -120,9 +121,9 @@ def test_what_does_not_fit_is_refused_by_name():
         ({"responses": tables.responses[:, :-1]}, "the responses of 'n' do not fit"),
         ({"response_mu": short}, "the responses of 'n' do not fit"),
         ({"response_lambda": []}, "expected responses for each of 3 targets"),
-        ({"reach": 0 * tables.reach}, "reach must have 10 positive values"),
-        ({"reach": tables.reach[1:]}, "reach must have 10 positive values"),
-        ({"reach": np.full(MODES, np.nan)}, "reach must have 10 positive values"),
+        ({"relaxation": tables.relaxation[1:]}, "expected responses for each of 3 targets"),
+        ({"relaxation": [each.T for each in tables.relaxation]}, "the responses of 'n' do not fit"),
+        ({"relaxation": [np.nan * each for each in tables.relaxation]}, "the responses of 'n' do not fit"),
     ):
         with pytest.raises(ValueError, match=message):
             dynamorph.ReducedModel(full.body, targets, tables_like(tables, **changes), dynamorph.Blending.EVEN)
@@ -157,7 +158,7 @@ def digest() -> str:
     """Of a basis, its tables and a motion, on a bar that several chunks of work share; for test_threads."""
     model, _, _, basis, tables = with_responses(dynamorph.Law.STVK, dynamorph.Blending.EVEN, cells=(16, 4, 4))
     found = hashlib.sha256()
-    arrays = (basis.U, basis.W, basis.amplitudes, *tables.response_lambda, *tables.response_mu, tables.reach)
+    arrays = (basis.U, basis.W, basis.amplitudes, *tables.response_lambda, *tables.response_mu, *tables.relaxation)
     for array in (*arrays, moved(model, 8)):
         found.update(np.ascontiguousarray(array).tobytes())
     return found.hexdigest()

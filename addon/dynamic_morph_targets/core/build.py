@@ -130,7 +130,7 @@ def _reduced(model: Model, full: dynamorph.FullModel, basis: Basis, report: Repo
         response_mu=response_mu[:, :h],
         coupling_lambda=response_lambda[:, h:].astype(np.float32),
         coupling_mu=response_mu[:, h:].astype(np.float32),
-        reach=tables.reach,
+        relaxation=np.array(tables.relaxation),
     )
 
 

@@ -16,7 +16,7 @@ from .character import Character, Skeleton
 from .errors import ModelFileError, SceneError
 from .settings import Material, ModelSettings
 
-RESPONSE_ARRAYS = ("responses", "response_lambda", "response_mu", "coupling_lambda", "coupling_mu", "reach")
+RESPONSE_ARRAYS = ("responses", "response_lambda", "response_mu", "coupling_lambda", "coupling_mu", "relaxation")
 # The tetrahedra of a model depend on these, named as in `Model.dependencies`.
 MESH_DEPENDENCIES = (
     "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage grading", "how far targets move",
@@ -43,7 +43,7 @@ class Model:
     (B, 4, 4) of the skeleton. basis (3 free, r), table_lambda and table_mu (J, ...) of a reduced model
     (dynamorph.ReducedTables), empty of a full one. Of one with responses, else empty: responses (3 free, h),
     response_lambda and response_mu (J, h) their stiffness, coupling_lambda and coupling_mu (J, ...) in single precision
-    as it is simulated, reach (r). Static morph targets have no nodes: their residual shapes are the shapes.
+    as it is simulated, relaxation (J, h, r). Static morph targets have no nodes: their residual shapes are the shapes.
     """
 
     nodes: np.ndarray
@@ -71,7 +71,7 @@ class Model:
     response_mu: np.ndarray
     coupling_lambda: np.ndarray
     coupling_mu: np.ndarray
-    reach: np.ndarray
+    relaxation: np.ndarray
     bone_names: tuple[str, ...]
     settings: ModelSettings
     dependencies: dict[str, str]
@@ -103,9 +103,6 @@ class Model:
         """The inverse of `to_arrays`. Raises ModelFileError when something is missing, or does not fit together."""
         none, no_table = np.zeros(0), np.zeros((0, 0))  # older models have none
         later = dict.fromkeys(("held", "hold", "thickness"), none) | dict.fromkeys(RESPONSE_ARRAYS, no_table)
-        if "coupling_lambda" not in arrays and "response_lambda" in arrays:  # it is part of response_lambda
-            none_beside = np.zeros((*arrays["response_lambda"].shape[:1], 0))
-            later |= dict.fromkeys(("coupling_lambda", "coupling_mu"), none_beside)
         arrays = later | arrays
         try:
             known: dict[str, Any] = {name: arrays[STORED_NAMES.get(name, name)] for name in cls.array_names()}
@@ -189,7 +186,7 @@ class Model:
         lame_mu = np.hstack([self.response_mu, self.coupling_mu])
         return dynamorph.ReducedTables(
             dynamorph.Law.__members__[self.settings.law], self.basis, list(self.table_lambda), list(self.table_mu),
-            self.responses, list(lame_lambda), list(lame_mu), self.reach.reshape(-1),
+            self.responses, list(lame_lambda), list(lame_mu), list(self.relaxation),
         )  # fmt: skip
 
     def with_settings(self, settings: ModelSettings) -> Model:

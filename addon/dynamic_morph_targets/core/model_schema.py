@@ -40,7 +40,7 @@ RESPONSES = {
     "response_mu": "f J a",
     "coupling_lambda": "f J b",
     "coupling_mu": "f J b",
-    "reach": "f r",
+    "relaxation": "f J h r",
 }
 LARGEST = 1e60  # of a number; in the tables of the smallest bodies there are some of 1e45
 NEVER_EMPTY = ("nodes", "tets", "basis", "residual_shapes")

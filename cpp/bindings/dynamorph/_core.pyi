@@ -364,7 +364,7 @@ class ReducedTables:
     """
     The tables that a built reduced model stores. They hold geometry only, no material.
     """
-    def __init__(self, law: Law, basis: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], lame_lambda: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], lame_mu: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], responses: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] = ..., response_lambda: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]] = [], response_mu: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]] = [], reach: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] = ...) -> None:
+    def __init__(self, law: Law, basis: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], lame_lambda: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], lame_mu: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], responses: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] = ..., response_lambda: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]] = [], response_mu: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]] = [], relaxation: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]] = []) -> None:
         ...
     @property
     def basis(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
@@ -383,9 +383,9 @@ class ReducedTables:
     def law(self) -> Law:
         ...
     @property
-    def reach(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+    def relaxation(self) -> list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]]:
         """
-        How far in each mode the responses' coupling acts (r).
+        Per target A (h, r): its tables are of the modes basis - responses A.
         """
     @property
     def response_lambda(self) -> list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:

@@ -105,15 +105,13 @@ MatrixXd surface_modes(const Content& content, const ReducedModel& model) {
 }
 
 /// One Lame parameter's table of the responses of each target: their stiffness, then their coupling, which is in an
-/// array of its own and in single precision, unless the model is older.
+/// array of its own and in single precision.
 std::vector<VectorXd> response_tables(const Content& content, const std::string& lame, Eigen::Index targets,
                                       Eigen::Index size) {
   MatrixXd rows = table<double>(content, "response_" + lame, {targets, -1});
-  if (content.find("coupling_" + lame)) {
-    const auto coupling = table<float>(content, "coupling_" + lame, {targets, -1});
-    rows.conservativeResize(Eigen::NoChange, rows.cols() + coupling.cols());
-    rows.rightCols(coupling.cols()) = coupling.cast<double>();
-  }
+  const auto coupling = table<float>(content, "coupling_" + lame, {targets, -1});
+  rows.conservativeResize(Eigen::NoChange, rows.cols() + coupling.cols());
+  rows.rightCols(coupling.cols()) = coupling.cast<double>();
   if (rows.cols() != size) throw incomplete("response_" + lame);
   std::vector<VectorXd> out;
   for (Eigen::Index j = 0; j < targets; ++j) out.push_back(rows.row(j));
@@ -126,9 +124,11 @@ void add_responses(const Content& content, ReducedTables& tables, Eigen::Index t
   if (!responses || responses->bytes.empty()) return;
   const TableLayout layout = tables.layout();
   tables.responses = table<double>(content, "responses", {tables.basis.rows(), -1});
-  tables.reach = table<double>(content, "reach", {layout.r});
-  if (!(tables.reach.array() > 0).all()) throw incomplete("reach");
-  const Eigen::Index size = tables.responses.cols() * (1 + (layout.nonlinear ? layout.pairs() : 0));
+  const Eigen::Index h = tables.responses.cols();
+  const auto relaxation = table<double>(content, "relaxation", {targets, h, layout.r});
+  for (Eigen::Index j = 0; j < targets; ++j)
+    tables.relaxation.push_back(relaxation.row(j).reshaped<Eigen::RowMajor>(h, layout.r));
+  const Eigen::Index size = h * (1 + (layout.nonlinear ? layout.pairs() : 0));
   tables.response_lambda = response_tables(content, "lambda", targets, size);
   tables.response_mu = response_tables(content, "mu", targets, size);
 }

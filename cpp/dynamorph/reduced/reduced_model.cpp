@@ -47,6 +47,20 @@ std::vector<VectorXd> checked_coordinates(const SoftBody& body, const std::vecto
   return target_coordinates(body, targets, U);
 }
 
+TableLayout checked_layout(const std::vector<MorphTarget>& targets, const ReducedTables& tables) {
+  const TableLayout layout = tables.layout();
+  if (tables.lambda.size() != targets.size() || tables.mu.size() != targets.size())
+    throw std::invalid_argument("tables: expected one for each of " + std::to_string(targets.size()) + " targets");
+  for (size_t j = 0; j < targets.size(); ++j) {
+    if (tables.lambda[j].size() != layout.distinct() || tables.mu[j].size() != layout.distinct())
+      throw std::invalid_argument("tables: of '" + targets[j].name + "' do not fit " + std::to_string(layout.r) +
+                                  " modes");
+    if (!tables.lambda[j].allFinite() || !tables.mu[j].allFinite())
+      throw std::invalid_argument("tables: of '" + targets[j].name + "' must be finite");
+  }
+  return layout;
+}
+
 std::variant<ModalInertia, NodalInertia> inertia_of(const std::shared_ptr<const SoftBody>& body, const MatrixXd& U) {
   if (body->own_transforms) return NodalInertia(body, U);
   return ModalInertia(*body, U);
@@ -128,22 +142,21 @@ ReducedModel::ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<Mor
       blending_(blending),
       basis_(side_by_side(tables.basis, checked_responses(tables))),
       coordinates_(checked_coordinates(*body_, targets_, tables.basis)),
-      layout_(tables.layout()),
-      responses_(tables, targets_, coordinates_),
+      layout_(checked_layout(targets_, tables)),
+      responses_(tables, targets_, coordinates_, blending_),
       padded_pairs_(whole_chunks(layout_.pairs())),
       inertia_(inertia_of(body_, tables.basis)),
       response_inertia_(body_, tables.basis, checked_responses(tables)) {
   check(tables.law);
   check(blending_);
   const Eigen::Index r = layout_.r;
-  if (tables.lambda.size() != targets_.size() || tables.mu.size() != targets_.size())
-    throw std::invalid_argument("tables: expected one for each of " + std::to_string(targets_.size()) + " targets");
   for (size_t j = 0; j < targets_.size(); ++j) {
-    if (tables.lambda[j].size() != layout_.distinct() || tables.mu[j].size() != layout_.distinct())
-      throw std::invalid_argument("tables: of '" + targets_[j].name + "' do not fit " + std::to_string(r) + " modes");
-    if (!tables.lambda[j].allFinite() || !tables.mu[j].allFinite())
-      throw std::invalid_argument("tables: of '" + targets_[j].name + "' must be finite");
     VectorXd table = unfolded(targets_[j].lame.lambda * tables.lambda[j] + targets_[j].lame.mu * tables.mu[j], layout_);
+    if (responses_.count() > 0) {
+      VectorXd stiffness;
+      pack(responses_.modal_stiffness(int(j)), stiffness);
+      table.head(layout_.pairs()) = stiffness;
+    }
     rest_stiffness_.push_back(table.head(layout_.pairs()));
     forces_.push_back(VectorXd::Zero(r));
     energies_.push_back(0);
@@ -188,7 +201,10 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
   responses_.blend(w, out.responses);
   if (!out.damping.fits(layout_.r, dofs())) out.damping = zero();
   unpack(out.packed_damping, out.damping.corner());
-  if (responses_.count() > 0) out.damping.rest() = out.responses.damping;
+  if (responses_.count() > 0) {
+    out.damping.rest() = out.responses.damping;
+    out.damping.border() = out.responses.border_damping;
+  }
   if (!layout_.nonlinear || out.only >= 0) return;
   out.table.resize(tables_[0].size());
   blend_tables(out.active.data(), out.active_weights.data(), int(out.active.size()), Eigen::Index(out.table.size()),
@@ -245,7 +261,8 @@ double ReducedModel::linearize(const Blend& blend, const VectorXd& z, VectorXd& 
   const double energy = contract_orders(blend.stiffness.data(), blend.now.linear.data(), blend.now.quadratic.data(),
                                         blend.now.v.data(), r, force.data(), stiffness.corner().data());
   force.head(r) += blend.force;
-  return blend.energy + blend.force.dot(blend.now.v) + energy + responses_.add(blend.responses, z, force, stiffness);
+  const double modes = blend.energy + blend.force.dot(blend.now.v) + energy;
+  return modes + responses_.add(blend.responses, z, modes, force, stiffness);
 }
 
 void ReducedModel::inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const {

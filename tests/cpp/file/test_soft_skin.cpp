@@ -104,32 +104,29 @@ TEST_CASE("a soft skin from a file steps as the one that was stored") {
   CHECK((skin.surface(second.coordinates(), w).transpose() - expected).norm() < 1e-12);
 }
 
-TEST_CASE("responses from a file move as those that were stored, whether their coupling is apart or not") {
+TEST_CASE("responses from a file move as those that were stored") {
   const Scene scene;
   const scenes::ResponseScene other(scene.body, scene.targets, Law::stvk, Blending::even, 8, 12);
   const Eigen::Index J = 3, size = other.tables.response_mu[0].size();
-  file::Content older = scene.content();
-  array(older, "basis") = stored(other.tables.basis, {other.tables.basis.rows(), 8});
+  file::Content content = scene.content();
+  array(content, "basis") = stored(other.tables.basis, {other.tables.basis.rows(), 8});
   for (const auto& [lame, tables, responses] :
        {std::tuple("lambda", &other.tables.lambda, &other.tables.response_lambda),
         std::tuple("mu", &other.tables.mu, &other.tables.response_mu)}) {
     MatrixXd modes(J, other.tables.layout().distinct()), rows(J, size);
     for (Eigen::Index j = 0; j < J; ++j)
       modes.row(j) = (*tables)[std::size_t(j)], rows.row(j) = (*responses)[std::size_t(j)];
-    array(older, std::string("table_") + lame) = stored(modes, {J, modes.cols()});
-    older.arrays.emplace_back(std::string("response_") + lame, stored(rows, {J, size}));
+    array(content, std::string("table_") + lame) = stored(modes, {J, modes.cols()});
+    content.arrays.emplace_back(std::string("response_") + lame, stored(MatrixXd(rows.leftCols(12)), {J, 12}));
+    content.arrays.emplace_back(std::string("coupling_") + lame,
+                                stored<float>(MatrixXd(rows.rightCols(size - 12)), {J, size - 12}));
   }
-  older.arrays.emplace_back("responses", stored(other.tables.responses, {other.tables.responses.rows(), 12}));
-  older.arrays.emplace_back("reach", stored(MatrixXd(other.tables.reach), {8}));
+  content.arrays.emplace_back("responses", stored(other.tables.responses, {other.tables.responses.rows(), 12}));
+  MatrixXd relaxation(J, 12 * 8);
+  for (Eigen::Index j = 0; j < J; ++j)
+    relaxation.row(j) = other.tables.relaxation[std::size_t(j)].reshaped<Eigen::RowMajor>();
+  content.arrays.emplace_back("relaxation", stored(relaxation, {J, 12, 8}));
 
-  file::Content apart = older;
-  for (const std::string lame : {"lambda", "mu"}) {
-    const file::Array whole = array(older, "response_" + lame);
-    const Eigen::Map<const Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::RowMajor>> rows(
-        reinterpret_cast<const double*>(whole.bytes.data()), 3, size);
-    array(apart, "response_" + lame) = stored(MatrixXd(rows.leftCols(12)), {J, 12});
-    apart.arrays.emplace_back("coupling_" + lame, stored<float>(MatrixXd(rows.rightCols(size - 12)), {J, size - 12}));
-  }
   const auto motion = [](const auto& model) {
     Simulation<ReducedModel> simulation(model, {});
     const VectorXd w = Vector3d(0.2, 0.5, 0.3);
@@ -139,16 +136,14 @@ TEST_CASE("responses from a file move as those that were stored, whether their c
   };
   const VectorXd expected = motion(other.model);
   CHECK(expected.size() == 20);
-  for (const file::Content& content : {older, apart}) {
-    const file::SoftSkin skin = file::load_soft_skin(content, scene.targets);
-    CHECK(skin.modes.cols() == 20);
-    CHECK((motion(skin.model) - expected).norm() <= 1e-6 * expected.norm());
-  }
-  for (const char* name : {"response_lambda", "coupling_mu", "reach"}) {
-    file::Content spoiled = apart;
+  const file::SoftSkin skin = file::load_soft_skin(content, scene.targets);
+  CHECK(skin.modes.cols() == 20);
+  CHECK((motion(skin.model) - expected).norm() <= 1e-6 * expected.norm());
+  for (const char* name : {"response_lambda", "coupling_mu", "relaxation"}) {
+    file::Content spoiled = content;
     array(spoiled, name).shape.back() -= 1;
     CHECK_THROWS_AS(file::load_soft_skin(spoiled, scene.targets), Error);
-    spoiled = apart;
+    spoiled = content;
     std::memset(array(spoiled, name).bytes.data(), 0xff, 8);
     CHECK_THROWS_AS(file::load_soft_skin(spoiled, scene.targets), Error);
   }

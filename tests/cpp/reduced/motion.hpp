@@ -23,6 +23,23 @@ void for_each_response_scene(const Visit& visit) {
       }
 }
 
+/// Modes and responses (3 free, r + h).
+inline MatrixXd side_by_side(const ResponseBasis& basis) {
+  MatrixXd out(basis.U.rows(), basis.U.cols() + basis.W.cols());
+  out << basis.U, basis.W;
+  return out;
+}
+
+/// Coordinates of the modes (r) in a random direction of the motion that they are made for, in which the body moves by
+/// its size in the root mean square.
+inline VectorXd motion_of_size(const ResponseScene& scene, unsigned seed) {
+  const SoftBody& body = scene.full.body();
+  const VectorXd& amplitudes = scene.basis.amplitudes;
+  const VectorXd scales = amplitudes.cwiseMax(0.05 * amplitudes.maxCoeff());
+  const VectorXd v = random_vector(scales.size(), 1, seed).cwiseProduct(scales);
+  return body.size * std::sqrt(body.volume) * v.normalized();
+}
+
 /// The transforms of `count` bones; of_bone(b) is an Affine.
 template <class OfBone>
 Transforms pose_of(int count, const OfBone& of_bone) {

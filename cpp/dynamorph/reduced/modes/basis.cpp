@@ -60,14 +60,6 @@ double largest(const MatrixXd& u) {
   return std::sqrt(squares.reshaped(3, u.rows() / 3).colwise().sum().maxCoeff());
 }
 
-/// The width of the body through its center, meters. It does not depend on the axes.
-double width(const SoftBody& body) {
-  double farthest = 0;
-  for (Eigen::Index i = 0; i < body.rest.size(); i += 3)
-    farthest = std::max(farthest, (body.rest.segment<3>(i) - body.center).norm());
-  return 2 * farthest;
-}
-
 /// The inertial loads (3 free, at most kLoads) that bones put on the soft tissue for unit density. Each bone
 /// accelerates along and about each axis. The loads are the strongest combinations of all bones by SVD, scaled by their
 /// strength.

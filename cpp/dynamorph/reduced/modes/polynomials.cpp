@@ -148,7 +148,8 @@ std::vector<VectorXd> target_coordinates(const SoftBody& body, const std::vector
   return coordinates;
 }
 
-ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress) {
+ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress,
+                     const std::vector<MatrixXd>& relaxed) {
   const SoftBody& body = model.body();
   target_coordinates(body, model.targets(), U);
   ReducedTables tables;
@@ -156,10 +157,10 @@ ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn
   tables.basis = U;
   const int targets = int(model.targets().size());
   const Index tets = body.mesh.tets.rows();
-  const RowMajor modes = U;  // row-major, so that a node's rows are contiguous
   tables.lambda.resize(targets);
   tables.mu.resize(targets);
   run_tasks(targets, progress, [&](int j, const ProgressFn& done) {
+    const RowMajor modes = relaxed.empty() ? U : relaxed[j];  // row-major, so that a node's rows are contiguous
     TargetSums sums(model.law(), U.cols());
     RowMajor G;
     for (Index e = 0; e < tets; ++e) {

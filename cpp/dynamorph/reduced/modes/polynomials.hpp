@@ -23,10 +23,10 @@ struct ReducedTables {
   std::vector<VectorXd> lambda;  ///< per target, the distinct coefficients as `unfolded` takes them
   std::vector<VectorXd> mu;
   /// The responses (responses.hpp), or none: W (3 free, h); per target D (h), then S (h, pairs) column by column,
-  /// unless the law is linear; and how far their coupling reaches (r).
+  /// unless the law is linear; and per target A (h, r). The tables of target j are those of the modes U - W A_j.
   MatrixXd responses;
   std::vector<VectorXd> response_lambda, response_mu;
-  VectorXd reach;
+  std::vector<MatrixXd> relaxation;
 
   TableLayout layout() const { return {basis.cols(), law != Law::linear}; }
 };
@@ -41,7 +41,9 @@ bool mode_gradients(const SoftBody& body, const Element& element, Eigen::Index e
 std::vector<VectorXd> target_coordinates(const SoftBody& body, const std::vector<MorphTarget>& targets,
                                          const MatrixXd& U);
 
-/// Tables of every target of `model` in the basis U (3 free, r). Throws like `target_coordinates`.
-ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress = {});
+/// Tables of every target of `model` in the basis U (3 free, r), without responses, or each in the relaxed modes of its
+/// own (3 free, r). Throws like `target_coordinates`.
+ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress = {},
+                     const std::vector<MatrixXd>& relaxed = {});
 
 }  // namespace dynamorph

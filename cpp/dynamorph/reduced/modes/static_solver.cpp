@@ -8,6 +8,13 @@
 
 namespace dynamorph {
 
+double width(const SoftBody& body) {
+  double farthest = 0;
+  for (Eigen::Index i = 0; i < body.rest.size(); i += 3)
+    farthest = std::max(farthest, (body.rest.segment<3>(i) - body.center).norm());
+  return 2 * farthest;
+}
+
 std::vector<int> summed_at(const std::vector<MorphTarget>& targets, int j) {
   std::vector<int> summed{j};
   std::set<int> sets{targets[j].set};

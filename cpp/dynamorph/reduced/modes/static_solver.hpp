@@ -10,6 +10,9 @@
 
 namespace dynamorph {
 
+/// The width of the body through its center, meters. It does not depend on the axes, as `SoftBody::size` does.
+double width(const SoftBody& body);
+
 /// The targets with energies in K about target j's shape: j itself, and of every other set the first target, which is
 /// its neutral. Targets need not be ordered by set.
 std::vector<int> summed_at(const std::vector<MorphTarget>& targets, int j);

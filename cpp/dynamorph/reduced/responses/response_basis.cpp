@@ -27,6 +27,23 @@ constexpr double kLater = 0.1;
 /// Radius, relative to the body, at which rotation and stretch of a bone accelerate tissue as much as its translation.
 constexpr double kRadius = 0.1;
 
+/// Three directions at right angles (columns) that turn, and are mirrored, with the body: toward its farthest nodes.
+/// Without them, random combinations of loads would depend on the axes of its bind pose.
+Matrix3d own_axes(const SoftBody& body) {
+  constexpr double kAlike = 1 - 1e-6;  // of nodes that are as far, the first counts
+  MatrixXd left = body.rest.reshaped(3, body.rest.size() / 3).colwise() - body.center;
+  Matrix3d axes = Matrix3d::Identity();
+  for (int k = 0; k < 3; ++k) {
+    const Eigen::RowVectorXd squares = left.colwise().squaredNorm();
+    const double farthest = squares.maxCoeff();
+    if (!(farthest > 1e-12 * body.size * body.size)) break;
+    const auto first = std::find_if(squares.begin(), squares.end(), [&](double d) { return d >= kAlike * farthest; });
+    axes.col(k) = left.col(first - squares.begin()).normalized();
+    left -= axes.col(k) * (axes.col(k).transpose() * left);
+  }
+  return axes;
+}
+
 /// The loads (3 free, at most `most`) that accelerated bones put on the tissue for unit density, M w_b (X - c_b, 1) e:
 /// twelve of each bone, as M^-1/2 times their strongest combinations.
 RowMajor bone_loads(const SoftBody& body, Index most) {
@@ -35,7 +52,8 @@ RowMajor bone_loads(const SoftBody& body, Index most) {
   MatrixXd weights = MatrixXd::Zero(nodes, bones);  // nodes with their own transforms are loaded as if by one bone
   for (Index i = 0; i < nodes; ++i)
     for (SkinWeights::InnerIterator it(body.skin, i); it; ++it) weights(i, bones > 1 ? it.col() : 0) += it.value();
-  const MatrixXd X = body.rest.reshaped<Eigen::RowMajor>(nodes, 3);
+  const Matrix3d axes = own_axes(body);
+  const MatrixXd X = body.rest.reshaped<Eigen::RowMajor>(nodes, 3) * axes / (kRadius * width(body));
   std::vector<Eigen::Triplet<double>> entries;
   Index columns = 0;  // many bones of a rig move nothing of this body
   for (Index b = 0; b < bones; ++b) {
@@ -43,12 +61,15 @@ RowMajor bone_loads(const SoftBody& body, Index most) {
     const double volume = part.sum();
     if (!(volume > 0)) continue;
     const Eigen::RowVector3d center = part.transpose() * X / volume;
-    for (Index i = 0; i < nodes; ++i)
-      for (int axis = 0; axis < 3 && weights(i, b) != 0; ++axis)
+    for (Index i = 0; i < nodes; ++i) {
+      if (weights(i, b) == 0) continue;
+      const double root = std::sqrt(volumes(i)) * weights(i, b);
+      for (int axis = 0; axis < 3; ++axis)
         for (int c = 0; c < 4; ++c)
-          entries.emplace_back(
-              int(3 * i + axis), int(columns + 4 * axis + c),
-              std::sqrt(volumes(i)) * weights(i, b) * (c < 3 ? (X(i, c) - center(c)) / (kRadius * body.size) : 1));
+          for (int to = 0; to < 3; ++to)
+            entries.emplace_back(int(3 * i + to), int(columns + 4 * axis + c),
+                                 root * axes(to, axis) * (c < 3 ? X(i, c) - center(c) : 1));
+    }
     columns += 12;
   }
   SparseMatrix loads(3 * nodes, columns);
@@ -109,7 +130,7 @@ void add_bending(const FullModel& model, const VectorXd& root, const MatrixXd& m
   const std::vector<int> targets = distinct_targets(model.targets());
   run_tasks(int(targets.size()), progress, [&](int i, const ProgressFn& done) {
     MatrixXd loads = force_curvatures(model, targets[i], motions);
-    for (Index k = 0; k < motions.cols(); ++k) loads.col(pair_index(motions.cols(), k, k)) /= 2;
+    for (Index k = 0; k < motions.cols(); ++k) loads.col(pair_index(motions.cols(), k, k)) /= std::sqrt(2.0);
     count_solves(*answers[i].solver, loads.cols(), done, [&] {
       answers[i].bending = strongest(root.asDiagonal() * answers[i].solver->solve_all(std::move(loads)), most);
     });

@@ -1,15 +1,29 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // What a whole body needs beside its tabulated modes: many responses that stay linear (docs/theory.md, Whole bodies).
+// About a target, with v = z - z_j,
 //
-//   u = U z + W y,   E = E_modes(z) + y . c(z) + 1/2 y . D y,   c = fade(s) 1/2 S(v, v),   v = z - sum_j w_j z_j
+//   u = d_j + U v + W y,   E_j = E(U_j v) + 1/2 y' . D_j y' + theta y' . c_j(v),   y' = y + A_j v,   U_j = U - W A_j.
 //
-// W is K- and M-orthogonal to itself and K-orthogonal to U about the neutral target, so D is diagonal. S holds the
-// second derivatives of the force on the responses. Static condensation of y gives the modal derivatives, without
-// their locking. D and S of a target j are those at its own shape; the parts of its K that are neither in the modes'
-// table nor in D are left out. d_j is in the span of U, where c and y vanish, so targets stay exact.
+// W is K- and M-orthogonal to itself and K-orthogonal to U about the neutral target, so that D is diagonal and A zero
+// there. A_j = (W^T K_j W)^-1 W^T K_j U makes the relaxed modes U_j K_j-orthogonal to W as well: E(U_j v) is their
+// quartic table. What is left out is W^T K_j W beside its diagonal D_j. c_j = 1/2 S_j(v, v) has the second derivatives
+// of the force on the responses; static condensation of y' gives the modal derivatives, without their locking. At d_j
+// y' and c vanish, so targets stay exact.
 //
-// Far from the shape, 1/2 S(v, v) grows beyond the true force and could make E negative: there the coupling fades,
-// fade = 1 / (1 + s^2) with s = sum_k (v_k / reach_k)^2, and the modes' own table remains.
+// The energies are summed by weight: with forces blending each about its own z_j, with even blending all about the
+// blended one. With D = sum_j w_j D_j, b = sum_j w_j D_j A_j v_j and c = sum_j w_j c_j, and y' = y + D^-1 b,
+//
+//   E = E_modes(z) + y . b(z) + 1/2 y . D y + theta y' . c(z),   E_modes = sum_j w_j (E(U_j v_j) + 1/2 A v . D A v).
+//
+// Far from the shapes, c grows beyond the true force. Condensing y reduces the energy by theta^2 P, P = 1/2 c . D^-1 c,
+// and theta keeps that below what the modes can pay: with E = E_modes - 1/2 b . D^-1 b and its quadratic part E_2,
+//
+//   pay = E^2 / (E + E_2),   theta^2 P = g(P / pay) pay,   g(x) = x up to kExact, and below 1 everywhere.
+//
+// E is a sum of energies of the body, so that the whole is at least E - pay = E E_2 / (E + E_2) >= 0 for all
+// coordinates, and theta is 1 in all motion but the largest. The factor E / (E + E_2) counts where modes soften under
+// compression: with pay = E the condensed energy has minima there that neither the modes nor the body have
+// (docs/decisions/0008).
 #pragma once
 
 #include <vector>
@@ -23,36 +37,70 @@ namespace dynamorph {
 
 class Responses {
  public:
-  /// coordinates: z_j of every target (r). Throws std::invalid_argument unless the tables fit the targets.
+  /// coordinates: z_j of every target (r). Throws std::invalid_argument unless the tables fit the targets; those of the
+  /// modes must.
   Responses(const ReducedTables& tables, const std::vector<MorphTarget>& targets,
-            const std::vector<VectorXd>& coordinates);
+            const std::vector<VectorXd>& coordinates, Blending blending);
 
   Eigen::Index count() const { return count_; }
 
+  /// K of target j in the modes where y = 0, U_j^T K_j U_j + A_j^T D_j A_j (r, r).
+  const MatrixXd& modal_stiffness(int j) const { return targets_[j].modal; }
+
   struct Blend {
-    VectorXd stiffness, damping;  ///< D, and sum_j w_j beta_j D_j
-    VectorXd shape;               ///< sum_j w_j z_j (r)
-    LaneVector<float> coupling;   ///< sum_j w_j S_j, unless a single target has all the weight
-    int only = -1;                ///< that target
-    /// Scratch: S v (padded h, r), S : y (pairs), 1/2 S(v, v), its derivatives, padded y, the tables with a weight.
-    mutable MatrixXd slopes, bend;
-    mutable VectorXd products, curved, padded, from_shape, along, away;
+    VectorXd stiffness;  ///< D
+    /// sum_j w_j beta_j D_j (h), and the same of D_j A_j (h, r)
+    VectorXd damping;
+    MatrixXd border_damping;
+    VectorXd shape;               ///< x = z - shape: sum_j w_j z_j with even blending, otherwise zero (r)
+    MatrixXd border, relaxation;  ///< B of b = B x + b(0) (h, r), and D^-1 B
+    VectorXd border_force;        ///< b(0)
+    MatrixXd modal;               ///< of E_2 = 1/2 x . modal x + modal_force . x + modal_energy (r, r)
+    VectorXd modal_force;
+    double modal_energy = 0;
+    LaneVector<float> coupling;  ///< S of c = 1/2 S(x, x) + slopes x + c(0), unless a single target has all the weight
+    MatrixXd coupling_slopes;    ///< padded (h, r)
+    VectorXd coupling_force;     ///< c(0) (h)
+    int only = -1;               ///< that target
     std::vector<const float*> active;
     std::vector<double> active_weights;
+    /// Scratch: x; b, D^-1 b, y', c, D^-1 c (h); their padded copies; dc/dz (padded h, r); second derivatives (r, r).
+    struct Scratch {
+      VectorXd x, b, relaxed, shifted, c, answer, padded, products;
+      VectorXd work, energy, linear, pay, between, ratio;  ///< gradients by z
+      MatrixXd slopes, unused_slopes, scaled, bend, cross, energy2, linear2, ratio2;
+    };
+    mutable Scratch scratch;
   };
 
   /// Blends at target weights w (J).
   void blend(const VectorXd& w, Blend& out) const;
 
-  /// Adds the responses' part at coordinates q = (z, y) to the modes' part of force and stiffness. Returns its energy.
-  double add(const Blend& blend, const VectorXd& q, VectorXd& force, ArrowMatrix& stiffness) const;
+  /// Adds the responses' part at coordinates q = (z, y) to force and stiffness of the modes, whose energy is `modes`.
+  /// Returns its energy.
+  double add(const Blend& blend, const VectorXd& q, double modes, VectorXd& force, ArrowMatrix& stiffness) const;
 
  private:
+  struct Target {
+    double damping;  ///< beta
+    VectorXd coordinates, stiffness;
+    MatrixXd border;             ///< D A (h, r)
+    MatrixXd modal;              ///< (r, r)
+    LaneVector<float> coupling;  ///< S (rows, pairs); empty for the linear law
+    MatrixXd coupling_slopes;    ///< forces blending: of c at z = 0 (rows, r), and c there
+    VectorXd coupling_force;
+  };
+  /// E and E_2 where y is what it relaxes to.
+  struct Payers {
+    double energy, linear;
+  };
+  double add_coupling(const Blend& blend, const LaneVector<float>& S, Payers payers, VectorXd& force,
+                      ArrowMatrix& stiffness) const;
+  void differentiate_ratio(const Blend& blend, const LaneVector<float>& S, Payers payers, double ratio) const;
+
   Eigen::Index r_, count_, rows_;  ///< rows_: count_ in whole chunks
-  std::vector<double> stiffness_damping_;
-  std::vector<VectorXd> stiffness_, coordinates_;
-  std::vector<LaneVector<float>> coupling_;  ///< S (rows, pairs) of each target; empty for the linear law
-  VectorXd reach_;                           ///< (r)
+  bool even_, relaxed_;            ///< relaxed_: whether some A is not zero
+  std::vector<Target> targets_;
 };
 
 }  // namespace dynamorph

@@ -29,11 +29,6 @@ std::vector<VectorXd> full_weights(int sets) {
   return {weights(0, 1, 1), weights(0.6, 0.4, 1)};
 }
 
-/// A direction of unit length when measured in the reach.
-VectorXd direction_in_reach(const ReducedTables& tables, unsigned seed) {
-  return random_vector(tables.basis.cols(), 1, seed).normalized().cwiseProduct(tables.reach);
-}
-
 /// The blended targets' coordinates.
 VectorXd shape_of(const ReducedModel& model, const VectorXd& w) {
   VectorXd out = VectorXd::Zero(model.modes());
@@ -53,7 +48,11 @@ StepOptions precise() {
   return out;
 }
 
-double fade(double s) { return 1 / (1 + s * s); }
+/// How much condensed responses reduce the energy, by what they would without a limit: theta^2 of responses.hpp.
+double kept(double P, double energy, double linear) {
+  const double pay = energy * energy / (energy + linear), ratio = P / pay, x = (ratio - 0.7) / 0.3;
+  return ratio <= 0.7 ? 1 : (0.7 + 0.3 * x / std::sqrt(1 + x * x)) / ratio;
+}
 
 /// The bar of two bones with a hold, pinned at its end or nowhere.
 std::shared_ptr<const SoftBody> held_bar(bool pinned) {
@@ -72,9 +71,8 @@ std::shared_ptr<const SoftBody> held_bar(bool pinned) {
 
 }  // namespace
 
-TEST_CASE("responses: force and tangent are the energy's derivatives, near the shape and far beyond the reach") {
+TEST_CASE("responses: force and tangent are the energy's derivatives, near the shape and far away") {
   for_each_response_scene([](const ResponseScene& scene, int sets) {
-    const Law law = scene.full.law();
     const ReducedModel& model = *scene.model;
     ReducedTables tables = scene.tables;
     tables.responses.resize(tables.basis.rows(), 0);
@@ -88,9 +86,8 @@ TEST_CASE("responses: force and tangent are the energy's derivatives, near the s
       model.linearize(blend, joined(shape, VectorXd::Zero(h)), force, rest);
       // In coordinates in which all stiffness is about one, so that no term is hidden behind stiffer ones.
       const VectorXd scales = rest.diagonal().cwiseAbs().cwiseSqrt().cwiseInverse();
-      for (double distance : {0.05, 0.7, 3.0}) {  // measured in the reach; s is its square
-        const VectorXd reach = law == Law::linear ? VectorXd(1e-3 * scene.tables.reach) : scene.tables.reach;
-        const VectorXd z = shape + distance * random_vector(r, 1, 3).normalized().cwiseProduct(reach);
+      for (double distance : {0.01, 0.1, 0.4}) {  // of the body's size
+        const VectorXd z = shape + distance * motion_of_size(scene, 3);
         ArrowMatrix K = model.zero();
         model.linearize(blend, joined(z, VectorXd::Zero(h)), force, K);
         const VectorXd answer = force.tail(h).cwiseQuotient(K.rest());
@@ -284,47 +281,69 @@ TEST_CASE("response basis: a number of responses that is none is refused") {
                          std::invalid_argument);
 }
 
-TEST_CASE("responses couple as the second-order part of the full model's force, faded") {
-  for_each_response_scene([](const ResponseScene& scene, int sets) {
+TEST_CASE("responses couple as the second-order part of the full model's force, as far as the modes can pay") {
+  int limited = 0;
+  for_each_response_scene([&](const ResponseScene& scene, int sets) {
     const Law law = scene.full.law();
+    const bool even = scene.full.blending() == Blending::even;
     const ReducedModel& model = *scene.model;
     const MatrixXd &U = scene.basis.U, &W = scene.basis.W;
     const int r = int(U.cols()), h = int(W.cols());
-    // The even part of a cubic force about a place where it is zero is its second-order part.
-    const auto even_part = [&](int j, const VectorXd& v) {
-      FullModel::Blend alone;
-      scene.full.blend(VectorXd::Unit(3, j), alone);
-      SparseMatrix K = scene.full.zero();
-      VectorXd plus, minus;
-      scene.full.linearize(alone, scene.full.target(j) + U * v, plus, K);
-      scene.full.linearize(alone, scene.full.target(j) - U * v, minus, K);
-      return VectorXd(W.transpose() * (plus + minus) / 2);
-    };
     std::vector<VectorXd> all = full_weights(sets);
     for (int j = 0; j < 3; ++j) all.push_back(VectorXd::Unit(3, j));
     for (const VectorXd& w : all)
-      for (double distance : {1e-2, 1.0, 4.0}) {
-        const VectorXd shape = shape_of(model, w);
-        const VectorXd v =
-            law == Law::linear ? random_vector(r, 1e-3, 6) : VectorXd(distance * direction_in_reach(scene.tables, 6));
-        VectorXd expected = VectorXd::Zero(h), force;
-        for (int j = 0; j < 3; ++j)  // about the blended shape, with both blendings
-          if (w(j) != 0) expected += w(j) * even_part(j, v);
-        ArrowMatrix K = model.zero();
-        model.linearize(blended(model, w), joined(shape + v, VectorXd::Zero(h)), force, K);
-        if (law == Law::linear) {
-          CHECK(force.tail(h) == VectorXd::Zero(h));
-          continue;
+      for (double distance : {1e-2, 0.1, 0.5, 2.0}) {
+        const VectorXd shape = shape_of(model, w), z = shape + distance * motion_of_size(scene, 6);
+        // Sums over the targets of E and E_2 in their relaxed modes, c, b and D.
+        VectorXd c = VectorXd::Zero(h), b = c, D = c;
+        double energy = 0, linear = 0, lent = 0;
+        for (int j = 0; j < 3; ++j) {
+          if (w(j) == 0) continue;
+          const MatrixXd &A = scene.tables.relaxation[j], relaxed = U - W * A;
+          const VectorXd v = even ? VectorXd(z - shape) : VectorXd(z - model.target(j).head(r)), u = relaxed * v;
+          const SparseMatrix K = scene.full.rest_stiffness(j);
+          const VectorXd own = (W.transpose() * (K * W)).diagonal();
+          FullModel::Blend alone;
+          scene.full.blend(VectorXd::Unit(3, j), alone);
+          SparseMatrix tangent = scene.full.zero();
+          VectorXd plus, minus;
+          energy += w(j) * scene.full.linearize(alone, scene.full.target(j) + u, plus, tangent);
+          scene.full.linearize(alone, scene.full.target(j) - u, minus, tangent);
+          linear += 0.5 * w(j) * u.dot(K * u);
+          // The even part of a cubic force about a place where it is zero is its second-order part.
+          if (law != Law::linear) c += w(j) * VectorXd(W.transpose() * (plus + minus) / 2);
+          b += w(j) * own.cwiseProduct(A * v);
+          lent += 0.5 * w(j) * (A * v).dot(own.cwiseProduct(A * v));
+          D += w(j) * own;
         }
-        expected *= fade(distance * distance);
-        CHECK((force.tail(h) - expected).norm() <= 1e-6 * expected.norm());
+        const double excess = lent - 0.5 * b.dot(b.cwiseQuotient(D));
+        const double part = kept(0.5 * c.dot(c.cwiseQuotient(D)), energy + excess, linear + excess);
+        limited += part < 0.9;
+        const VectorXd expected = b + std::sqrt(part) * c;
+        VectorXd force;
+        ArrowMatrix K = model.zero();
+        model.linearize(blended(model, w), joined(z, VectorXd::Zero(h)), force, K);
+        CHECK((force.tail(h) - expected).norm() <= 2e-6 * expected.norm() + 1e-14 * (D * (z - shape).norm()).norm());
+        CHECK((K.rest() - D).norm() <= 1e-10 * D.norm());
       }
-    for (int j = 0; j < 3; ++j) {  // and among themselves they have the full model's stiffness
-      ArrowMatrix K = model.zero();
-      VectorXd force;
-      model.linearize(blended(model, VectorXd::Unit(3, j)), model.target(j), force, K);
-      const VectorXd expected = (W.transpose() * (scene.full.rest_stiffness(j) * W)).diagonal();
-      CHECK((K.rest() - expected).norm() <= 1e-10 * expected.norm());
-    }
   });
+  CHECK(limited > 4);
+}
+
+TEST_CASE("responses: the modes are as stiff at every target as with all responses free") {
+  for (Law law : kLaws)
+    for (Blending blending : kBlendings) {
+      const auto body = two_bone_bar();
+      const ResponseScene scene(body, targets(*body), law, blending);
+      const MatrixXd basis = side_by_side(scene.basis);
+      for (int j = 0; j < 3; ++j) {
+        const MatrixXd exact = basis.transpose() * (scene.full.rest_stiffness(j) * basis);
+        VectorXd force;
+        ArrowMatrix K = scene.model->zero();
+        scene.model->linearize(blended(*scene.model, VectorXd::Unit(3, j)), scene.model->target(j), force, K);
+        const Eigen::Index r = scene.model->modes();
+        const MatrixXd expected = exact.inverse().topLeftCorner(r, r), found = K.dense().inverse().topLeftCorner(r, r);
+        CHECK((found - expected).norm() <= 1e-5 * expected.norm());
+      }
+    }
 }
