@@ -158,7 +158,7 @@ def test_a_part_that_hangs_by_a_corner():
 
 
 def test_parts_that_are_hinged_to_one_another_in_a_ring():
-    """Four parts with four parallel hinges are a linkage, of which each part is attached at two of them."""
+    """Four parts with four parallel hinges are a linkage: each part is attached at two of them."""
     nodes, tets = merged(block(1, 0), block(0, 1), block(2, 1), block(1, 2))
     pinned = inside(nodes, 1, 0) & (nodes[:, 1] < 1e-9)
     assert "can fold: 3 of its parts hang together by edges" in refusal(nodes, tets, pinned)

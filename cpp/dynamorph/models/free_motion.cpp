@@ -72,7 +72,8 @@ class Parts {
     for (int node = 0; node < int(touching_.size()); ++node) {
       std::vector<int>& parts = touching_[node];
       const int free = body_.free_of_node[node];
-      if (free < 0 || (body_.holds.size() > 0 && body_.holds.row(free).any())) parts.push_back(sets_.root(0));
+      if (free < 0 || (body_.hold_stiffness.size() > 0 && body_.hold_stiffness.row(free).any()))
+        parts.push_back(sets_.root(0));
       std::sort(parts.begin(), parts.end());
       parts.erase(std::unique(parts.begin(), parts.end()), parts.end());
       for (size_t a = 0; a < parts.size(); ++a)
@@ -128,7 +129,7 @@ class Parts {
           const auto found = std::lower_bound(loose.begin(), loose.end(), part);
           if (found == loose.end() || *found != part) continue;
           const double sign = part == pair.first ? 1 : -1;
-          const Vector3d x = (point(node) - body_.centre) / body_.size;
+          const Vector3d x = (point(node) - body_.center) / body_.size;
           auto motion = apart.middleCols<6>(6 * (found - loose.begin()));
           motion.leftCols<3>() = sign * Matrix3d::Identity();
           for (int axis = 0; axis < 3; ++axis) motion.col(3 + axis) = sign * Vector3d::Unit(axis).cross(x);

@@ -99,10 +99,11 @@ std::vector<Assembly::Part> FullModel::parts(const Blend& blend) const {
   return out;
 }
 
-VectorXd FullModel::displacement_from_shape(const Blend& blend, const VectorXd& q) const {
+void FullModel::displacement_from_shape(const Blend& blend, const VectorXd& q, VectorXd& out) const {
+  out = q;
   // Even blending: target j's displacement is q - d(q) + d_j. Relative to the target's own shape, it is the same for
   // all targets.
-  return blending_ == Blending::even ? VectorXd(q - blend.displacement) : q;
+  if (blending_ == Blending::even) out -= blend.displacement;
 }
 
 void FullModel::blend_hold(const VectorXd& w, Blend& out) const {
@@ -128,23 +129,24 @@ double FullModel::hold_energy(const Blend& blend, const VectorXd& x, VectorXd& p
   return energy - x.dot(blend.hold_shapes) + blend.hold_energy;
 }
 
-double FullModel::energy(const Blend& blend, const VectorXd& q) const {
+double FullModel::energy(const Blend& blend, const VectorXd& q, Workspace& workspace) const {
   if (law_ == Law::linear) return blend.energy + q.dot(0.5 * (blend.stiffness * q) + blend.force);
-  const VectorXd x = displacement_from_shape(blend, q);
-  VectorXd pull;
-  const double of_hold = body_->hold_stiffness.size() > 0 ? hold_energy(blend, x, pull) : 0;
+  VectorXd& x = workspace.from_shape;
+  displacement_from_shape(blend, q, x);
+  const double of_hold = body_->hold_stiffness.size() > 0 ? hold_energy(blend, x, workspace.pull) : 0;
   return assembly_.energy(law_, parts(blend), x) + of_hold;
 }
 
-double FullModel::linearize(const Blend& blend, const VectorXd& q, VectorXd& force, Matrix& stiffness) const {
+double FullModel::linearize(const Blend& blend, const VectorXd& q, Workspace& workspace, VectorXd& force,
+                            Matrix& stiffness) const {
   if (stiffness.nonZeros() != assembly_.pattern().nonZeros()) stiffness = assembly_.pattern();
   if (law_ != Law::linear) {
-    const VectorXd x = displacement_from_shape(blend, q);
+    VectorXd& x = workspace.from_shape;
+    displacement_from_shape(blend, q, x);
     const double energy = assembly_.linearize(law_, parts(blend), x, force, stiffness);
     if (body_->hold_stiffness.size() == 0) return energy;
-    VectorXd pull;
-    const double of_hold = hold_energy(blend, x, pull);
-    force += pull;
+    const double of_hold = hold_energy(blend, x, workspace.pull);
+    force += workspace.pull;
     for (Eigen::Index i = 0; i < dofs(); ++i) stiffness.valuePtr()[diagonal_[i]] += blend.hold(i);
     return energy + of_hold;
   }

@@ -4,6 +4,7 @@
 // FullModel and ReducedModel share one interface, which step() uses:
 //   Matrix, Blend                dense or sparse; the model at one set of target weights
 //   blend(w, out)                needed once per pose
+//   Workspace                    scratch of evaluations, which a simulation keeps
 //   energy, linearize            E, F = dE/dq and K = dF/dq at coordinates q
 //   inertia(inertial, ...)       A^T M A, and the force that the moving rig exerts
 //   displacement, project_force  q -> u and its transpose
@@ -51,6 +52,12 @@ class FullModel {
     VectorXd bind, posed;
   };
 
+  /// What evaluations in one pose need beside their results.
+  struct Workspace {
+    void begin(double) {}       ///< as of ReducedModel, whose sums depend on the tolerance
+    VectorXd from_shape, pull;  ///< displacements that the elements take, and the force of the hold
+  };
+
   FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, Law law, Blending blending);
 
   const SoftBody& body() const { return *body_; }
@@ -64,8 +71,18 @@ class FullModel {
   double meter() const { return std::sqrt(double(body_->free_nodes.size())); }
 
   void blend(const VectorXd& w, Blend& out) const;
-  double energy(const Blend& blend, const VectorXd& q) const;
-  double linearize(const Blend& blend, const VectorXd& q, VectorXd& force, Matrix& stiffness) const;
+  double energy(const Blend& blend, const VectorXd& q, Workspace& workspace) const;
+  double linearize(const Blend& blend, const VectorXd& q, Workspace& workspace, VectorXd& force,
+                   Matrix& stiffness) const;
+  /// With a workspace of its own.
+  double energy(const Blend& blend, const VectorXd& q) const {
+    Workspace workspace;
+    return energy(blend, q, workspace);
+  }
+  double linearize(const Blend& blend, const VectorXd& q, VectorXd& force, Matrix& stiffness) const {
+    Workspace workspace;
+    return linearize(blend, q, workspace, force, stiffness);
+  }
   void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
   void displacement(const VectorXd& q, VectorXd& u) const { u = q; }
   void project_force(const VectorXd& f, VectorXd& out) const { out = f; }
@@ -80,7 +97,7 @@ class FullModel {
  private:
   /// The targets with a weight, and the displacements to evaluate them at.
   std::vector<Assembly::Part> parts(const Blend& blend) const;
-  VectorXd displacement_from_shape(const Blend& blend, const VectorXd& q) const;
+  void displacement_from_shape(const Blend& blend, const VectorXd& q, VectorXd& out) const;
   void blend_hold(const VectorXd& w, Blend& out) const;
   /// Energy of the hold at displacements x from `displacement_from_shape`. pull: its force.
   double hold_energy(const Blend& blend, const VectorXd& x, VectorXd& pull) const;

@@ -170,7 +170,6 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
   if (w.size() != Eigen::Index(targets_.size()))
     throw std::invalid_argument("weights: expected " + std::to_string(targets_.size()) + ", got " +
                                 std::to_string(w.size()));
-  out.anchored = false;
   if (out.of == this && out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
   out.of = this;
   const Eigen::Index r = layout_.r, pairs = layout_.pairs();
@@ -211,9 +210,9 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
                out.table.data());
 }
 
-void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
+void ReducedModel::expand(const Blend& blend, const VectorXd& z, Workspace& workspace) const {
   const Eigen::Index r = layout_.r, rows = padded_pairs_;
-  Blend::Orders &now = blend.now, &anchor = blend.anchor;
+  Workspace::Orders &now = workspace.now, &anchor = workspace.anchor;
   now.v = z.head(r) - blend.center;
   if (!layout_.nonlinear && now.linear.size() == rows) return;  // always zero
   if (!layout_.nonlinear) {
@@ -222,8 +221,8 @@ void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
     return;
   }
   now.pairs.setZero(rows);
-  blend.change.resize(r);  // here, so that only the first step allocates
-  blend.pair_changes.resize(rows);
+  workspace.change.resize(r);  // here, so that only the first step allocates
+  workspace.pair_changes.resize(rows);
   double* pair = now.pairs.data();
   for (Eigen::Index k = 0; k < r; ++k) {
     *pair++ = now.v(k) * now.v(k);
@@ -231,38 +230,40 @@ void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
   }
   const float* table = (blend.only >= 0 ? tables_[blend.only] : blend.table).data();
   // With forces blending v is the displacement from rest. Even a small relative error of it hides the way to a target.
-  const bool near = blending_ == Blending::even && blend.anchored;
-  if (!near || (now.v - anchor.v).norm() > blend.near * now.v.norm()) {
+  const bool near = blending_ == Blending::even && workspace.anchored;
+  if (!near || (now.v - anchor.v).norm() > workspace.near * now.v.norm()) {
     now.linear.setZero(rows);
     now.quadratic.setZero(rows);
     add_single_product(table, rows, now.v.data(), r, now.linear.data());
     add_symmetric_product(table + rows * r, rows, now.pairs.data(), now.quadratic.data());
     anchor = now;
-    blend.anchored = true;
+    workspace.anchored = true;
     return;
   }
-  for (Eigen::Index k = 0; k < r; ++k) blend.change[k] = float(now.v(k) - anchor.v(k));
-  for (Eigen::Index p = 0; p < rows; ++p) blend.pair_changes[p] = float(now.pairs(p) - anchor.pairs(p));
+  for (Eigen::Index k = 0; k < r; ++k) workspace.change[k] = float(now.v(k) - anchor.v(k));
+  for (Eigen::Index p = 0; p < rows; ++p) workspace.pair_changes[p] = float(now.pairs(p) - anchor.pairs(p));
   now.linear = anchor.linear;
   now.quadratic = anchor.quadratic;
-  add_short_product(table, rows, blend.change.data(), r, now.linear.data());
-  add_short_symmetric_product(table + rows * r, rows, blend.pair_changes.data(), now.quadratic.data());
+  add_short_product(table, rows, workspace.change.data(), r, now.linear.data());
+  add_short_symmetric_product(table + rows * r, rows, workspace.pair_changes.data(), now.quadratic.data());
 }
 
-double ReducedModel::energy(const Blend& blend, const VectorXd& z) const {
-  return linearize(blend, z, blend.unused_force, blend.unused_stiffness);
+double ReducedModel::energy(const Blend& blend, const VectorXd& z, Workspace& workspace) const {
+  return linearize(blend, z, workspace, workspace.unused_force, workspace.unused_stiffness);
 }
 
-double ReducedModel::linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const {
-  expand(blend, z);
+double ReducedModel::linearize(const Blend& blend, const VectorXd& z, Workspace& workspace, VectorXd& force,
+                               Matrix& stiffness) const {
+  expand(blend, z, workspace);
+  const Workspace::Orders& now = workspace.now;
   const Eigen::Index r = layout_.r;
   force.resize(dofs());
   if (!stiffness.fits(layout_.r, dofs())) stiffness = zero();
-  const double energy = contract_orders(blend.stiffness.data(), blend.now.linear.data(), blend.now.quadratic.data(),
-                                        blend.now.v.data(), r, force.data(), stiffness.corner().data());
+  const double energy = contract_orders(blend.stiffness.data(), now.linear.data(), now.quadratic.data(), now.v.data(),
+                                        r, force.data(), stiffness.corner().data());
   force.head(r) += blend.force;
-  const double modes = blend.energy + blend.force.dot(blend.now.v) + energy;
-  return modes + responses_.add(blend.responses, z, modes, force, stiffness);
+  const double modes = blend.energy + blend.force.dot(now.v) + energy;
+  return modes + responses_.add(blend.responses, z, modes, workspace.responses, force, stiffness);
 }
 
 void ReducedModel::inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const {

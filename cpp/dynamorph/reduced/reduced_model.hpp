@@ -3,6 +3,7 @@
 // linear responses W.
 #pragma once
 
+#include <algorithm>
 #include <variant>
 
 #include "dynamorph/models/morph_target.hpp"
@@ -48,21 +49,33 @@ class ReducedModel {
     VectorXd force;           ///< f at v = 0
     double energy = 0;        ///< E at v = 0
     VectorXd center;          ///< v = z - center
-    /// Scratch: v, its pairs and the orders of the packed tangent, first where they were summed in double precision
-    /// (`expand`), then where they are wanted; changes of v and pairs; results that the energy does not need.
-    struct Orders {
-      VectorXd v, pairs, linear, quadratic;
-    };
-    double near = 0;  ///< changes of v, relative to it, that are summed in single precision; blending keeps it
-    mutable bool anchored = false;  ///< whether `anchor` is of this pose
-    mutable Orders anchor, now;
-    mutable LaneVector<float> change, pair_changes;
-    mutable VectorXd unused_force;
-    mutable Matrix unused_stiffness;
     Responses::Blend responses;
     VectorXd packed_damping;
     std::vector<const float*> active;
     std::vector<double> active_weights;
+  };
+
+  /// What evaluations in one pose need beside their results. Nothing is allocated after the first time.
+  struct Workspace {
+    /// To be called in every new pose, before Newton's method. Single precision loses 1e-7 of a change, which must stay
+    /// well below the tolerance: near where the tangent's orders were summed in double precision, only what has changed
+    /// is summed, in single precision. Without it all sums are in double precision.
+    void begin(double tolerance) {
+      near = std::min(0.03, 1e5 * tolerance);
+      anchored = false;
+    }
+
+    /// v, its pairs, and the orders of the packed tangent.
+    struct Orders {
+      VectorXd v, pairs, linear, quadratic;
+    };
+    double near = 0;        ///< changes of v, relative to it, that are summed in single precision
+    bool anchored = false;  ///< whether `anchor` is of this pose
+    Orders anchor, now;     ///< where they were last summed in double precision, and where they are wanted
+    LaneVector<float> change, pair_changes;
+    VectorXd unused_force;  ///< results that the energy does not need
+    Matrix unused_stiffness;
+    Responses::Workspace responses;
   };
 
   ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, const ReducedTables& tables,
@@ -78,8 +91,18 @@ class ReducedModel {
   double meter() const { return std::sqrt(body_->volume); }
 
   void blend(const VectorXd& w, Blend& out) const;
-  double energy(const Blend& blend, const VectorXd& z) const;
-  double linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const;
+  double energy(const Blend& blend, const VectorXd& z, Workspace& workspace) const;
+  double linearize(const Blend& blend, const VectorXd& z, Workspace& workspace, VectorXd& force,
+                   Matrix& stiffness) const;
+  /// With a workspace of its own.
+  double energy(const Blend& blend, const VectorXd& z) const {
+    Workspace workspace;
+    return energy(blend, z, workspace);
+  }
+  double linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const {
+    Workspace workspace;
+    return linearize(blend, z, workspace, force, stiffness);
+  }
   void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
   void displacement(const VectorXd& z, VectorXd& u) const;
   void project_force(const VectorXd& f, VectorXd& out) const;
@@ -88,9 +111,9 @@ class ReducedModel {
   Matrix zero() const { return Matrix(layout_.r, responses_.count()); }
 
  private:
-  /// Computes the packed orders of the tangent at v, in the scratch: in double precision, and near there only what has
-  /// changed, in single precision. So a step that converges loses nothing by it.
-  void expand(const Blend& blend, const VectorXd& z) const;
+  /// Computes the packed orders of the tangent at v. A step that converges loses nothing by single precision, because
+  /// it ends near where they were summed in double precision.
+  void expand(const Blend& blend, const VectorXd& z, Workspace& workspace) const;
 
   std::shared_ptr<const SoftBody> body_;
   std::vector<MorphTarget> targets_;

@@ -2,7 +2,6 @@
 #include "dynamorph/step/simulation.hpp"
 
 #include <algorithm>
-#include <type_traits>
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/progress.hpp"
@@ -224,11 +223,7 @@ void Simulation<Model>::require_pose() const {
 
 template <class Model>
 StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
-  elastic_.model = model_.get();
-  elastic_.blend = &blend_;
-  elastic_.reference = quadratic_.origin.norm();
-  // Single precision loses 1e-7 of a change, which must stay well below the tolerance.
-  if constexpr (std::is_same_v<Model, ReducedModel>) blend_.near = std::min(0.03, 1e5 * options_.tolerance);
+  elastic_.begin(*model_, blend_, quadratic_.origin.norm(), options_.tolerance);
   Potential<Matrix, decltype(quadratic_), decltype(elastic_), decltype(grabs_)> potential(quadratic_, elastic_, grabs_);
   const auto ask = [&] {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();

@@ -38,9 +38,15 @@ struct QuadraticTerm {
 template <class Model>
 struct ElasticTerm {
   using Matrix = typename Model::Matrix;
-  const Model* model;
-  const typename Model::Blend* blend;
-  double reference = 0;  ///< norm of the quadratic term's origin, for the round-off
+
+  /// reference: norm of the quadratic term's origin, for the round-off. tolerance: of Newton's method. Model and blend
+  /// must outlive the step.
+  void begin(const Model& model, const typename Model::Blend& blend, double reference, double tolerance) {
+    model_ = &model;
+    blend_ = &blend;
+    reference_ = reference;
+    workspace_.begin(tolerance);
+  }
 
   void at(const VectorXd& q) {
     q_ = q;
@@ -48,7 +54,7 @@ struct ElasticTerm {
   }
   double value() {
     if (known_ == Known::nothing) {
-      energy_ = model->energy(*blend, q_);
+      energy_ = model_->energy(*blend_, q_, workspace_);
       known_ = Known::energy;
     }
     return energy_;
@@ -62,7 +68,7 @@ struct ElasticTerm {
     return stiffness_;
   }
   RoundOff round_off() {
-    const double length = q_.norm() + reference + 0.1 * model->body().size * model->meter();
+    const double length = q_.norm() + reference_ + 0.1 * model_->body().size * model_->meter();
     const double largest = values(hessian()).cwiseAbs().maxCoeff();  // terms of that size cancel in the force
     return {force_.norm(), 1e-14 * largest * length, length};
   }
@@ -71,11 +77,15 @@ struct ElasticTerm {
   /// Force and stiffness share nearly all of their arithmetic, the energy little of it.
   void linearize() {
     if (known_ == Known::all) return;
-    energy_ = model->linearize(*blend, q_, force_, stiffness_);
+    energy_ = model_->linearize(*blend_, q_, workspace_, force_, stiffness_);
     known_ = Known::all;
   }
 
   enum class Known { nothing, energy, all };
+  const Model* model_ = nullptr;
+  const typename Model::Blend* blend_ = nullptr;
+  double reference_ = 0;
+  typename Model::Workspace workspace_;
   VectorXd q_;
   Known known_ = Known::nothing;
   double energy_ = 0;

@@ -28,8 +28,7 @@ void check_terms(std::shared_ptr<const Model> model) {
   const VectorXd scales = K.diagonal().cwiseAbs().cwiseSqrt().cwiseInverse();
 
   ElasticTerm<Model> elastic;
-  elastic.model = model.get();
-  elastic.blend = &blend;
+  elastic.begin(*model, blend, 0, 0);
   check_term<Matrix>(elastic, scales, kStep);
 
   QuadraticTerm<Matrix> quadratic;

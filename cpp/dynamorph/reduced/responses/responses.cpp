@@ -130,9 +130,9 @@ void Responses::blend(const VectorXd& w, Blend& out) const {
       continue;
     }
     if (relaxed_) out.border_force.noalias() -= w(j) * (target.border * target.coordinates);
-    out.scratch.x.noalias() = target.modal * target.coordinates;
-    out.modal_force -= w(j) * out.scratch.x;
-    out.modal_energy += 0.5 * w(j) * target.coordinates.dot(out.scratch.x);
+    out.shape_force.noalias() = target.modal * target.coordinates;
+    out.modal_force -= w(j) * out.shape_force;
+    out.modal_energy += 0.5 * w(j) * target.coordinates.dot(out.shape_force);
     if (target.coupling.empty()) continue;
     out.coupling_slopes += w(j) * target.coupling_slopes;
     out.coupling_force += w(j) * target.coupling_force;
@@ -144,10 +144,9 @@ void Responses::blend(const VectorXd& w, Blend& out) const {
                out.coupling.data());
 }
 
-double Responses::add(const Blend& blend, const VectorXd& q, double modes, VectorXd& force,
+double Responses::add(const Blend& blend, const VectorXd& q, double modes, Workspace& s, VectorXd& force,
                       ArrowMatrix& stiffness) const {
   if (count_ == 0) return 0;
-  Blend::Scratch& s = blend.scratch;
   const auto y = q.tail(count_);
   s.x = q.head(r_) - blend.shape;
   s.b = blend.border_force;
@@ -170,12 +169,11 @@ double Responses::add(const Blend& blend, const VectorXd& q, double modes, Vecto
   const double energy = y.dot(s.b) + 0.5 * y.dot(blend.stiffness.cwiseProduct(y));
   const LaneVector<float>& S = blend.only >= 0 ? targets_[blend.only].coupling : blend.coupling;
   if (S.empty()) return energy;
-  return energy + add_coupling(blend, S, {modes - lent, linear - lent}, force, stiffness);
+  return energy + add_coupling(blend, S, {modes - lent, linear - lent}, s, force, stiffness);
 }
 
-double Responses::add_coupling(const Blend& blend, const LaneVector<float>& S, Payers payers, VectorXd& force,
-                               ArrowMatrix& stiffness) const {
-  Blend::Scratch& s = blend.scratch;
+double Responses::add_coupling(const Blend& blend, const LaneVector<float>& S, Payers payers, Workspace& s,
+                               VectorXd& force, ArrowMatrix& stiffness) const {
   s.padded.setZero(rows_);
   s.padded.head(count_) = s.shifted;
   s.slopes = blend.coupling_slopes;
@@ -209,7 +207,7 @@ double Responses::add_coupling(const Blend& blend, const LaneVector<float>& S, P
   const double ratio = P * sum / (E * E);
   if (!(E > 0 && ratio < kNothing)) return 0;
   const Limit theta = limit(ratio);
-  differentiate_ratio(blend, S, payers, ratio);
+  differentiate_ratio(blend, S, payers, ratio, s);
   force.head(r_) += theta.value * s.work + (theta.first * work) * s.ratio;
   force.tail(count_) += theta.value * s.c;
   corner += theta.value * s.bend + (theta.first * work) * s.ratio2;
@@ -220,9 +218,9 @@ double Responses::add_coupling(const Blend& blend, const LaneVector<float>& S, P
   return theta.value * work;
 }
 
-/// Writes the derivatives of P / pay by z to ratio and ratio2 of the scratch.
-void Responses::differentiate_ratio(const Blend& blend, const LaneVector<float>& S, Payers payers, double ratio) const {
-  Blend::Scratch& s = blend.scratch;
+/// Writes the derivatives of P / pay by z to ratio and ratio2 of the workspace.
+void Responses::differentiate_ratio(const Blend& blend, const LaneVector<float>& S, Payers payers, double ratio,
+                                    Workspace& s) const {
   const double E = payers.energy, E2 = payers.linear, sum = E + E2, pay = E * E / sum;
   const double by_E = E * (E + 2 * E2) / (sum * sum), by_E2 = -E * E / (sum * sum);
   s.linear2 = blend.modal;

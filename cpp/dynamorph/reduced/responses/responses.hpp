@@ -52,11 +52,11 @@ class Responses {
     /// sum_j w_j beta_j D_j (h), and the same of D_j A_j (h, r)
     VectorXd damping;
     MatrixXd border_damping;
-    VectorXd shape;               ///< x = z - shape: sum_j w_j z_j with even blending, otherwise zero (r)
-    MatrixXd border, relaxation;  ///< B of b = B x + b(0) (h, r), and D^-1 B
-    VectorXd border_force;        ///< b(0)
-    MatrixXd modal;               ///< of E_2 = 1/2 x . modal x + modal_force . x + modal_energy (r, r)
-    VectorXd modal_force;
+    VectorXd shape;                     ///< x = z - shape: sum_j w_j z_j with even blending, otherwise zero (r)
+    MatrixXd border, relaxation;        ///< B of b = B x + b(0) (h, r), and D^-1 B
+    VectorXd border_force;              ///< b(0)
+    MatrixXd modal;                     ///< of E_2 = 1/2 x . modal x + modal_force . x + modal_energy (r, r)
+    VectorXd modal_force, shape_force;  ///< shape_force: of the last target, kept so that blending allocates nothing
     double modal_energy = 0;
     LaneVector<float> coupling;  ///< S of c = 1/2 S(x, x) + slopes x + c(0), unless a single target has all the weight
     MatrixXd coupling_slopes;    ///< padded (h, r)
@@ -64,13 +64,14 @@ class Responses {
     int only = -1;               ///< that target
     std::vector<const float*> active;
     std::vector<double> active_weights;
-    /// Scratch: x; b, D^-1 b, y', c, D^-1 c (h); their padded copies; dc/dz (padded h, r); second derivatives (r, r).
-    struct Scratch {
-      VectorXd x, b, relaxed, shifted, c, answer, padded, products;
-      VectorXd work, energy, linear, pay, between, ratio;  ///< gradients by z
-      MatrixXd slopes, unused_slopes, scaled, bend, cross, energy2, linear2, ratio2;
-    };
-    mutable Scratch scratch;
+  };
+
+  /// What one evaluation needs beside its results: x; b, D^-1 b, y', c, D^-1 c (h); their padded copies; dc/dz (padded
+  /// h, r); second derivatives (r, r).
+  struct Workspace {
+    VectorXd x, b, relaxed, shifted, c, answer, padded, products;
+    VectorXd work, energy, linear, pay, between, ratio;  ///< gradients by z
+    MatrixXd slopes, unused_slopes, scaled, bend, cross, energy2, linear2, ratio2;
   };
 
   /// Blends at target weights w (J).
@@ -78,7 +79,8 @@ class Responses {
 
   /// Adds the responses' part at coordinates q = (z, y) to force and stiffness of the modes, whose energy is `modes`.
   /// Returns its energy.
-  double add(const Blend& blend, const VectorXd& q, double modes, VectorXd& force, ArrowMatrix& stiffness) const;
+  double add(const Blend& blend, const VectorXd& q, double modes, Workspace& s, VectorXd& force,
+             ArrowMatrix& stiffness) const;
 
  private:
   struct Target {
@@ -94,9 +96,10 @@ class Responses {
   struct Payers {
     double energy, linear;
   };
-  double add_coupling(const Blend& blend, const LaneVector<float>& S, Payers payers, VectorXd& force,
+  double add_coupling(const Blend& blend, const LaneVector<float>& S, Payers payers, Workspace& s, VectorXd& force,
                       ArrowMatrix& stiffness) const;
-  void differentiate_ratio(const Blend& blend, const LaneVector<float>& S, Payers payers, double ratio) const;
+  void differentiate_ratio(const Blend& blend, const LaneVector<float>& S, Payers payers, double ratio,
+                           Workspace& s) const;
 
   Eigen::Index r_, count_, rows_;  ///< rows_: count_ in whole chunks
   bool even_, relaxed_;            ///< relaxed_: whether some A is not zero
