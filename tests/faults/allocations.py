@@ -61,6 +61,11 @@ class Scene:
         self.simulations = {
             "full": dm.FullSimulation(self.full, 0.01), "reduced": dm.ReducedSimulation(self.reduced, 0.01)
         }  # fmt: skip
+        points = 0.9 * self.nodes
+        self.points = {"rest": points, "embedding": dm.embed(self.mesh, points), "weights": np.ones((len(points), 1))}
+        self.reduced_skin = dm.ReducedSkin(self.reduced, **self.points)
+        self.simulations["reduced"].set_skin(self.reduced_skin)
+        self.grabs = dm.Grabs([0, 1], points[None, :2] + 0.01, [10.0, 20.0])
         self.poses = np.repeat(np.eye(4)[None], 2, 0)
         self.poses[1, 1:3, 1:3] = [[0.6, -0.8], [0.8, 0.6]]
         self.set = dm.TargetSet([1], ["a", "b"], [np.repeat(np.eye(4)[None], 2, 0), self.poses])
@@ -72,6 +77,12 @@ class Scene:
         simulation.start(self.bones, self.moved, self.weights)
         simulation.advance(self.moved[None], self.weights[None])
         return simulation.coordinates
+
+    def grabbed_step(self):
+        simulation = self.simulations["reduced"]
+        simulation.start(self.bones, self.moved, self.weights)
+        simulation.advance(self.moved[None], self.weights[None], grabs=self.grabs)
+        return self.reduced_skin.positions(self.moved, self.weights, simulation.coordinates)
 
     def response_basis(self):
         basis = dm.make_response_basis(self.full, 3, 2)
@@ -96,6 +107,7 @@ def calls(scene: Scene) -> dict[str, Callable]:
         "response_basis": scene.response_basis,
         "full_step": lambda: scene.step("full"),
         "reduced_step": lambda: scene.step("reduced"),
+        "grabbed_step": scene.grabbed_step,
         "weights": lambda: scene.space.weights(scene.poses[None]),
         "model_file": lambda: dm.unpack_model(scene.model_file)[0]["nodes"],
     }
@@ -110,6 +122,7 @@ def constructors(scene: Scene) -> dict[str, Callable]:
         "ReducedModel": lambda: dm.ReducedModel(scene.body, scene.targets, scene.tables, even),
         "FullSimulation": lambda: dm.FullSimulation(scene.full, 0.01),
         "ReducedSimulation": lambda: dm.ReducedSimulation(scene.reduced, 0.01),
+        "FullSkin": lambda: dm.FullSkin(scene.full, **scene.points),
         "MeshCut": lambda: dm.MeshCut(scene.cage, scene.skin, scene.triangles),
         "PoseSpace": lambda: dm.PoseSpace([scene.set]),
     }

@@ -6,6 +6,7 @@
 #include <fstream>
 #include <limits>
 #include <nlohmann/json.hpp>
+#include <tuple>
 
 #include "dynamorph/core/sha256.hpp"
 #include "dynamorph/reduced/modes/table_layout.hpp"
@@ -14,7 +15,7 @@ namespace dynamorph::file {
 
 namespace {
 
-using Json = nlohmann::ordered_json;
+using Json = nlohmann::json;  // not ordered_json, whose destructors allocate more often while it grows
 
 const std::string kFormat = "dynamorph model";
 constexpr int kOldest = 2, kVersion = 4;
@@ -99,6 +100,22 @@ std::uint64_t size_of(const std::string& dtype) {
 bool are_counts(const Json& value) {
   return value.is_array() &&
          std::all_of(value.begin(), value.end(), [](const Json& n) { return n.is_number_unsigned(); });
+}
+
+/// The names of the arrays as their bytes follow each other; those without a place come first, and are refused.
+std::vector<std::string> in_order_of_bytes(const Json& arrays) {
+  std::vector<std::tuple<std::uint64_t, std::uint64_t, std::string>> places;
+  for (const auto& [name, entry] : arrays.items()) {
+    const Json offsets = entry.is_object() ? entry.value("data_offsets", Json()) : Json();
+    if (are_counts(offsets) && offsets.size() == 2)
+      places.emplace_back(offsets[0].get<std::uint64_t>(), offsets[1].get<std::uint64_t>(), name);
+    else
+      places.emplace_back(0, 0, name);
+  }
+  std::sort(places.begin(), places.end());
+  std::vector<std::string> names;
+  for (auto& place : places) names.push_back(std::move(std::get<2>(place)));
+  return names;
 }
 
 /// The array that a header entry describes, without its bytes. Sets `size` to their number. They must start at `begin`
@@ -210,12 +227,12 @@ Content unpack(const unsigned char* bytes, std::size_t size) {
   const Json hashes = parsed(hash_text.data(), hash_text.data() + hash_text.size());
   Content content{{}, text_of(header.metadata, "meta")};
   std::uint64_t begin = 0, count = 0;
-  for (const auto& entry : header.arrays.items()) {
-    Array array = described(entry.key(), entry.value(), begin, available, size, count);
+  for (const std::string& name : in_order_of_bytes(header.arrays)) {
+    Array array = described(name, header.arrays[name], begin, available, size, count);
     array.bytes.assign(data + begin, data + begin + count);
-    if (hashes.value(entry.key(), Json()) != sha256(array.bytes.data(), array.bytes.size()))
-      throw damaged("array '" + entry.key() + "' has changed");
-    content.arrays.emplace_back(entry.key(), std::move(array));
+    if (hashes.value(name, Json()) != sha256(array.bytes.data(), array.bytes.size()))
+      throw damaged("array '" + name + "' has changed");
+    content.arrays.emplace_back(name, std::move(array));
     begin += count;
   }
   if (begin != available) throw damaged("there are bytes after its end");
