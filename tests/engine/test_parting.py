@@ -194,7 +194,7 @@ def pinned_along_a_bone(*skins):
 def test_a_body_that_could_spin_about_its_bone_is_refused():
     limb = tube([[x, 0, 0] for x in np.linspace(0, 1, 21)], 0.1)
     with pytest.raises(
-        dynamorph.Error, match="pinned to 'root' on a line alone, about which it could turn: raise Bone"
+        dynamorph.Error, match="pinned to 'root' only along a line, about which it could turn: raise Bone"
     ):
         build(pinned_along_a_bone(limb))
 
@@ -205,7 +205,7 @@ def test_a_part_that_could_spin_about_its_bone_stays_with_it():
     of = replace(of, softness=np.where(of.vertices[:, 2] > 0.7, 0.0, 1.0))
     model = build(of)
     (warning,) = model.summary["warnings"]
-    assert f"{len(limb[0])} vertices at 'root' is pinned on a line alone" in warning
+    assert f"{len(limb[0])} vertices at 'root' is pinned only along a line" in warning
     on_limb = of.vertices[:, 2] < 0.3
     moved = pushed(model, of, ~on_limb)
     assert np.abs(moved[on_limb]).max() == 0 and np.abs(moved[~on_limb]).max() > 1e-4

@@ -302,13 +302,13 @@ def _cause(character: Character, pins: np.ndarray) -> str:
     if not len(pins):
         return "no part of the cage is pinned to a bone"
     bone = [*character.skeleton.names, "the object"][pins.sum(axis=0).argmax()]
-    return f"the cage is pinned to '{bone}' on a line alone, about which it could turn"
+    return f"the cage is pinned to '{bone}' only along a line, about which it could turn"
 
 
 def _adrift_warning(character: Character, embedding: dynamorph.Embedding, nodes: np.ndarray, pinned: np.ndarray) -> str:
     on_it = np.isin(embedding.nodes[:, 0], nodes) & embedding.weights.any(axis=1)
     bone = [*character.skeleton.names, "the object"][character.weights[on_it].sum(axis=0).argmax()]
-    how = "is pinned on a line alone" if pinned[nodes].any() else "is pinned to no bone"
+    how = "is pinned only along a line" if pinned[nodes].any() else "is pinned to no bone"
     return (
         f"A part of {int(on_it.sum())} vertices at '{bone}' {how}, so it moves rigidly with its bones: paint the "
         "Softness Map with 0 where it is attached"

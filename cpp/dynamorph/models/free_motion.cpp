@@ -16,12 +16,12 @@ namespace {
 
 using Eigen::Index;
 
-constexpr double kNear = 1e-6;         // of the body's size; nodes so near to a point or to a line are on it
+constexpr double kNear = 1e-6;         // of the body's size; nodes this near to a point or a line are on it
 constexpr double kUnresisted = 1e-13;  // squared, of a motion of size one
-constexpr int kMostParts = 64;         // that hang together by edges and corners alone; more take too long to solve
+constexpr int kMostParts = 64;         // that hang together only by edges and corners; more take too long to solve
 
-/// Parts of a body, each of which moves as a whole if nothing is to resist. Their numbers are those of the sets: 1 + t
-/// for tet t; 0 stands for what cannot move.
+/// The parts of a body that move as a whole when nothing resists. Their numbers are those of the sets: 1 + t for tet t;
+/// 0 stands for what cannot move.
 class Parts {
  public:
   explicit Parts(const SoftBody& body)
@@ -49,7 +49,7 @@ class Parts {
     if (!free.empty()) throw Error(advice(free));
     if (int(loose.size()) <= kMostParts && can_fold(loose))
       throw Error("The cage can fold: " + std::to_string(loose.size()) +
-                  " of its parts hang together by edges or corners of tetrahedra alone. Raise Cage Nodes, or pin or "
+                  " of its parts hang together only by edges or corners of tetrahedra. Raise Cage Nodes, or pin or "
                   "hold them.");
   }
 
@@ -97,8 +97,8 @@ class Parts {
     return out;
   }
 
-  /// A rigid motion that leaves these of the nodes in place leaves all of them in place: at most three, two if all are
-  /// on a line, one if all are at one point.
+  /// A few of the nodes: a rigid motion that leaves these in place leaves all in place. Three, or two if all are on a
+  /// line, or one if all are at one point.
   std::vector<int> deciding(const std::vector<int>& nodes) const {
     std::vector<int> out;
     Vector3d along = Vector3d::Zero();
@@ -146,7 +146,7 @@ class Parts {
     return out;
   }
 
-  /// What the least attached of the parts, and of those the largest, can do.
+  /// Says what the least attached part can do; among equals, the largest.
   std::string advice(const std::vector<Free>& free) const {
     std::map<int, int> nodes;  // of each part
     for (const std::vector<int>& parts : touching_)
@@ -173,14 +173,15 @@ class Parts {
              ". Pin nodes of each part, " + pin;
     }
     const Vector3d from = point(worst.at[0]);
-    std::string turn = "about the point " + text(from, negligible) + " m, where alone it is attached. Pin other nodes";
+    std::string turn =
+        "about the point " + text(from, negligible) + " m, the only place where it is attached. Pin other nodes";
     if (worst.at.size() == 2) {
       Vector3d along = (point(worst.at[1]) - from).normalized();
       Index longest;
       along.cwiseAbs().maxCoeff(&longest);
       if (along(longest) < 0) along = -along;
       turn = "about an axis through " + text(from, negligible) + " m along " + text(along, kNear) +
-             ", because it is attached on this line alone. Pin nodes beside it";
+             ", because it is attached only along this line. Pin nodes beside it";
     }
     return (whole ? "This body " : subject) + "can turn " + turn + ", " + pin;
   }
