@@ -58,11 +58,19 @@ def test_a_second_bake_equals_the_first_and_delete_bake_restores(baked_from):
     assert fingerprint(baked.body) == before
 
 
+def largest_displacement(baked) -> float:
+    return np.linalg.norm(baked.displacements, axis=2).max()
+
+
 @pytest.mark.fault("M04")
 @pytest.mark.parametrize("name", ["Fox", "T-rex"])
 def test_a_body_of_no_likely_size_is_baked_all_the_same(addon, name):
-    """It is tens of meters long as imported, and far too soft for that: there is a warning, and the bake is finite."""
+    """It is tens of meters long as imported, and far too soft for that: there is a warning, and it moves as far as an
+    unreduced body does, within a factor that tables of small motion may be off at twice the body's size.
+    """
     body = opened(replace(characters.SHOTS[name], scale=1.0))
     assert "check the scale" in body.dynamorph.model.warnings
-    baked = characters.bake(part("batch"), body)
-    assert np.linalg.norm(baked.displacements, axis=2).max() < 3.0 * baked.size
+    reduced = largest_displacement(characters.bake(part("batch"), body))
+    body.dynamorph.model.solver = "FULL"
+    unreduced = largest_displacement(characters.bake(part("batch"), body))
+    assert unreduced / 3.0 < reduced < 3.0 * unreduced
