@@ -272,6 +272,7 @@ class StandInShot:
 
 def fingerprint(obj):
     """Everything that a bake may change and Delete Bake must restore, as comparable data."""
+    bpy.context.view_layer.update()  # animated values are those of the frame
     keys = obj.data.shape_keys
     animation = keys.animation_data
     return {
