@@ -484,7 +484,7 @@ def test_the_cage_is_drawn(scene, built_arm, picture):
     display.cage = False
     theme = bpy.context.preferences.themes[0]
     lines = near(pixels, theme.view_3d.bone_pose, 110) & pixels.any(axis=-1)  # they are transparent
-    points = near(pixels, theme.collection_color[overlays.HELD].color)
+    points = near(pixels, theme.collection_color[overlays.HELD_COLOR].color)
     assert lines.sum() > 500 and points.sum() > 100
     bones = overlays.skin_matrices(built_arm, bpy.context.evaluated_depsgraph_get())
     posed = overlays.cage_of(part("model_store").load_model(built_arm)).posed(bones)
