@@ -335,7 +335,11 @@ void linearize(State& state) {
   model->blend(swing(model->body(), int(state.range(0))).weights[0], blended);
   VectorXd force;
   ReducedModel::Matrix tangent;
-  for (auto _ : state) benchmark::DoNotOptimize(model->linearize(blended, z, force, tangent));
+  ReducedModel::Workspace workspace;
+  for (auto _ : state) {
+    workspace.begin(0);
+    benchmark::DoNotOptimize(model->linearize(blended, z, workspace, force, tangent));
+  }
   const double coefficients = double(TableLayout{model->dofs(), true}.size());
   state.counters["coefficients"] = coefficients;
   state.counters["bytes"] = coefficients * sizeof(decltype(blended.table)::value_type);
@@ -358,11 +362,13 @@ void iterate(State& state, const Case& c) {
   ReducedModel::Matrix tangent;
   ReducedModel::Blend blended;
   ArrowFactor factor;
+  ReducedModel::Workspace workspace;
   int k = 0;
   for (auto _ : state) {
     k = (k + 1) % kFrames;
     model->blend(moving.weights[k], blended);
-    benchmark::DoNotOptimize(model->linearize(blended, rest[k], force, tangent));
+    workspace.begin(0);
+    benchmark::DoNotOptimize(model->linearize(blended, rest[k], workspace, force, tangent));
     tangent.add_to_diagonal(1, inertia);
     if (!factor.compute(tangent)) state.SkipWithError("the tangent is not positive definite");
     factor.solve(force, direction);
