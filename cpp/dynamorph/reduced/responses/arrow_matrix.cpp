@@ -68,8 +68,8 @@ void ArrowFactor::solve(const VectorXd& b, VectorXd& x) {
 
 namespace {
 
-/// Multiplications of a solve with `k` rows of points: by the arrow's own factor, row by row, of which one takes as
-/// long as kSlow of the others, and by the factor of the dense matrix, whose loops are kernels.
+/// Multiplications of a solve with `k` rows of points: by the arrow's own factor, row by row, and by the factor of the
+/// dense matrix. The loops of the latter are kernels: kSlow says how much longer each of the others takes.
 double work_by_rows(double r, double h, double k) {
   constexpr double kSlow = 2.5;
   const double n = r + h, factor = r * r * r / 6 + r * r * h / 2, solve = r * r + 2 * r * h;
