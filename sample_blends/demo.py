@@ -27,8 +27,8 @@ except ImportError as error:
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = ROOT / "sample_blends" / "bulging_cylinder.blend"
-BAKED = ROOT / "out" / "bulging_cylinder_baked.blend"
-SHEET = ROOT / "out" / "bulging_cylinder.png"
+BAKED = "bulging_cylinder_baked.blend"
+SHEET = "bulging_cylinder.png"
 
 LIMB = "Limb"
 FRAMES = {
@@ -48,7 +48,7 @@ SWINGS = {
 CELL = (264, 204)
 
 
-def run(draft: bool) -> None:
+def run(out: Path, draft: bool) -> None:
     print(f"opening {shown(SCENE)}")
     with quiet():
         bpy.ops.wm.open_mainfile(filepath=str(SCENE))
@@ -57,10 +57,10 @@ def run(draft: bool) -> None:
 
     print("baking dynamic morph targets")
     dmt = bake(job.Job(limb, goal="BAKE"))
-    BAKED.parent.mkdir(exist_ok=True)
+    out.mkdir(exist_ok=True)
     with quiet():
-        bpy.ops.wm.save_as_mainfile(filepath=str(BAKED), copy=True, compress=True)
-    print(f"saved {shown(BAKED)}")
+        bpy.ops.wm.save_as_mainfile(filepath=str(out / BAKED), copy=True, compress=True)
+    print(f"saved {shown(out / BAKED)}")
     began = time.perf_counter()
     rows = [row("Dynamic morph targets", "shape and stiffness follow the pose", draft, dmt)]
     rendering = time.perf_counter() - began
@@ -76,13 +76,13 @@ def run(draft: bool) -> None:
 
     columns = [f"{frame}: {event}" for frame, event in FRAMES.items()]
     sheet = compose("Bulging cylinder", "The same frames; under the pictures, the targets' weights", columns, rows)
-    save(sheet, SHEET)
-    print(f"saved {shown(SHEET)} (rendered in {rendering:.0f} s)")
+    save(sheet, out / SHEET)
+    print(f"saved {shown(out / SHEET)} (rendered in {rendering:.0f} s)")
     print_table({"single material": single, "DMT": dmt})
 
 
 def bake(job: job.Job) -> job.Job:
-    batch.run(job, record.Progress())
+    batch.run(job, record.ProgressPrinter())
     for warning in job.warnings:
         print(f"{job.name}: warning: {warning}")
     return job
@@ -136,17 +136,18 @@ def print_table(variants: dict[str, job.Job]) -> None:
 
 
 def shown(path: Path) -> Path:
-    return path.relative_to(ROOT)
+    return path.relative_to(ROOT) if path.is_relative_to(ROOT) else path
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Bake the bulging cylinder and compare it with simpler methods.")
     parser.add_argument("--draft", action="store_true", help="render with Workbench: faster, plainer")
+    parser.add_argument("--out", type=Path, default=ROOT / "out", help="the folder to write to")
     args = parser.parse_args()
     dynamic_morph_targets.register()
     try:
         with only_python():
-            run(args.draft)
+            run(args.out.resolve(), args.draft)
     except engine.expected_errors() as error:
         print(f"demo: {error}", file=sys.stderr)
         return 1

@@ -10,7 +10,7 @@ import numpy as np
 
 from .baked import Bake
 from .character import Follower
-from .geometry import connected_parts
+from .geometry import connected_parts, interpolated
 from .model import Model
 from .simulate import part_of
 
@@ -34,7 +34,7 @@ def carried(model: Model, modes: np.ndarray, follower: Follower) -> tuple[np.nda
     if not len(model.tets):
         return np.zeros((0, *follower.vertices.shape)), residual_shapes
     nodes, weights = embedded(model, follower)
-    bind = np.einsum("pa,rpac->rpc", weights, modes[:, nodes])
+    bind = interpolated(modes, nodes, weights)
     return bind @ np.linalg.inv(model.to_bind).T @ follower.from_body.T, residual_shapes
 
 

@@ -23,6 +23,13 @@ def vertex_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.bincount(triangles.ravel(), np.repeat(triangle_areas(points, triangles) / 3.0, 3), len(points))
 
 
+def interpolated(values: np.ndarray, nodes: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """What a cage's nodes carry, (..., n, C), at points (..., P, C): the E u of the engine's `models/skin`, for whole
+    bases at once. nodes, weights (P, 4): the corners of each point's tetrahedron and its weights there.
+    """
+    return np.einsum("pa,...pac->...pc", weights, values[..., nodes, :])
+
+
 def smooth_step(x: np.ndarray, low: float = 0.0, high: float = 1.0) -> np.ndarray:
     """0 below `low`, 1 above `high`, with continuous slope."""
     t = np.clip((x - low) / (high - low), 0.0, 1.0)

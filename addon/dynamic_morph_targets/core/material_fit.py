@@ -26,6 +26,7 @@ import numpy as np
 
 from .character import Character
 from .errors import FitError
+from .geometry import interpolated
 from .oscillation import Oscillation, damped, damping_for, swing
 from .settings import Material
 
@@ -298,11 +299,11 @@ def natural_frequency(model: Model, engine: FullModel, target: int, patch: np.nd
     if model.settings.hold == "THICKNESS":
         return _body_frequency(model, engine, target, patch)
     omega, shapes = engine.linear_modes(target, min(MODES, engine.dofs - 1))
-    at_nodes = np.zeros((len(model.nodes), 3, len(omega)))
-    at_nodes[engine.body.free_nodes] = shapes.reshape(-1, 3, len(omega))
-    on_surface = np.einsum("va,vack->vck", model.embedding_weights, at_nodes[model.embedding_nodes])
+    at_nodes = np.zeros((len(omega), len(model.nodes), 3))
+    at_nodes[:, engine.body.free_nodes] = shapes.T.reshape(len(omega), -1, 3)
+    on_surface = interpolated(at_nodes, model.embedding_nodes, model.embedding_weights)
     swings = omega > IDLE * omega[-1]
-    answer = np.einsum("v,vck->k", patch, on_surface[:, :, swings] ** 2) / omega[swings] ** 2
+    answer = np.einsum("v,kvc->k", patch, on_surface[swings] ** 2) / omega[swings] ** 2
     return float(omega[swings][answer.argmax()])
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from . import memory, model_schema
 from .character import Character, Skeleton
 from .errors import ModelFileError, SceneError
+from .geometry import interpolated
 from .settings import Material, ModelSettings
 
 RESPONSE_ARRAYS = ("responses", "response_lambda", "response_mu", "coupling_lambda", "coupling_mu", "relaxation")
@@ -211,7 +212,7 @@ class Model:
 
     def surface(self, displacement: np.ndarray) -> np.ndarray:
         """Displacement of the render surface (..., V, 3), local space, from that of the nodes (..., n, 3), bind."""
-        bind = np.einsum("va,...vac->...vc", self.embedding_weights, displacement[..., self.embedding_nodes, :])
+        bind = interpolated(displacement, self.embedding_nodes, self.embedding_weights)
         return bind @ np.linalg.inv(self.to_bind).T
 
     def on_nodes(self, force: np.ndarray) -> np.ndarray:

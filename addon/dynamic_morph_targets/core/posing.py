@@ -14,7 +14,7 @@ import numpy as np
 
 from .character import Character, Skeleton, Target, TargetSet, target_labels
 from .errors import SceneError
-from .geometry import determinant, inverse, vertex_areas
+from .geometry import determinant, interpolated, inverse, vertex_areas
 from .model import Model
 from .rig_samples import ForceField, RigSamples
 
@@ -148,7 +148,7 @@ class Skin:
     ) -> np.ndarray:
         """Newtons on the nodes (n, 3), world space; frames as for `posed`, displacement of the nodes (n, 3)."""
         model = self.model
-        moved = np.einsum("va,vac->vc", model.embedding_weights, displacement[model.embedding_nodes])
+        moved = interpolated(displacement, model.embedding_nodes, model.embedding_weights)
         points = self.posed(frames, moved)
         return model.on_nodes(self.areas[:, None] * sum(field.pull(sample, points) for field in fields))
 

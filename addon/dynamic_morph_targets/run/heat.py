@@ -14,7 +14,7 @@ import numpy as np
 
 from ..core import engine, errors
 from ..core.errors import SceneError
-from ..core.geometry import diagonal
+from ..core.geometry import diagonal, interpolated
 from ..core.message import Message
 from ..scene import extract, mesh_data, model_store, references, skin
 from ..write import bake_reading
@@ -125,7 +125,8 @@ def _holds(session_uid: int, _content_id: str) -> dict[int, np.ndarray] | str:
         character = extract.character(obj)
     except engine.expected_errors() as error:
         return errors.sentence(error)
-    on_skin = np.einsum("va,va->v", model.embedding_weights, model.hold[model.embedding_nodes]).clip(0.0, 1.0)
+    hold = interpolated(model.hold[:, None], model.embedding_nodes, model.embedding_weights)
+    on_skin = hold[:, 0].clip(0.0, 1.0)
     if len(on_skin) != len(character.vertices):
         return Message("'{name}' has other vertices than its model: press Build Model", name=obj.name)
     return {session_uid: on_skin[character.own_vertices]} | {

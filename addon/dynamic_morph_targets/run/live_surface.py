@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..core.geometry import interpolated
 from ..scene import skin
 from ..write import live_key
 
@@ -58,7 +59,7 @@ def by_nodes(free: np.ndarray, nodes: np.ndarray, weights: np.ndarray, turn: np.
     def move(coordinates: np.ndarray) -> np.ndarray:
         moved = np.zeros((len(free), 3), np.float32)
         moved[free] = np.einsum("nc,dc->nd", coordinates.reshape(-1, 3), turn)
-        return np.einsum("va,vac->vc", weights, moved[nodes]).ravel()
+        return interpolated(moved, nodes, weights).ravel()
 
     return move
 

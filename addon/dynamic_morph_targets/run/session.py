@@ -15,6 +15,7 @@ import numpy as np
 from ..core import engine, errors, rig_samples
 from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
+from ..core.geometry import interpolated
 from ..core.message import joined
 from ..core.rig_samples import RigSamples
 from ..core.settings import Material, SimulationSettings
@@ -79,7 +80,7 @@ class Tissue:
         turn = from_bind if from_body is None else from_body @ from_bind
         if model.settings.solver == "FULL":
             return by_nodes(model.free, nodes, weights, turn)
-        return by_modes(np.einsum("va,rvac->rvc", weights, self._node_modes[:, nodes]) @ turn.T)
+        return by_modes(interpolated(self._node_modes, nodes, weights) @ turn.T)
 
     @cached_property
     def _node_modes(self) -> np.ndarray:
