@@ -113,7 +113,7 @@ def test_one_button_puts_it_right_and_undo_brings_it_back(soft_arm, spoil, fix):
 
 
 def test_every_fix_is_tried_here():
-    tried = {fix for _, fix in PUT_RIGHT} | {"ADD_BASIS"}
+    tried = {fix for _, fix in PUT_RIGHT} | {"ADD_BASIS", "PERSON_SIZE", "WEIGHT_LIKE_NEAREST"}
     assert tried == set(part("fixes").FIXES)
 
 
@@ -256,7 +256,7 @@ def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm, capfd):
         "bone envelopes",
         "rest position",
         "Envelope Multiply",
-        " m long and will move like something of that size: check the scale",
+        " kg and will move like something of that size: check the scale",
         "3 of the 272 vertices of 'Arm' have no",
     ):
         assert words in warnings
@@ -287,6 +287,87 @@ def test_vertices_that_stay_behind_are_counted(soft_arm):
         group.remove([3, 4, 5])
     (warning,) = extract.warnings(soft_arm, extract.character(soft_arm))
     assert warning.startswith("3 of the 272 vertices of 'Arm' have no bone weight: they stay behind")
+
+
+# A body that looks unintended, before the click ----------------------------------------------------------------------
+
+
+def after_a_look(obj) -> str:
+    """The tab, once what it asks about the body has been answered: by a timer in a window."""
+    drawn(obj)
+    part("watch").look_at_bodies()
+    return " ".join(drawn(obj))
+
+
+def unweight(obj, vertices):
+    for group in obj.vertex_groups:
+        group.remove(vertices)
+
+
+def scaled(obj, factor: float):
+    """As a character that was modeled in other units: its rig with it."""
+    for each in (obj, rig_of(obj)):
+        each.scale = (factor, factor, factor)
+    bpy.context.view_layer.update()
+
+
+@pytest.mark.parametrize(
+    "factor, words",
+    [(10.0, "'Arm' is 20 m long, weighs 551,064 kg"), (1.6, "'Arm' is 3.2 m long, weighs 2,257 kg"), (0.01, "0.02 m")],
+)
+def test_an_unlikely_size_or_mass_is_told_before_the_click_and_mended(arm, factor, words):
+    assert "check the scale" not in after_a_look(arm)
+    scaled(arm, factor)
+    shown = after_a_look(arm)
+    assert words in shown and shown.count("check the scale") == 1 and "dynamorph.fix" in shown
+    assert OPS.fix(problem="PERSON_SIZE") == {"FINISHED"}
+    assert part("body_checks").size_now(arm) == pytest.approx(1.7)
+    assert "check the scale" not in after_a_look(arm)
+
+
+def test_the_fix_of_the_scale_turns_units_on(arm):
+    units = bpy.context.scene.unit_settings
+    units.system = "NONE"
+    scaled(arm, 10.0)
+    OPS.fix(problem="PERSON_SIZE")
+    assert units.system == "METRIC" and units.scale_length == pytest.approx(1.7 / 20.0)
+
+
+def test_the_size_stays_among_the_messages_through_live_and_bake(arm, stand_in):
+    scaled(arm, 10.0)
+    for press in (OPS.add_soft_skin, OPS.build, OPS.bake):
+        press()
+        assert after_a_look(arm).count("check the scale") == 1
+    OPS.fix(problem="PERSON_SIZE")
+    assert "check the scale" not in after_a_look(arm)
+
+
+def test_vertices_without_weights_are_told_before_the_click_and_weighted_like_their_neighbors(arm):
+    before = part("mesh_data").skin_weights(arm)
+    unweight(arm, [3, 4, 5])
+    assert "3 of the 272 vertices of 'Arm' have no bone weight" in after_a_look(arm)
+    assert OPS.fix(problem="WEIGHT_LIKE_NEAREST") == {"FINISHED"}
+    after = part("mesh_data").skin_weights(arm)
+    np.testing.assert_allclose(after, before, atol=0.2)  # as smooth as the weights were
+    assert (np.delete(after, [3, 4, 5], axis=0) == np.delete(before, [3, 4, 5], axis=0)).all()
+    assert "no bone weight" not in after_a_look(arm)
+
+
+def test_weights_that_are_painted_are_looked_at_again(arm):
+    assert "no bone weight" not in after_a_look(arm)
+    unweight(arm, [3])
+    arm.data.update()
+    bpy.context.view_layer.update()
+    assert "1 of the 272 vertices" in after_a_look(arm)
+
+
+def test_a_pose_asks_for_no_other_look(soft_arm, monkeypatch):
+    after_a_look(soft_arm)
+    monkeypatch.setattr(part("body_checks"), "unintended", None)
+    bpy.context.scene.frame_set(10)
+    rig_of(soft_arm).pose.bones["lower"].rotation_euler.x = 0.3
+    bpy.context.view_layer.update()
+    after_a_look(soft_arm)
 
 
 # The mesh edited after the build -----------------------------------------------------------------------------------

@@ -308,7 +308,10 @@ def test_sizes_are_reported_in_meters(in_centimeters):
     assert part("transfer_operators").length(0.0123) == "1.23 cm"
     scene.unit_settings.scale_length = 1.0
     (warning,) = extract.warnings(in_centimeters, extract.character(in_centimeters))
-    assert "'Arm' is 217 m long and will move like something of that size: check the scale" in warning
+    assert (
+        "'Arm' is 200 m long, weighs 551,064,175 kg and will move like something of that size: check the scale"
+        in warning
+    )
 
 
 def test_without_a_unit_system_a_unit_is_a_meter(in_centimeters):

@@ -23,6 +23,12 @@ def vertex_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.bincount(triangles.ravel(), np.repeat(triangle_areas(points, triangles) / 3.0, 3), len(points))
 
 
+def signed_volume(points: np.ndarray, triangles: np.ndarray) -> float:
+    """The volume inside a closed surface, negative where it is inside out."""
+    a, b, c = points[triangles].swapaxes(0, 1)
+    return float(np.einsum("tc,tc->", a, np.cross(b, c))) / 6.0
+
+
 def interpolated(values: np.ndarray, nodes: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """What a cage's nodes carry, (..., n, C), at points (..., P, C): the E u of the engine's `models/skin`, for whole
     bases at once. nodes, weights (P, 4): the corners of each point's tetrahedron and its weights there.

@@ -80,7 +80,8 @@ def read(request: Request) -> BakeInput:
         given.followers = extract.followers(obj, character)
         for follower in handles(given.followers):
             check(follower.find(), obj)
-    given.warnings = extract.warnings(obj, character) + extract.far_followers(character, given.followers)
+    given.notes = extract.warnings(obj, character)
+    given.warnings = extract.far_followers(character, given.followers)
     if given.is_bake and request.stored:
         _read_output(given, obj, request.folder)
     fits = _read_model(given, obj, request)

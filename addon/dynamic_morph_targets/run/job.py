@@ -97,7 +97,7 @@ class Job(Progress):
 
     @property
     def warnings(self) -> list[str]:
-        return self.outcome.warnings
+        return [*self.input.notes, *self.outcome.warnings]
 
     def summary(self) -> str:
         """One line for the artist."""

@@ -53,13 +53,15 @@ class BakeInput:
     """Everything that is read of Blender for a job, except the moving rig.
 
     name: of the job, for messages. goal: BUILD, BUILD_CAGE or BAKE. followers: the other meshes that the soft tissue
-    carries along. inputs: the settings that the bake depends on. before: the bakes into which these frames go.
+    carries along. inputs: the settings that the bake depends on. before: the bakes into which these frames go. notes:
+    warnings that panels find by themselves, so that they are reported and not stored.
     """
 
     name: str
     goal: str
     character: Character
     followers: list[Follower] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     # The model.
     previous: Model | None = None  # that of the object, or of another process; its cage may be used again

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import bpy
 from bpy.app.handlers import persistent
 
-from ..scene import events, model_store, references, rig_motion, skin, staleness
+from ..scene import body_checks, events, model_store, references, rig_motion, skin, staleness
 from ..scene.references import rig_of
 from ..scene.skin import soft_skins
 from ..write import bake_influence, storage, targets
@@ -14,7 +16,9 @@ from ..write.reconcile import reconcile
 from . import batch, expected_error, heat, live
 
 PATIENCE = 1.0  # seconds without an edit before the check
+GLANCE = 0.3  # seconds after a panel has asked about a body
 OWNER = object()  # owner of the subscriptions
+_asked: set[int] = set()  # session ids of the objects whose bodies a panel asks about
 
 
 @persistent
@@ -25,6 +29,8 @@ def _before_load(*_args: object) -> None:
     model_store.forget()
     references.forget()
     heat.forget()
+    body_checks.forget()
+    _asked.clear()
 
 
 @persistent
@@ -69,10 +75,30 @@ def _changed(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     """depsgraph_update_post."""
     changed = changed_objects(depsgraph)
     _follow_changes(changed, depsgraph)
+    for update in depsgraph.updates:
+        if isinstance(update.id, bpy.types.Mesh):
+            body_checks.outdate(update.id.original)
     if any(obj.dynamorph.model.content_id for obj in changed):
         look_soon()
     if any(isinstance(update.id, (bpy.types.Action, bpy.types.Key)) for update in depsgraph.updates):
         events.soon(_look_at_animations, PATIENCE)
+
+
+def _ask(obj: bpy.types.Object) -> None:
+    _asked.add(obj.session_uid)
+    events.soon(look_at_bodies, GLANCE)
+
+
+def look_at_bodies() -> float | None:
+    """By a timer: look at the bodies that panels have asked about."""
+    if rig_motion.render_runs():
+        return GLANCE  # seconds from now
+    for obj in bpy.context.scene.objects:
+        if obj.session_uid in _asked and obj.mode == "OBJECT":
+            body_checks.look(obj)
+    _asked.clear()
+    events.redraw(events.PANELS)
+    return None
 
 
 def look_soon() -> None:
@@ -134,7 +160,10 @@ HANDLERS = {
 }
 
 
-LISTENERS = {events.Event.CAGE_CHANGED: look_soon}
+LISTENERS: dict[events.Event, Callable[..., object]] = {
+    events.Event.CAGE_CHANGED: look_soon,
+    events.Event.LOOK_ASKED: _ask,
+}
 
 
 def register() -> None:
@@ -148,5 +177,5 @@ def unregister() -> None:
     bpy.msgbus.clear_by_owner(OWNER)
     events.unsubscribe(LISTENERS)
     events.remove(HANDLERS)
-    for look in (_look_at_meshes, _look_at_animations):
+    for look in (_look_at_meshes, _look_at_animations, look_at_bodies):
         events.forget(look)

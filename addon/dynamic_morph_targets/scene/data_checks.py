@@ -8,13 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..core.character import Skeleton, Target
-from ..core.geometry import diagonal, turned
+from ..core.geometry import turned
 from .checks import Problem, active_targets
 from .plain import fits, plain, wanted
 from .references import key_points
 
 SAME_POSE = np.radians(0.5)  # the engine cannot interpolate between targets that are nearer than this over all bones
-PLAUSIBLE = (0.02, 20.0)  # meters from corner to corner; a body of another size is probably unintended
 
 
 def settings(obj) -> Iterator[Problem]:
@@ -80,26 +79,3 @@ def poses(name: str, targets: tuple[Target, ...], skeleton: Skeleton) -> Iterato
 def same_pose(first: np.ndarray, second: np.ndarray) -> bool:
     """Whether targets with these transforms (B, 4, 4) of the bones that place them cannot be distinguished."""
     return bool(np.linalg.norm(turned(first, second)) < SAME_POSE)
-
-
-def body(name: str, vertices: np.ndarray, to_bind: np.ndarray, left: np.ndarray) -> Iterator[Problem]:
-    """Whether the size and the weights of a body look intended.
-
-    vertices, to_bind: as of `Character`; left (V,): which of them no bone moves.
-    """
-    size = diagonal(vertices @ to_bind.T)
-    if not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
-        yield Problem(
-            "'{name}' is {size:.3g} m long and will move like something of that size: check the scale",
-            name=name,
-            size=size,
-        )
-    count = int(left.sum())
-    if count:
-        yield Problem(
-            "{count} of the {total} vertices of '{name}' have no bone weight: they stay behind when the armature "
-            "moves; weight them",
-            count=count,
-            total=len(vertices),
-            name=name,
-        )

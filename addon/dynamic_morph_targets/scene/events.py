@@ -19,6 +19,7 @@ class Event(Enum):
 
     SHOWN_CHANGED = "what is shown of an object's motion"  # (object)
     CAGE_CHANGED = "what the cage of a built model depends on"  # ()
+    LOOK_ASKED = "a panel shows a body that nobody has looked at as it is now"  # (object)
     WEIGHTS_ASKED = "someone wants to see the weights over the frames"  # ()
 
 

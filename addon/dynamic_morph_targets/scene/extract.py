@@ -15,7 +15,7 @@ from ..core.character import Character, Follower, OwnCage, Skeleton, Target, Tar
 from ..core.errors import SceneError, sentence
 from ..core.geometry import diagonal, inverse
 from ..core.settings import ModelSettings
-from . import bodies, checks, data_checks, skinning
+from . import bodies, body_checks, checks, data_checks, skinning
 from .checks import armature_modifier, refuse
 from .mesh_data import (
     VertexGroups,
@@ -138,8 +138,8 @@ def far_followers(character: Character, found: list[Follower]) -> list[str]:
 
 def warnings(obj, character: Character) -> list[str]:
     """What will be ignored, or looks unintended."""
-    left = _left_behind(obj, VertexGroups(obj))
-    found = (*checks.notes(obj), *data_checks.body(obj.name, character.vertices, character.to_bind, left))
+    points = character.vertices[character.own_vertices]
+    found = (*checks.notes(obj), *body_checks.unintended(obj, points, character.to_bind, VertexGroups(obj)))
     return [problem.text for problem in found]
 
 
@@ -147,24 +147,12 @@ def first_look(obj) -> list[str]:
     """Everything that prevents a simulation of `obj` or looks unintended, before it is a soft skin."""
     found = [*checks.problems(obj), *checks.notes(obj)]
     try:
-        to_bind = stretch(worlds_at_start(obj, rig_of(obj))[0])
-        left = _left_behind(obj, VertexGroups(obj))
+        found += body_checks.unintended(
+            obj, body_checks.mesh_points(obj), stretch(worlds_at_start(obj, rig_of(obj))[0]), VertexGroups(obj)
+        )
     except SceneError as error:
         return [*(problem.text for problem in found), sentence(error)]
-    points = np.empty((len(obj.data.vertices), 3), np.float32)
-    obj.data.vertices.foreach_get("co", points.ravel())  # Edit Mode hides the attribute
-    if len(points):
-        found += data_checks.body(obj.name, points, to_bind, left)
     return [problem.text for problem in found]
-
-
-def _left_behind(obj, groups: VertexGroups) -> np.ndarray:
-    """Which vertices (V,) no bone moves."""
-    unmoved = [
-        modifier_weights(obj, modifier, rest_skeleton(modifier.object.data), groups)[:, -1] >= 1.0
-        for modifier in skinning.armature_modifiers(obj)
-    ]
-    return np.all(unmoved, axis=0)
 
 
 def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[TargetSet, ...]:

@@ -106,6 +106,15 @@ def modifier_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) ->
     return np.hstack([weights, 1.0 - weights.sum(axis=1, keepdims=True)])
 
 
+def left_behind(obj, groups: VertexGroups) -> np.ndarray:
+    """Which vertices (V,) no bone moves."""
+    unmoved = [
+        modifier_weights(obj, modifier, rest_skeleton(modifier.object.data), groups)[:, -1] >= 1.0
+        for modifier in skinning.armature_modifiers(obj)
+    ]
+    return np.all(unmoved, axis=0)
+
+
 def _painted(obj, groups: VertexGroups, use: str, group: str) -> np.ndarray:
     """Weights (V,) of the vertex group chosen as softness or stiffness map. Raises SceneError."""
     if group not in obj.vertex_groups:

@@ -11,7 +11,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..core import engine, verdict
 from ..core.message import Message, joined
 from ..run import batch, live, preview
-from ..scene import checks, skin, staleness
+from ..scene import body_checks, checks, skin, staleness
 from ..scene.checks import Problem
 from ..write import comparison
 from .widgets import draw_problem, progress_text
@@ -100,21 +100,35 @@ def draw_messages(layout, _context, obj):
 
 
 def messages(obj) -> Iterator[tuple[Problem, str]]:
-    """Each with its icon, the worst first."""
+    """Each with its icon, the worst first, and none twice."""
+    said = set()
+    for problem, icon in _all_messages(obj):
+        if problem.text not in said:
+            said.add(problem.text)
+            yield problem, icon
+
+
+def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
     settings = obj.dynamorph
     if engine.engine_problem():
         yield Problem(engine.engine_problem()), "ERROR"
     for problem in checks.problems(obj):
         yield problem, "ERROR"
-    if not settings.targets:
-        if settings.follows:
-            text = Message("'{name}' moves with '{body}'", name=obj.name, body=settings.follows.name)
-            yield Problem(text), "LINKED"
+    if not settings.targets and settings.follows:
+        text = Message("'{name}' moves with '{body}'", name=obj.name, body=settings.follows.name)
+        yield Problem(text), "LINKED"
         return
-    for text in texts(obj):
-        yield Problem(text), "ERROR"
-    for problem in (*checks.next_steps(obj), *checks.notes(obj)):
+    for problem in body_checks.known(obj):
+        yield problem, "ERROR"
+    if settings.targets:
+        for text in texts(obj):
+            yield Problem(text), "ERROR"
+        for problem in checks.next_steps(obj):
+            yield problem, "INFO"
+    for problem in checks.notes(obj):
         yield problem, "INFO"
+    if not settings.targets:
+        return
     if live.is_on(obj) and not bpy.context.scene.render.use_lock_interface:
         yield Problem("To render, turn on Lock Interface (Render menu), or bake"), "INFO"
     if settings.simulation.rehearsed:

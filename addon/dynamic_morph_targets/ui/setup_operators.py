@@ -13,7 +13,7 @@ from ..core.errors import SceneError, sentence
 from ..core.feel import FEELS
 from ..core.message import translated
 from ..run.live import remove_soft_skin
-from ..scene import checks, extract, references, rig_motion, skin, skinning, target_properties
+from ..scene import body_checks, checks, extract, references, rig_motion, skin, skinning, target_properties
 from ..scene.registration import of_classes
 from ..write import attachments, bake
 from ..write.fixes import FIXES
@@ -59,7 +59,8 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         obj.dynamorph.model.modes = DETAIL
         feel_operators.give_feel(obj, FEELS["NATURAL"])
         in_the_way += [text for text in _find_attachments(obj) if text not in in_the_way]
-        drawn = [problem.text for problem in (*checks.problems(obj), *checks.notes(obj))]
+        body_checks.look(obj)
+        drawn = [problem.text for problem in (*checks.problems(obj), *checks.notes(obj), *body_checks.known(obj))]
         obj.dynamorph.model.warnings = "\n".join(text for text in in_the_way if text not in drawn)  # until a build
         for text in in_the_way:
             self.report({"WARNING"}, translated(text, rpt_))
@@ -124,7 +125,8 @@ class DYNAMORPH_OT_fix(SoftSkinOperator, Operator):
         return FIXES[given.problem].tooltip
 
     def apply(self, obj):
-        if self.problem not in [problem.fix for problem in (*checks.problems(obj), *checks.notes(obj))]:
+        present = (*checks.problems(obj), *checks.notes(obj), *body_checks.look(obj))
+        if self.problem not in [problem.fix for problem in present]:
             raise SceneError(
                 "'{name}' does not have this problem: {label} is not needed",
                 name=obj.name,

@@ -7,9 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import bpy
+import numpy as np
+from mathutils.kdtree import KDTree
 
 from ..core.errors import SceneError
-from ..scene import checks, skinning
+from ..scene import body_checks, checks, mesh_data, skinning
+from ..scene.skin import unit_scale
 from . import bake
 
 
@@ -117,6 +120,32 @@ def _relative_keys(obj):
     owned(obj.data.shape_keys).use_relative = True
 
 
+def _person_size(obj):
+    units = bpy.context.scene.unit_settings
+    scale = unit_scale() * body_checks.PERSON / body_checks.size_now(obj)
+    if units.system == "NONE":  # which has no scale
+        units.system = "METRIC"
+    units.scale_length = scale
+
+
+def _weight_like_nearest(obj):
+    """Give every vertex that no bone moves the weights of the nearest one that a bone moves."""
+    owned(obj.data)
+    left = mesh_data.left_behind(obj, mesh_data.VertexGroups(obj))
+    if left.all():
+        raise SceneError("'{name}' has no vertex with a bone weight: weight some first", name=obj.name)
+    names = list({bone.name: None for rig in _rigs(obj) for bone in skinning.deforming_bones(obj, rig)})
+    weights, points = mesh_data.group_weights(obj, names), body_checks.mesh_points(obj)
+    tree = KDTree(len(points))
+    for vertex in np.flatnonzero(~left):
+        tree.insert(points[vertex], vertex)
+    tree.balance()
+    for vertex in np.flatnonzero(left):
+        _, nearest, _ = tree.find(points[vertex])
+        for column in np.flatnonzero(weights[nearest]):
+            obj.vertex_groups[names[column]].add([int(vertex)], weights[nearest, column], "REPLACE")
+
+
 def _unpin(obj):
     obj.show_only_shape_key = False
 
@@ -157,5 +186,15 @@ FIXES = {
     ),
     "ADD_BASIS": Fix("Add Basis", "Add the shape key that the others are relative to", _add_basis),
     "RELATIVE_KEYS": Fix("Relative Shape Keys", "Make the shape keys relative to their Basis", _relative_keys),
+    "PERSON_SIZE": Fix(
+        "Treat as 1.7 m",
+        "Set the scene's Unit Scale so that the longest side of this body counts as 1.7 m. Nothing is resized",
+        _person_size,
+    ),
+    "WEIGHT_LIKE_NEAREST": Fix(
+        "Weight Like Nearest",
+        "Give every vertex without a bone weight the weights of the nearest vertex that has some",
+        _weight_like_nearest,
+    ),
     "UNPIN": Fix("Show All Shape Keys", "Show the mix of all shape keys, not the active one alone", _unpin),
 }  # fmt: skip

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whether the size, the mass and the weights of a body look intended, before it is a soft skin and after. Reads only.
+
+Reading a mesh takes too long for a panel that draws. So `known` returns what `look` found last, and asks for another
+look (`run/watch`) when the body is another than it was then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..core.errors import SceneError
+from ..core.geometry import signed_volume
+from ..core.settings import Material
+from . import events, skinning
+from .checks import Problem
+from .mesh_data import VertexGroups, left_behind, mesh_triangles, stretch
+from .skin import unit_scale
+
+PLAUSIBLE = (0.05, 4.0)  # meters, the longest side; a body of another size is probably unintended
+HEAVIEST = 2000.0  # kg; a heavier body is probably unintended
+PERSON = 1.7  # meters; what a fix makes of an implausible size
+
+_looks: dict[int, tuple[tuple, list[Problem]]] = {}  # by Object.session_uid: the body's state then, what looked wrong
+
+
+def known(obj) -> list[Problem]:
+    """What the last look at the body of `obj` found. Reads no mesh: fit for drawing."""
+    if not skinning.armature_modifiers(obj):
+        return []
+    state, found = _looks.get(obj.session_uid, ((), []))
+    if obj.mode != "OBJECT":  # what is edited, sculpted or painted is looked at afterwards
+        return found
+    if state != _state(obj):
+        events.emit(events.Event.LOOK_ASKED, obj)
+        return []
+    return found
+
+
+def look(obj) -> list[Problem]:
+    """Read the body of `obj`; returns what looks unintended, which is also what `known` returns from now on."""
+    try:
+        found = list(unintended(obj, mesh_points(obj), stretch(_world(obj)), VertexGroups(obj)))
+    except SceneError:  # weights that are not numbers, which a build refuses
+        found = []
+    _looks[obj.session_uid] = _state(obj), found
+    return found
+
+
+def outdate(mesh):
+    """The mesh was edited: its bodies are looked at again before anything is said about them."""
+    for uid, (state, found) in _looks.items():
+        if state[0] == mesh.session_uid:
+            _looks[uid] = (mesh.session_uid,), found
+
+
+def forget():
+    """Forget all: the file is closed."""
+    _looks.clear()
+
+
+def unintended(obj, points: np.ndarray, to_bind: np.ndarray, groups: VertexGroups) -> Iterator[Problem]:
+    """points (V, 3): of the mesh, local space; to_bind: as of `Character`."""
+    yield from _size(obj, points @ to_bind.T)
+    count = int(left_behind(obj, groups).sum())
+    if count:
+        yield Problem(
+            "{count} of the {total} vertices of '{name}' have no bone weight: they stay behind when the armature "
+            "moves; weight them",
+            "WEIGHT_LIKE_NEAREST",
+            count=count,
+            total=len(points),
+            name=obj.name,
+        )
+
+
+def _size(obj, points: np.ndarray) -> Iterator[Problem]:
+    """points (V, 3): in meters."""
+    if not len(points):
+        return
+    size = longest_side(points)
+    targets = obj.dynamorph.targets
+    mass = (targets[0].density if targets else Material.density) * abs(signed_volume(points, mesh_triangles(obj.data)))
+    if size < PLAUSIBLE[0]:
+        yield Problem(
+            "'{name}' is {size:.3g} m long and will move like something of that size: check the scale",
+            "PERSON_SIZE",
+            name=obj.name,
+            size=size,
+        )
+    elif size > PLAUSIBLE[1] or mass > HEAVIEST:
+        yield Problem(
+            "'{name}' is {size:.3g} m long, weighs {mass:,.0f} kg and will move like something of that size: check "
+            "the scale",
+            "PERSON_SIZE",
+            name=obj.name,
+            size=size,
+            mass=mass,
+        )
+
+
+def longest_side(points: np.ndarray) -> float:
+    """The longest side of the bounding box of points (V, 3)."""
+    return float(np.ptp(points, axis=0).max())
+
+
+def size_now(obj) -> float:
+    """The longest side of the body of `obj`, meters."""
+    return longest_side(mesh_points(obj) @ stretch(_world(obj)).T)
+
+
+def mesh_points(obj) -> np.ndarray:
+    """The points (V, 3) of the mesh, also in Edit Mode, which hides the attribute."""
+    points = np.empty((len(obj.data.vertices), 3), np.float32)
+    obj.data.vertices.foreach_get("co", points.ravel())
+    return points.astype(np.float64)
+
+
+def _world(obj) -> np.ndarray:
+    return unit_scale() * np.array(obj.matrix_world)
+
+
+def _state(obj) -> tuple:
+    """What a look depends on and is quickly read. Edits of the mesh are not among it: they call `forget`."""
+    targets = obj.dynamorph.targets
+    rigs = tuple(modifier.object.data.session_uid for modifier in skinning.armature_modifiers(obj))
+    scale = tuple(round(side, 5) for side in obj.matrix_world.to_scale())
+    density = targets[0].density if targets else 0.0
+    counts = len(obj.data.vertices), len(obj.vertex_groups)
+    return obj.data.session_uid, obj.name, *counts, rigs, scale, unit_scale(), density
