@@ -75,7 +75,9 @@ materials: build
 
 # Keeps the bytes that the engine computes in this version, of every compiler and instruction set that runs here, in
 # tests/golden/motion.json: after a change of the motion that is meant. `make platforms` compiles more of them.
+# It also writes tests/golden/model.dynamorph, a model file of the current format, until the first release freezes that.
 golden: build
+	@PYTHONPATH=addon:tests $(python) tests/golden/kept_model.py
 	@$(python) tests/golden/motion.py
 
 # What the engine and the pipeline take, against their goals; takes about 5 minutes.

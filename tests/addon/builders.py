@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 import pytest
 import scenes
-from old_settings import with_pins
+from pins import with_pins
 
 MODULE = "bl_ext.user_default.dynamic_morph_targets"
 PACKAGE = Path(__file__).parents[2] / "addon" / "dynamic_morph_targets"
@@ -216,7 +216,7 @@ class StandIn:
         for i in range(5):
             assert progress(i / 5, "Modes")
         counts = {"nodes": 10, "tets": 20, "pinned": 4, "dofs": 30, "modes": 3, "targets": len(character.targets)}
-        summary = {**counts, "seconds": {"modes": 0.5}, "warnings": []}
+        summary = {**counts, "held": 0.4, "fallbacks": {}, "seconds": {"modes": 0.5}, "warnings": []}
         meta = {"dependencies": self.dependencies(character), "summary": summary}
         return self.Model({"a": np.zeros(self.bytes // 8)}, meta)
 

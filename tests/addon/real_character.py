@@ -6,7 +6,7 @@ from pathlib import Path
 
 import bpy
 from mathutils import Quaternion
-from old_settings import with_pins
+from pins import with_pins
 
 CHARACTER = Path(__file__).parents[3] / "shared" / "assets" / "mh_male_53bones.blend"
 SOFT, STIFF = 1.2e4, 6.0e4  # Pa: relaxed tissue and flexed muscle

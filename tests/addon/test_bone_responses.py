@@ -37,9 +37,9 @@ def off(motion, reference) -> float:
     return np.linalg.norm(motion - motion.mean(axis=0) - moving) / np.linalg.norm(moving)
 
 
-def test_new_soft_skins_have_them_and_files_from_before_keep_theirs(arm, soft_arm):
+def test_new_soft_skins_have_them_and_others_keep_their_modes(arm, soft_arm):
     model = soft_arm.dynamorph.model
-    assert (model.basis, model.modes) == ("MODES", 20)  # with_pins, the settings from before
+    assert (model.basis, model.modes) == ("MODES", 20)  # with_pins
     bpy.ops.object.select_all(action="DESELECT")
     activate(arm)
     fresh = arm.copy()
@@ -252,17 +252,5 @@ def test_a_model_with_them_is_stored_and_read(baked):
     assert arrays["response_mu"].dtype == np.float64 and arrays["response_mu"].shape[1] == h
     assert arrays["coupling_mu"].dtype == np.float32 and arrays["coupling_mu"].shape[1] == h * 10 * 11 // 2
     read = model.Model.from_arrays(*model_file.unpack(model_file.pack(arrays, meta)))
-    for name in model.RESPONSE_ARRAYS:
-        assert np.array_equal(getattr(read, name), getattr(baked.model, name))
-    older = {name: array for name, array in arrays.items() if name not in model.RESPONSE_ARRAYS}
-    assert not model.Model.from_arrays(older, meta).responses.size
-
-
-def test_a_setup_from_before_has_the_modes_of_before(skin):
-    setups = part("setups")
-    setup = setups.of_object(skin)
-    assert setup["model"]["basis"] == "RESPONSES"
-    del setup["model"]["basis"]
-    setup["model"]["modes"] = 15
-    setups.apply(skin, setup)
-    assert (skin.dynamorph.model.basis, skin.dynamorph.model.modes) == ("MODES", 15)
+    for name, array in arrays.items():
+        assert np.array_equal(getattr(read, name), array)

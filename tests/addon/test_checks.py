@@ -7,7 +7,7 @@ import pytest
 import scenes
 from builders import activate, make_mesh, make_rig, part, refused, rig_of
 from layout import drawn
-from old_settings import with_pins
+from pins import with_pins
 from test_extract import (
     absolute_keys,
     bendy,

@@ -223,8 +223,8 @@ def test_targets_follow_the_neutral_unless_set_by_hand(new_arm):
     assert flexed.stiffness == stiff and flexed.by_hand
 
 
-def test_old_settings_are_left_alone(new_arm):
-    """Older files have pins, pascals and no limits, so there is neither calibration nor rehearsal."""
+def test_pins_and_pascals_are_left_alone(new_arm):
+    """With a stiffness in pascals and no limit there is neither calibration nor rehearsal."""
     settings = new_arm.dynamorph
     settings.model.hold = "BONES"
     limit(new_arm, 0.0)

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Undo, save, append, link, library override, turning the add-on off and on: a soft skin survives all of them."""
 
+import json
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import addon_utils
@@ -14,6 +16,8 @@ from robustness import CALLS, CHANGING_NOTHING, OPS, bake, coarse, motion, names
 from test_operators import refused
 from test_panels import drawn
 from test_sinks import assert_shows
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -327,3 +331,28 @@ def test_python_ends_quietly_with_the_add_on_enabled(tmp_path, monkeypatch):
     monkeypatch.setenv("BLENDER_USER_RESOURCES", str(tmp_path))
     run = subprocess.run([sys.executable, "-c", ENABLE_AND_END, PACKAGE], capture_output=True, text=True, check=False)
     assert run.returncode == 0 and "Traceback" not in run.stdout + run.stderr, run.stdout + run.stderr
+
+
+# The other Blender -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.fault("V05")
+def test_the_other_blender_bakes_with_the_stored_model_and_alike(skin, tmp_path):
+    """A process of the other Blender bakes a file of this one again, without a build, and its bake plays here."""
+    environment = "3.11" if sys.version_info[:2] == (3, 13) else "3.13"
+    other = ROOT / ".venv" / environment / "bin" / "python"
+    if not other.exists():
+        pytest.skip(f"needs the environment of Python {environment}: make build")
+    bake(skin)
+    here = motion(skin)
+    shot, report = tmp_path / "shot.blend", tmp_path / "report.json"
+    bpy.ops.wm.save_as_mainfile(filepath=str(shot))
+    command = [other, "-m", "dynamic_morph_targets", "bake", shot, "--all", "--in-place", "--report", report]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (character,) = json.loads(report.read_text())["characters"]
+    assert character["built"] == []
+    bpy.ops.wm.open_mainfile(filepath=str(shot))
+    size = np.linalg.norm(np.ptp(here[0], axis=0))
+    assert np.abs(here - here[0]).max() > 0.05 * size
+    assert np.abs(motion(bpy.data.objects["Arm"]) - here).max() < 1e-6 * size

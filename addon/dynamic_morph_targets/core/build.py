@@ -19,7 +19,7 @@ from .cage import ProgressFn, Report, Stages
 from .character import Character, Target
 from .errors import SceneError
 from .model import CAGE_DEPENDENCIES, MESH_DEPENDENCIES, Model, array_hash, engine_hash, morph_targets
-from .settings import ENGINE, FREE_SETTINGS, LATER_SETTINGS, TABULATED, ModelSettings
+from .settings import ENGINE, FREE_SETTINGS, TABULATED, ModelSettings
 
 SimulateShot = Callable[[Model, Report], tuple[np.ndarray, np.ndarray]]
 FITTED_IN_FULL = 1500  # degrees of freedom up to which a shot is simulated unreduced, to fit modes to it
@@ -274,6 +274,8 @@ def dependencies(character: Character) -> dict[str, str]:
         "object scale": (character.to_bind,),
         "skin weights": (character.weights,),
         "Soft vertex group": (character.softness,),
+        "Stiffness vertex group": (character.stiffness,),
+        "pieces": (character.pieces,),
         "bones at rest": (skeleton.parents, skeleton.rest, character.bone_segments),
         "regions": (
             np.array([len(target_set.targets) for target_set in character.target_sets]),
@@ -281,10 +283,6 @@ def dependencies(character: Character) -> dict[str, str]:
         ),
         "number of targets": (np.array([len(character.targets)]),),
     }
-    if (character.stiffness != 1.0).any():  # otherwise no entry, as in older models
-        parts["Stiffness vertex group"] = (character.stiffness,)
-    if character.pieces.any():
-        parts["pieces"] = (character.pieces,)
     if settings.hold != "BONES":
         parts["what is rigid"] = (character.rigidity, np.array([character.painted]))
     for j, target in enumerate(character.targets):
@@ -294,7 +292,7 @@ def dependencies(character: Character) -> dict[str, str]:
     if settings.cage_grading:
         parts["how far targets move"] = (cage.moved(character.by_method()),)
     for name, value in asdict(settings).items():
-        if name not in FREE_SETTINGS and value != LATER_SETTINGS.get(name):
+        if name not in FREE_SETTINGS:
             parts[name.replace("_", " ")] = (np.frombuffer(str(value).encode(), np.uint8),)
     return {"engine": engine_hash(ENGINE)} | {name: array_hash(arrays) for name, arrays in parts.items()}
 

@@ -17,7 +17,6 @@ from .errors import ModelFileError, SceneError
 from .geometry import interpolated
 from .settings import Material, ModelSettings
 
-RESPONSE_ARRAYS = ("responses", "response_lambda", "response_mu", "coupling_lambda", "coupling_mu", "relaxation")
 # The tetrahedra of a model depend on these, named as in `Model.dependencies`.
 MESH_DEPENDENCIES = (
     "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage grading", "how far targets move",
@@ -25,8 +24,6 @@ MESH_DEPENDENCIES = (
 )  # fmt: skip
 # The tetrahedra together with what holds them depend on these.
 CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Soft vertex group", "what is rigid")
-# The names that renamed fields have in model files.
-STORED_NAMES = {"residual_shapes": "details", "region_weights": "shares", "hold_strength": "held"}
 
 EngineModel = dynamorph.ReducedModel | dynamorph.FullModel
 EngineSimulation = dynamorph.ReducedSimulation | dynamorph.FullSimulation
@@ -97,20 +94,17 @@ class Model:
             "dependencies": self.dependencies,
             "summary": {name: value for name, value in self.summary.items() if name != "seconds"},
         }
-        return {STORED_NAMES.get(name, name): getattr(self, name) for name in self.array_names()}, meta
+        return {name: getattr(self, name) for name in self.array_names()}, meta
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray], meta: dict) -> Model:
         """The inverse of `to_arrays`. Raises ModelFileError when something is missing, or does not fit together."""
-        none, no_table = np.zeros(0), np.zeros((0, 0))  # older models have none
-        later = dict.fromkeys(("held", "hold", "thickness"), none) | dict.fromkeys(RESPONSE_ARRAYS, no_table)
-        arrays = later | arrays
         try:
-            known: dict[str, Any] = {name: arrays[STORED_NAMES.get(name, name)] for name in cls.array_names()}
+            known: dict[str, Any] = {name: arrays[name] for name in cls.array_names()}
             settings = ModelSettings(**meta["settings"])
             described: dict[str, Any] = {
                 "bone_names": meta["bone_names"],
-                "dependencies": {"engine": engine_hash(1), **meta["dependencies"]},  # the first models had no number
+                "dependencies": {**meta["dependencies"]},
                 "summary": {"seconds": {}, **meta["summary"]},
             }
         except (KeyError, TypeError) as error:

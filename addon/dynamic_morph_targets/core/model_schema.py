@@ -143,9 +143,14 @@ def _by_text(fits: Callable[[object], bool]) -> Callable[[object], bool]:
 def _is_summary(summary: object) -> bool:
     if not isinstance(summary, dict):
         return False
-    needed = all(_is_count(summary.get(name)) for name in ("nodes", "tets", "pinned", "modes"))
-    later = all(fits(summary[name]) for name, fits in SUMMARY.items() if name in summary)
-    return needed and "warnings" in summary and later
+    counted = all(_is_count(summary.get(name)) for name in ("nodes", "tets", "pinned", "modes"))
+    needed = {"warnings", "held"} if summary.get("tets") else {"warnings"}
+    needed |= {"fallbacks"} if summary.get("modes") else set()
+    return (
+        counted
+        and summary.keys() >= needed
+        and all(fits(summary[name]) for name, fits in SUMMARY.items() if name in summary)
+    )
 
 
 def _is_range(value: object) -> bool:

@@ -46,18 +46,6 @@ VARIANTS: dict[str, dict[str, str]] = {
 # Settings on which a built model does not depend, because they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
 ENGINE = 1  # version of the computation; raised when the same scene gives a different model or motion than before
-# Settings that were added later, with the value that reproduces earlier models, which so stay up to date.
-LATER_SETTINGS = {
-    "cage_thickness": 0.0,
-    "cage_grading": 0.0,
-    "separate": True,
-    "hold": "BONES",
-    "one_cage": False,
-    "hold_head": False,
-    "basis": "MODES",
-}
-
-
 TABULATED = 8, 30  # fewest and most modes with energy tables beside responses
 REHEARSED = 40, 60  # fewest and most modes of a large model's rehearsal; tables grow as r^4
 MOST_SUBSTEPS = 1000  # per frame

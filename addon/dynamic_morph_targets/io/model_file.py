@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # for type checkers alone: Blender does not have it
     from typing_extensions import Buffer
 
 FORMAT = "dynamorph model"
-VERSION = 4  # 2: target sets; 3: of the tables of a reduced model, the distinct coefficients only; 4: stiffness
+VERSION = 1
 TAGS = {
     "<f8": "F64", "<f4": "F32", "<i8": "I64", "<i4": "I32", "<i2": "I16", "|i1": "I8",
     "<u8": "U64", "<u4": "U32", "<u2": "U16", "|u1": "U8", "|b1": "BOOL",
@@ -61,10 +61,7 @@ def pack(arrays: dict[str, np.ndarray], meta: dict) -> bytes:
 
 
 def unpack(buffer: Buffer) -> tuple[dict[str, np.ndarray], dict]:
-    """The inverse of `pack`: arrays with their own memory, and the description. Raises ModelFileError.
-
-    Files of older versions are converted to this version.
-    """
+    """The inverse of `pack`: arrays with their own memory, and the description. Raises ModelFileError."""
     import dynamorph  # not earlier, because an add-on without its engine still writes reports
 
     try:

@@ -283,7 +283,7 @@ def model_summary(given: BakeInput, model: Model) -> str:
     made, targets = model.summary, _authored_targets(given)
     if not made["tets"]:
         return f"{targets}, nothing to simulate"
-    kept = sum(made.get("fallbacks", {}).values())  # models of older versions do not say
+    kept = sum(made["fallbacks"].values())
     crushed = f", crushed tetrahedra: {kept}" if kept else ""
     return f"{made['nodes']} nodes, {made['modes']} modes, {targets}{crushed}"
 
@@ -299,6 +299,5 @@ def cage_summary(model: Model) -> str:
     made = model.summary
     if not made["tets"]:
         return ""
-    held = made.get("held", made["pinned"] / made["nodes"])  # models of older versions have pins alone
     by = " by bones" if made["pinned"] else ""
-    return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {held:.0%} held{by}"
+    return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {made['held']:.0%} held{by}"

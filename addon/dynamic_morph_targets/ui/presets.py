@@ -8,7 +8,6 @@ about even when its armature is active.
 from __future__ import annotations
 
 from dataclasses import fields
-from pathlib import Path
 
 import bpy
 from bl_operators.presets import AddPresetBase
@@ -18,7 +17,7 @@ from bpy.types import Menu, Operator, Panel
 
 from ..core import material_presets
 from ..core.errors import SceneError
-from ..core.settings import LATER_SETTINGS, Material
+from ..core.settings import Material
 from ..scene import skin
 from ..scene.registration import of_classes
 from ..scene.skin import mesh_in
@@ -89,9 +88,6 @@ class DYNAMORPH_OT_load_preset(SoftSkinOperator, Operator):
                 bpy.ops.script.execute_preset(filepath=self.filepath, menu_idname=self.menu_idname)
         except RuntimeError as error:  # its file is gone or is not a script
             raise SceneError(str(error).strip()) from error
-        script = Path(self.filepath).read_text(encoding="utf-8", errors="replace")
-        if "skin.model.modes" in script and "skin.model.basis" not in script:  # from before there was a choice
-            obj.dynamorph.model.basis = LATER_SETTINGS["basis"]
 
 
 class PresetList(PresetPanel):

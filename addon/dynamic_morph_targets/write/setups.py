@@ -24,7 +24,7 @@ import numpy as np
 
 from ..core.errors import SetupError
 from ..core.geometry import determinant, turned
-from ..core.settings import LATER_SETTINGS, ModelSettings
+from ..core.settings import ModelSettings
 from ..io import disk
 from ..scene import checks, rig_motion
 from ..scene.bake_properties import DynamorphOutput, DynamorphSimulation
@@ -106,10 +106,7 @@ def apply(obj, setup: dict) -> dict[str, list[str]]:
     settings, lacking = obj.dynamorph, _Lacking(obj)
     _apply_targets(obj, rig, setup["targets"], lacking)
     assign(settings, lacking.without_lost_groups(setup.get("skin", {}), GROUPS))
-    model = setup.get("model", {})
-    if "modes" in model:  # a setup from before there was a choice has the number of the only ones
-        model = {"basis": LATER_SETTINGS["basis"], **model}
-    assign(settings.model, model)
+    assign(settings.model, setup.get("model", {}))
     assign(settings.simulation, setup.get("simulation", {}))
     assign(settings.output, setup.get("output", {}))
     modes = setup.get("modes", [])

@@ -2,14 +2,12 @@
 #include "dynamorph/file/model_file.hpp"
 
 #include <algorithm>
-#include <cstring>
 #include <fstream>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <tuple>
 
 #include "dynamorph/core/sha256.hpp"
-#include "dynamorph/reduced/modes/table_layout.hpp"
 
 namespace dynamorph::file {
 
@@ -18,12 +16,11 @@ namespace {
 using Json = nlohmann::json;  // not ordered_json, whose destructors allocate more often while it grows
 
 const std::string kFormat = "dynamorph model";
-constexpr int kOldest = 2, kVersion = 4;
+const std::string kVersion = "1";
 constexpr std::uint64_t kMaxHeader = 16 << 20;  ///< bytes
 constexpr int kMaxDepth = 8;                    ///< levels of nested JSON
 constexpr int kMaxParts = 1 << 14;         ///< values in the JSON: enough for a thousand arrays; a model has twenty
 constexpr std::size_t kMaxDimensions = 8;  ///< of an array
-constexpr std::int64_t kMaxModes = 10000;  ///< for which the number of coefficients does not overflow
 
 Error damaged(const std::string& how) { return Error("The model is damaged: " + how + ". Build it again."); }
 
@@ -78,12 +75,9 @@ Header read_header(const unsigned char* bytes, std::size_t size) {
   if (!header.metadata.is_object() || header.metadata.value("format", Json()) != kFormat)
     throw Error("This is not a Dynamorph model.");
   const Json version = header.metadata.value("version", Json());
-  bool known = false;
-  for (int readable = kOldest; readable <= kVersion; ++readable) known |= version == std::to_string(readable);
-  if (!known)
+  if (version != kVersion)
     throw Error("The model has version " + (version.is_string() ? version.get<std::string>() : version.dump()) +
-                ", but this add-on reads " + std::to_string(kOldest) + " to " + std::to_string(kVersion) +
-                ". Build it again, or update the add-on.");
+                ", but this add-on reads version " + kVersion + ". Build it again, or update the add-on.");
   if (!has_its_hash(raw)) throw damaged("its header has changed");
   return header;
 }
@@ -150,67 +144,6 @@ Array described(const std::string& name, const Json& entry, std::uint64_t begin,
   return array;
 }
 
-// --- Older versions --------------------------------------------------------------------------------------------------
-
-/// For each coefficient that version 3 stores (`unfolded`), its place in version 2. Version 2 stored K0 as pairs k <= l
-/// of modes, rows first, then K1 (modes, pairs), then the upper triangle of K2 (pairs, pairs), rows first.
-std::vector<Eigen::Index> distinct_of_version_2(const TableLayout& layout) {
-  const Eigen::Index r = layout.r;
-  std::vector<Eigen::Index> places;
-  for_pairs(r, [&](auto k, auto l) { places.push_back(pair_index(r, k, l)); });
-  for_triples(
-      r, [&](auto k, auto l, auto m) { places.push_back(layout.linear() + m * layout.pairs() + pair_index(r, k, l)); });
-  for_quadruples(r, [&](auto k, auto l, auto m, auto n) {
-    places.push_back(layout.quadratic(pair_index(r, k, l), pair_index(r, m, n)));
-  });
-  return places;
-}
-
-/// Converts a table of version 2 to version 3, bit for bit. modes: columns of the basis.
-void keep_distinct(const std::string& name, std::int64_t modes, Array& table) {
-  const Error wrong = Error("The model is damaged: '" + name + "' does not fit its " + std::to_string(modes) +
-                            " modes. Build it again.");
-  if (table.shape.empty() || modes > kMaxModes) throw wrong;
-  const TableLayout layout{Eigen::Index(modes), true};
-  if (table.shape.back() <= layout.pairs()) return;  // a table of the linear law, or none
-  if (table.shape.size() != 2 || table.shape[1] != layout.size()) throw wrong;
-  const auto size = std::ptrdiff_t(size_of(table.dtype));
-  std::vector<unsigned char> kept;
-  if (table.shape[0]) {
-    kept.reserve(std::size_t(table.shape[0] * layout.distinct() * size));
-    const std::vector<Eigen::Index> places = distinct_of_version_2(layout);
-    for (std::int64_t row = 0; row < table.shape[0]; ++row)
-      for (Eigen::Index place : places) {
-        const auto number = table.bytes.begin() + (row * layout.size() + place) * size;
-        kept.insert(kept.end(), number, number + size);
-      }
-  }
-  table.shape[1] = layout.distinct();
-  table.bytes = std::move(kept);
-}
-
-void bring_up_to_date(int version, Content& content) {
-  const auto find = [&content](const char* name) {
-    return std::find_if(content.arrays.begin(), content.arrays.end(), [&](const auto& a) { return a.first == name; });
-  };
-  if (version == 2) {
-    const Array* basis = content.find("basis");
-    const std::int64_t modes = basis && basis->shape.size() > 1 ? basis->shape[1] : 0;
-    for (const char* name : {"table_lambda", "table_mu"})
-      if (const auto table = find(name); table != content.arrays.end()) keep_distinct(name, modes, table->second);
-  }
-  const Array* tets = content.find("tets");
-  if (version > 3 || !tets || tets->shape.empty()) return;
-  const std::vector<double> ones(tets->bytes.empty() ? 0 : std::size_t(tets->shape[0]), 1.0);  // nothing was painted
-  Array stiffness{"F64", {std::int64_t(ones.size())}, {}};
-  stiffness.bytes.resize(sizeof(double) * ones.size());
-  if (!ones.empty()) std::memcpy(stiffness.bytes.data(), ones.data(), stiffness.bytes.size());
-  if (const auto present = find("stiffness"); present != content.arrays.end())
-    present->second = std::move(stiffness);
-  else
-    content.arrays.emplace_back("stiffness", std::move(stiffness));
-}
-
 }  // namespace
 
 const Array* Content::find(const std::string& name) const {
@@ -236,7 +169,6 @@ Content unpack(const unsigned char* bytes, std::size_t size) {
     begin += count;
   }
   if (begin != available) throw damaged("there are bytes after its end");
-  bring_up_to_date(std::stoi(header.metadata["version"].get<std::string>()), content);
   return content;
 }
 

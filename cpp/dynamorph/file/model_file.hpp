@@ -29,9 +29,8 @@ struct Content {
   const Array* find(const std::string& name) const;  ///< null if there is none
 };
 
-/// Unpacks the bytes of a model file. What an older version wrote is converted to what the current version would write.
-/// Throws Error, which says what to do, when the bytes are not a complete and undamaged model that this version can
-/// read.
+/// Unpacks the bytes of a model file. Throws Error, which says what to do, when they are not a complete and undamaged
+/// model of the one version that this engine reads.
 Content unpack(const unsigned char* bytes, std::size_t size);
 
 /// The content of a file. Throws Error like `unpack`, and when the file cannot be read.

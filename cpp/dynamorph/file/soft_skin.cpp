@@ -39,14 +39,13 @@ Table<Number> table(const Content& content, const std::string& name, std::initia
   return out;
 }
 
-/// The same for an array that older models lack and that may be empty.
-VectorXd optional_column(const Content& content, const std::string& name, Eigen::Index size) {
+/// Whether an array is empty because the model does not have what it holds.
+bool is_empty(const Content& content, const std::string& name) {
   const Array* array = content.find(name);
-  return array && !array->bytes.empty() ? VectorXd(table<double>(content, name, {size})) : VectorXd();
+  if (!array) throw incomplete(name);
+  return array->bytes.empty();
 }
 
-/// The file has older names for three arrays: "shares" are the region weights, "held" is the hold of the tets, and
-/// "details" are the residual shapes.
 std::shared_ptr<const SoftBody> soft_body(const Content& content) {
   const auto nodes = table<double>(content, "nodes", {-1, 3});
   const auto tets = table<std::int32_t>(content, "tets", {-1, 4});
@@ -56,10 +55,12 @@ std::shared_ptr<const SoftBody> soft_body(const Content& content) {
   for (Eigen::Index i = 0; i < n; ++i) pinned.push_back(pins(i, 0) != 0);
   const auto weights = table<double>(content, "node_weights", {n, -1});
   if (weights.cols() == 0) throw incomplete("node_weights");
+  VectorXd hold;
+  if (!is_empty(content, "hold_strength")) hold = table<double>(content, "hold_strength", {m});
   try {
     return std::make_shared<SoftBody>(
         make_tet_mesh(nodes, tets), table<double>(content, "fill", {m}), table<double>(content, "stiffness", {m}),
-        table<double>(content, "shares", {m, -1}), pinned, MatrixXd(weights), optional_column(content, "held", m));
+        table<double>(content, "region_weights", {m, -1}), pinned, MatrixXd(weights), hold);
   } catch (const std::invalid_argument& error) {
     throw incomplete(error.what());
   }
@@ -118,10 +119,9 @@ std::vector<VectorXd> response_tables(const Content& content, const std::string&
   return out;
 }
 
-/// The responses (ReducedTables), which older models lack.
+/// The responses (ReducedTables) of a model that has some.
 void add_responses(const Content& content, ReducedTables& tables, Eigen::Index targets) {
-  const Array* responses = content.find("responses");
-  if (!responses || responses->bytes.empty()) return;
+  if (is_empty(content, "responses")) return;
   const TableLayout layout = tables.layout();
   tables.responses = table<double>(content, "responses", {tables.basis.rows(), -1});
   const Eigen::Index h = tables.responses.cols();
@@ -137,8 +137,7 @@ void add_responses(const Content& content, ReducedTables& tables, Eigen::Index t
 
 SoftSkin load_soft_skin(const Content& content, std::vector<MorphTarget> targets, Blending blending) {
   const Built how = built(content.meta);
-  if (const Array* basis = content.find("basis"); !basis || basis->bytes.empty())
-    throw Error("The model has no modes to step: only its cage is built");
+  if (is_empty(content, "basis")) throw Error("The model has no modes to step: only its cage is built");
   const auto body = soft_body(content);
   const auto J = Eigen::Index(targets.size()), V = table<std::int32_t>(content, "embedding_nodes", {-1, 4}).rows();
   const auto shapes = table<double>(content, "displacements", {-1, body->mesh.nodes.rows(), 3});
@@ -160,7 +159,7 @@ SoftSkin load_soft_skin(const Content& content, std::vector<MorphTarget> targets
   add_responses(content, tables, J);
   auto model = std::make_shared<ReducedModel>(body, std::move(targets), tables, blending);
   MatrixXd modes = surface_modes(content, *model);
-  return {std::move(model), how.bone_names, std::move(modes), table<double>(content, "details", {J, V, 3}).transpose()};
+  return {std::move(model), how.bone_names, std::move(modes), table<double>(content, "residual_shapes", {J, V, 3}).transpose()};
 }
 
 }  // namespace dynamorph::file

@@ -59,17 +59,19 @@ struct Scene {
               stored(std::vector<std::int32_t>(body->mesh.tets.data(), body->mesh.tets.data() + 4 * m), "I32", {m, 4})},
              {"fill", stored(MatrixXd(body->fill), {m})},
              {"stiffness", stored(MatrixXd(VectorXd::Ones(m)), {m})},
-             {"shares", stored(body->region_weights, {m, 1})},
+             {"region_weights", stored(body->region_weights, {m, 1})},
              {"pinned", stored(pinned, "BOOL", {n})},
              {"node_weights", stored(weights, {n, 2})},
              {"embedding_nodes", stored(std::vector<std::int32_t>{last(0), last(1), last(2), last(3)}, "I32", {1, 4})},
              {"embedding_weights", stored(MatrixXd(Eigen::RowVector4d(0.5, 0, 0, 0.5)), {1, 4})},
              {"displacements", stored(displacements, {J, n, 3})},
-             {"details", stored(MatrixXd::Constant(J, 3, 0.25), {J, 1, 3})},
+             {"residual_shapes", stored(MatrixXd::Constant(J, 3, 0.25), {J, 1, 3})},
              {"to_bind", stored(MatrixXd(2 * Matrix3d::Identity()), {3, 3})},
              {"basis", stored(tables.basis, {columns, r})},
              {"table_lambda", stored(lambda, {J, size})},
-             {"table_mu", stored(mu, {J, size})}},
+             {"table_mu", stored(mu, {J, size})},
+             {"hold_strength", stored(MatrixXd(0, 0), {0, 0})},
+             {"responses", stored(MatrixXd(0, 0), {0, 0})}},
             R"({"settings": {"law": "STVK", "solver": "REDUCED", "method": "DYNAMIC"}, "bone_names": ["root"]})"};
   }
 };
@@ -121,7 +123,7 @@ TEST_CASE("responses from a file move as those that were stored") {
     content.arrays.emplace_back(std::string("coupling_") + lame,
                                 stored<float>(MatrixXd(rows.rightCols(size - 12)), {J, size - 12}));
   }
-  content.arrays.emplace_back("responses", stored(other.tables.responses, {other.tables.responses.rows(), 12}));
+  array(content, "responses") = stored(other.tables.responses, {other.tables.responses.rows(), 12});
   MatrixXd relaxation(J, 12 * 8);
   for (Eigen::Index j = 0; j < J; ++j)
     relaxation.row(j) = other.tables.relaxation[std::size_t(j)].reshaped<Eigen::RowMajor>();

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The settings of files from before the hold by thickness; most tests check their behavior."""
+"""Soft skins as those of the sample scenes: pinned to the bones, with vibration modes and a stiffness in pascals."""
 
 MATERIAL = ("stiffness", "poisson", "density", "mass_damping", "stiffness_damping")
 
 
 def with_pins(obj):
-    """Give them to the soft skin `obj` through its properties alone, so that it works without the add-on's modules."""
+    """Give these settings to the soft skin `obj` by its properties alone, without the add-on's modules."""
     settings = obj.dynamorph
     settings.model.hold, settings.model.one_cage, settings.model.hold_head = "BONES", False, False
     settings.model.property_unset("basis")
