@@ -628,49 +628,10 @@ def test_a_bake_that_would_go_nowhere(shot, run, stand_in, arguments, words):
     assert stand_in.built == 0
 
 
-@pytest.mark.parametrize(
-    "old, new",
-    [
-        (["--sink", "frames"], ["--format", "frames"]),
-        (["--sink=frames"], ["--format=frames"]),
-        (["--sink-file", "x.pc2"], ["--output-file", "x.pc2"]),
-        (["--share", "models"], ["--cache-dir", "models"]),
-        (["--every", "3"], ["--frame-step", "3"]),
-        (["--begin", "rest"], ["--initial-state", "rest"]),
-    ],
-)
-def test_old_names_of_options_still_work_and_warn(addon, capfd, old, new):
-    main = part("main")
-    rest = ["bake", "shot.blend", "--object", "Arm", "-o", "baked.blend"]
-    understood = main.parser(opens_file=True).parse_args(main.with_new_names([*rest, *old]))
-    warning = f"dynamorph: warning: {old[0].partition('=')[0]} is deprecated: use {new[0].partition('=')[0]}\n"
-    assert capfd.readouterr().err == warning
-    expected = main.parser(opens_file=True).parse_args(main.with_new_names([*rest, *new]))
-    assert vars(understood) == vars(expected) and capfd.readouterr().err == ""
-
-
-def test_the_old_name_of_fit_s_vertex_group_still_works_and_warns(addon, capfd):
-    main = part("main")
-    arguments = ["fit", "shot.blend", "--all", "--in-place", "--target", "flexed", "--oscillation", "x.csv"]
-    understood = main.parser(opens_file=True).parse_args(main.with_new_names([*arguments, "--patch", "tip"]))
-    assert understood.vertex_group == "tip"
-    assert capfd.readouterr().err == "dynamorph: warning: --patch is deprecated: use --vertex-group\n"
-
-
-def test_the_old_name_of_delete_bake_still_works_and_warns(shot, run):
-    baked = shot.parent / "baked.blend"
-    assert run("bake", shot, "--object", "Arm", "-o", baked)[0] == 0
-    code, out, errors = run("free", baked, "--object", "Arm", "--in-place")
-    assert code == 0 and "3 baked keys removed" in out
-    assert "dynamorph: warning: free is deprecated: use delete-bake" in errors
-
-
-def test_help_shows_new_names_only(run):
+def test_the_help_names_the_options(run):
     code, out, _ = run("bake", "--help")
     assert code == 0 and "--cache-dir" in out and "--initial-state" in out
-    assert not any(name in out.split() for name in ("--sink", "--sink-file", "--share", "--every", "--begin"))
-    commands = run("--help")[1]
-    assert "delete-bake" in commands and "free" not in commands.split()
+    assert "delete-bake" in run("--help")[1]
 
 
 def test_what_one_of_many_refuses_is_found_before_any_work(shot, run, stand_in):
@@ -740,7 +701,7 @@ def test_info_lists_the_files_that_a_scene_needs(shot, run, monkeypatch):
     monkeypatch.setattr(part("storage"), "PACK_LIMIT", 100)
     for mass_damping in (1, 2):
         change = f"Neutral.mass_damping={mass_damping}"
-        bake = ("bake", shot, "--object", "Arm", "--sink", "pc2", "--set", change, "--frames", 1, 9 + mass_damping)
+        bake = ("bake", shot, "--object", "Arm", "--format", "pc2", "--set", change, "--frames", 1, 9 + mass_damping)
         assert run(*bake, "--in-place")[0] == 0
     written = {file.name for file in shot.parent.rglob("*") if file.suffix in (".pc2", ".dynamorph")}
     message = re.search("files beside the .blend: (.*)", run("info", shot, "--object", "Arm")[1])[1].split(", ")

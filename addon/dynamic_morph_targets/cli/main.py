@@ -54,16 +54,6 @@ from .commands import (
 from .record import record
 
 COLLECT = "make one page from many reports; fails if one of them is missing or reports a failure"
-# The names of 0.1. They still work, but --help does not show them.
-OLD_COMMANDS = {"free": "delete-bake"}
-OLD_OPTIONS = {
-    "--sink": "--format",
-    "--sink-file": "--output-file",
-    "--share": "--cache-dir",
-    "--every": "--frame-step",
-    "--begin": "--initial-state",
-    "--patch": "--vertex-group",
-}
 OPTION_NAMES = {"every": "frame-step", "begin": "initial-state"}  # settings whose options have other names
 # 70 and 75 as EX_SOFTWARE and EX_TEMPFAIL of sysexits.h.
 DONE, BAD_INPUT, SELF_CHECK_FAILED, FAULT, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 70, 75, 130
@@ -74,23 +64,11 @@ def main(argv: Sequence[str], opens_file: bool = False) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):  # a log on Windows may not have all letters of all names
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        args = parser(opens_file).parse_args(with_new_names(argv))
+        args = parser(opens_file).parse_args(argv)
     except SystemExit as end:  # argparse has printed why; Blender must not be ended by it
         return end.code if isinstance(end.code, int) else BAD_INPUT
     with signals.raised():
         return _run(args, opens_file)
-
-
-def with_new_names(argv: Sequence[str]) -> list[str]:
-    """The arguments with old names of commands and options replaced; each of them is reported as deprecated."""
-    found = []
-    for i, argument in enumerate(argv):
-        name, equals, value = argument.partition("=")
-        new = OLD_COMMANDS.get(argument) if i == 0 else OLD_OPTIONS.get(name)
-        if new:
-            print(f"dynamorph: warning: {name} is deprecated: use {new}", file=sys.stderr)
-        found.append(new + equals + value if new else argument)
-    return found
 
 
 def _run(args: argparse.Namespace, opens_file: bool) -> int:
