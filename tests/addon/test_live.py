@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 import pytest
 from builders import MODULE, activate, evaluated_points, fingerprint, part, refused, rig_of
+from layout import drawn
 from mathutils import Matrix
 from pressed import Pressed, press
 
@@ -781,7 +782,7 @@ def test_a_new_soft_skin_ends_live_and_hops(new_arm, monkeypatch):
     seen = FirstLook(new_arm, monkeypatch)
     assert seen.result == {"FINISHED"} and new_arm.dynamorph.model.content_id
     assert part("live").is_on(new_arm) and part("live").problem(new_arm) == ""
-    assert seen.pressed == [("dynamorph.shake_test", {"kind": "HOP", "seconds": 2.0})]
+    assert seen.pressed == [("dynamorph.shake_test", {"kind": "HOP", "seconds": 2.0, "then_plays": True})]
     assert ("ERROR",) not in {report[:1] for report in seen.reports}
 
 
@@ -820,6 +821,27 @@ def test_undo_of_the_first_look(new_arm, monkeypatch):
 def test_a_hop_of_two_seconds(live_arm, shown):
     assert bpy.ops.dynamorph.shake_test(kind="HOP", seconds=2.0) == {"FINISHED"}
     assert len(shown) == 49
+
+
+def test_keys_that_only_hold_a_pose_are_no_animation(arm):
+    animation, rig = part("animation"), rig_of(arm)
+    assert animation.is_animated(arm)
+    rig.animation_data_clear()
+    rig.pose.bones["lower"].keyframe_insert("rotation_euler", frame=1)
+    assert not animation.is_animated(arm)
+
+
+def test_live_that_stood_still_in_a_render_is_told_afterward(live_arm, monkeypatch):
+    live, scene = part("live"), bpy.context.scene
+    bpy.ops.dynamorph.live()
+    lines = " ".join(drawn(live_arm))
+    assert "Live stands still in a rendered animation without" in lines
+    monkeypatch.setattr(live, "holds_still", lambda _scene: True)  # as in a window without Lock Interface
+    scene.frame_set(3)
+    monkeypatch.undo()
+    assert "Live stood still in the last render: turn on" in " ".join(drawn(live_arm)) and live.stood_still(live_arm)
+    assert bpy.ops.dynamorph.fix(problem="LOCK_INTERFACE") == {"FINISHED"} and scene.render.use_lock_interface
+    assert "Live st" not in " ".join(drawn(live_arm))
 
 
 # Previews ----------------------------------------------------------------------------------------------------------
@@ -918,6 +940,24 @@ class Playing:
     def send(self, kind="TIMER"):
         """An event and its consequences."""
         return self.button.modal(bpy.context, types.SimpleNamespace(type=kind, value="PRESS"))
+
+
+def played_after_a_hop(obj, monkeypatch, event="TIMER", **settings) -> list[str]:
+    """What is pressed after a hop in a window has reached its end, or got Esc."""
+    pressed = []
+    monkeypatch.setattr(part("live_operators"), "press", lambda _by, name: pressed.append(name))
+    button = Playing(obj, "DYNAMORPH_OT_shake_test", monkeypatch, kind="HOP", **settings)
+    button.now = 10.0
+    assert button.send(event) != {"RUNNING_MODAL"} and part("preview").preview is None
+    return pressed
+
+
+def test_the_artists_animation_plays_after_the_hop(live_arm, monkeypatch):
+    assert played_after_a_hop(live_arm, monkeypatch, then_plays=True) == ["screen.animation_play"]
+    assert played_after_a_hop(live_arm, monkeypatch, "ESC", then_plays=True) == []
+    assert played_after_a_hop(live_arm, monkeypatch) == []
+    rig_of(live_arm).animation_data_clear()
+    assert played_after_a_hop(live_arm, monkeypatch, then_plays=True) == []
 
 
 @pytest.fixture

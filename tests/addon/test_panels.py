@@ -54,13 +54,51 @@ def test_no_button_at_the_top_ever_moves(soft_arm, stand_in, panel):
     assert [text for text, _ in seen] == [
         "Not built yet",
         "A problem: see Messages",
-        "Ready: press Live or Bake",
+        "Ready",
         "The model is out of date",
         "Baked",
         "The bake is out of date",
         "Plain skinning is shown",
     ]
     assert all(buttons == BUTTONS for _, buttons in seen)
+
+
+def test_the_row_below_the_buttons_says_what_is_next(soft_arm, stand_in, monkeypatch):
+    playing = False
+    monkeypatch.setattr(part("panel_status"), "is_playing", lambda: playing)
+    seen = [next_step(soft_arm)]
+    bpy.ops.dynamorph.build()
+    seen.append(next_step(soft_arm))
+    with monkeypatch.context() as patch:
+        patch.setattr(part("live"), "is_on", lambda _obj: True)
+        seen.append(next_step(soft_arm))
+        playing = True
+        seen.append(next_step(soft_arm))
+        soft_arm.dynamorph.model.modes = 5
+        seen.append(next_step(soft_arm))
+    playing = False
+    bpy.ops.dynamorph.bake()
+    seen.append(next_step(soft_arm))
+    soft_arm.dynamorph.simulation.substeps = 9
+    seen.append(next_step(soft_arm))
+    soft_arm.modifiers["Armature"].use_bone_envelopes = True
+    seen.append(next_step(soft_arm))
+    assert seen == [
+        "Live or Bake builds it first",
+        "Live shows it, Bake keeps it",
+        "Space plays, Bake keeps it",
+        "Space stops, Bake keeps it",
+        "Build Model updates Live",
+        "Space plays it",
+        "Bake updates it",
+        "",
+    ]
+    assert max(map(len, seen)) <= 28, "it does not fit into a sidebar of 250 pixels"
+
+
+def next_step(obj) -> str:
+    texts = drawn(obj)
+    return texts[texts.index("dynamorph.free_bake") + 1]
 
 
 def test_progress_takes_the_row_of_the_state(soft_arm, stand_in):

@@ -26,6 +26,7 @@ suspended: set[int] = (
 )  # objects that Live leaves alone, because a preview shows something else with their live key
 _hidden: list[int] = []  # session ids of the objects whose live key is hidden while their file is saved
 _asleep = True  # whether the extension was enabled and has not yet looked for what is live
+_frozen: set[int] = set()  # session ids of the objects that stood still in the last render
 _any_live: bool | None = None  # whether an object of this file is live; None: not known yet
 
 
@@ -117,6 +118,11 @@ def holds_still(scene: bpy.types.Scene) -> bool:
     return rendering and not scene.render.use_lock_interface
 
 
+def stood_still(obj: bpy.types.Object) -> bool:
+    """Whether Live did not move the skin in the last animation that was rendered."""
+    return obj.session_uid in _frozen
+
+
 # Handlers ----------------------------------------------------------------------------------------------------------
 
 
@@ -131,9 +137,12 @@ def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | Non
         _wake()
     if _any_live is None:
         _any_live = any(is_on(obj) for obj in soft_skins(bpy.data.objects))
-    if not _any_live or scene != bpy.context.scene or holds_still(scene):
+    if not _any_live or scene != bpy.context.scene:
         return
     live = [obj for obj in soft_skins(scene.objects) if is_on(obj)]
+    if holds_still(scene):
+        _frozen.update(obj.session_uid for obj in live)
+        return
     for gone in sessions.keys() - {obj.session_uid for obj in live} - suspended:
         del sessions[gone]
     scrubbing = is_scrubbing()
@@ -160,6 +169,12 @@ def _after_scrubbing() -> float | None:
     for obj in soft_skins(bpy.context.scene.objects):
         refresh(obj)
     return None
+
+
+@persistent
+def _render_begins(*_args: object) -> None:
+    """render_init. Here it is too late to lock the interface; what stands still is told afterward."""
+    _frozen.clear()
 
 
 @persistent
@@ -271,6 +286,7 @@ def _wake_late() -> None:
 
 HANDLERS = {
     "frame_change_pre": _frame_changed,
+    "render_init": _render_begins,
     "depsgraph_update_post": _edited,
     "undo_post": _undone,
     "redo_post": _undone,
@@ -307,6 +323,7 @@ def _forget() -> None:
     _any_live = None
     sessions.clear()
     _problems.clear()
+    _frozen.clear()
 
 
 def remove_soft_skin(obj: bpy.types.Object) -> None:

@@ -144,6 +144,12 @@ def _begin(*_args: object) -> None:
     bpy.msgbus.subscribe_rna(key=(bpy.types.NlaStrip, "influence"), owner=OWNER, args=(), notify=_influence_changed)
 
 
+@persistent
+def _playback_changed(*_args: object) -> None:
+    """animation_playback_pre, animation_playback_post: the panels say what Space does."""
+    events.redraw(events.PANELS)
+
+
 def _influence_changed() -> None:
     for obj in skin.soft_skins(bpy.data.objects):
         bake_influence.show_influence(obj)
@@ -157,6 +163,8 @@ HANDLERS = {
     "save_pre": _before_save,
     "depsgraph_update_post": _changed,
     "frame_change_post": _leave_pose,
+    "animation_playback_pre": _playback_changed,
+    "animation_playback_post": _playback_changed,
 }
 
 

@@ -114,13 +114,24 @@ USUAL = {"use_nla": True, "action_blend_type": "REPLACE", "action_extrapolation"
 
 
 def animation(obj) -> list[tuple[str, str]]:
-    """(name, hash of the F-curves and NLA strips) of the objects that move the skin, including all their parents."""
+    """(name, hash of the F-curves and NLA strips) of the objects that move the skin."""
+    return [(mover.name, _animation_hash(mover.animation_data)) for mover in _movers(obj)]
+
+
+def is_animated(obj) -> bool:
+    """Whether F-curves move the skin, and do not only hold a pose."""
+    data = filter(None, (mover.animation_data for mover in _movers(obj)))
+    return any(len(curve.keyframe_points) > 1 for each in data for curve in played(each))
+
+
+def _movers(obj) -> list:
+    """The objects that move the skin, including all their parents."""
     moving = []
     for mover in (rig_of(obj), obj, *(modifier.object for modifier in skinning.armature_modifiers(obj))):
         while mover is not None and mover not in moving:
             moving.append(mover)
             mover = mover.parent
-    return [(mover.name, _animation_hash(mover.animation_data)) for mover in moving]
+    return moving
 
 
 def _animation_hash(data) -> str:

@@ -31,7 +31,7 @@ def known(obj) -> list[Problem]:
     if not skinning.armature_modifiers(obj):
         return []
     state, found = _looks.get(obj.session_uid, ((), []))
-    if obj.mode != "OBJECT":  # what is edited, sculpted or painted is looked at afterwards
+    if obj.mode != "OBJECT":  # what is edited, sculpted or painted is looked at afterward
         return found
     if state != _state(obj):
         events.emit(events.Event.LOOK_ASKED, obj)

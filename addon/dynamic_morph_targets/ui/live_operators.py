@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_rpt as rpt_
-from bpy.props import EnumProperty, FloatProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty
 from bpy.types import Operator
 from mathutils import Matrix
 
@@ -21,7 +21,7 @@ from ..core.character import target_labels
 from ..core.errors import SceneError
 from ..run import live, preview, task
 from ..run.preview import SECONDS, SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
-from ..scene import events, model_store, rig_motion, skin
+from ..scene import animation, events, model_store, rig_motion, skin
 from ..scene.registration import of_classes
 from .base import SoftSkinOperator, report_errors
 from .job_operators import JobOperator, press
@@ -67,7 +67,7 @@ class DYNAMORPH_OT_live(SoftSkinOperator, Operator):
 class EndsLive(JobOperator):
     """Mixin: builds a model. In a window it then turns Live on."""
 
-    hops = False  # whether the armature hops then
+    hops = False  # whether the armature hops then, and the artist's animation plays after that
 
     def modal(self, context, event):
         result = super().modal(context, event)
@@ -85,11 +85,11 @@ class EndsLive(JobOperator):
             raise SceneError(disabled_reason)
         live.turn_on(obj, context.scene)
         if self.hops and skin.mesh_in(context) == obj and not context.screen.is_animation_playing:
-            press(self, "dynamorph.shake_test", kind="HOP", seconds=FIRST_LOOK)
+            press(self, "dynamorph.shake_test", kind="HOP", seconds=FIRST_LOOK, then_plays=True)
 
 
 class DYNAMORPH_OT_first_look(EndsLive, Operator):
-    """Build a new soft skin, turn Live on and let the armature hop to show how the skin moves. Esc stops it"""
+    """Build a new soft skin, turn Live on, let the armature hop and then play its animation. Esc stops it"""
 
     bl_idname = "dynamorph.first_look"
     bl_label = "Build Soft Skin"
@@ -143,10 +143,15 @@ class PreviewOperator(TissueOperator):
         finally:
             if result != {"RUNNING_MODAL"}:
                 self._end(context)
+        if result == {"FINISHED"}:
+            self.finished(context)
         return result
 
     def cancel(self, context):
         self._end(context)
+
+    def finished(self, context):
+        """What follows a preview that nobody has stopped."""
 
     def _begin(self, context):
         stopped = is_running(type(self).bl_idname)
@@ -221,9 +226,19 @@ class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
         name="Seconds", description="Duration of the test", default=SECONDS, min=0.1, max=60.0, options={"SKIP_SAVE"}
     )
 
+    then_plays: BoolProperty(
+        name="Then Play", description="Play the armature's own animation after the test, if it has one",
+        options={"SKIP_SAVE", "HIDDEN"},
+    )  # fmt: skip
+
     @property
     def lasts(self) -> float:
         return self.seconds
+
+    def finished(self, context):
+        obj = skin.mesh_in(context)
+        if self.then_plays and obj and animation.is_animated(obj) and not context.screen.is_animation_playing:
+            press(self, "screen.animation_play")
 
     def passes(self, event) -> bool:
         """Only navigation: an undo step would store the rig in its shaken position."""

@@ -37,6 +37,8 @@ def draw_top(layout, context, obj):
     row = buttons.row(align=True)
     row.operator("dynamorph.bake", text="Bake", icon="REC")
     row.operator("dynamorph.free_bake", icon="TRASH")
+    hint = "" if batch.running else next_step(obj)
+    layout.label(text=hint, icon="LIGHT" if hint else "NONE")
 
 
 def draw_state(layout, context, obj):
@@ -78,7 +80,30 @@ def state(obj) -> tuple[str, str]:
         return iface_("Not built yet"), "INFO"
     if is_outdated(obj):
         return iface_("The model is out of date"), "INFO"
-    return iface_("Ready: press Live or Bake"), "CHECKMARK"
+    return iface_("Ready"), "CHECKMARK"
+
+
+def next_step(obj) -> str:
+    """What the artist may do next, in few words, or ''."""
+    baked = obj.dynamorph.bake.exists
+    if engine.engine_problem() or any(checks.problems(obj)) or comparison.is_plain(obj) or obj.dynamorph.sculpt.active:
+        return ""
+    if live.is_on(obj) and is_outdated(obj):
+        return "Build Model updates Live"
+    if not live.is_on(obj) and baked and staleness.outdated(obj):
+        return "Bake updates it"
+    if live.is_on(obj) and not baked:
+        return "Space stops, Bake keeps it" if is_playing() else "Space plays, Bake keeps it"
+    if live.is_on(obj) or baked:
+        return "Space stops it" if is_playing() else "Space plays it"
+    if is_outdated(obj) or not obj.dynamorph.model.content_id:
+        return "Live or Bake builds it first"
+    return "Live shows it, Bake keeps it"
+
+
+def is_playing() -> bool:
+    """Whether the animation plays in a window."""
+    return any(window.screen.is_animation_playing for window in bpy.context.window_manager.windows)
 
 
 def is_outdated(obj) -> bool:
@@ -130,7 +155,12 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
     if not settings.targets:
         return
     if live.is_on(obj) and not bpy.context.scene.render.use_lock_interface:
-        yield Problem("To render, turn on Lock Interface (Render menu), or bake"), "INFO"
+        if live.stood_still(obj):
+            text = "Live stood still in the last render: turn on Lock Interface (Render menu) or bake, and render again"
+            yield Problem(text, "LOCK_INTERFACE"), "ERROR"
+        else:
+            text = "Live stands still in a rendered animation without Lock Interface (Render menu)"
+            yield Problem(text, "LOCK_INTERFACE"), "INFO"
     if settings.simulation.rehearsed:
         yield Problem(settings.simulation.rehearsed), "INFO"
 

@@ -17,7 +17,7 @@ from ..scene import body_checks, checks, extract, references, rig_motion, skin, 
 from ..scene.registration import of_classes
 from ..write import attachments, bake
 from ..write.fixes import FIXES
-from . import feel_operators
+from . import feel_operators, panel_status
 from .base import SoftSkinOperator
 from .job_operators import JobOperator, StartsJob
 
@@ -25,7 +25,7 @@ DETAIL = 120  # modes of a new soft skin
 
 
 class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
-    """Make the active mesh a soft skin, build it and show it in Live while the armature hops. Esc stops it"""
+    """Make the active mesh a soft skin, build it and show it in Live: a hop, then the animation. Esc stops it"""
 
     bl_idname = "dynamorph.add_soft_skin"
     bl_label = "Add Soft Skin"
@@ -125,8 +125,8 @@ class DYNAMORPH_OT_fix(SoftSkinOperator, Operator):
         return FIXES[given.problem].tooltip
 
     def apply(self, obj):
-        present = (*checks.problems(obj), *checks.notes(obj), *body_checks.look(obj))
-        if self.problem not in [problem.fix for problem in present]:
+        body_checks.look(obj)
+        if self.problem not in [problem.fix for problem, _ in panel_status.messages(obj)]:
             raise SceneError(
                 "'{name}' does not have this problem: {label} is not needed",
                 name=obj.name,

@@ -146,6 +146,10 @@ def _weight_like_nearest(obj):
             obj.vertex_groups[names[column]].add([int(vertex)], weights[nearest, column], "REPLACE")
 
 
+def _lock_interface(_obj):
+    bpy.context.scene.render.use_lock_interface = True
+
+
 def _unpin(obj):
     obj.show_only_shape_key = False
 
@@ -195,6 +199,10 @@ FIXES = {
         "Weight Like Nearest",
         "Give every vertex without a bone weight the weights of the nearest vertex that has some",
         _weight_like_nearest,
+    ),
+    "LOCK_INTERFACE": Fix(
+        "Lock Interface", "Let Blender hold its window while it renders, so that Live can move the skin then",
+        _lock_interface,
     ),
     "UNPIN": Fix("Show All Shape Keys", "Show the mix of all shape keys, not the active one alone", _unpin),
 }  # fmt: skip
