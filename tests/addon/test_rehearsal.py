@@ -261,7 +261,7 @@ def test_wreckage_is_no_success(new_arm):
     found = json.loads(new_arm.dynamorph.bake.verdict)
     assert job.verdict.is_wreckage and not found["ok"]
     assert found["remedy"] == "STIFFEN" and found["factor"] > 1.0
-    assert any("of the body's size" in text for text in job.warnings)
+    assert any(text.startswith(found["text"]) for text in job.warnings)
 
 
 def test_a_body_turned_inside_out_is_measured_by_volume():
@@ -269,5 +269,5 @@ def test_a_body_turned_inside_out_is_measured_by_volume():
     found = judge.Verdict(displacement=0.01, percentile=0.01, inverted=0.2)
     limits = judge.Limits(0.05, 0.6)
     assert found.is_wreckage and found.excess(limits) > judge.SLACK
-    assert "20.0% of the volume" in found.text(limits)
+    assert "pressed inside out" in found.text(limits)
     assert judge.Verdict().excess(judge.Limits()) == 0.0 and judge.Verdict().as_dict(limits, False)["ok"]

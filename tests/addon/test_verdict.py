@@ -98,6 +98,42 @@ def test_one_button_mends_it(baked, remedy, button):
     assert "Show Frame 7" in drawn(baked) and "heat" in drawn(baked)
 
 
+def test_the_figures_are_folded_away(baked):
+    """What is open at first: a sentence and a button."""
+    shown = drawn(baked, unfolded=False)
+    assert BAD["text"] in " ".join(shown) and "dynamorph.stiffen" in shown
+    assert not {"Displacement", "Stretch", "dynamorph.show_worst", "heat"} & set(shown)
+    assert {"Displacement", "Stretch", "dynamorph.show_worst", "heat"} <= set(drawn(baked))
+
+
+def test_no_note_contradicts_the_verdict(baked):
+    """An earlier rehearsal kept the limits in another shot."""
+    note = "Bounce of 3.5 Hz keeps the skin within Max Displacement"
+    baked.dynamorph.simulation.rehearsed = note
+    assert note not in text_of(baked)
+    baked.dynamorph.bake.verdict = said(ok=True, remedy="")
+    assert note in text_of(baked)
+
+
+@pytest.mark.parametrize(
+    "found, words",
+    [
+        ({}, "The skin moves believably, most at frame 7"),
+        ({"inverted": 0.2, "flipped": 0.1}, "The skin is pressed inside out at frame 7"),
+        ({"flipped": 0.1, "stretch": (0.2, 2.0)}, "The skin is turned over at frame 7"),
+        ({"stretch": (0.5, 1.7)}, "The skin is stretched too far at frame 7"),
+        ({"stretch": (0.5, 1.1)}, "The skin is squeezed too far at frame 7"),
+        ({"percentile": 0.06}, "The skin moves farther than Max Displacement allows at frame 7"),
+    ],
+)
+def test_a_verdict_is_one_sentence_about_the_worst(addon, found, words):
+    judge = part("judge")
+    limits = judge.Limits(0.05, 0.6)
+    verdict = judge.Verdict(frame=7.0, **found)
+    assert verdict.text(limits) == words
+    assert verdict.as_dict(limits, True)["ok"] == verdict.is_believable(limits) == (not found)
+
+
 def test_what_the_verdict_says_is_said_once(baked):
     baked.dynamorph.bake.warnings = f"{BAD['text']}. Raise Bounce\nThe sleeve is torn"
     text = text_of(baked)

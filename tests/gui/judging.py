@@ -119,6 +119,7 @@ def two_bakes():
 def heat():
     measure("Verdict on the bake", found().text)
     assert found().ok and not found().remedy and found().figures
+    yield from sidebar.unfold("DYNAMORPH_PT_details")
     yield from sidebar.press("dynamorph.show_worst")
     yield from until(lambda: bpy.context.window_manager.dynamorph.heat, "the heat map")
     assert bpy.context.scene.frame_current == found().frame

@@ -81,30 +81,34 @@ class Verdict:
         low, high = self.stretch
         return max(self.flipped, self.inverted) > TURNED or low < SHRUNK or high > STRETCHED
 
+    def is_believable(self, limits: Limits) -> bool:
+        return not self.is_wreckage and self.excess(limits) <= SHOWS
+
     def text(self, limits: Limits) -> str:
-        """One sentence for the artist."""
-        moved = f"The skin moves by up to {self.displacement:.1%} of the body's size"
-        faults = []
-        if self.inverted > TURNED:
-            faults.append(f"{self.inverted:.1%} of the volume turns inside out")
-        if self.flipped > TURNED:
-            faults.append(f"{self.flipped:.1%} of the skin is turned over")
+        """One sentence for the artist, which names the worst fault."""
+        if self.is_believable(limits):
+            return f"The skin moves believably, most at frame {self.frame:g}"
         low, high = self.stretch
-        if high > STRETCHED or low < SHRUNK:
-            faults.append(f"edges are between {low:.2f} and {high:.2f} times as long as they were")
-        if not faults and self.excess(limits) > SHOWS:
-            faults.append("more than Max Displacement allows")
-        return f"{moved} (frame {self.frame:g}){': ' if faults else ''}{', '.join(faults)}"
+        if self.inverted > TURNED:
+            fault = "is pressed inside out"
+        elif self.flipped > TURNED:
+            fault = "is turned over"
+        elif high > STRETCHED:
+            fault = "is stretched too far"
+        elif low < SHRUNK:
+            fault = "is squeezed too far"
+        else:
+            fault = "moves farther than Max Displacement allows"
+        return f"The skin {fault} at frame {self.frame:g}"
 
     def as_dict(self, limits: Limits, can_rehearse: bool) -> dict:
         """The verdict as JSON data, with the texts for the panel.
 
         can_rehearse: whether another bake may find the frequency.
         """
-        excess = self.excess(limits)
-        ok = not self.is_wreckage and excess <= SHOWS
+        ok = self.is_believable(limits)
         remedy = "" if ok else ("REHEARSE" if can_rehearse else "STIFFEN")
-        factor = max(1.15, excess**0.75) if not ok else 1.0
+        factor = max(1.15, self.excess(limits) ** 0.75) if not ok else 1.0
         return asdict(self) | {"ok": ok, "text": self.text(limits), "remedy": remedy, "factor": factor}
 
 

@@ -214,7 +214,7 @@ class Computation:
         if rehearsal.best != now:
             adopt(outcome, character)
         if rehearsal.best != rehearsal.asked:
-            kept = outcome.verdict.excess(limits) <= judge.SHOWS
+            kept = outcome.verdict.is_believable(limits)
             text = "Bounce raised from {before:.3g} to {frequency:.3g} Hz"
             text += ": the skin stays within Max Displacement" if kept else ", and the skin still moves too far"
             outcome.rehearsed = Message(text, before=rehearsal.asked, frequency=rehearsal.best)

@@ -40,42 +40,47 @@ def is_baked(obj) -> bool:
     return obj.dynamorph.bake.exists
 
 
-def draw_result(layout, context, obj):
+def draw_result(layout, _context, obj):
     """The result of the bake: how much of it shows, how believable it looks, and its way to a game engine."""
     influence = bake_influence.influence(obj)
     if influence:
         row = layout.row()
         row.use_property_decorate = True  # for its keyframe button
-        row.prop(*influence, text="Bake Influence", slider=True)
+        row.prop(*influence, text="Influence", slider=True)
+    draw_verdict(layout, obj)
     layout.operator("dynamorph.export", text="Export glTF", icon="EXPORT").format = "GLTF"
-    draw_verdict(layout, context, obj)
-    draw_off_final(layout, obj)
-    if obj.dynamorph.bake.summary:
-        draw_message(layout, obj.dynamorph.bake.summary, icon="CHECKMARK")
 
 
-def draw_verdict(layout, context, obj):
-    """How believable the bake looks, where it looks worst, and the button that repairs it."""
+def draw_verdict(layout, obj):
+    """How believable the bake looks, and the button that repairs it."""
     found = verdict.parsed(obj.dynamorph.bake.verdict)
     if found is None:
         return
     draw_message(layout, found.text, icon="CHECKMARK" if found.ok else "ERROR")
-    column = layout.column(align=True)
-    for name, value in found.figures:
-        split = column.split(factor=0.55)
-        split.label(text=name)
-        split.label(text=value, translate=False)
-    row = layout.row(align=True)
-    row.use_property_split = False
-    if found.frame is not None:
-        text = iface_("Show Frame {frame}").format(frame=found.frame)
-        row.operator("dynamorph.show_worst", text=text, icon="RESTRICT_SELECT_OFF", translate=False)
-    row.prop(context.window_manager.dynamorph, "heat", icon="OVERLAY", toggle=True)
     if found.remedy == "SOFTNESS":
         layout.operator("dynamorph.paint_group", text="Paint Softness", icon="WPAINT_HLT").which = "SOFT"
     elif found.remedy:
         operator, icon = REMEDIES[found.remedy]
         layout.operator(operator, icon=icon)
+
+
+def draw_details(layout, context, obj):
+    """Where the bake looks worst, what was measured, and how far it is from Final quality."""
+    found = verdict.parsed(obj.dynamorph.bake.verdict)
+    row = layout.row(align=True)
+    row.use_property_split = False
+    if found and found.frame is not None:
+        text = iface_("Show Frame {frame}").format(frame=found.frame)
+        row.operator("dynamorph.show_worst", text=text, icon="RESTRICT_SELECT_OFF", translate=False)
+    row.prop(context.window_manager.dynamorph, "heat", icon="OVERLAY", toggle=True)
+    column = layout.column(align=True)
+    for name, value in found.figures if found else ():
+        split = column.split(factor=0.55)
+        split.label(text=name)
+        split.label(text=value, translate=False)
+    draw_off_final(layout, obj)
+    if obj.dynamorph.bake.summary:
+        draw_message(layout, obj.dynamorph.bake.summary, icon="CHECKMARK")
 
 
 def draw_off_final(layout, obj):

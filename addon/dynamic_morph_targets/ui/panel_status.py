@@ -161,7 +161,8 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
         else:
             text = "Live stands still in a rendered animation without Lock Interface (Render menu)"
             yield Problem(text, "LOCK_INTERFACE"), "INFO"
-    if settings.simulation.rehearsed:
+    found = verdict.parsed(settings.bake.verdict)
+    if settings.simulation.rehearsed and (found is None or found.ok):  # a later bake of another shot may move too far
         yield Problem(settings.simulation.rehearsed), "INFO"
 
 

@@ -16,7 +16,7 @@ from ..scene import skin
 from ..scene.registration import of_classes
 from .panel_advanced import DYNAMORPH_UL_modes, draw_cage, draw_detail, draw_modes, draw_solver, has_modes
 from .panel_attachments import DYNAMORPH_UL_pieces, draw_pieces, pieces_title
-from .panel_bake import draw_bake, draw_export, draw_result, draw_setup, draw_trying, is_baked
+from .panel_bake import draw_bake, draw_details, draw_export, draw_result, draw_setup, draw_trying, is_baked
 from .panel_feel import draw_feel, draw_material, draw_softness
 from .panel_status import draw_messages, draw_top
 from .panel_targets import (
@@ -98,6 +98,7 @@ SIDEBAR_SECTIONS = (
     Section("target_weights", "Target Weights", "sidebar", draw_target_weights, needed=has_weights),
     Section("trying", "Test and Compare", "sidebar", draw_trying),
     Section("result", "Result", "sidebar", draw_result, closed=False, needed=is_baked),
+    Section("details", "Details", "result", draw_details),
     Section("messages", "Messages", "sidebar", draw_messages, closed=False, before=True),
 )
 # Once.
