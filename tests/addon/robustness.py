@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the robustness tests share: coarse bakes, the state that buttons may change, and how to press each button."""
 
-import json
 import tempfile
 from pathlib import Path
 
@@ -168,7 +167,7 @@ def judged(obj):
     """A bake whose verdict is that it is too soft."""
     baked(obj)
     found = {"ok": False, "text": "Too far", "frame": 7, "vertices": [3], "remedy": "STIFFEN", "factor": 1.5}
-    obj.dynamorph.bake.verdict = json.dumps(found)
+    obj.dynamorph.bake.verdict = part("records").text(found)
 
 
 def captured_on_the_way(obj):

@@ -553,50 +553,41 @@ def test_bounce_is_the_tissue_s_own(built_arm):
     content = built_arm.dynamorph.model.content_id
     for target in built_arm.dynamorph.targets:
         assert target.bounce == pytest.approx(bounce(built_arm, target).frequency, rel=1e-5)
-        settle, proportion = target.settle, target.mass_damping / target.stiffness_damping
+        settle, proportion = target.settle_time, target.mass_damping / target.stiffness_damping
         target.bounce = 4.0
         assert bounce(built_arm, target).frequency == pytest.approx(4.0, rel=1e-3)
         assert target.bounce == pytest.approx(4.0, rel=1e-4)
-        assert target.settle == pytest.approx(settle, rel=1e-4)
+        assert target.settle_time == pytest.approx(settle, rel=1e-4)
         assert target.mass_damping / target.stiffness_damping == pytest.approx(proportion, rel=1e-5)
         assert target.by_hand and target.frequency == 4.0
     assert built_arm.dynamorph.model.content_id == content and not built_arm.dynamorph.model.stale
 
 
-def test_settle_is_in_frames_of_the_scene(scene, built_arm):
-    target = built_arm.dynamorph.targets[1]
-    proportion, stiffness = target.mass_damping / target.stiffness_damping, target.stiffness
-    target.settle = 30.0
-    assert bounce(built_arm, target).settle * 24.0 == pytest.approx(30.0, rel=1e-3)
-    assert target.mass_damping / target.stiffness_damping == pytest.approx(proportion, rel=1e-5)
-    assert target.stiffness == stiffness
-    scene.render.fps = 60
-    assert target.settle == pytest.approx(75.0, rel=1e-3)
-
-
 def test_settle_time_is_in_seconds_whatever_the_frame_rate(scene, built_arm):
     target = built_arm.dynamorph.targets[1]
+    proportion, stiffness = target.mass_damping / target.stiffness_damping, target.stiffness
     target.settle_time = 1.25
     assert bounce(built_arm, target).settle == pytest.approx(1.25, rel=1e-3)
-    assert target.settle == pytest.approx(30.0, rel=1e-3)
+    assert target.mass_damping / target.stiffness_damping == pytest.approx(proportion, rel=1e-5)
+    assert target.stiffness == stiffness
     scene.render.fps = 60
     assert target.settle_time == pytest.approx(1.25, rel=1e-3)
 
 
 def test_what_damping_forbids(built_arm):
     target = built_arm.dynamorph.targets[1]
-    target.settle = 0.2
+    target.settle_time = 0.01
     critical = bounce(built_arm, target)
-    assert critical.frequency < 0.1 and target.settle > 0.2
+    assert critical.frequency < 0.1 and target.settle_time > 0.01
     target.mass_damping, target.stiffness_damping = 200.0, 0.02  # it creeps at any stiffness
-    settle = target.settle
+    settle = target.settle_time
     assert target.bounce == 0.0
     target.bounce = 3.0  # it is no longer overdamped, and settles as late
-    assert target.bounce == pytest.approx(3.0, rel=1e-3) and target.settle == pytest.approx(settle, rel=1e-3)
+    assert target.bounce == pytest.approx(3.0, rel=1e-3) and target.settle_time == pytest.approx(settle, rel=1e-3)
     target.mass_damping = target.stiffness_damping = 0.0
-    assert target.settle == pytest.approx(1e5)
-    target.settle = 20.0
-    assert target.settle == pytest.approx(20.0, rel=1e-3)
+    assert target.settle_time == pytest.approx(1e5)
+    target.settle_time = 0.8
+    assert target.settle_time == pytest.approx(0.8, rel=1e-3)
 
 
 def test_mass_is_density_times_volume(scene, soft_arm):
@@ -635,9 +626,9 @@ def volume_of(obj):
 
 def test_before_a_build_they_are_grayed(soft_arm):
     target = soft_arm.dynamorph.targets[1]
-    assert not target.is_measured and (target.bounce, target.settle, target.weight) == (0.0, 0.0, 0.0)
+    assert not target.is_measured and (target.bounce, target.settle_time, target.weight) == (0.0, 0.0, 0.0)
     material = target.material()
-    target.bounce, target.settle, target.weight = 4.0, 20.0, 1.0
+    target.bounce, target.settle_time, target.weight = 4.0, 20.0, 1.0
     assert target.material() == material
     assert "Build Model first" in drawn(soft_arm)
 
@@ -669,7 +660,6 @@ def test_they_are_kept_in_the_file_but_not_in_setups(built_arm, tmp_path):
     names = set(part("plain").plain(built_arm.dynamorph.targets[1]))
     assert "stiffness" in names and not names & {
         "bounce",
-        "settle",
         "settle_time",
         "weight",
         "bounce_reference",

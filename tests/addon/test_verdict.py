@@ -13,6 +13,7 @@ from pressed import Pressed
 OPS = bpy.ops.dynamorph
 
 BAD = {
+    "version": 1,
     "ok": False, "text": "The skin moves by up to 9.0% of the body's size (frame 7)", "displacement": 0.09,
     "over_thickness": 1.25, "inverted": 0.002, "flipped": 0.0, "stretch": [0.5, 1.7], "frame": 7.0,
     "vertices": [3, 5, 8], "remedy": "STIFFEN", "factor": 1.5,
@@ -49,7 +50,20 @@ def test_a_verdict_is_read(addon):
 
 
 @pytest.mark.parametrize(
-    "text", ["{", "[]", "7", "null", '"ok"', "{}", '{"ok": true}', '{"text": 3}', "[" * 100_000, '{"text": "x"', "\0"]
+    "text",
+    [
+        "{",
+        "[]",
+        "7",
+        "null",
+        '"ok"',
+        "{}",
+        '{"version": 1, "ok": true}',
+        '{"version": 1, "text": 3}',
+        "[" * 100_000,
+        '{"text": "x"}',
+        "\0",
+    ],
 )
 def test_what_is_no_verdict_is_a_sentence(baked, text):
     baked.dynamorph.bake.verdict = text
@@ -183,10 +197,10 @@ def test_stiffen_raises_bounce_everywhere(baked):
         target.set_references(0.5, 1.0, target.poisson)
         target.set_frequency(3.0, (0.0, 0.01))
     flexed.bounce = 4.0
-    settle = neutral.settle
+    settle = neutral.settle_time
     assert OPS.stiffen() == {"FINISHED"}
     assert neutral.bounce == pytest.approx(4.5, rel=1e-4) and flexed.bounce == pytest.approx(6.0, rel=1e-4)
-    assert neutral.frequency == pytest.approx(4.5, rel=1e-4) and neutral.settle == pytest.approx(settle, rel=1e-4)
+    assert neutral.frequency == pytest.approx(4.5, rel=1e-4) and neutral.settle_time == pytest.approx(settle, rel=1e-4)
     assert (neutral.by_hand, flexed.by_hand) == (False, True)
 
 

@@ -2,7 +2,7 @@
 """What builds, bakes and compared settings note in the .blend, as JSON: written with a version, checked when read.
 
 A .blend may come from anybody and from any version. Whatever its texts say, reading them gives what the caller can
-work with, or RecordError with a sentence for the artist. Records from before there were versions have none. No bpy.
+work with, or RecordError with a sentence for the artist. No bpy.
 """
 
 from __future__ import annotations
@@ -52,10 +52,7 @@ def bake_inputs(record: str) -> dict:
 @lru_cache(maxsize=64)
 def animation(record: str) -> list[tuple[str, str]]:
     """What `animation_text` noted; empty without a record."""
-    values = _parsed(record, BAKE) if record else []
-    seen = values.get("animation") if isinstance(values, dict) else values  # a list, from before there were versions
-    if not _is_animation(seen):
-        raise RecordError(BAKE)
+    seen = _read(record, BAKE, {"animation": _is_animation}, {})["animation"] if record else []
     return [(name, digest) for name, digest in seen]
 
 
@@ -66,15 +63,15 @@ def verdict(record: str) -> dict:
 
 def slot(record: str) -> dict:
     """A set of settings as `slots.slot_settings` gives it, without fields that this version does not know."""
-    needed = {"materials": _are_groups, "simulation": _is_group, "gains": _are_numbers}
-    values = _read(record, SLOT, needed, {"frequencies": _is_group})
+    needed = {"materials": _are_groups, "frequencies": _is_group, "simulation": _is_group, "gains": _are_numbers}
+    values = _read(record, SLOT, needed, {})
     materials = {
         target: {name: value for name, value in material.items() if name in MATERIAL and is_number(value)}
         for target, material in values["materials"].items()
     }
     frequencies = {
         target: (pair[0], pair[1] is True)
-        for target, pair in values.get("frequencies", {}).items()
+        for target, pair in values["frequencies"].items()
         if isinstance(pair, list) and len(pair) == 2 and is_number(pair[0])
     }
     return values | {"materials": materials, "frequencies": frequencies}
@@ -93,22 +90,13 @@ def _read(record: str, unreadable: str, needed: dict[str, Callable], known: dict
 
     unreadable: what RecordError says otherwise.
     """
-    values = _parsed(record, unreadable)
-    if not isinstance(values, dict) or not values.keys() >= needed.keys():
-        raise RecordError(unreadable)
-    if not all(fits(values[name]) for name, fits in {**known, **needed}.items() if name in values):
-        raise RecordError(unreadable)
-    return values
-
-
-def _parsed(record: str, unreadable: str) -> object:
-    """JSON of a version that is known. Raises RecordError."""
     try:
         values = json.loads(record)
     except (ValueError, RecursionError) as error:
         raise RecordError(unreadable) from error
-    version = values.get("version", 0) if isinstance(values, dict) else 0
-    if type(version) is not int or not 0 <= version <= VERSION:
+    if not isinstance(values, dict) or values.get("version") != VERSION or not values.keys() >= needed.keys():
+        raise RecordError(unreadable)
+    if not all(fits(values[name]) for name, fits in {**known, **needed}.items() if name in values):
         raise RecordError(unreadable)
     return values
 

@@ -170,8 +170,8 @@ def _changes(obj, then: dict, now: dict) -> list[str]:
 
 def _target_changes(obj, then: dict, now: dict) -> list[str]:
     lost, new = [name for name in then if name not in now], [name for name in now if name not in then]
-    for name in list(new):  # renamed, if it is sculpted alike; older records do not say how it was
-        old = next((old for old in lost if then[old].get(SCULPT) in (None, now[name][SCULPT])), None)
+    for name in list(new):  # renamed, if it is sculpted alike
+        old = next((old for old in lost if then[old].get(SCULPT) == now[name][SCULPT]), None)
         if old is not None:
             then = {**then, name: then[old]}
             new.remove(name)

@@ -7,7 +7,6 @@ import math
 from contextlib import contextmanager
 from dataclasses import asdict
 
-import bpy
 import numpy as np
 from bpy.props import BoolProperty, CollectionProperty, FloatProperty, FloatVectorProperty, StringProperty
 from bpy.types import PropertyGroup
@@ -21,7 +20,7 @@ from .skin import unit_scale
 
 NEUTRAL = "Neutral"
 IDENTITY = tuple(np.eye(4).ravel())
-NEVER = 1e5  # seconds, or frames, for a swing that nothing damps
+NEVER = 1e5  # seconds, for a swing that nothing damps
 
 
 class DynamorphKey(KeyReference, PropertyGroup):
@@ -70,19 +69,6 @@ def _set_settle_time(target, seconds: float):
         target.mass_damping, target.stiffness_damping = oscillation.damping_for(
             target.bounce_reference, target.material(), seconds
         )
-
-
-def _frames_per_second() -> float:
-    render = bpy.context.scene.render
-    return render.fps / render.fps_base
-
-
-def _get_settle(target) -> float:
-    return min(_get_settle_time(target) * _frames_per_second(), NEVER)
-
-
-def _set_settle(target, frames: float):
-    _set_settle_time(target, frames / _frames_per_second())
 
 
 def _get_weight(target) -> float:
@@ -229,11 +215,6 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         min=0.001, max=NEVER, soft_min=0.05, soft_max=5.0, step=10, precision=2, subtype="TIME_ABSOLUTE",
         options={"SKIP_SAVE"},
         get=_get_settle_time, set=_set_settle_time,
-    )  # fmt: skip
-    settle: FloatProperty(
-        name="Settle (Frames)",
-        description="Settle Time in frames of the scene, for scripts and drivers of earlier files",
-        min=0.1, max=NEVER, options={"SKIP_SAVE"}, get=_get_settle, set=_set_settle,
     )  # fmt: skip
     weight: FloatProperty(
         name="Mass",

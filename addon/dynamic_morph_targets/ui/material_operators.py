@@ -111,7 +111,7 @@ class DYNAMORPH_OT_fit_material(FitsBounce, Operator):
         target = obj.dynamorph.active_target
         if target.is_measured:
             self.frequency, self.settle = target.bounce or self.frequency, target.settle_time
-        else:  # by an earlier version, or with another Poisson's ratio
+        else:  # it was built with another Poisson's ratio
             now = material_fit.bounce(*model_store.fit_input(obj, target))
             self.frequency, self.settle = now.frequency or self.frequency, now.settle
         return context.window_manager.invoke_props_dialog(self)

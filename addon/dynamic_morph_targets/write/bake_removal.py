@@ -103,8 +103,8 @@ def _curves(action) -> list[tuple]:
 
 
 def _is_baked(curve) -> bool:
-    """Whether a bake has made a curve; those of older versions are in no group."""
-    return curve.data_path.startswith('key_blocks["Dynamorph ') or (curve.group and curve.group.name == GROUP)
+    """Whether a bake has made a curve."""
+    return bool(curve.group) and curve.group.name == GROUP
 
 
 def _others(action, paths: set[str], slot=None) -> list:

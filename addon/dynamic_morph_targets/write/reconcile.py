@@ -84,7 +84,7 @@ def _follow_keys(blocks, references, others=()) -> list:
     empty = key_hash(blocks[0]) if lost else ""  # a shape that tells no key from another: it must be at its place
     gone = []
     for reference in lost:
-        in_place = reference.key_index if reference.key_count in (0, len(blocks)) else -1  # 0: of older versions
+        in_place = reference.key_index if reference.key_count == len(blocks) else -1
         same = [i for i, digest in free.items() if digest == reference.key_hash and (digest != empty or i == in_place)]
         if not same:
             gone.append(reference)

@@ -29,7 +29,7 @@ def put_slot(obj, values: dict):
     for name, target in skin.named_targets(obj):
         if name in values["materials"]:
             target.set_material(replace(target.material(), **values["materials"][name]))
-            target.frequency, target.by_hand = values.get("frequencies", {}).get(name, (0.0, False))
+            target.frequency, target.by_hand = values["frequencies"].get(name, (0.0, False))
     simulation = obj.dynamorph.simulation
     properties = simulation.bl_rna.properties
     known = {name: value for name, value in values["simulation"].items() if name in properties}
