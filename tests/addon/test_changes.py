@@ -5,7 +5,7 @@ import json
 
 import bpy
 import pytest
-from builders import part, refused, rig_of, soon
+from builders import activate, part, refused, rig_of, soon
 from costs import cost
 from layout import drawn
 
@@ -184,6 +184,55 @@ def test_the_rig_s_animation_is_named_until_it_is_as_before(baked):
     assert looked(baked) == ['animation of "Arm Rig" changed']
     rig.keyframe_delete("location", frame=3)
     assert looked(baked) == []
+
+
+def posed_and_keyed(rig):
+    rig.pose.bones["lower"].rotation_euler.x = 0.3
+    rig.pose.bones["lower"].keyframe_insert("rotation_euler", frame=4)
+
+
+def another_action(rig):
+    rig.animation_data.action = bpy.data.actions.new("Other")
+
+
+def as_a_strip(rig):
+    data = rig.animation_data
+    data.nla_tracks.new().strips.new("walk", 1, data.action)
+
+
+@pytest.mark.parametrize("edit", [posed_and_keyed, another_action, as_a_strip])
+def test_an_edit_in_pose_mode_outdates_the_bake_at_once(baked, edit, monkeypatch):
+    """With the armature active, and the panels draw again without the mouse over them."""
+    rig, redrawn = rig_of(baked), []
+    activate(rig)
+    bpy.ops.object.mode_set(mode="POSE")
+    assert "Arm: Baked" in drawn(rig)
+    with soon():
+        edit(rig)
+        bpy.context.view_layer.update()
+        monkeypatch.setattr(part("events"), "redraw", redrawn.append)
+    assert redrawn == [part("events").PANELS]
+    assert "Arm: The bake is out of date" in drawn(rig)
+    assert 'animation of "Arm Rig" changed' in " ".join(drawn(rig))
+
+
+def test_panels_follow_what_starts_and_stops(soft_arm, monkeypatch):
+    """Also in the Properties editor, which Blender does not draw again after a button in the sidebar."""
+    pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+    redrawn = []
+    monkeypatch.setattr(part("events"), "redraw", redrawn.append)
+    soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 200, 8
+    bpy.ops.dynamorph.build()
+    for change in (
+        lambda: part("live").turn_on(soft_arm, bpy.context.scene),
+        lambda: part("preview").begin_preview(soft_arm, bpy.types.DYNAMORPH_OT_shake_test),
+        part("preview").end_preview,
+        bpy.ops.dynamorph.show_plain,
+        lambda: part("live").turn_off(soft_arm),
+    ):
+        redrawn.clear()
+        change()
+        assert part("events").PANELS in redrawn
 
 
 def test_strips_count_and_so_do_parents(scene, soft_arm, stand_in):

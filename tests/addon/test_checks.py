@@ -5,7 +5,7 @@ import bpy
 import numpy as np
 import pytest
 import scenes
-from builders import activate, make_mesh, make_rig, part, refused, rig_of
+from builders import activate, make_mesh, make_rig, part, refused, rig_of, soon
 from layout import drawn
 from pins import with_pins
 from test_extract import (
@@ -294,8 +294,8 @@ def test_vertices_that_stay_behind_are_counted(soft_arm):
 
 def after_a_look(obj) -> str:
     """The tab, once what it asks about the body has been answered: by a timer in a window."""
-    drawn(obj)
-    part("watch").look_at_bodies()
+    with soon():
+        drawn(obj)
     return " ".join(drawn(obj))
 
 

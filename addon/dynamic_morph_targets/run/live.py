@@ -56,6 +56,7 @@ def turn_on(obj: bpy.types.Object, scene: bpy.types.Scene) -> None:
     sessions[obj.session_uid], _any_live = session, True
     _problems.pop(obj.session_uid, None)
     follow(obj, scene)
+    events.redraw(events.PANELS)
 
 
 def turn_off(obj: bpy.types.Object) -> None:
@@ -63,6 +64,7 @@ def turn_off(obj: bpy.types.Object) -> None:
     sessions.pop(obj.session_uid, None)
     _problems.pop(obj.session_uid, None)
     live_key.remove(obj)
+    events.redraw(events.PANELS)
 
 
 def refresh(obj: bpy.types.Object) -> None:

@@ -15,7 +15,7 @@ from mathutils import Euler, Matrix
 from ..core.errors import SceneError, SinkError
 from ..core.geometry import smooth_step
 from ..core.rig_samples import RigSamples
-from ..scene import references, rig_motion, skin
+from ..scene import events, references, rig_motion, skin
 from ..write import live_key, muting
 from . import live, session
 
@@ -154,6 +154,7 @@ def begin_preview(obj: bpy.types.Object, operator: type[Operator]) -> Preview:
     global preview
     end_preview()
     preview = Preview(obj, operator)
+    events.redraw(events.PANELS)
     return preview
 
 
@@ -161,6 +162,7 @@ def end_preview() -> None:
     global preview
     if preview:
         preview.end()
+        events.redraw(events.PANELS)
     preview = None
 
 

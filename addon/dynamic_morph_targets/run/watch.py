@@ -80,16 +80,23 @@ def _changed(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
             body_checks.outdate(update.id.original)
     if any(obj.dynamorph.model.content_id for obj in changed):
         look_soon()
-    if any(isinstance(update.id, (bpy.types.Action, bpy.types.Key)) for update in depsgraph.updates):
+    if any(_may_animate(update.id) for update in depsgraph.updates):
         events.soon(_look_at_animations, PATIENCE)
+
+
+def _may_animate(edited: bpy.types.ID) -> bool:
+    """Whether an edit may be one of an animation. That of a strip names only its object, as posing does."""
+    if isinstance(edited, bpy.types.Object):
+        return edited.animation_data is not None
+    return isinstance(edited, (bpy.types.Action, bpy.types.Key))
 
 
 def _ask(obj: bpy.types.Object) -> None:
     _asked.add(obj.session_uid)
-    events.soon(look_at_bodies, GLANCE)
+    events.soon(_look_at_bodies, GLANCE)
 
 
-def look_at_bodies() -> float | None:
+def _look_at_bodies() -> float | None:
     """By a timer: look at the bodies that panels have asked about."""
     if rig_motion.render_runs():
         return GLANCE  # seconds from now
@@ -112,10 +119,12 @@ def _look_at_meshes() -> float | None:
     for obj in skin.soft_skins(bpy.context.scene.objects):
         if obj.dynamorph.model.content_id and obj.mode == "OBJECT" and not batch.running:
             storage.show_stale(obj)
+    events.redraw(events.PANELS)
     return None
 
 
 def _look_at_animations() -> float | None:
+    """By a timer: find out which bakes an edit of an animation has outdated, whatever object and mode is active."""
     if rig_motion.render_runs():
         return PATIENCE  # seconds from now
     for obj in skin.soft_skins(bpy.context.scene.objects):
@@ -123,6 +132,7 @@ def _look_at_animations() -> float | None:
             staleness.look_at_animation(obj)
             staleness.look_for_caches(obj)
             bake_influence.share_strip(obj)
+    events.redraw(events.PANELS)
     return None
 
 
@@ -185,5 +195,5 @@ def unregister() -> None:
     bpy.msgbus.clear_by_owner(OWNER)
     events.unsubscribe(LISTENERS)
     events.remove(HANDLERS)
-    for look in (_look_at_meshes, _look_at_animations, look_at_bodies):
+    for look in (_look_at_meshes, _look_at_animations, _look_at_bodies):
         events.forget(look)

@@ -9,7 +9,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from ..core import engine, errors, logger
 from ..core.message import Message, translated
 from ..run import batch
-from ..scene import skin
+from ..scene import events, skin
 from ..write.reconcile import reconcile
 
 LISTED = 5  # names in a report
@@ -75,7 +75,9 @@ class SoftSkinOperator:
         return at_work()
 
     def execute(self, context):
-        return report_errors(self, self._apply_reconciled, skin.mesh_in(context))
+        result = report_errors(self, self._apply_reconciled, skin.mesh_in(context))
+        events.redraw(events.PANELS)  # Blender draws the one again in which the button is
+        return result
 
     def _apply_reconciled(self, obj):
         return self.apply(reconciled(obj))
