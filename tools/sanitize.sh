@@ -19,11 +19,19 @@ build() { # name, flags, targets
 
 # Python is built without a sanitizer: its runtime comes first, and with it the C++ library, or an exception would end the
 # process. Python never frees all that it has, so leaks are looked for in C++ alone. The sanitizer reserves more address
-# space than a mesher may have: children are not limited.
+# space than a mesher may have: that of children is not limited.
 preloaded() {
   local unlimited=$PWD/build/sanitize/unlimited.so
-  echo 'extern "C" { int setrlimit(int, const void*) { return 0; } int setrlimit64(int, const void*) { return 0; } }' |
-    g++ -shared -fPIC -x c++ - -o "$unlimited"
+  gcc -shared -fPIC -x c - -o "$unlimited" <<'CODE'
+#define _GNU_SOURCE
+#include <sys/resource.h>
+int setrlimit(__rlimit_resource_t what, const struct rlimit* limit) {
+  return what == RLIMIT_AS ? 0 : prlimit(0, what, limit, 0);
+}
+int setrlimit64(__rlimit_resource_t what, const struct rlimit64* limit) {
+  return what == RLIMIT_AS ? 0 : prlimit64(0, what, limit, 0);
+}
+CODE
   ASAN_OPTIONS=detect_leaks=0:new_delete_type_mismatch=0:alloc_dealloc_mismatch=0:handle_segv=0 \
     LD_PRELOAD="$(g++ -print-file-name=libasan.so) $(g++ -print-file-name=libstdc++.so) $unlimited" \
     PYTHONPATH=$PWD/build/sanitize/address/python:$PWD/addon "$@"
