@@ -624,20 +624,39 @@ def volume_of(obj):
     return abs(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0
 
 
-def test_before_a_build_they_are_grayed(soft_arm):
+def test_before_a_build_settle_time_and_mass_are_grayed(soft_arm):
     target = soft_arm.dynamorph.targets[1]
-    assert not target.is_measured and (target.bounce, target.settle_time, target.weight) == (0.0, 0.0, 0.0)
+    assert not target.is_measured and (target.settle_time, target.weight) == (0.0, 0.0)
     material = target.material()
-    target.bounce, target.settle_time, target.weight = 4.0, 20.0, 1.0
+    target.settle_time, target.weight = 20.0, 1.0
     assert target.material() == material
-    assert "Build Model first" in drawn(soft_arm)
+    assert "Measured by the next build" in drawn(soft_arm)
+
+
+@pytest.mark.parametrize("neutral", [0.0, 3.0])
+def test_the_bounce_of_a_new_target_is_typed_before_the_build(soft_arm, neutral):
+    """Whether the neutral one has a stiffness in pascals or a frequency."""
+    settings = soft_arm.dynamorph
+    settings.model.cage_nodes, settings.model.modes = 300, 8
+    if neutral:
+        settings.targets[0].bounce = neutral
+    target = settings.targets[1]
+    stiffness = target.stiffness
+    target.bounce = 6.0
+    assert target.bounce == pytest.approx(6.0) and target.stiffness == stiffness
+    OPS.build()
+    assert target.is_measured and target.bounce == pytest.approx(6.0, rel=1e-3)
+    assert target.stiffness != stiffness and target.by_hand
+    assert settings.targets[0].bounce == pytest.approx(neutral, rel=1e-3) or not neutral
+    target.bounce = 5.0
+    assert target.bounce == pytest.approx(5.0, rel=1e-3)
 
 
 def test_after_a_build_until_poisson_s_ratio_changes(built_arm):
-    assert "Build Model first" not in drawn(built_arm)
+    assert "Measured by the next build" not in drawn(built_arm)
     target = built_arm.dynamorph.targets[1]
     target.poisson = 0.3
-    assert not target.is_measured and "Build Model first" in drawn(built_arm)
+    assert not target.is_measured and "Measured by the next build" in drawn(built_arm)
     built_arm.dynamorph.model.method = "SINGLE"
     OPS.build()
     assert built_arm.dynamorph.targets[0].is_measured and not target.is_measured

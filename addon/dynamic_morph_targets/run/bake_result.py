@@ -225,7 +225,7 @@ class Writer:
         character = self.outcome.character
         for target in obj.dynamorph.targets:
             index = index_in(character, obj, target)
-            if index is None or not character.targets[0].frequency:
+            if index is None:
                 continue
             with target_properties.as_computed():
                 for name, value in calibration.stored(character.targets[index]).items():

@@ -49,12 +49,15 @@ class DynamorphBonePose(PropertyGroup):
 
 
 def _get_bounce(target) -> float:
+    if target.awaits_build:
+        return target.frequency
     return oscillation.swing(target.bounce_reference, target.material()).frequency if target.is_measured else 0.0
 
 
 def _set_bounce(target, frequency: float):
     if target.is_measured:
         target.set_material(material_fit.with_bounce(target.bounce_reference, target.material(), frequency))
+    if target.is_measured or target.awaits_build:
         target.frequency, target.by_hand = frequency, True
 
 
@@ -187,7 +190,6 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         name="Armature Transform", description="World transform of the armature when the pose was captured",
         size=16, default=IDENTITY, override=OVERRIDE,
     )  # fmt: skip
-
     frequency: FloatProperty(
         name="Frequency",
         description="Natural frequency from which the next build computes the stiffness of this target. 0 keeps the "
@@ -199,7 +201,6 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         description="Whether the artist has set the bounce or the stiffness. No build or rehearsal then changes them",
         override=OVERRIDE,
     )  # fmt: skip
-
     # The artist's view, computed from the properties above and from what the last build measured.
     bounce: FloatProperty(
         name="Bounce",
@@ -240,11 +241,14 @@ class DynamorphTarget(KeyReference, PropertyGroup):
 
     @property
     def is_measured(self) -> bool:
-        """Whether the last build measured how the soft tissue swings at this target. If not, bounce, settle time and
-        mass are 0.
-        """
+        """Whether the last build measured how the tissue swings here. If not, settle time and mass are 0."""
         measured = self.bounce_reference > 0.0 and self.volume > 0.0
         return measured and math.isclose(self.poisson, self.poisson_reference, rel_tol=1e-5)
+
+    @property
+    def awaits_build(self) -> bool:
+        """Whether no build has measured it yet. A bounce that is set then becomes a stiffness in the build."""
+        return self.bounce_reference == 0.0
 
     def set_references(self, bounce: float, volume: float, poisson: float):
         """Store what the build measured at this Poisson's ratio: bounce in Hz, volume in m^3."""

@@ -29,13 +29,16 @@ def icon_of(obj, target) -> str:
 
 
 def draw_swing(layout, target):
-    """Bounce, settle time and mass of a target, once they are measured."""
+    """Bounce of a target, which a new one can be given before the build, and what the build measures."""
     column = layout.column(align=True)
-    column.enabled = target.is_measured and batch.running is None
-    for name in ("bounce", "settle_time", "weight"):
-        column.prop(target, name)
+    bounce, others = column.column(align=True), column.column(align=True)
+    bounce.enabled = (target.is_measured or target.awaits_build) and batch.running is None
+    bounce.prop(target, "bounce")
+    others.enabled = target.is_measured and batch.running is None
+    for name in ("settle_time", "weight"):
+        others.prop(target, name)
     if not target.is_measured:
-        column.label(text="Build Model first", icon="INFO")
+        column.label(text="Measured by the next build", icon="INFO")
 
 
 def draw_material(layout, _context, obj):
