@@ -96,6 +96,16 @@ def test_the_row_below_the_buttons_says_what_is_next(soft_arm, stand_in, monkeyp
     assert max(map(len, seen)) <= 28, "it does not fit into a sidebar of 250 pixels"
 
 
+def test_the_stages_of_a_build_are_in_an_artists_words(soft_arm):
+    pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+    soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 200, 8
+    batch, seen = part("batch").Batch([part("job").Job(soft_arm, "BUILD")], "BUILD"), []
+    for _ in batch.steps(0.01, 0.0):
+        seen.append(batch.message)
+    stages = part("job_data").STAGES
+    assert not set(seen) & set(stages) and set(seen) & set(stages.values())
+
+
 def next_step(obj) -> str:
     texts = drawn(obj)
     return texts[texts.index("dynamorph.free_bake") + 1]

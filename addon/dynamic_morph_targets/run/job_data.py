@@ -21,6 +21,17 @@ if TYPE_CHECKING:  # it needs the engine
     from ..core.model import Model
 
 
+# The stages of a build in an artist's words.
+STAGES = {
+    "Meshing": "Wrapping a cage",
+    "Embedding": "Placing the skin in it",
+    "Target shapes": "Carrying over the sculpts",
+    "Modes": "Finding how it swings",
+    "Polynomials": "Preparing its motion",
+    "Rehearsal": "Rehearsing the shot",
+}
+
+
 class Progress:
     """How far a job is, and whether it must stop: shared by its thread and the window."""
 
@@ -35,7 +46,7 @@ class Progress:
 
         def progress(fraction: float, message: str) -> bool:
             self.fraction = begin + (end - begin) * fraction
-            self.message = message
+            self.message = STAGES.get(message, message)
             return not self.canceled
 
         return progress

@@ -14,8 +14,9 @@ from ..run import batch, live, preview
 from ..scene import body_checks, checks, skin, staleness
 from ..scene.checks import Problem
 from ..write import comparison
-from .widgets import draw_problem, progress_text
+from .widgets import draw_problem, line_length, progress_text
 
+ROOM = 28  # characters of a line with which the widest button of the pair has room for an icon too
 MOST_REASONS = 3  # of those for which something is out of date
 
 
@@ -29,14 +30,13 @@ def draw_top(layout, context, obj):
         return
     playing = live.is_on(obj)
     buttons = layout.column(align=True)
+    has_room = line_length() >= ROOM
     row = buttons.row(align=True)
     row.operator("dynamorph.live", text="Live", icon="PAUSE" if playing else "PLAY", depress=playing)
-    build = row.row(align=True)
-    build.alert = is_outdated(obj) and not batch.running
-    build.operator("dynamorph.build", icon="MOD_LATTICE")
+    row.operator("dynamorph.build", icon="MOD_LATTICE" if has_room else "NONE")
     row = buttons.row(align=True)
     row.operator("dynamorph.bake", text="Bake", icon="REC")
-    row.operator("dynamorph.free_bake", icon="TRASH")
+    row.operator("dynamorph.free_bake", icon="TRASH" if has_room else "NONE")
     hint = "" if batch.running else next_step(obj)
     layout.label(text=hint, icon="LIGHT" if hint else "NONE")
 

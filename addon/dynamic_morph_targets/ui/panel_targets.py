@@ -100,8 +100,10 @@ def draw_extent(layout, obj, target):
     column = layout.column(align=True)
     column.enabled = batch.running is None
     if target != obj.dynamorph.targets[0]:
+        column.label(text="Region")  # above the name of a group, which needs the whole row
         row = column.row(align=True)
-        row.prop_search(target, "region", obj, "vertex_groups")
+        row.use_property_split = False
+        row.prop_search(target, "region", obj, "vertex_groups", text="")
         row.operator("dynamorph.region_from_sculpt", text="", icon="AUTO", depress=target.auto_region)
         column.prop(target, "radius")
     column.prop(target, "influence")
