@@ -270,6 +270,31 @@ def test_export_check_says_what_is_dropped(baked, words):
     assert list(losses.losses(obj, "ALEMBIC")) == []
 
 
+@pytest.mark.parametrize("key", ["GLTF", "FBX", "ALEMBIC", "USD"])
+def test_a_hidden_armature_is_named_before_the_export(baked, key):
+    """Which refuses it, after the file was chosen."""
+    obj, _ = baked
+    rig_of(obj).hide_set(True)
+    assert "'Arm Rig' is hidden, so Blender exports nothing of it: show it" in list(part("losses").losses(obj, key))
+    rig_of(obj).hide_set(False)
+    assert not any("is hidden" in text for text in part("losses").losses(obj, key))
+
+
+@pytest.mark.parametrize("invoked", [False, True])
+def test_what_the_dialog_has_said_is_not_said_again(baked, invoked):
+    obj, _ = baked
+    said = []
+    operator = types.SimpleNamespace(
+        options=types.SimpleNamespace(is_invoke=invoked),
+        format="GLTF",
+        report=lambda kind, text: said.append((*kind, text)),
+    )
+    drive(obj)
+    part("export_operators").report_export(operator, obj, Path("arm.glb"))
+    assert said[-1] == ("INFO", "'Arm' written as 'arm.glb'")
+    assert [kind for kind, _ in said[:-1]] == ([] if invoked else ["WARNING"])
+
+
 @pytest.mark.parametrize("smile, remedy", [(0.0, "with Key Limit 8, or use"), (0.5, "with Key Limit 7, or use")])
 def test_export_check_counts_the_morphs_that_move(scene, smile, remedy):
     obj = make_soft(make_arm(scene))

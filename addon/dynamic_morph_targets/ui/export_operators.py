@@ -196,8 +196,9 @@ HANDLERS = dict.fromkeys(("depsgraph_update_post", "undo_post", "redo_post", "lo
 
 
 def report_export(operator, obj, path: Path, clips=()):
-    """What was lost, and where the file is; clips: the names of those of Actions."""
-    for text in losses.losses(obj, operator.format, "ACTIONS" if clips else "SCENE"):
+    """What was lost, unless the dialog has said it, and where the file is; clips: the names of those of Actions."""
+    lost = () if operator.options.is_invoke else losses.losses(obj, operator.format, "ACTIONS" if clips else "SCENE")
+    for text in lost:
         operator.report({"WARNING"}, translated(text, rpt_))
     text = rpt_("'{name}' written as '{file}': {clips}" if clips else "'{name}' written as '{file}'")
     operator.report({"INFO"}, text.format(name=obj.name, file=path.name, clips=listed(clips)))

@@ -240,8 +240,8 @@ def meshes_together(obj) -> list:
 
 
 def left_out(obj) -> list:
-    """The meshes of the character that are hidden."""
-    return [mesh for mesh in _meshes_of(obj) if not mesh.visible_get()]
+    """The armature and the meshes of the character that are hidden."""
+    return [each for each in (rig_of(obj), *_meshes_of(obj)) if each and not each.visible_get()]
 
 
 def _meshes_of(obj) -> list:

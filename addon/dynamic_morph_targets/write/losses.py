@@ -34,8 +34,8 @@ def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
                 format=FORMATS[key].label,
             )
     if key != "RAW":
-        for mesh in left_out(obj):
-            yield Message("'{name}' is hidden, so Blender exports nothing of it: show it", name=mesh.name)
+        for hidden in left_out(obj):
+            yield Message("'{name}' is hidden, so Blender exports nothing of it: show it", name=hidden.name)
 
 
 def _planned_keys(obj) -> int:
