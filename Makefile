@@ -51,9 +51,10 @@ test: build
 	echo "make $(MAKECMDGOALS) took $$((($$(date +%s) - $(started) + 30) / 60)) min"; exit $$status
 
 # The interface in a real Blender window, set up in build/gui on first use; skips where that cannot be done.
+# parts="judging files" repeats only these parts, from what the last run has left.
 gui-test: build
 	@tools/setup.sh wheels
-	@$(python) tools/gui_test.py
+	@$(python) tools/gui_test.py $(parts)
 
 # Bakes sample_blends/bulging_cylinder.blend, and renders it to out/.
 demo: module

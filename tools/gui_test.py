@@ -2,12 +2,15 @@
 """Uses the extension in a real Blender window as an artist would: `make gui-test`.
 
 Debian's Blender is set up once in a folder of its own, build/gui or $DYNAMORPH_GUI. The extension is packed and
-installed there each time, and tests/gui/scenario.py clicks through it on a virtual screen. If the set-up is impossible
-(not root, no network), the reason is printed, and that counts as success; a later failure does not.
+installed there each time, and tests/gui/scenario.py clicks through it on a virtual screen, in parts: each in a Blender
+of its own, which opens what the part before it has saved. `make gui-test parts="judging files"` repeats only these,
+from what the last run has left. If the set-up is impossible (not root, no network), the reason is printed, and that
+counts as success; a later failure does not.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import re
@@ -41,15 +44,20 @@ PACKAGES = (
 )
 # All that Blender may print: the steps, what operators report, the glTF exporter, presets, and what Debian's lacks.
 KNOWN = re.compile(
-    r"STEP \w+|DROP FILE: .*|[\d:.]+ +operator +\| .*|[\d:.]+ +blend +\| Read blend: .*"
+    r"STEP \w+|DROP FILE: .*|[\d:.]+ +operator +\| .*|[\d:.]+ +blend +\| (Read blend|Writing user preferences): .*"
     r"|[\d:.]+ +\| INFO: (Starting glTF|Finished glTF|Primitives created|Extracting primitive).*"
     r"|[\d:.]+ +\| WARNING: Armature must be the parent of skinned mesh.*|Armature is selected by its name.*"
-    r"|Writing Preset: '.*'|Repository data: .* not found, sync required!"
+    r"|Info: (Preferences saved|Saved copy as .*)|Writing Preset: '.*'|Repository data: .* not found, sync required!"
     r"|.*(Draco|MeshOptimizer) is not available because library could not be found.*"
     r"|.*WARNING Could not get a list of mounted file-systems.*|Info: Added Remote Repository .*"
     r'|Blender is no longer running, shutting down the downloader process|Warning: locking ".*" failed: lock exists.*'
 )
-LONGEST = 1800  # seconds that the window may take, on a busy machine
+# In their order, with the seconds that each may take on a busy machine.
+PARTS = {
+    "repository": 300, "first_bake": 600, "judging": 900, "authoring": 1200, "trying": 900, "baking": 1200,
+    "files": 900, "menus": 600, "character": 900,
+}  # fmt: skip
+INSTALLS = "first_bake"  # the part that installs the extension; later ones find it installed
 
 # Mounts in a namespace of their own: whatever happens, nothing stays mounted in a folder that may be deleted.
 # The shell stays: an X server tells nobody that it is ready if its parent is process 1.
@@ -154,59 +162,92 @@ def pack_extension():
 # The test ------------------------------------------------------------------------------------------------------------
 
 
-def run_scenario() -> dict:
-    """What tests/gui/driver.py wrote. Raises Failed."""
-    shots, result = WORK / "shots", WORK / "result.json"
-    shutil.rmtree(shots, ignore_errors=True)
-    shots.mkdir()
-    result.unlink(missing_ok=True)
-    character = WORK / "character.blend"
-    character.unlink(missing_ok=True)
-    if CHARACTER.exists():
-        shutil.copy(CHARACTER, character)
+def chosen_parts(named: list[str]) -> list[str]:
+    """The parts to run, in their order; none named: all. Raises Failed."""
+    unknown = [name for name in named if name not in PARTS]
+    if unknown:
+        raise Failed(f"there is no part {', '.join(unknown)}, but {', '.join(PARTS)}")
+    chosen = [name for name in PARTS if not named or name in named]
+    if "character" in chosen and not CHARACTER.exists():
+        print("gui-test: without the part 'character': there is no ../shared/assets/mh_male_53bones.blend", flush=True)
+        chosen.remove("character")
+    return chosen
+
+
+def install():
+    """As the part INSTALLS does it by hand. Raises Failed."""
+    archive = inside(next(WORK.glob("*.zip")))
+    command = ("blender", "-b", "--command", "extension", "install-file", "-r", "user_default", "--enable", archive)
+    if enter("install.log", *command):
+        raise Failed(f"the extension could not be installed\n{tail('install.log')}")
+
+
+def start_of(part: str) -> Path | None:
+    """The .blend that a part opens, which an earlier one has saved; None: it begins with an empty Blender. Raises
+    Failed.
+    """
+    names = list(PARTS)
+    if names.index(part) <= names.index(INSTALLS):
+        return None
+    start = WORK / f"{names[names.index(part) - 1]}.blend"
+    if not start.exists():
+        raise Failed(f"'{part}' begins with what '{start.stem}' leaves: run that first")
+    return start
+
+
+def run_part(part: str) -> dict:
+    """What tests/gui/driver.py wrote about a part. Raises Failed."""
+    result, log = WORK / f"{part}.json", f"{part}.log"
+    start = start_of(part)
+    for old in (result, WORK / f"{part}.blend"):
+        old.unlink(missing_ok=True)
+    if part == "character":
+        shutil.copy(CHARACTER, WORK / "character_before.blend")
     width, height = map(str, SCREEN)
     code = enter(
-        "blender.log", "timeout", str(LONGEST),
+        log, "timeout", str(PARTS[part]),
         "xvfb-run", "-a", "-s", f"-screen 0 {width}x{height}x24 +extension GLX -noreset",
         "blender", "--gpu-backend", "opengl", "--enable-event-simulate", "--no-window-focus",
         "--window-geometry", "0", "0", width, height, "--python-exit-code", "1",
-        "--python", inside(ROOT / "tests/gui/scenario.py"), "--", inside(WORK),
+        *([inside(start)] if start else []),
+        "--python", inside(ROOT / "tests/gui/scenario.py"), "--", inside(WORK), part,
         LIBGL_ALWAYS_SOFTWARE="1",
     )  # fmt: skip
     found = json.loads(result.read_text()) if result.exists() else {}
     if code or not found.get("ok"):
         print_table(found)
-        raise Failed(f"{found.get('error') or f'Blender ended with {code}'}\n{tail('blender.log')}\nPictures: {shots}")
-    log = (WORK / "blender.log").read_text(errors="replace")
-    unknown = [line for line in log.splitlines() if line.strip() and not KNOWN.fullmatch(line)]
+        why = f"it took longer than {PARTS[part]} s" if code == 124 else f"Blender ended with {code}"
+        raise Failed(f"part '{part}': {found.get('error') or why}\n{tail(log)}\nPictures: {WORK / 'shots'}")
+    printed = (WORK / log).read_text(errors="replace").splitlines()
+    unknown = [line for line in printed if line.strip() and not KNOWN.fullmatch(line)]
     if unknown:  # panels do not raise: their errors are printed here and nowhere else
-        raise Failed("the scenario passed, but Blender printed\n" + "\n".join(unknown)[:3000])
+        raise Failed(f"part '{part}' passed, but Blender printed\n" + "\n".join(unknown)[:3000])
     return found
+
+
+def check_openings(results: list[dict]):
+    """Nothing is left that no part has opened, and nothing was opened under another name. Raises Failed."""
+    there, opened = ({name for found in results for name in found[kind]} for kind in ("there", "opened"))
+    if never := sorted(there - opened):
+        raise Failed(f"never opened: {', '.join(never)}")
+    if unknown := sorted(opened - there):
+        raise Failed(f"opened, but not noted as something that opens: {', '.join(unknown)}")
 
 
 def compare_threads() -> dict[str, str]:
     """A row for the page: a bake in `blender -b` with one core and one with all. Raises Failed."""
     shot, baked, report = (WORK / name for name in ("threads.blend", "threads_baked.blend", "threads.json"))
     shutil.copy(ROOT / "sample_blends/shoulder.blend", shot)
-    install = (
-        "--command",
-        "extension",
-        "install-file",
-        "-r",
-        "user_default",
-        "--enable",
-        inside(next(WORK.glob("*.zip"))),
-    )
+    install()
     bake = (inside(shot), "--command", "dynamorph", "bake", "--all", "-o", inside(baked), "--report", inside(report))
     cores = {"one core": "0", "all": f"0-{os.cpu_count() - 1}"}
     found = []
-    for log, chosen, command in [("install.log", "0", install), *((f"{n}.log", c, bake) for n, c in cores.items())]:
+    for name, chosen in cores.items():
         report.unlink(missing_ok=True)
-        if enter(log, "taskset", "-c", chosen, "blender", "-b", *command):
-            raise Failed(f"blender -b failed\n{tail(log)}")
-        if command is bake:
-            characters = json.loads(report.read_text(encoding="utf-8"))["characters"]
-            found.append([(each["model"], each["bake"]["hash"]) for each in characters])
+        if enter(f"{name}.log", "taskset", "-c", chosen, "blender", "-b", *bake):
+            raise Failed(f"blender -b failed\n{tail(f'{name}.log')}")
+        characters = json.loads(report.read_text(encoding="utf-8"))["characters"]
+        found.append([(each["model"], each["bake"]["hash"]) for each in characters])
     if found[0] != found[1]:
         raise Failed(f"blender -b makes other bytes with one core than with all: {found}")
     return {"`blender -b` with one core, and with all": "the same bytes"}
@@ -267,23 +308,36 @@ def differ(picture: Image.Image, path: Path) -> bool:
 
 
 def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("parts", nargs="*", help=f"which to run, of {', '.join(PARTS)}; all if none is named")
+    named = parser.parse_args().parts
     WORK.mkdir(parents=True, exist_ok=True)
+    results = []
     try:
+        parts = chosen_parts(named)
         set_up_blender()
         pack_extension()
-        start = time.monotonic()
-        found = run_scenario()
-        print(f"gui-test: {time.monotonic() - start:.0f} s in Blender")
-        found["measured"] |= compare_threads()
-        write_measured(found["measured"])
+        if INSTALLS not in parts:
+            install()
+        if not named:
+            shutil.rmtree(WORK / "shots", ignore_errors=True)
+        (WORK / "shots").mkdir(exist_ok=True)
+        for part in parts:
+            start = time.monotonic()
+            results.append(run_part(part))
+            print(f"gui-test: {part}, {time.monotonic() - start:.0f} s in Blender", flush=True)
+            print_table(results[-1])
+            keep_pictures(results[-1]["pictures"])
+        if not named:
+            check_openings(results)
+            measured_values = {name: value for found in results for name, value in found["measured"].items()}
+            write_measured(measured_values | compare_threads())
     except CannotRun as reason:
         print(f"gui-test: SKIPPED, {reason}")
         return 0
     except Failed as problem:
         print(f"gui-test: FAILED, {problem}")
         return 1
-    print_table(found)
-    keep_pictures(found["pictures"])
     return 0
 
 

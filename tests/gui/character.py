@@ -27,7 +27,7 @@ from editors import (
 )
 from mathutils import Euler
 
-FILE = WORK / "character.blend"
+FILE = WORK / "character_before.blend"
 CLIP, START = "gen_jump", 5
 FRAMES = 8  # of a playback that is drawn
 UNDRAWN = 24  # of one that is not

@@ -25,7 +25,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-WORK = Path(sys.argv[sys.argv.index("--") + 1])
+_WORK, PART = sys.argv[sys.argv.index("--") + 1 :]  # the part is the name of the module with its steps
+WORK = Path(_WORK)
 ROW = 16  # less than a button's height: none is missed
 HEADER = 24  # pixels, nearly: from one closed section's header to the next
 ASIDE = 90  # pixels from the left: a header, and of a list neither the button nor the handle at its bottom
@@ -38,7 +39,8 @@ result = {"ok": False, "steps": [], "measured": {}, "pictures": []}
 actions = 0  # clicks, keys and entries so far, as an artist counts them
 scrolls = 0  # how often a button was out of sight
 shown: set[str] = set()  # the panels of the extension that have drawn since it was emptied
-opened: set[str] = set()  # menus and the like, by their names in openings.py
+there: set[str] = set()  # what opens: names of a class, an operator, a section, or a property with its type
+opened: set[str] = set()  # of these
 
 
 def window():
@@ -499,7 +501,8 @@ def step(title: str, picture: Region | None = None):
 
 
 def _take_steps():
-    for number, (title, function, picture) in enumerate(steps):
+    own = [each for each in steps if each[1].__module__ == PART]  # without those of a part that it imports
+    for number, (title, function, picture) in enumerate(own):
         name = function.__name__
         print(f"STEP {name}", flush=True)
         start, before = time.monotonic(), actions
@@ -508,13 +511,13 @@ def _take_steps():
         result["steps"][-1] = {"title": title, "actions": actions - before, "seconds": time.monotonic() - start}
         yield from rest()
         yield from drawn()
-        photograph(f"{number:02}_{name}")
+        photograph(f"{PART}_{number:02}_{name}")
         if picture:
             yield from keep(name, picture)
 
 
 def run():
-    """Take the steps, write WORK/result.json and leave Blender."""
+    """Take the steps, write WORK/PART.json and, for the next part, WORK/PART.blend, and leave Blender."""
     preferences = bpy.context.preferences
     preferences.view.show_splash = False
     preferences.view.show_tooltips = False  # on a busy machine they get into pictures
@@ -526,12 +529,16 @@ def run():
         try:
             return next(walk)
         except StopIteration:
+            with bpy.context.temp_override(window=window()):
+                bpy.ops.wm.save_userpref()
+                bpy.ops.wm.save_as_mainfile(filepath=str(WORK / f"{PART}.blend"), copy=True)
             result["ok"] = True
         except Exception:
             title = result["steps"][-1]["title"] if result["steps"] else "start"
             result["error"] = f"in step '{title}'\n{traceback.format_exc()}"
             photograph("failure")
-        (WORK / "result.json").write_text(json.dumps(result, indent=1))
+        result["there"], result["opened"] = sorted(there), sorted(opened)
+        (WORK / f"{PART}.json").write_text(json.dumps(result, indent=1))
         sys.stdout.flush()
         os._exit(not result["ok"])  # without questions about unsaved changes
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Eleven actions of somebody who has the zip and a rigged arm: the last of them leaves a baked character."""
+"""Twelve actions of somebody who has the zip and a rigged arm: the last of them leaves a baked character."""
 
 from __future__ import annotations
 
@@ -101,12 +101,19 @@ def open_tab():
 
 @step("Add Soft Skin")
 def add_soft_skin():
-    """It ends with Live on, after a hop in which other clicks do nothing."""
+    """It ends with Live on, after a hop in which other clicks do nothing, and the animation plays."""
     yield from sidebar.press("dynamorph.add_soft_skin")
     yield from until(lambda: settings().targets, "a neutral target")
     yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on", 60.0)
     yield from until(lambda: addon("run.preview").preview is None, "the end of the hop")
+    yield from until(frames.is_playing, "the animation to play")
     task.done()
+
+
+@step("Space stops it")
+def stop():
+    yield from frames.stop()
+    bpy.context.scene.frame_set(1)
 
 
 @step("Select the sculpted key")
@@ -138,7 +145,7 @@ def bake():
     yield from sidebar.press("dynamorph.bake")
     yield from job_done()
     measure("From the zip to a baked arm", f"{driver.actions} actions, {time.monotonic() - start:.0f} s")
-    assert driver.actions == 11
+    assert driver.actions == 12
     assert settings().model.content_id and baked() and wobble() > 1e-4
 
 
