@@ -835,7 +835,7 @@ def test_live_that_stood_still_in_a_render_is_told_afterward(live_arm, monkeypat
     live, scene = part("live"), bpy.context.scene
     bpy.ops.dynamorph.live()
     lines = " ".join(drawn(live_arm))
-    assert "Live stands still in a rendered animation without" in lines
+    assert "To render Live, turn on" in lines
     monkeypatch.setattr(live, "holds_still", lambda _scene: True)  # as in a window without Lock Interface
     scene.frame_set(3)
     monkeypatch.undo()

@@ -159,8 +159,7 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
             text = "Live stood still in the last render: turn on Lock Interface (Render menu) or bake, and render again"
             yield Problem(text, "LOCK_INTERFACE"), "ERROR"
         else:
-            text = "Live stands still in a rendered animation without Lock Interface (Render menu)"
-            yield Problem(text, "LOCK_INTERFACE"), "INFO"
+            yield Problem("To render Live, turn on Lock Interface", "LOCK_INTERFACE"), "INFO"
     found = verdict.parsed(settings.bake.verdict)
     if settings.simulation.rehearsed and (found is None or found.ok):  # a later bake of another shot may move too far
         yield Problem(settings.simulation.rehearsed), "INFO"
