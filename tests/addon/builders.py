@@ -99,6 +99,15 @@ def rig_of(obj):
     return obj.modifiers["Armature"].object
 
 
+def skinning_of(obj):
+    return part("skinning").Skinning.of(obj)
+
+
+def warnings_of(obj):
+    """What a build would warn about before it begins."""
+    return part("extract").warnings(part("source").Source.of(skinning_of(obj)))
+
+
 def hand_made_bake(obj, frames=range(1, 21), modes=3, seed=1):
     """A Bake as an engine could make it for the targets of `obj`."""
     baked = part("baked")

@@ -5,7 +5,7 @@ import bpy
 import numpy as np
 import pytest
 import round_trips
-from builders import activate, add_key, hand_made_bake, keys_of, make_arm, make_soft, part, refused, rig_of
+from builders import activate, add_key, hand_made_bake, keys_of, make_arm, make_soft, part, refused, rig_of, skinning_of
 from robustness import OPS, coarse
 from test_exports import CLOSE, EVERY, off, posed, written
 from test_pieces import add_piece, make_sleeve
@@ -243,9 +243,9 @@ def test_a_parent_of_type_armature_is_fixed(soft_arm, modifier):
     soft_arm.parent, soft_arm.parent_type, soft_arm.matrix_world = rig, "ARMATURE", world
     if not modifier:
         soft_arm.modifiers.remove(soft_arm.modifiers["Armature"])
-    (problem,) = list(part("checks").skinning_problems(soft_arm))
+    (problem,) = list(part("checks").skinning_problems(skinning_of(soft_arm)))
     part("fixes").FIXES[problem.fix].apply(soft_arm)
-    assert list(part("checks").problems(soft_arm)) == []
+    assert list(part("checks").problems(skinning_of(soft_arm))) == []
     assert round_trips.shown("Arm", EVERY) == pytest.approx(before, abs=1e-5)
 
 
@@ -297,7 +297,7 @@ def test_a_key_that_moves_to_the_place_of_a_deleted_one_is_no_target(soft_arm):
     soft_arm.shape_key_remove(keys_of(soft_arm).key_blocks["deleted"])
     part("reconcile").reconcile(soft_arm)
     assert soft_arm.dynamorph.targets[-1].name == "deleted"
-    (problem,) = list(part("checks").problems(soft_arm))
+    (problem,) = list(part("checks").problems(skinning_of(soft_arm)))
     assert "the shape key of target 'deleted' is gone" in problem.text
 
 

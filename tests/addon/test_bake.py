@@ -6,7 +6,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
-from builders import activate, evaluated_points, fingerprint, part, rig_of
+from builders import activate, evaluated_points, fingerprint, part, rig_of, skinning_of
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -728,5 +728,5 @@ def test_a_point_cache_is_baked_again(shot, soft_arm, tmp_path, preserve_volume)
     assert part("baked").digest(baked[0].result) == part("baked").digest(baked[1].result)
     assert len(list((tmp_path / "dynamorph_caches").iterdir())) == 1
     assert [modifier.type for modifier in soft_arm.modifiers] == ["MESH_CACHE", "ARMATURE"]
-    assert not any("'Dynamorph'" in note.text for note in part("checks").notes(soft_arm))
+    assert not any("'Dynamorph'" in note.text for note in part("checks").notes(skinning_of(soft_arm)))
     assert part("staleness").outdated(soft_arm) == []

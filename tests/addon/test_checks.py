@@ -5,7 +5,7 @@ import bpy
 import numpy as np
 import pytest
 import scenes
-from builders import activate, make_mesh, make_rig, part, refused, rig_of, soon
+from builders import activate, make_mesh, make_rig, part, refused, rig_of, soon, warnings_of
 from layout import drawn
 from pins import with_pins
 from test_extract import (
@@ -27,8 +27,8 @@ OPS = bpy.ops.dynamorph
 
 
 def found(obj):
-    checks = part("checks")
-    return [*checks.problems(obj), *checks.next_steps(obj), *checks.notes(obj)]
+    checks, skinning = part("checks"), part("skinning").Skinning.of(obj)
+    return [*checks.problems(skinning), *checks.next_steps(obj), *checks.notes(skinning)]
 
 
 def fixes(obj):
@@ -282,10 +282,9 @@ def test_a_soft_skin_is_added_in_edit_mode(arm, capfd):
 
 @pytest.mark.fault("M19")
 def test_vertices_that_stay_behind_are_counted(soft_arm):
-    extract = part("extract")
     for group in soft_arm.vertex_groups:
         group.remove([3, 4, 5])
-    (warning,) = extract.warnings(soft_arm, extract.character(soft_arm))
+    (warning,) = warnings_of(soft_arm)
     assert warning.startswith("3 of the 272 vertices of 'Arm' have no bone weight: they stay behind")
 
 

@@ -16,6 +16,7 @@ from builders import (
     part,
     rig_of,
     skinned,
+    warnings_of,
 )
 from costs import cost
 from mathutils import Matrix
@@ -486,7 +487,7 @@ def test_ignored_modifiers_are_named(soft_arm):
     soft_arm.modifiers.move(1, 0)
     soft_arm.modifiers.new("Subdivision", "SUBSURF")
     soft_arm.show_only_shape_key = True
-    warnings = part("extract").warnings(soft_arm, part("extract").character(soft_arm))
+    warnings = warnings_of(soft_arm)
     assert len(warnings) == 2 and "'Squeeze'" in warnings[0] and "unpin" in warnings[1]
 
 
@@ -495,7 +496,7 @@ def test_ignored_modifiers_are_named(soft_arm):
 def test_implausible_sizes_are_named(soft_arm, scale, size):
     soft_arm.scale = (scale, scale, scale)
     bpy.context.view_layer.update()
-    (warning,) = part("extract").warnings(soft_arm, part("extract").character(soft_arm))
+    (warning,) = warnings_of(soft_arm)
     assert "'Arm' is" in warning and size in warning and "check the scale" in warning
 
 

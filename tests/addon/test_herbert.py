@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from builders import part
+from builders import part, warnings_of
 
 SAMPLES = Path(__file__).parents[2] / "sample_blends"
 SCENE = SAMPLES / "herbert.blend"
@@ -53,7 +53,7 @@ def test_is_a_ready_scene(herbert):
     assert len(bpy.data.objects["Rig"].data.bones) == 46
     assert 10_000 <= len(herbert.data.vertices) <= 15_000
     assert all(polygon.use_smooth for polygon in herbert.data.polygons)
-    assert part("extract").warnings(herbert, part("extract").character(herbert)) == []
+    assert warnings_of(herbert) == []
 
 
 def test_targets_go_from_flabby_upright_to_stiff_in_the_tuck(herbert):

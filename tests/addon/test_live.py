@@ -9,7 +9,7 @@ import addon_utils
 import bpy
 import numpy as np
 import pytest
-from builders import MODULE, activate, evaluated_points, fingerprint, part, refused, rig_of
+from builders import MODULE, activate, evaluated_points, fingerprint, part, refused, rig_of, skinning_of
 from layout import drawn
 from mathutils import Matrix
 from pressed import Pressed, press
@@ -825,10 +825,10 @@ def test_a_hop_of_two_seconds(live_arm, shown):
 
 def test_keys_that_only_hold_a_pose_are_no_animation(arm):
     animation, rig = part("animation"), rig_of(arm)
-    assert animation.is_animated(arm)
+    assert animation.is_animated(skinning_of(arm))
     rig.animation_data_clear()
     rig.pose.bones["lower"].keyframe_insert("rotation_euler", frame=1)
-    assert not animation.is_animated(arm)
+    assert not animation.is_animated(skinning_of(arm))
 
 
 def test_live_that_stood_still_in_a_render_is_told_afterward(live_arm, monkeypatch):

@@ -4,7 +4,7 @@
 import bpy
 import numpy as np
 import pytest
-from builders import fingerprint, hand_made_bake, keys_of, make_mesh, part, rig_of, soon
+from builders import fingerprint, hand_made_bake, keys_of, make_mesh, part, rig_of, skinning_of, soon
 
 FIRST, LAST = 1, 20  # of the bakes
 STEPS = 4  # a frame
@@ -316,11 +316,11 @@ def test_what_plays_in_a_meta_strip_of_the_rig_is_noticed(soft_arm):
     action, rig.animation_data.action = rig.animation_data.action, None
     strip_of(rig, action)
     make_meta(rig)
-    digests = [part("animation").animation(soft_arm)]
+    digests = [part("animation").animation(skinning_of(soft_arm))]
     action.layers[0].strips[0].channelbags[0].fcurves[0].keyframe_points[0].co.y += 1.0
-    digests.append(part("animation").animation(soft_arm))
+    digests.append(part("animation").animation(skinning_of(soft_arm)))
     rig.animation_data.nla_tracks[0].strips[0].mute = True
-    digests.append(part("animation").animation(soft_arm))
+    digests.append(part("animation").animation(skinning_of(soft_arm)))
     assert len(set(map(str, digests))) == 3
 
 

@@ -7,7 +7,18 @@ import bpy
 import numpy as np
 import pytest
 import scenes
-from builders import activate, add_key, assert_shows, evaluated_points, make_mesh, make_rig, part, refused, rig_of
+from builders import (
+    activate,
+    add_key,
+    assert_shows,
+    evaluated_points,
+    make_mesh,
+    make_rig,
+    part,
+    refused,
+    rig_of,
+    skinning_of,
+)
 from layout import drawn
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
@@ -160,7 +171,7 @@ def test_static_alone_has_nothing_to_move(bar):
 def test_what_a_target_would_add_is_said_beside_the_list(bar):
     hint = "A target changes its shape and stiffness in a pose"
     assert hint in " ".join(drawn(bar))
-    assert not list(part("checks").problems(bar))
+    assert not list(part("checks").problems(skinning_of(bar)))
     add(bar, "flexed", 1.0, lower=1.0)
     assert hint not in " ".join(drawn(bar))
 
@@ -168,7 +179,7 @@ def test_what_a_target_would_add_is_said_beside_the_list(bar):
 def test_without_any_shape_key(bar):
     """The bake makes the Basis; only the artist removes it."""
     bar.shape_key_clear()
-    assert not list(part("checks").problems(bar))
+    assert not list(part("checks").problems(skinning_of(bar)))
     assert np.abs(motion(bar)).max() > MOVES
     bar.shape_key_clear()
     OPS.live()

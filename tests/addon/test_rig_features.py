@@ -6,7 +6,7 @@ from math import pi
 import bpy
 import numpy as np
 import pytest
-from builders import activate, assert_shows, make_rig, part, rig_of
+from builders import activate, assert_shows, make_rig, part, rig_of, skinning_of
 from mathutils import Matrix
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
@@ -328,5 +328,5 @@ def test_drivers_that_read_the_scene_are_named(scene, soft_arm, kind):
     driven(bone_of(soft_arm, "upper"), "rotation_euler", 1, "v", scene, "SINGLE_PROP", data_path="frame_current")
     if kind == "CONTEXT_PROP":
         rig_of(soft_arm).animation_data.drivers[0].driver.variables[0].type = kind
-    texts = [note.text for note in part("checks").notes(soft_arm)]
+    texts = [note.text for note in part("checks").notes(skinning_of(soft_arm))]
     assert any("A driver of 'Arm Rig' reads 'frame_current' of the scene" in text for text in texts)

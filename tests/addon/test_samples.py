@@ -11,7 +11,7 @@ import bmesh
 import bpy
 import numpy as np
 import pytest
-from builders import part
+from builders import part, warnings_of
 
 SAMPLES = Path(__file__).parents[2] / "sample_blends"
 sys.path.append(str(SAMPLES))
@@ -66,7 +66,7 @@ def test_is_a_ready_scene(limb):
     assert "Flexed" in bpy.data.texts["README"].as_string()
     assert 2000 <= len(limb.data.vertices) <= 4000
     assert all(polygon.use_smooth for polygon in limb.data.polygons)
-    assert part("extract").warnings(limb, part("extract").character(limb)) == []
+    assert warnings_of(limb) == []
 
 
 def test_mesh_is_closed_and_skinned_smoothly(limb):

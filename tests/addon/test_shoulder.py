@@ -9,7 +9,7 @@ import bmesh
 import bpy
 import numpy as np
 import pytest
-from builders import part
+from builders import part, warnings_of
 from mathutils.bvhtree import BVHTree
 
 SAMPLES = Path(__file__).parents[2] / "sample_blends"
@@ -89,7 +89,7 @@ def test_is_a_ready_scene(shoulder):
     assert "Folded" in bpy.data.texts["README"].as_string()
     assert 6000 <= len(skin.data.vertices) <= 15000
     assert all(polygon.use_smooth == (polygon.material_index == 0) for polygon in skin.data.polygons)
-    assert part("extract").warnings(skin, shoulder.character) == []
+    assert warnings_of(skin) == []
 
 
 def test_mesh_is_closed_and_skinned_smoothly(shoulder):

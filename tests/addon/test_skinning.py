@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
-from builders import activate, add_key, evaluated_points, part, rig_of
+from builders import activate, add_key, evaluated_points, part, rig_of, skinning_of
 from mathutils import Matrix
 from test_extract import constrained, masked, mirrored, moved_and_scaled, not_deforming, parented_and_animated
 from test_with_engine import scaled_and_traveling
@@ -360,7 +360,7 @@ def test_on_plain_bones_both_ways_are_one(small_arm, monkeypatch, solver):
     small_arm.dynamorph.model.solver = solver
     small_arm.dynamorph.simulation.end = 8
     small_arm.dynamorph.simulation.use_scene_range = False
-    monkeypatch.setattr(part("skinning"), "beyond_bones", lambda _obj: "a test")
+    monkeypatch.setattr(part("skinning").Skinning, "beyond_bones", "a test")
     dense = run(small_arm)
     monkeypatch.undo()
     plain = run(small_arm)
@@ -439,7 +439,7 @@ def test_the_bake_is_outdated_by_the_modifiers_and_the_model_is_not(small_arm):
 
 def test_the_animation_of_every_armature_counts(small_arm):
     two_armatures(small_arm)
-    names = [name for name, _ in part("animation").animation(small_arm)]
+    names = [name for name, _ in part("animation").animation(skinning_of(small_arm))]
     assert names == ["Arm Rig", "Arm", "Second Rig"]
 
 

@@ -11,7 +11,18 @@ import numpy as np
 import pytest
 import real_character
 import scenes
-from builders import activate, add_key, evaluated_points, hand_made_bake, make_mesh, make_rig, part, refused, rig_of
+from builders import (
+    activate,
+    add_key,
+    evaluated_points,
+    hand_made_bake,
+    make_mesh,
+    make_rig,
+    part,
+    refused,
+    rig_of,
+    skinning_of,
+)
 from layout import Layout, drawn
 from mathutils import Matrix
 
@@ -238,7 +249,7 @@ def test_finish_puts_back_what_was_shown(soft_arm, mode, pinned):
     OPS.new_from_pose(mode=mode)
     assert bpy.context.object == soft_arm and soft_arm.mode == mode and rig.mode == "OBJECT"
     assert soft_arm.show_only_shape_key and "dynamorph.finish_sculpt" in drawn(soft_arm)
-    assert not list(part("checks").notes(soft_arm))  # there is no advice to end what the button has begun
+    assert not list(part("checks").notes(skinning_of(soft_arm)))  # there is no advice to end what the button has begun
     refused(OPS.new_from_pose, "Press Finish Sculpting first")
     OPS.finish_sculpt()
     assert bpy.context.object == rig and rig.mode == "POSE" and soft_arm.mode == "OBJECT"
@@ -270,7 +281,7 @@ def test_finish_after_the_artist_left_by_hand(soft_arm):
     pose_mode(soft_arm)
     OPS.new_from_pose()
     bpy.ops.object.mode_set(mode="OBJECT")
-    assert [problem.fix for problem in part("checks").notes(soft_arm)] == ["UNPIN"]
+    assert [problem.fix for problem in part("checks").notes(skinning_of(soft_arm))] == ["UNPIN"]
     pose_mode(soft_arm)
     OPS.finish_sculpt()
     assert rig_of(soft_arm).mode == "POSE" and not soft_arm.show_only_shape_key

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 import pytest
 import real_character
-from builders import make_arm, make_rig, make_soft, part, rig_of, skinned
+from builders import make_arm, make_rig, make_soft, part, rig_of, skinned, warnings_of
 from mathutils import Matrix
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
@@ -302,12 +302,12 @@ def in_centimeters(scene):
 
 
 def test_sizes_are_reported_in_meters(in_centimeters):
-    extract, scene = part("extract"), bpy.context.scene
-    assert extract.warnings(in_centimeters, extract.character(in_centimeters)) == []
+    scene = bpy.context.scene
+    assert warnings_of(in_centimeters) == []
     assert part("transfer").size(in_centimeters) == pytest.approx(2.17, abs=0.01)
     assert part("transfer_operators").length(0.0123) == "1.23 cm"
     scene.unit_settings.scale_length = 1.0
-    (warning,) = extract.warnings(in_centimeters, extract.character(in_centimeters))
+    (warning,) = warnings_of(in_centimeters)
     assert (
         "'Arm' is 200 m long, weighs 551,064,175 kg and will move like something of that size: check the scale"
         in warning

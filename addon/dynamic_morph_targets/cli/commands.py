@@ -23,6 +23,8 @@ from ..io import cache_dir, disk, outputs, paths, point_cache, report_page
 from ..run import batch, expected_error, export_actions, final_comparison
 from ..run.job import Job
 from ..scene import checks, extract, mesh_data, model_store, run_settings, skin, staleness
+from ..scene.skinning import Skinning
+from ..scene.source import Source
 from ..write import bake, blend_file, export_process, exports, losses
 from ..write.reconcile import reconcile
 from . import signals
@@ -268,11 +270,14 @@ def run_check(args: argparse.Namespace) -> None:
     engine.engine()
     in_the_way = 0
     for obj in chosen_objects(args):
-        problems = [problem.text for problem in (*checks.problems(obj), *checks.next_steps(obj))]
+        skinning = Skinning.of(obj)
+        problems = [problem.text for problem in (*checks.problems(skinning), *checks.next_steps(obj))]
         notes = []
         if not problems:
             try:
-                notes = extract.warnings(obj, extract.character(obj))
+                source = Source.of(skinning)
+                extract.read(source)
+                notes = extract.warnings(source)
             except engine.expected_errors() as error:
                 problems = [errors.sentence(error)]
         for kind, texts in (("error", problems), ("warning", notes)):

@@ -24,8 +24,11 @@ from ..core.message import Message, joined
 from ..io import outputs, paths, point_cache
 from ..io.cache_dir import CacheDir
 from ..scene import animation, extract, probe, rig_motion, run_settings, staleness
+from ..scene.checks import skinned
 from ..scene.model_store import blend_folder, load_model, stale_reasons
 from ..scene.skin import ObjectHandle, SceneHandle
+from ..scene.skinning import Skinning
+from ..scene.source import Source
 from ..write.bake import check, check_cache, check_local, overwritten_keys
 from ..write.bake_reading import read_back
 from ..write.reconcile import reconcile
@@ -73,20 +76,21 @@ def read(request: Request) -> BakeInput:
     check_local(obj)
     if obj.type == "MESH":
         reconcile(obj)
-    character = extract.character(obj, without_targets=request.goal == "BUILD_CAGE")
+    source = Source.of(skinned(obj))
+    character = extract.read(source, without_targets=request.goal == "BUILD_CAGE")
     given = BakeInput(request.name, request.goal, character, cache_files=dict(request.cache_files))
     if given.is_bake:
         check(obj)
-        given.followers = extract.followers(obj, character)
+        given.followers = extract.followers(source, character)
         for follower in handles(given.followers):
             check(follower.find(), obj)
-    given.notes = extract.warnings(obj, character)
+    given.notes = extract.warnings(source)
     given.warnings = extract.far_followers(character, given.followers)
     if given.is_bake and request.stored:
         _read_output(given, obj, request.folder)
     fits = _read_model(given, obj, request)
     if given.is_bake or (fits and not given.only_cage):
-        _read_shot(given, obj, request, fits)
+        _read_shot(given, source.skinning, request, fits)
     if given.output and given.output.sink in point_cache.CACHES:
         _try_caches(given)
     _check_memory(given)
@@ -179,11 +183,12 @@ def _reasons(given: BakeInput, obj: bpy.types.Object, rebuild: bool) -> list[str
     return stale_reasons(obj, given.character) or ["asked for"] * rebuild
 
 
-def _read_shot(given: BakeInput, obj: bpy.types.Object, request: Request, fits: bool) -> None:
+def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: bool) -> None:
     """The settings of the simulation, and the part of its result that exists already."""
+    obj = skinning.obj
     settings = run_settings.simulation_settings(obj, bpy.context.scene, request.frames, request.substeps)
     given.has_shot, given.settings = True, replace(settings, **request.changes)
-    given.inputs = staleness.bake_inputs(obj, given.settings) | {"animation": animation.animation(obj)}
+    given.inputs = staleness.bake_inputs(skinning, given.settings) | {"animation": animation.animation(skinning)}
     chosen = obj.dynamorph.simulation
     _read_limits(given, chosen, request)
     is_part = chosen.is_patch or (chosen.keep_outside and request.frames)

@@ -24,6 +24,7 @@ from ..core.geometry import vertex_areas
 from ..core.settings import SimulationSettings
 from ..scene import events, probe, rig_motion, run_settings, staleness
 from ..scene.skin import ObjectHandle, soft_skins
+from ..scene.skinning import Skinning
 from . import batch, preview
 from .job import Job
 
@@ -187,6 +188,6 @@ def _settings(obj: bpy.types.Object) -> SimulationSettings:
 
 def _key(obj: bpy.types.Object) -> str:
     """Identifies what the error depends on: the model, and what of the settings acts in it."""
-    inputs = staleness.bake_inputs(obj, _settings(obj))
+    inputs = staleness.bake_inputs(Skinning.of(obj), _settings(obj))
     del inputs["output"], inputs["simulation"]["fields"]
     return hashlib.sha256(json.dumps([obj.dynamorph.model.content_id, inputs], sort_keys=True).encode()).hexdigest()

@@ -19,7 +19,19 @@ from ..core.geometry import interpolated
 from ..core.message import joined
 from ..core.rig_samples import RigSamples
 from ..core.settings import Material, SimulationSettings
-from ..scene import extract, model_store, probe, references, rig_motion, run_settings, skin, skinning, staleness
+from ..scene import (
+    checks,
+    extract,
+    model_store,
+    probe,
+    references,
+    rig_motion,
+    run_settings,
+    skin,
+    skinning,
+    source,
+    staleness,
+)
 from ..write import comparison, live_key
 from ..write.reconcile import reconcile
 from .live_surface import LiveMesh, Move, by_modes, by_nodes
@@ -60,7 +72,7 @@ class Tissue:
         handle, residual_shapes = skin.ObjectHandle.of(obj), model.residual_shapes[:, own_vertices]
         self.skin = LiveMesh(handle, self.character.vertices[own_vertices], move, residual_shapes)
         self.followers: list[LiveMesh] = []
-        for follower in extract.followers(obj, self.character):
+        for follower in extract.followers(source.Source.of(checks.skinned(obj)), self.character):
             nodes, weights = model.embedding_nodes, model.embedding_weights
             if len(model.tets):
                 nodes, weights = carrying.embedded(model, follower)
@@ -385,4 +397,4 @@ def _with_materials(character: Character, materials: dict[str, Material]) -> Cha
 def way_to_skin(obj: bpy.types.Object) -> tuple:
     """What the mapping from the rig to the skin depends on besides weights."""
     rig = references.rig_of(obj)
-    return rig and references.bones_key(rig.data), skinning.skinning_settings(obj)
+    return rig and references.bones_key(rig.data), skinning.Skinning.of(obj).settings()

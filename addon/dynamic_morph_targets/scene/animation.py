@@ -12,9 +12,8 @@ import bpy
 import numpy as np
 from bpy_extras import anim_utils
 
-from . import skinning
 from .plain import plain
-from .references import rig_of
+from .skinning import Skinning
 
 
 def curves(action, slot) -> list:
@@ -113,21 +112,21 @@ STRIP_FIELDS = (
 USUAL = {"use_nla": True, "action_blend_type": "REPLACE", "action_extrapolation": "HOLD", "action_influence": 1.0}
 
 
-def animation(obj) -> list[tuple[str, str]]:
+def animation(skinning: Skinning) -> list[tuple[str, str]]:
     """(name, hash of the F-curves and NLA strips) of the objects that move the skin."""
-    return [(mover.name, _animation_hash(mover.animation_data)) for mover in _movers(obj)]
+    return [(mover.name, _animation_hash(mover.animation_data)) for mover in _movers(skinning)]
 
 
-def is_animated(obj) -> bool:
+def is_animated(skinning: Skinning) -> bool:
     """Whether F-curves move the skin, and do not only hold a pose."""
-    data = filter(None, (mover.animation_data for mover in _movers(obj)))
+    data = filter(None, (mover.animation_data for mover in _movers(skinning)))
     return any(len(curve.keyframe_points) > 1 for each in data for curve in played(each))
 
 
-def _movers(obj) -> list:
+def _movers(skinning: Skinning) -> list:
     """The objects that move the skin, including all their parents."""
     moving = []
-    for mover in (rig_of(obj), obj, *(modifier.object for modifier in skinning.armature_modifiers(obj))):
+    for mover in (skinning.rig, skinning.obj, *(modifier.object for modifier in skinning.modifiers)):
         while mover is not None and mover not in moving:
             moving.append(mover)
             mover = mover.parent

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -15,9 +15,11 @@ from mathutils import Matrix
 from ..core import errors, rigid
 from ..core.character import Character, Follower, TargetSet
 from ..core.geometry import diagonal, inverse, vertex_areas
-from . import checks, mesh_data, rig_motion, skinning
+from . import checks, mesh_data, rig_motion
 from .nearest import nearest
 from .skin import clothes_in, parts_in, parts_of
+from .skinning import Skinning, meshes_on
+from .source import Source
 
 NEAR, FAR = (
     0.03,
@@ -25,31 +27,20 @@ NEAR, FAR = (
 )  # body sizes; within the first distance, other meshes take over the whole sculpt of the skin, beyond the second none
 
 
-@dataclass(frozen=True)
-class _Mesh:
-    """Another mesh of a body. to_body (4, 4): its local space to the body's; vertices (P, 3): in the body's."""
-
-    obj: object
-    groups: mesh_data.VertexGroups
-    to_body: np.ndarray
-    points: np.ndarray
-    vertices: np.ndarray
-    triangles: np.ndarray
-    weights: np.ndarray
-
-
-def joined(obj, single: Character, groups, world: np.ndarray, rig_world: np.ndarray) -> Character:
-    """The character `own` of the mesh of `obj` alone, extended by the meshes of its body. Raises SceneError.
-
-    groups: the vertex groups of `obj`; world, rig_world (4, 4): of it and its armature when the scene starts.
+def joined(source: Source, single: Character) -> Character:
+    """The character `single` of the soft skin's own mesh, extended by the other meshes of its body. Raises
+    SceneError.
     """
-    rig = checks.armature_modifier(obj).object
-    meshes = [_read(obj, piece, rig, world, single) for piece in clothes_in(obj)]
+    obj = source.obj
+    meshes = [source.attachment(Skinning.of(piece)) for piece in clothes_in(obj)]
+    for mesh in meshes:
+        checks.refuse(checks.follower(source.skinning, mesh.skinning))
+        checks.refuse(checks.skinning_problems(mesh.skinning))
     ends = np.cumsum([len(single.vertices), *(len(mesh.points) for mesh in meshes)]).tolist()
     slices = [slice(begin, end) for begin, end in zip([0, *ends], ends, strict=False)]
-    whole = _Whole(obj, single, groups, meshes, slices)
-    pieces, held = _attached(obj, single, groups, meshes)
-    beside = beside_body(obj, rig, [mesh.obj for mesh in meshes], world, rig_world)
+    whole = _Whole(source, single, meshes, slices)
+    pieces, held = _attached(source, single, meshes)
+    beside = beside_body(source, [mesh.obj for mesh in meshes])
     bind = whole.vertices @ single.to_bind.T
     others = [points @ single.to_bind.T for points, _ in beside]
     first = _coincident(bind, others)
@@ -65,9 +56,7 @@ def joined(obj, single: Character, groups, world: np.ndarray, rig_world: np.ndar
     softness, rigidity = softness[same], _most(rigidity, same)
     if single.settings.hold == "BONES" or single.painted:  # then nothing uses the rigidity of the skin
         softness = softness * (1.0 - rigidity)
-    joint_bones = dict.fromkeys(
-        bone for each in (obj, *(mesh.obj for mesh in meshes)) for bone in skinning.deforming_bones(each, rig)
-    )
+    joint_bones = dict.fromkeys(bone for each in (source, *meshes) for bone in each.skinning.bones(source.rig))
     parts = [
         Follower(
             mesh.obj.name, mesh.obj.session_uid, mesh.points, bind[members], inverse(mesh.to_body[:3, :3]),
@@ -82,29 +71,13 @@ def joined(obj, single: Character, groups, world: np.ndarray, rig_world: np.ndar
         weights=whole.weights,
         softness=softness,
         stiffness=stiffness[same],
-        bone_segments=mesh_data.bone_segments(list(joint_bones), inverse(world) @ rig_world, single.to_bind),
+        bone_segments=source.bone_segments(list(joint_bones)),
         target_sets=whole.target_sets(same),
-        probed=single.probed or any(skinning.beyond_bones(mesh.obj) for mesh in meshes),
+        probed=single.probed or any(mesh.skinning.beyond_bones for mesh in meshes),
         pieces=pieces,
         rigidity=rigidity,
         coincident=same,
         parts=tuple(parts),
-    )
-
-
-def _read(obj, piece, rig, world: np.ndarray, single: Character) -> _Mesh:
-    for problem in checks.follower(obj, piece):
-        raise errors.SceneError(problem.text)
-    to_body = inverse(world) @ mesh_data.worlds_at_start(piece, rig)[0]
-    points, groups = mesh_data.rest_points(piece), mesh_data.VertexGroups(piece)
-    return _Mesh(
-        piece,
-        groups,
-        to_body,
-        points,
-        mesh_data.carried(points, to_body),
-        mesh_data.mesh_triangles(piece.data),
-        mesh_data.skin_weights(piece, rig, groups),
     )
 
 
@@ -113,9 +86,9 @@ class _Whole:
     mesh, the own one first.
     """
 
-    def __init__(self, obj, single: Character, groups, meshes: list[_Mesh], slices: list[slice]):
-        self.obj, self.single, self.groups, self.meshes, self.slices = obj, single, groups, meshes, slices
-        self.vertices = np.concatenate([single.vertices, *(mesh.vertices for mesh in meshes)])
+    def __init__(self, source: Source, single: Character, meshes: list[Source], slices: list[slice]):
+        self.obj, self.single, self.meshes, self.slices = source.obj, single, meshes, slices
+        self.vertices = np.concatenate([single.vertices, *(mesh.in_body for mesh in meshes)])
         shifted = (mesh.triangles + s.start for mesh, s in zip(meshes, slices[1:], strict=True))
         self.triangles = np.concatenate([single.triangles, *shifted]).astype(np.int32)
         self.weights = np.concatenate([single.weights, *(mesh.weights for mesh in meshes)])
@@ -174,11 +147,12 @@ class _Whole:
         )
 
 
-def _attached(obj, single: Character, groups, meshes: list[_Mesh]) -> tuple[np.ndarray, np.ndarray]:
+def _attached(source: Source, single: Character, meshes: list[Source]) -> tuple[np.ndarray, np.ndarray]:
     """The attachments (V,) of all meshes, like `Character.pieces`, and which (V,) of them are held. Raises
     SceneError.
     """
-    pieces, held = [single.pieces.copy()], [_held(parts_in(obj), groups, len(single.vertices))]
+    obj = source.obj
+    pieces, held = [single.pieces.copy()], [_held(parts_in(obj), source.groups, len(single.vertices))]
     wholly = {piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice == "HELD"}
     for mesh in meshes:
         parts = parts_of(obj, mesh.obj)
@@ -240,30 +214,31 @@ def _refuse_hard(obj, whole: _Whole, pieces, rigidity, beside):
 # What the bones alone move -------------------------------------------------------------------------------------------
 
 
-def beside_body(obj, rig, meshes, world: np.ndarray, rig_world: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Points (P, 3), in the local space of `obj` at rest, and triangles of the meshes that only its bones move.
+def beside_body(source: Source, meshes) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Points (P, 3), in the body's local space at rest, and triangles of the meshes that only its bones move.
 
-    meshes: the objects that belong to its body; world, rig_world: as for `joined`. Raises SceneError.
+    meshes: the other objects that belong to the body. Raises SceneError.
     """
+    obj = source.obj
     soft = {obj, *meshes, *(piece.object for piece in obj.dynamorph.pieces if piece.choice == "OWN_CAGE")}
-    found, to_body = [], inverse(world)
-    for other in checks.meshes_on(rig):
+    found, to_body = [], inverse(source.world)
+    for other in meshes_on(source.rig):
         if other not in soft and not other.dynamorph.targets and len(other.data.vertices):
-            skinned = skinning.armature_modifiers(other)
-            placed = mesh_data.worlds_at_start(other, rig)[0] if skinned else _rest_world(other, rig, rig_world)
-            points = mesh_data.rest_points(other)
-            found.append((mesh_data.carried(points, to_body @ placed), mesh_data.mesh_triangles(other.data)))
+            mesh = source.attachment(Skinning.of(other))
+            placed = mesh.world if mesh.skinning.modifiers else _rest_world(other, source)
+            found.append((mesh_data.carried(mesh.points, to_body @ placed), mesh.triangles))
     return found
 
 
-def _rest_world(other, rig, rig_world: np.ndarray) -> np.ndarray:
+def _rest_world(other, source: Source) -> np.ndarray:
     """World transform (4, 4), meters, of an object parented to the armature or its bones while that is at rest."""
+    rig = source.rig
     if other == rig:
-        return rig_world
+        return source.rig_world
     basis = np.array(other.matrix_parent_inverse) @ np.array(other.matrix_basis)
     if other.parent is None:
         return rig_motion.world_now(other)
-    above = _rest_world(other.parent, rig, rig_world)
+    above = _rest_world(other.parent, source)
     if other.parent == rig and other.parent_type == "BONE" and other.parent_bone in rig.data.bones:
         bone = rig.data.bones[other.parent_bone]
         above = above @ np.array(bone.matrix_local @ Matrix.Translation((0.0, bone.length, 0.0)))

@@ -14,10 +14,12 @@ import numpy as np
 from ..core.errors import SceneError
 from ..core.geometry import signed_volume
 from ..core.settings import Material
-from . import events, skinning
-from .checks import Problem
-from .mesh_data import VertexGroups, left_behind, mesh_triangles, stretch
+from . import events
+from .checks import Problem, skinned
+from .mesh_data import stretch
 from .skin import unit_scale
+from .skinning import armature_modifiers
+from .source import Source
 
 PLAUSIBLE = (0.05, 4.0)  # meters, the longest side; a body of another size is probably unintended
 HEAVIEST = 2000.0  # kg; a heavier body is probably unintended
@@ -28,7 +30,7 @@ _looks: dict[int, tuple[tuple, list[Problem]]] = {}  # by Object.session_uid: th
 
 def known(obj) -> list[Problem]:
     """What the last look at the body of `obj` found. Reads no mesh: fit for drawing."""
-    if not skinning.armature_modifiers(obj):
+    if not armature_modifiers(obj):
         return []
     state, found = _looks.get(obj.session_uid, ((), []))
     if obj.mode != "OBJECT":  # what is edited, sculpted or painted is looked at afterward
@@ -42,7 +44,8 @@ def known(obj) -> list[Problem]:
 def look(obj) -> list[Problem]:
     """Read the body of `obj`; returns what looks unintended, which is also what `known` returns from now on."""
     try:
-        found = list(unintended(obj, mesh_points(obj), stretch(_world(obj)), VertexGroups(obj)))
+        source = Source.of(skinned(obj))
+        found = list(unintended(source, mesh_points(obj), stretch(_world(obj))))
     except SceneError:  # weights that are not numbers, which a build refuses
         found = []
     _looks[obj.session_uid] = _state(obj), found
@@ -61,10 +64,10 @@ def forget():
     _looks.clear()
 
 
-def unintended(obj, points: np.ndarray, to_bind: np.ndarray, groups: VertexGroups) -> Iterator[Problem]:
-    """points (V, 3): of the mesh, local space; to_bind: as of `Character`."""
-    yield from _size(obj, points @ to_bind.T)
-    count = int(left_behind(obj, groups).sum())
+def unintended(source: Source, points: np.ndarray, to_bind: np.ndarray) -> Iterator[Problem]:
+    """points (V, 3): of the mesh, local space, maybe in Edit Mode; to_bind: as of `Character`, maybe at this frame."""
+    yield from _size(source, points @ to_bind.T)
+    count = int(source.left_behind.sum())
     if count:
         yield Problem(
             "{count} of the {total} vertices of '{name}' have no bone weight: they stay behind when the armature "
@@ -72,17 +75,17 @@ def unintended(obj, points: np.ndarray, to_bind: np.ndarray, groups: VertexGroup
             "WEIGHT_LIKE_NEAREST",
             count=count,
             total=len(points),
-            name=obj.name,
+            name=source.obj.name,
         )
 
 
-def _size(obj, points: np.ndarray) -> Iterator[Problem]:
+def _size(source: Source, points: np.ndarray) -> Iterator[Problem]:
     """points (V, 3): in meters."""
     if not len(points):
         return
-    size = longest_side(points)
+    obj, size = source.obj, longest_side(points)
     targets = obj.dynamorph.targets
-    mass = (targets[0].density if targets else Material.density) * abs(signed_volume(points, mesh_triangles(obj.data)))
+    mass = (targets[0].density if targets else Material.density) * abs(signed_volume(points, source.triangles))
     if size < PLAUSIBLE[0]:
         yield Problem(
             "'{name}' is {size:.3g} m long and will move like something of that size: check the scale",
@@ -125,7 +128,7 @@ def _world(obj) -> np.ndarray:
 def _state(obj) -> tuple:
     """What a look depends on and is quickly read. Edits of the mesh are not among it: they call `forget`."""
     targets = obj.dynamorph.targets
-    rigs = tuple(modifier.object.data.session_uid for modifier in skinning.armature_modifiers(obj))
+    rigs = tuple(modifier.object.data.session_uid for modifier in armature_modifiers(obj))
     scale = tuple(round(side, 5) for side in obj.matrix_world.to_scale())
     density = targets[0].density if targets else 0.0
     counts = len(obj.data.vertices), len(obj.vertex_groups)

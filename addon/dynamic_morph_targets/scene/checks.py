@@ -11,13 +11,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isfinite
 
-import bpy
-
 from ..core.errors import SceneError
 from ..core.message import Message
-from .references import is_armature, rig_of
+from .references import is_armature
 from .skin import cache_modifier, edited_elsewhere
-from .skinning import armature_for, armature_modifiers, beyond_bones, deforming_bones, main_modifier
+from .skinning import Skinning, armature_for
 
 # Modifiers that may change the number of vertices. Before the Armature they break the match with the shape keys.
 GENERATING = {
@@ -47,22 +45,20 @@ class Problem:
 # At every draw -----------------------------------------------------------------------------------------------------
 
 
-def problems(obj) -> Iterator[Problem]:
-    """What prevents the mesh object `obj` from being simulated, in the order in which an artist would fix it."""
-    yield from mesh(obj)
-    missing = list(skinning_problems(obj))
+def problems(skinning: Skinning) -> Iterator[Problem]:
+    """What prevents a mesh object from being simulated, in the order in which an artist would fix it."""
+    yield from mesh(skinning.obj)
+    missing = list(skinning_problems(skinning))
     yield from missing
     if not missing:
-        modifiers = armature_modifiers(obj)
-        yield from order(obj)
-        for modifier in modifiers:
-            yield from _modifier(obj, modifier)
-        main = main_modifier(obj).object
-        for armature in dict.fromkeys((main, *(modifier.object for modifier in modifiers))):
+        yield from order(skinning)
+        for modifier in skinning.modifiers:
+            yield from _modifier(skinning.obj, modifier)
+        for armature in dict.fromkeys((skinning.rig, *(modifier.object for modifier in skinning.modifiers))):
             yield from armature_state(armature)
-            if armature == main or deforming_bones(obj, armature):
-                yield from _bones(obj, armature)
-    yield from _keys(obj)
+            if armature == skinning.rig or skinning.bones(armature):
+                yield from _bones(skinning, armature)
+    yield from _keys(skinning.obj)
 
 
 def next_steps(obj) -> Iterator[Problem]:
@@ -92,9 +88,10 @@ def hints(obj) -> Iterator[str]:
         )
 
 
-def notes(obj) -> Iterator[Problem]:
+def notes(skinning: Skinning) -> Iterator[Problem]:
     """What does not prevent a simulation, but will be ignored or will hide its result."""
-    for modifier in armature_modifiers(obj)[-1:]:
+    obj = skinning.obj
+    for modifier in skinning.modifiers[-1:]:
         for before in _modifiers_before(obj, modifier):
             if before.type in DEFORMING and before != cache_modifier(obj):
                 yield Problem(
@@ -103,12 +100,11 @@ def notes(obj) -> Iterator[Problem]:
                     modifier=before.name,
                 )
         yield from _scene_drivers(modifier.object)
-    reason = beyond_bones(obj)
-    if reason:
+    if skinning.beyond_bones:
         yield Problem(
             "'{name}' is skinned with {reason}, which takes longer to bake and to play than plain bones",
             name=obj.name,
-            reason=reason,
+            reason=skinning.beyond_bones,
         )
     yield from shared_mesh(obj)
     keys = obj.data.shape_keys
@@ -175,32 +171,19 @@ def nothing_soft(obj) -> str:
     return Message("'{name}': nothing soft found: paint the Softness Map", name=obj.name)
 
 
-def meshes_on(rig) -> list:
-    """The mesh objects of the scene that an armature moves: those that it skins, and those parented to it or its
-    bones.
-    """
-    hanging = set(rig.children_recursive)
-    return [
-        other
-        for other in bpy.context.scene.objects
-        if other.type == "MESH" and (other in hanging or any(m.object == rig for m in armature_modifiers(other)))
-    ]
-
-
-def follower(obj, piece) -> Iterator[Problem]:
-    """What prevents the mesh object `piece` from moving with the soft skin `obj`."""
-    body, armature = obj.name, rig_of(obj)
-    modifiers = armature_modifiers(piece)
+def follower(of_body: Skinning, of_piece: Skinning) -> Iterator[Problem]:
+    """What prevents one mesh object from moving with the soft skin of the other."""
+    obj, piece, armature, body = of_body.obj, of_piece.obj, of_body.rig, of_body.obj.name
     if piece.type != "MESH":
         text = "'{name}' is no mesh, or its library is missing: restore that, or remove it from the Attachments"
         yield Problem(text, name=piece.name)
         return
     if piece == obj:
         yield Problem("'{body}' cannot be attached to itself: remove it from the Attachments", body=body)
-    elif not modifiers:
+    elif not of_piece.modifiers:
         text = "'{name}' has no Armature modifier with an armature: skin it to '{armature}', or choose Rigid"
         yield Problem(text, name=piece.name, armature=armature.name)
-    elif all(modifier.object != armature for modifier in modifiers):
+    elif of_piece.modifier_of(armature) is None:
         text = "'{name}' is moved by another armature: choose '{armature}' in its Armature modifier, or Rigid"
         yield Problem(text, name=piece.name, armature=armature.name)
     if piece.dynamorph.targets:
@@ -251,9 +234,10 @@ def mesh(obj) -> Iterator[Problem]:
         yield Problem("Mesh '{name}' has no faces: model some, or choose the right object", name=obj.name)
 
 
-def order(obj) -> Iterator[Problem]:
+def order(skinning: Skinning) -> Iterator[Problem]:
     """Yields nothing when no modifier before the Armature changes the number of vertices."""
-    for before in generating_before(obj, armature_modifiers(obj)[-1]):
+    obj = skinning.obj
+    for before in generating_before(obj, skinning.modifiers[-1]):
         yield Problem(
             "'{name}': modifier '{modifier}' comes before the Armature: move it below",
             "MOVE_BELOW",
@@ -305,13 +289,13 @@ def armature_state(armature) -> Iterator[Problem]:
         )
 
 
-def _bones(obj, armature):
+def _bones(skinning: Skinning, armature):
     """For each kind of problem only the first bone, because its fix repairs all of them."""
-    bones = deforming_bones(obj, armature)
+    bones = skinning.bones(armature)
     if not bones:
         yield Problem(
             "'{name}' has no vertex group named after a deforming bone of '{armature}': weight it first",
-            name=obj.name,
+            name=skinning.obj.name,
             armature=armature.name,
         )
         return
@@ -377,14 +361,20 @@ def _keys(obj):
 # What others ask for ------------------------------------------------------------------------------------------------
 
 
-def armature_modifier(obj):
-    """The Armature modifier whose armature places the targets of `obj`. Raises SceneError."""
+def skinned(obj) -> Skinning:
+    """How the mesh object `obj` is skinned. Raises SceneError unless an armature skins it."""
     if obj is None or obj.type != "MESH":
         raise SceneError(
             "'{name}' is not a mesh: select the character's mesh object", name=obj.name if obj else "Nothing"
         )
-    refuse(skinning_problems(obj))
-    return main_modifier(obj)
+    skinning = Skinning.of(obj)
+    refuse(skinning_problems(skinning))
+    return skinning
+
+
+def armature_modifier(obj):
+    """The Armature modifier whose armature places the targets of `obj`. Raises SceneError."""
+    return skinned(obj).modifier
 
 
 def check_mesh(obj):
@@ -398,12 +388,13 @@ def refuse(problems):
         raise SceneError(problem.text)
 
 
-def skinning_problems(obj) -> Iterator[Problem]:
+def skinning_problems(skinning: Skinning) -> Iterator[Problem]:
     """Yields nothing when there is an Armature modifier with an armature."""
-    if is_armature(obj.parent) and obj.parent_type == "ARMATURE" and armature_modifiers(obj):
+    obj = skinning.obj
+    if is_armature(obj.parent) and obj.parent_type == "ARMATURE" and skinning.modifiers:
         text = "'{name}' is deformed twice, by its parent and by its Armature modifier: set Parent Type to Object"
         yield Problem(text, "PARENT_OBJECT", name=obj.name)
-    elif not armature_modifiers(obj):
+    elif not skinning.modifiers:
         yield Problem(
             "'{name}' has no Armature modifier with an armature: add one, or parent the mesh to it",
             "ADD_ARMATURE" if armature_for(obj) else "",
@@ -411,8 +402,8 @@ def skinning_problems(obj) -> Iterator[Problem]:
         )
 
 
-def rig(obj, modifier) -> Iterator[Problem]:
-    """Whether Blender skins `obj` as it will be simulated: the Armature modifier, its armature and its bones."""
-    yield from _modifier(obj, modifier)
-    yield from armature_state(modifier.object)
-    yield from _bones(obj, modifier.object)
+def rig(skinning: Skinning) -> Iterator[Problem]:
+    """Whether Blender skins a mesh as it will be simulated: the Armature modifier, its armature and its bones."""
+    yield from _modifier(skinning.obj, skinning.modifier)
+    yield from armature_state(skinning.rig)
+    yield from _bones(skinning, skinning.rig)

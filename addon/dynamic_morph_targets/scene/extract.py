@@ -11,30 +11,18 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ..core.character import Character, Follower, OwnCage, Skeleton, Target, TargetSet
+from ..core.character import Character, Follower, OwnCage, Target, TargetSet
 from ..core.errors import SceneError, sentence
 from ..core.geometry import diagonal, inverse
 from ..core.settings import ModelSettings
-from . import bodies, body_checks, checks, data_checks, skinning
-from .checks import armature_modifier, refuse
-from .mesh_data import (
-    VertexGroups,
-    bone_segments,
-    carried,
-    mesh_triangles,
-    modifier_weights,
-    pieces_of,
-    rest_points,
-    softness,
-    stiffness,
-    stretch,
-    target_shape,
-    worlds_at_start,
-)
+from . import bodies, body_checks, checks, data_checks
+from .checks import refuse, skinned
+from .mesh_data import carried, mesh_triangles, pieces_of, softness, stiffness, target_shape
 from .nearest import nearest
-from .references import rest_skeleton, rig_of
 from .rig_motion import at_rest, rig_scene
 from .skin import clothes_in, parts_in, unit_scale
+from .skinning import Skinning
+from .source import Source
 
 FAR = 0.1  # body sizes; a mesh farther away than this does not move like the tissue
 
@@ -43,44 +31,43 @@ FAR = 0.1  # body sizes; a mesh farther away than this does not move like the ti
 
 
 def character(obj, without_targets=False) -> Character:
-    """The soft skin authored on `obj`, whose references `reconcile.reconcile` has updated. without_targets: the neutral
-    target is enough. Raises SceneError.
+    """`read` for those who need nothing else of the object."""
+    return read(Source.of(skinned(obj)), without_targets)
+
+
+def read(source: Source, without_targets=False) -> Character:
+    """The soft skin authored on the mesh of `source`, whose references `reconcile.reconcile` has updated.
+    without_targets: the neutral target is enough. Raises SceneError.
     """
-    modifier = armature_modifier(obj)
-    if not obj.dynamorph.targets:
+    obj, settings = source.obj, source.obj.dynamorph
+    if not settings.targets:
         raise SceneError("'{name}' is no soft skin: select it and press Add Soft Skin", name=obj.name)
     refuse(data_checks.settings(obj))
-    refuse(checks.problems(obj))
+    refuse(checks.problems(source.skinning))
     if not without_targets:
         refuse(checks.next_steps(obj))
     refuse(data_checks.shapes(obj))
-    skeleton = rest_skeleton(modifier.object.data)
-    groups = VertexGroups(obj)
-    target_sets = _target_sets(obj, skeleton, groups)
+    target_sets = _target_sets(source)
     for target_set in target_sets:
-        refuse(data_checks.poses(obj.name, target_set.targets, skeleton))
-    world, rig_world = worlds_at_start(obj, modifier.object)
-    to_bind, bones = stretch(world), skinning.deforming_bones(obj, modifier.object)
+        refuse(data_checks.poses(obj.name, target_set.targets, source.skeleton))
     single = Character(
         name=obj.name,
-        vertices=rest_points(obj),
-        triangles=mesh_triangles(obj.data),
-        to_bind=to_bind,
-        weights=modifier_weights(obj, modifier, skeleton, groups),
-        softness=softness(obj, groups),
-        stiffness=stiffness(obj, groups),
-        bone_segments=bone_segments(bones, inverse(world) @ rig_world, to_bind),
-        skeleton=skeleton,
+        vertices=source.points,
+        triangles=source.triangles,
+        to_bind=source.to_bind,
+        weights=source.weights,
+        softness=softness(obj, source.groups),
+        stiffness=stiffness(obj, source.groups),
+        bone_segments=source.bone_segments(source.skinning.bones(source.rig)),
+        skeleton=source.skeleton,
         target_sets=target_sets,
         settings=model_settings(obj),
-        probed=bool(skinning.beyond_bones(obj)),
-        pieces=pieces_of(parts_in(obj), obj, groups),
-        cage=_own_cage(obj, modifier.object, to_bind),
-        painted=bool(obj.dynamorph.soft_group),
+        probed=bool(source.skinning.beyond_bones),
+        pieces=pieces_of(parts_in(obj), obj, source.groups),
+        cage=_own_cage(source),
+        painted=bool(settings.soft_group),
     )
-    if not single.settings.one_cage:
-        return single
-    return bodies.joined(obj, single, groups, world, rig_world)
+    return bodies.joined(source, single) if single.settings.one_cage else single
 
 
 def model_settings(obj) -> ModelSettings:
@@ -89,36 +76,30 @@ def model_settings(obj) -> ModelSettings:
     return replace(chosen, cage_thickness=unit_scale() * chosen.cage_thickness)
 
 
-def followers(obj, character: Character) -> list[Follower]:
-    """The other meshes that the soft skin of `obj` carries along; character: the result of reading it. Raises
-    SceneError.
-    """
+def followers(source: Source, character: Character) -> list[Follower]:
+    """The other meshes that the soft skin carries along; character: what was read of the source. Raises SceneError."""
     if character.settings.one_cage:
         return list(character.parts)
-    pieces = clothes_in(obj)
+    pieces = clothes_in(source.obj)
     if not pieces:
         return []
-    rig = armature_modifier(obj).object
-    body_world, _ = worlds_at_start(obj, rig)
     skin = character.vertices @ character.to_bind.T
     of_body = (character.pieces[character.triangles] == 0).all(axis=1)
     if not of_body.any():
         raise SceneError(
-            "'{name}' has no body to carry its attachments: choose With Body for a part of it", name=obj.name
+            "'{name}' has no body to carry its attachments: choose With Body for a part of it", name=source.obj.name
         )
     found = []
-    for piece in pieces:
-        refuse(checks.follower(obj, piece))
-        to_body = inverse(body_world) @ worlds_at_start(piece, rig)[0]
-        points = rest_points(piece)
-        vertices = (points @ to_body[:3, :3].T + to_body[:3, 3]) @ character.to_bind.T
+    for piece in (source.attachment(Skinning.of(each)) for each in pieces):
+        refuse(checks.follower(source.skinning, piece.skinning))
+        vertices = (piece.points @ piece.to_body[:3, :3].T + piece.to_body[:3, 3]) @ character.to_bind.T
         found.append(
             Follower(
-                piece.name,
-                piece.session_uid,
-                points,
+                piece.obj.name,
+                piece.obj.session_uid,
+                piece.points,
                 vertices,
-                inverse(to_body[:3, :3]),
+                inverse(piece.to_body[:3, :3]),
                 nearest(vertices, skin, character.triangles[of_body]),
             )
         )
@@ -136,30 +117,30 @@ def far_followers(character: Character, found: list[Follower]) -> list[str]:
     ]
 
 
-def warnings(obj, character: Character) -> list[str]:
+def warnings(source: Source) -> list[str]:
     """What will be ignored, or looks unintended."""
-    points = character.vertices[character.own_vertices]
-    found = (*checks.notes(obj), *body_checks.unintended(obj, points, character.to_bind, VertexGroups(obj)))
+    found = (*checks.notes(source.skinning), *body_checks.unintended(source, source.points, source.to_bind))
     return [problem.text for problem in found]
 
 
 def first_look(obj) -> list[str]:
     """Everything that prevents a simulation of `obj` or looks unintended, before it is a soft skin."""
-    found = [*checks.problems(obj), *checks.notes(obj)]
+    skinning = Skinning.of(obj)
+    found = [*checks.problems(skinning), *checks.notes(skinning)]
     try:
-        found += body_checks.unintended(
-            obj, body_checks.mesh_points(obj), stretch(worlds_at_start(obj, rig_of(obj))[0]), VertexGroups(obj)
-        )
+        source = Source.of(skinning)
+        found += body_checks.unintended(source, body_checks.mesh_points(obj), source.to_bind)
     except SceneError as error:
         return [*(problem.text for problem in found), sentence(error)]
     return [problem.text for problem in found]
 
 
-def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[TargetSet, ...]:
+def _target_sets(source: Source) -> tuple[TargetSet, ...]:
     """The targets of the whole body, then those of each region, each set with the neutral target first.
 
     Regions divide the tissue between them: where their groups add up to less than one, the body has the rest.
     """
+    obj = source.obj
     neutral, *others = checks.active_targets(obj)
     groups = list(dict.fromkeys(target.region for target in others if target.region))
     gone = [group for group in groups if group not in obj.vertex_groups]
@@ -171,7 +152,7 @@ def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[
             group=gone[0],
             target=name,
         )
-    region_weights = vertex_groups.weights(groups).clip(0.0, 1.0)
+    region_weights = source.groups.weights(groups).clip(0.0, 1.0)
     empty = [group for group, weights in zip(groups, region_weights.T, strict=True) if not weights.any()]
     if empty:
         raise SceneError(
@@ -183,15 +164,16 @@ def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[
     sets = []
     body = (1.0 - region_weights.sum(axis=1)).clip(0.0)
     for group, weights in zip(["", *groups], [body, *region_weights.T], strict=True):
-        targets = [_target(obj, target, skeleton, vertex_groups) for target in others if target.region == group]
-        at_rest = _target(obj, neutral, skeleton, vertex_groups)
+        targets = [_target(source, target) for target in others if target.region == group]
+        at_rest = _target(source, neutral)
         if group:
             at_rest = replace(at_rest, name=f"{at_rest.name} {group}")
         sets.append(TargetSet(group or obj.name, (at_rest, *targets), weights))
     return tuple(sets)
 
 
-def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
+def _target(source: Source, target) -> Target:
+    obj, skeleton = source.obj, source.skeleton
     missing = [name for name in target.bone_names() if name not in skeleton.names]
     if missing:
         raise SceneError(
@@ -202,7 +184,7 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
         )
     material = target.material()
     neutral = target == obj.dynamorph.targets[0]
-    shape = np.zeros((len(obj.data.vertices), 3)) if neutral else target_shape(obj, target.name, groups)
+    shape = np.zeros((len(obj.data.vertices), 3)) if neutral else target_shape(obj, target.name, source.groups)
     local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)
     if not (np.isfinite(local).all() and np.isfinite(rig_world).all()):
         raise SceneError(
@@ -216,8 +198,9 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
     )  # fmt: skip
 
 
-def _own_cage(obj, rig, to_bind) -> OwnCage | None:
+def _own_cage(source: Source) -> OwnCage | None:
     """The artist's cage as it is when the scene starts with the armature at rest, bind space. Raises SceneError."""
+    obj = source.obj
     cage = obj.dynamorph.model.cage_object
     if cage is None:
         return None
@@ -233,7 +216,7 @@ def _own_cage(obj, rig, to_bind) -> OwnCage | None:
         raise SceneError(
             "Cage Object '{name}' is disabled in viewports: enable it, and hide it by its eye", name=cage.name
         )
-    with at_rest(rig), rig_scene(obj, rig) as (scene, _follower):
+    with at_rest(source.rig), rig_scene(obj, source.rig) as (scene, _follower):
         scene.collection.objects.link(cage)
         scene.frame_set(bpy.context.scene.frame_start)
         depsgraph = scene.view_layers[0].depsgraph
@@ -246,4 +229,4 @@ def _own_cage(obj, rig, to_bind) -> OwnCage | None:
         evaluated.to_mesh_clear()
     if not len(triangles):
         raise SceneError("Cage Object '{name}' has no faces: choose a closed mesh", name=cage.name)
-    return OwnCage(cage.name, carried(points.astype(np.float64), to_local) @ to_bind.T, triangles)
+    return OwnCage(cage.name, carried(points.astype(np.float64), to_local) @ source.to_bind.T, triangles)

@@ -14,8 +14,7 @@ import numpy as np
 from ..core.character import Skeleton
 from ..core.errors import SceneError
 from ..core.geometry import determinant
-from . import skinning
-from .checks import armature_modifier
+from .checks import skinned
 from .references import key_points, rest_skeleton
 from .rig_motion import in_meters, not_a_number, rig_scene
 from .skin import unit_scale
@@ -83,14 +82,14 @@ class VertexGroups:
         return weights
 
 
-def skin_weights(obj, rig=None, groups: VertexGroups | None = None) -> np.ndarray:
+def skin_weights(obj, rig=None) -> np.ndarray:
     """Skin weights (V, B + 1) of any mesh with an Armature modifier, like `Character.weights`. Raises SceneError.
 
-    rig: the armature object to use, if `obj` may have several; groups: those of `obj`, if they were read already.
+    rig: the armature object to use, if `obj` may have several.
     """
-    modifier = armature_modifier(obj)
-    modifier = next((each for each in skinning.armature_modifiers(obj) if each.object == rig), modifier)
-    return modifier_weights(obj, modifier, rest_skeleton(modifier.object.data), groups or VertexGroups(obj))
+    skinning = skinned(obj)
+    modifier = skinning.modifier_of(rig) or skinning.modifier
+    return modifier_weights(obj, modifier, rest_skeleton(modifier.object.data), VertexGroups(obj))
 
 
 def modifier_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) -> np.ndarray:
@@ -104,15 +103,6 @@ def modifier_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) ->
         mask = groups.weights([modifier.vertex_group])
         weights *= 1.0 - mask if modifier.invert_vertex_group else mask
     return np.hstack([weights, 1.0 - weights.sum(axis=1, keepdims=True)])
-
-
-def left_behind(obj, groups: VertexGroups) -> np.ndarray:
-    """Which vertices (V,) no bone moves."""
-    unmoved = [
-        modifier_weights(obj, modifier, rest_skeleton(modifier.object.data), groups)[:, -1] >= 1.0
-        for modifier in skinning.armature_modifiers(obj)
-    ]
-    return np.all(unmoved, axis=0)
 
 
 def _painted(obj, groups: VertexGroups, use: str, group: str) -> np.ndarray:

@@ -16,8 +16,8 @@ from mathutils import Matrix
 from ..core.character import Character
 from ..core.geometry import diagonal
 from ..core.rig_samples import PosedNodes
-from . import skinning
 from .mesh_data import NO_WEIGHT, VertexGroups
+from .skinning import Skinning, armature_modifiers
 
 OFFSET = (
     0.01  # body sizes; the nodes' offsets. Bendy bones bend within a long one, and float32 loses digits of a short one
@@ -36,7 +36,7 @@ class Probe:
         self.rest = model.nodes[model.free]
         self.offset = OFFSET * diagonal(model.nodes)
         meshes = [next(o for o in bpy.data.objects if o.session_uid == part.session_uid) for part in character.parts]
-        self._names, weights, masks, of_modifiers = _skin_groups(obj, meshes)
+        self._names, weights, masks, of_modifiers = _skin_groups([Skinning.of(each) for each in (obj, *meshes)])
         at_nodes = model.at_nodes(np.hstack([weights, masks]))[model.free].clip(0.0, 1.0)
         weights, masks = np.split(at_nodes, [weights.shape[1]], axis=1)
         totals = weights @ of_modifiers.T
@@ -57,7 +57,7 @@ class Probe:
         """Give the object of `mesh` what skins `obj`."""
         for name in self._names:
             probe.vertex_groups.new(name=name)
-        for k, modifier in enumerate(skinning.armature_modifiers(obj)):
+        for k, modifier in enumerate(armature_modifiers(obj)):
             probe.vertex_groups.new(name=f"{MASK}{k}")
             copy = probe.modifiers.new(modifier.name, "ARMATURE")
             for field in ("object", "use_deform_preserve_volume", "use_multi_modifier", "show_viewport"):
@@ -115,17 +115,14 @@ class Probe:
             )
 
 
-def _skin_groups(obj, others) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray]:
-    """What the K Armature modifiers of `obj` read: names of G vertex groups; their weights (V, G), which Blender
-    uses as ratios; the part (V, K) that each modifier has in the result; which groups belong to its bones (K, G).
+def _skin_groups(meshes: list[Skinning]) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray]:
+    """What the K Armature modifiers of the first mesh read: names of G vertex groups; their weights (V, G), which
+    Blender uses as ratios; the part (V, K) that each modifier has in the result; which groups belong to its bones
+    (K, G).
 
-    others: further objects whose vertices the character has; their skinning counts like that of `obj`.
+    The others are those whose vertices the character has too; their skinning counts like that of the first.
     """
-    meshes, modifiers = (obj, *others), skinning.armature_modifiers(obj)
-    bones = [
-        [bone.name for mesh in meshes for bone in skinning.deforming_bones(mesh, modifier.object)]
-        for modifier in modifiers
-    ]
+    bones = [[bone.name for mesh in meshes for bone in mesh.bones(modifier.object)] for modifier in meshes[0].modifiers]
     names = list(dict.fromkeys(name for of_modifier in bones for name in of_modifier))
     of_modifiers = np.array([[name in of_modifier for name in names] for of_modifier in bones])
     found = [_weights_and_masks(mesh, names, of_modifiers) for mesh in meshes]
@@ -133,14 +130,14 @@ def _skin_groups(obj, others) -> tuple[list[str], np.ndarray, np.ndarray, np.nda
     return names, weights, masks, of_modifiers
 
 
-def _weights_and_masks(obj, names: list[str], of_modifiers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _weights_and_masks(mesh: Skinning, names: list[str], of_modifiers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`_skin_groups` of one mesh. A modifier that it lacks has no part in the result."""
-    groups = VertexGroups(obj)
+    groups = VertexGroups(mesh.obj)
     weights = groups.weights(names)
     masks = np.zeros((len(weights), len(of_modifiers)))
-    for mask, modifier, in_modifier in zip(masks.T, skinning.armature_modifiers(obj), of_modifiers, strict=False):
+    for mask, modifier, in_modifier in zip(masks.T, mesh.modifiers, of_modifiers, strict=False):
         mask[:] = 1.0
-        if modifier.vertex_group in obj.vertex_groups:
+        if modifier.vertex_group in mesh.obj.vertex_groups:
             painted = groups.weights([modifier.vertex_group])[:, 0]
             mask[:] = 1.0 - painted if modifier.invert_vertex_group else painted
         if not modifier.use_multi_modifier:  # one that does goes back to before the first, even where it has no weights

@@ -16,10 +16,11 @@ from ..core.errors import SceneError
 from ..core.geometry import determinant, invertible, turned
 from ..core.message import Message
 from ..core.rig_samples import ForceField, RigSamples
-from . import checks, events, skinning
+from . import checks, events
 from .checks import armature_modifier, refuse
 from .references import rest_skeleton
 from .skin import unit_scale
+from .skinning import Skinning
 
 MOVED = np.radians(5.0)  # a bone turned further than this from the neutral pose places a target by default
 
@@ -52,9 +53,9 @@ def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]
 
     depsgraph: where it is evaluated, if not where the artist sees it.
     """
-    modifier = armature_modifier(obj)
-    refuse(checks.rig(obj, modifier))
-    rig = modifier.object
+    skinning = checks.skinned(obj)
+    refuse(checks.rig(skinning))
+    rig = skinning.rig
     skeleton = rest_skeleton(rig.data)
     evaluated = rig.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get())
     pose = pose_matrices(evaluated, pose_order(rig, skeleton))
@@ -148,7 +149,8 @@ class RigSampling:
     """
 
     def __init__(self, obj, start: int, end: int, substeps: int):
-        rig = armature_modifier(obj).object
+        skinning = checks.skinned(obj)
+        rig = skinning.rig
         self.start, self.substeps = start, substeps
         self.probe: object | None = None
         self._nodes = self._target_nodes = None
@@ -156,7 +158,7 @@ class RigSampling:
         self._unit = unit_scale()
         self._skeleton = rest_skeleton(rig.data)
         self._order = pose_order(rig, self._skeleton)
-        self._moving = _moving(obj, rig)
+        self._moving = _moving(skinning, self._skeleton)
         sources = _force_fields(bpy.context.view_layer) if obj.dynamorph.simulation.fields else []
         self._sources = [source.name for source in sources]
         self._columns = np.empty((self.count, len(self._order), 4, 4), np.float32)
@@ -173,9 +175,10 @@ class RigSampling:
         in memory. Raises SceneError.
         """
         ends = time.perf_counter() + seconds
-        rig = armature_modifier(obj).object
+        skinning = checks.skinned(obj)
+        rig = skinning.rig
         sources = [bpy.context.scene.objects.get(name) for name in self._sources]
-        if _moving(obj, rig) != self._moving or None in sources:
+        if _moving(skinning, rest_skeleton(rig.data)) != self._moving or None in sources:
             raise SceneError("'{name}' or what moves it changed while it was read: start again", name=obj.name)
         with rig_scene(obj, rig, self.probe) as (scene, follower):
             for source in sources:
@@ -237,10 +240,10 @@ class RigSampling:
         return self.start + int(sample) // self.substeps
 
 
-def _moving(obj, rig) -> tuple[str, ...]:
-    """Names of everything that moves `obj`: the armature, the object, the bones, and other armatures that skin it."""
-    others = (modifier.object.name for modifier in skinning.armature_modifiers(obj))
-    return (rig.name, obj.name, *rest_skeleton(rig.data).names, *others)
+def _moving(skinning: Skinning, skeleton: Skeleton) -> tuple[str, ...]:
+    """Names of everything that moves a mesh: the armature, the object, the bones, and other armatures that skin it."""
+    others = (modifier.object.name for modifier in skinning.modifiers)
+    return (skinning.rig.name, skinning.obj.name, *skeleton.names, *others)
 
 
 def _force_fields(view_layer) -> list:

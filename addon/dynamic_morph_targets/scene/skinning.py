@@ -3,6 +3,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
 import bpy
 
 from .references import is_armature, rig_of
@@ -10,39 +14,65 @@ from .references import is_armature, rig_of
 SKINNING_FIELDS = ("use_deform_preserve_volume", "use_multi_modifier", "vertex_group", "invert_vertex_group")
 
 
-def beyond_bones(obj) -> str:
-    """What makes Blender's skinning of `obj` more than sums of bone matrices, which the engine supports; '' if
-    nothing.
+@dataclass(frozen=True, eq=False)
+class Skinning:
+    """How Blender skins the mesh object `obj`, read once. An undo replaces what it refers to, so nobody keeps it.
+
+    modifiers: its Armature modifiers that have an armature; rig: the armature object that places the targets, or None.
     """
-    modifiers = armature_modifiers(obj)
-    if len(modifiers) > 1:
-        return "several Armature modifiers"
-    if any(modifier.use_deform_preserve_volume for modifier in modifiers):
-        return "Preserve Volume"
-    bendy = any(bone.bbone_segments > 1 for modifier in modifiers for bone in deforming_bones(obj, modifier.object))
-    return "bendy bones" if bendy else ""
 
+    obj: Any  # of Blender, as the next two
+    modifiers: tuple
+    rig: Any
+    _bones: dict = field(default_factory=dict)  # by armature object
 
-def skinning_settings(obj) -> list:
-    """Settings of the Armature modifiers and of bendy bones that a bake depends on, as JSON data."""
-    found = []
-    for modifier in armature_modifiers(obj):
-        segments = [
-            bone.bbone_segments for bone in deforming_bones(obj, modifier.object)
-        ]  # without names, which may change
-        found.append([*(getattr(modifier, name) for name in SKINNING_FIELDS), segments])
-    return found
+    @classmethod
+    def of(cls, obj) -> Skinning:
+        return cls(obj, tuple(armature_modifiers(obj)), rig_of(obj))
 
+    @property
+    def modifier(self):
+        """The Armature modifier of `rig`, or None."""
+        return self.modifier_of(self.rig)
 
-def main_modifier(obj):
-    """The Armature modifier of `references.rig_of`, or None."""
-    rig = rig_of(obj)
-    return next((modifier for modifier in armature_modifiers(obj) if modifier.object == rig), None)
+    def modifier_of(self, rig):
+        """The first Armature modifier with this armature object, or None."""
+        return next((modifier for modifier in self.modifiers if modifier.object == rig), None)
+
+    def bones(self, armature) -> list:
+        """`deforming_bones` of one of the armature objects."""
+        if armature not in self._bones:
+            self._bones[armature] = deforming_bones(self.obj, armature)
+        return self._bones[armature]
+
+    @cached_property
+    def beyond_bones(self) -> str:
+        """What makes Blender's skinning more than sums of bone matrices, which the engine supports; '' if nothing."""
+        if len(self.modifiers) > 1:
+            return "several Armature modifiers"
+        if any(modifier.use_deform_preserve_volume for modifier in self.modifiers):
+            return "Preserve Volume"
+        bendy = any(bone.bbone_segments > 1 for modifier in self.modifiers for bone in self.bones(modifier.object))
+        return "bendy bones" if bendy else ""
+
+    def settings(self) -> list:
+        """Settings of the Armature modifiers and of bendy bones that a bake depends on, as JSON data."""
+        found = []
+        for modifier in self.modifiers:
+            segments = [bone.bbone_segments for bone in self.bones(modifier.object)]  # bones' names may change
+            found.append([*(getattr(modifier, name) for name in SKINNING_FIELDS), segments])
+        return found
 
 
 def armature_modifiers(obj) -> list:
     """The Armature modifiers of `obj` that have an armature."""
     return [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE" and is_armature(modifier.object)]
+
+
+def deforming_bones(obj, armature) -> list:
+    """The bones of the armature object that skin `obj`."""
+    groups = set(obj.vertex_groups.keys())
+    return [bone for bone in armature.data.bones if bone.use_deform and bone.name in groups]
 
 
 def armature_for(obj):
@@ -58,7 +88,14 @@ def armature_for(obj):
     return fitting[0] if len(fitting) == 1 else None
 
 
-def deforming_bones(obj, armature) -> list:
-    """The bones of the armature object that skin `obj`."""
-    groups = set(obj.vertex_groups.keys())
-    return [bone for bone in armature.data.bones if bone.use_deform and bone.name in groups]
+def meshes_on(rig) -> list:
+    """The mesh objects of the scene that an armature moves: those that it skins, and those parented to it or its
+    bones.
+    """
+    hanging = set(rig.children_recursive)
+    return [
+        other
+        for other in bpy.context.scene.objects
+        if other.type == "MESH"
+        and (other in hanging or any(m.type == "ARMATURE" and m.object == rig for m in other.modifiers))
+    ]

@@ -21,10 +21,11 @@ from ..core.errors import RecordError, SceneError, sentence
 from ..core.message import Message
 from ..core.settings import ENGINE, FREE_SETTINGS, SimulationSettings
 from ..io import whole
-from . import animation, run_settings, skin, skinning
+from . import animation, run_settings, skin
 from .plain import plain
 from .references import KEY_REFERENCE
 from .skin import clothes_in, followers, named_targets, parts_in
+from .skinning import Skinning
 
 SCULPT = "sculpt"  # in the records of targets; identifies a renamed target
 # Properties of targets on which no result depends: the stiffness and the region contain them, or they only steer the
@@ -35,7 +36,7 @@ UNUSED = ("rig_world", "frequency", "by_hand", "auto_region", "auto_bones")
 def look_at_animation(obj):
     """Examine the animation that moves `obj`, so that `outdated` knows whether it changed since the bake."""
     record = obj.dynamorph.bake
-    seen = records.animation_text(animation.animation(obj)) if record.exists else ""
+    seen = records.animation_text(animation.animation(Skinning.of(obj))) if record.exists else ""
     if record.animation != seen:
         record.animation = seen
 
@@ -90,7 +91,7 @@ def outdated(obj) -> list[str]:
         return []
     try:
         then, seen = records.bake_inputs(record.inputs), records.animation(record.animation)
-        now = bake_inputs(obj, run_settings.simulation_settings(obj, bpy.context.scene))
+        now = bake_inputs(Skinning.of(obj), run_settings.simulation_settings(obj, bpy.context.scene))
     except (RecordError, SceneError) as error:
         return [sentence(error)]
     now["simulation"] |= _kept_range(then.get("simulation", {}), now["simulation"], settings.simulation.is_patch)
@@ -140,12 +141,13 @@ def model_inputs(obj) -> dict:
     return {"targets": targets, "model": model, "groups": groups, "scene": scene}
 
 
-def bake_inputs(obj, simulation: SimulationSettings) -> dict:
+def bake_inputs(skinned: Skinning, simulation: SimulationSettings) -> dict:
     """The settings that a bake depends on, by where they are."""
+    obj = skinned.obj
     settings = obj.dynamorph
     inputs = model_inputs(obj)
     inputs["model"] = asdict(settings.model.settings())
-    inputs["groups"]["armature_modifiers"] = skinning.skinning_settings(obj)
+    inputs["groups"]["armature_modifiers"] = skinned.settings()
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
     inputs["output"] = asdict(settings.output.settings())
     for name, target in named_targets(obj):

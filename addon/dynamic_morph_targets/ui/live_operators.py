@@ -23,6 +23,7 @@ from ..run import live, preview, task
 from ..run.preview import SECONDS, SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
 from ..scene import animation, events, model_store, rig_motion, skin
 from ..scene.registration import of_classes
+from ..scene.skinning import Skinning
 from .base import SoftSkinOperator, report_errors
 from .job_operators import JobOperator, press
 
@@ -237,7 +238,8 @@ class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
 
     def finished(self, context):
         obj = skin.mesh_in(context)
-        if self.then_plays and obj and animation.is_animated(obj) and not context.screen.is_animation_playing:
+        moves = self.then_plays and obj and animation.is_animated(Skinning.of(obj))
+        if moves and not context.screen.is_animation_playing:
             press(self, "screen.animation_play")
 
     def passes(self, event) -> bool:

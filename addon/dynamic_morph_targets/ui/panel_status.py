@@ -13,6 +13,7 @@ from ..core.message import Message, joined
 from ..run import batch, live, preview
 from ..scene import body_checks, checks, skin, staleness
 from ..scene.checks import Problem
+from ..scene.skinning import Skinning
 from ..write import comparison
 from .widgets import draw_problem, line_length, progress_text
 
@@ -59,7 +60,7 @@ def state(obj) -> tuple[str, str]:
     """What the skin of `obj` shows, in few words, and an icon."""
     settings = obj.dynamorph
     follows, sculpt, baked = settings.follows, settings.sculpt, settings.bake.exists
-    if engine.engine_problem() or any(checks.problems(obj)):
+    if engine.engine_problem() or any(checks.problems(Skinning.of(obj))):
         return iface_("A problem: see Messages"), "ERROR"
     if not settings.targets:
         return (follows.name, "LINKED") if follows else (iface_("Not a soft skin yet"), "INFO")
@@ -86,7 +87,9 @@ def state(obj) -> tuple[str, str]:
 def next_step(obj) -> str:
     """What the artist may do next, in few words, or ''."""
     baked = obj.dynamorph.bake.exists
-    if engine.engine_problem() or any(checks.problems(obj)) or comparison.is_plain(obj) or obj.dynamorph.sculpt.active:
+    if engine.engine_problem() or any(checks.problems(Skinning.of(obj))):
+        return ""
+    if comparison.is_plain(obj) or obj.dynamorph.sculpt.active:
         return ""
     if live.is_on(obj) and is_outdated(obj):
         return "Build Model updates Live"
@@ -134,10 +137,10 @@ def messages(obj) -> Iterator[tuple[Problem, str]]:
 
 
 def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
-    settings = obj.dynamorph
+    settings, skinning = obj.dynamorph, Skinning.of(obj)
     if engine.engine_problem():
         yield Problem(engine.engine_problem()), "ERROR"
-    for problem in checks.problems(obj):
+    for problem in checks.problems(skinning):
         yield problem, "ERROR"
     if not settings.targets and settings.follows:
         text = Message("'{name}' moves with '{body}'", name=obj.name, body=settings.follows.name)
@@ -150,7 +153,7 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
             yield Problem(text), "ERROR"
         for problem in checks.next_steps(obj):
             yield problem, "INFO"
-    for problem in checks.notes(obj):
+    for problem in checks.notes(skinning):
         yield problem, "INFO"
     if not settings.targets:
         return

@@ -13,8 +13,9 @@ from ..core.errors import SceneError, sentence
 from ..core.feel import FEELS
 from ..core.message import translated
 from ..run.live import remove_soft_skin
-from ..scene import body_checks, checks, extract, references, rig_motion, skin, skinning, target_properties
+from ..scene import body_checks, checks, extract, references, rig_motion, skin, target_properties
 from ..scene.registration import of_classes
+from ..scene.skinning import Skinning, armature_modifiers
 from ..write import attachments, bake
 from ..write.fixes import FIXES
 from . import feel_operators, panel_status
@@ -35,7 +36,7 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
     @classmethod
     def disabled_reason(cls, context):
         disabled_reason, obj = super().disabled_reason(context), skin.mesh_in(context)
-        if not disabled_reason and not skinning.armature_modifiers(obj) and not attachments.carried_by(obj):
+        if not disabled_reason and not armature_modifiers(obj) and not attachments.carried_by(obj):
             return "The mesh needs an Armature modifier with an armature"
         return disabled_reason
 
@@ -60,7 +61,9 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         feel_operators.give_feel(obj, FEELS["NATURAL"])
         in_the_way += [text for text in _find_attachments(obj) if text not in in_the_way]
         body_checks.look(obj)
-        drawn = [problem.text for problem in (*checks.problems(obj), *checks.notes(obj), *body_checks.known(obj))]
+        skinning = Skinning.of(obj)
+        found = (*checks.problems(skinning), *checks.notes(skinning), *body_checks.known(obj))
+        drawn = [problem.text for problem in found]
         obj.dynamorph.model.warnings = "\n".join(text for text in in_the_way if text not in drawn)  # until a build
         for text in in_the_way:
             self.report({"WARNING"}, translated(text, rpt_))
@@ -94,7 +97,7 @@ def _body_meant(obj):
 def _find_attachments(obj) -> list[str]:
     """List what belongs to the body of `obj`, in one cage with it. Returns the problems with that."""
     obj.dynamorph.model.one_cage = obj.dynamorph.model.hold_head = True
-    problem = next(checks.problems(obj), None)
+    problem = next(checks.problems(Skinning.of(obj)), None)
     if problem:  # which is reported already
         return []
     try:

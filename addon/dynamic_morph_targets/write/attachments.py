@@ -14,9 +14,10 @@ import numpy as np
 from ..core import errors, rigid
 from ..core.geometry import diagonal, inverse, loose_parts, triangle_areas, vertex_areas
 from ..core.message import Message
-from ..scene import checks, mesh_data, references, skinning
+from ..scene import checks, mesh_data, references
 from ..scene.references import rig_of
 from ..scene.skin import parts_in, parts_of
+from ..scene.skinning import Skinning, armature_modifiers, meshes_on
 from . import bake
 
 PREFIX = "Dynamorph Piece "  # prefix of the vertex groups for loose parts
@@ -69,7 +70,7 @@ def problem(obj, piece) -> str:
         text = "The vertex group '{group}' is gone: choose another, or remove the attachment"
         return Message(text, group=piece.group) if gone else ""
     if piece.choice in {"WITH_BODY", "HELD"} and rig_of(obj):
-        return next((each.text for each in checks.follower(obj, piece.object)), "")
+        return next((each.text for each in checks.follower(Skinning.of(obj), Skinning.of(piece.object))), "")
     return ""
 
 
@@ -79,7 +80,7 @@ def left_alone(obj) -> Iterator[str]:
     children = dict.fromkeys([*(rig.children_recursive if rig else ()), *obj.children_recursive])
     children = [other for other in children if other.users_scene]
     for other in children:
-        if other.type != "MESH" or other == obj or skinning.armature_modifiers(other):
+        if other.type != "MESH" or other == obj or armature_modifiers(other):
             continue
         if other.parent_type == "BONE":
             yield Message(
@@ -110,7 +111,7 @@ def _siblings(obj) -> list:
         if other.type == "MESH"
         and other not in known
         and len(other.data.vertices)
-        and any(modifier.object == rig for modifier in skinning.armature_modifiers(other))
+        and any(modifier.object == rig for modifier in armature_modifiers(other))
     ]
 
 
@@ -151,7 +152,7 @@ def body_for(obj):
     rig = obj if obj.type == "ARMATURE" else rig_of(obj) or carried_by(obj)
     if rig is None or obj.mode == "EDIT":
         return obj
-    areas = {other: _soft_area(other, rig) for other in checks.meshes_on(rig) if _may_be_soft(other, rig)}
+    areas = {other: _soft_area(other, rig) for other in meshes_on(rig) if _may_be_soft(other, rig)}
     largest = max(areas, key=areas.get, default=obj)
     accessory = areas.get(obj, 0.0) <= ACCESSORY * areas.get(largest, 0.0)
     return largest if obj.type == "ARMATURE" or accessory else obj
@@ -162,11 +163,11 @@ def carried_by(obj):
     above = obj.parent
     while above and above.type != "ARMATURE":
         above = above.parent
-    return above if above and any(rig_of(other) == above for other in checks.meshes_on(above)) else None
+    return above if above and any(rig_of(other) == above for other in meshes_on(above)) else None
 
 
 def _may_be_soft(other, rig) -> bool:
-    skinned = any(modifier.object == rig for modifier in skinning.armature_modifiers(other))
+    skinned = any(modifier.object == rig for modifier in armature_modifiers(other))
     mine = not (other.library or other.override_library)
     return skinned and mine and other.mode != "EDIT" and bool(other.data.polygons)
 
@@ -233,7 +234,8 @@ def _refusal(obj, other) -> str:
     """Why a mesh cannot belong to the body of `obj`, or ''."""
     if other.dynamorph.targets:
         return "It is a soft skin of its own"
-    for problem in chain(checks.follower(obj, other), checks.mesh(other), checks.order(other)):
+    skinned = Skinning.of(other)
+    for problem in chain(checks.follower(Skinning.of(obj), skinned), checks.mesh(other), checks.order(skinned)):
         return problem.text
     try:
         bake.check(other, obj)

@@ -20,6 +20,7 @@ from ..io import glb, outputs, point_cache, whole
 from ..scene import animation, checks, skin, staleness
 from ..scene.references import key_points, rig_of
 from ..scene.skin import followers
+from ..scene.skinning import meshes_on
 from . import actions, bake, bake_reading, export_process
 
 
@@ -246,7 +247,7 @@ def left_out(obj) -> list:
 
 def _meshes_of(obj) -> list:
     rig = rig_of(obj)
-    return list(dict.fromkeys((obj, *_followers(obj), *(checks.meshes_on(rig) if rig else ()))))
+    return list(dict.fromkeys((obj, *_followers(obj), *(meshes_on(rig) if rig else ()))))
 
 
 def _followers(obj) -> list:

@@ -11,8 +11,9 @@ import numpy as np
 from mathutils.kdtree import KDTree
 
 from ..core.errors import SceneError
-from ..scene import body_checks, checks, mesh_data, skinning
+from ..scene import body_checks, checks, skinning
 from ..scene.skin import unit_scale
+from ..scene.source import Source
 from . import bake
 
 
@@ -131,11 +132,12 @@ def _person_size(obj):
 def _weight_like_nearest(obj):
     """Give every vertex that no bone moves the weights of the nearest one that a bone moves."""
     owned(obj.data)
-    left = mesh_data.left_behind(obj, mesh_data.VertexGroups(obj))
+    source = Source.of(checks.skinned(obj))
+    left = source.left_behind
     if left.all():
         raise SceneError("'{name}' has no vertex with a bone weight: weight some first", name=obj.name)
-    names = list({bone.name: None for rig in _rigs(obj) for bone in skinning.deforming_bones(obj, rig)})
-    weights, points = mesh_data.group_weights(obj, names), body_checks.mesh_points(obj)
+    names = list({bone.name: None for rig in _rigs(obj) for bone in source.skinning.bones(rig)})
+    weights, points = source.groups.weights(names), body_checks.mesh_points(obj)
     tree = KDTree(len(points))
     for vertex in np.flatnonzero(~left):
         tree.insert(points[vertex], vertex)

@@ -6,9 +6,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ..core.message import Message
-from ..scene import animation, skinning
+from ..scene import animation
 from ..scene.references import rig_of
 from ..scene.skin import followers
+from ..scene.skinning import Skinning, armature_modifiers, deforming_bones
 from .exports import FORMATS, left_out, meshes_together, surface_formats
 
 MORPHS = 8  # morph targets that common engines and viewers blend at once
@@ -23,7 +24,7 @@ def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
         planned = _planned_keys(obj) if takes == "ACTIONS" else None
         moved = obj, *followers(obj)
         for mesh in meshes_together(obj):
-            if mesh in moved or skinning.armature_modifiers(mesh):
+            if mesh in moved or armature_modifiers(mesh):
                 yield from _skinning_losses(mesh, key)
             yield from _key_losses(mesh, key, planned if mesh in moved else None)
     if key == "USD":  # the others write no pictures, or those that are in memory
@@ -54,7 +55,8 @@ def _raw_losses(obj) -> Iterator[str]:
 
 
 def _skinning_losses(obj, key: str) -> Iterator[str]:
-    label, modifiers = FORMATS[key].label, skinning.armature_modifiers(obj)
+    label, skinning = FORMATS[key].label, Skinning.of(obj)
+    modifiers = skinning.modifiers
     if not modifiers:
         yield Message("'{name}' has no Armature modifier: its bones are not written", name=obj.name)
         return
@@ -70,12 +72,11 @@ def _skinning_losses(obj, key: str) -> Iterator[str]:
                 format=label,
                 others=surface_formats(),
             )
-    beyond = skinning.beyond_bones(obj)
-    if beyond:
+    if skinning.beyond_bones:
         yield Message(
             "'{name}' is skinned with {beyond}, {format} skins by plain bones: it will differ. Use {others}",
             name=obj.name,
-            beyond=beyond,
+            beyond=skinning.beyond_bones,
             format=label,
             others=surface_formats(),
         )
@@ -126,7 +127,7 @@ def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
 
 
 def _crowded_vertices(obj) -> int:
-    bones = {bone.name for bone in skinning.deforming_bones(obj, rig_of(obj))}
+    bones = {bone.name for bone in deforming_bones(obj, rig_of(obj))}
     groups = {group.index for group in obj.vertex_groups if group.name in bones}
     return sum(
         sum(element.group in groups and element.weight > 0.0 for element in vertex.groups) > MOST_BONES

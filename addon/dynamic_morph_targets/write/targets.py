@@ -283,7 +283,7 @@ def finish_sculpting(obj):
 
 def show_as_before(obj):
     """Undo what `begin_sculpting` has changed in what is shown, if a target is being sculpted. The mode stays."""
-    remembered, modifier = obj.dynamorph.sculpt, skinning.main_modifier(obj)
+    remembered, modifier = obj.dynamorph.sculpt, skinning.Skinning.of(obj).modifier
     if not remembered.active:
         return
     obj.show_only_shape_key = remembered.was_pinned

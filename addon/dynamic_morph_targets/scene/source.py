@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a character is read from: one mesh object with its rig, of which each answer is asked of Blender once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..core.character import Skeleton
+from ..core.geometry import inverse
+from .mesh_data import (
+    VertexGroups,
+    bone_segments,
+    carried,
+    mesh_triangles,
+    modifier_weights,
+    rest_points,
+    stretch,
+    worlds_at_start,
+)
+from .references import rest_skeleton
+from .skinning import Skinning
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A mesh object that becomes a character, or a part of one. It lives as long as one reading, as `Skinning` does.
+
+    rig: the armature object that moves the character; skeleton: its bones at rest. body: of an attachment, the source
+    of the soft skin's own mesh. Properties that read the mesh or evaluate the scene raise SceneError.
+    """
+
+    skinning: Skinning
+    rig: Any
+    skeleton: Skeleton
+    body: Source | None = None
+
+    @classmethod
+    def of(cls, skinning: Skinning) -> Source:
+        """The source of a soft skin's own mesh, which an armature skins."""
+        return cls(skinning, skinning.rig, rest_skeleton(skinning.rig.data))
+
+    def attachment(self, skinning: Skinning) -> Source:
+        """The source of another mesh that this one carries along."""
+        return Source(skinning, self.rig, self.skeleton, self)
+
+    @property
+    def obj(self):
+        return self.skinning.obj
+
+    @cached_property
+    def groups(self) -> VertexGroups:
+        return VertexGroups(self.obj)
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """`rest_points`."""
+        return rest_points(self.obj)
+
+    @cached_property
+    def triangles(self) -> np.ndarray:
+        return mesh_triangles(self.obj.data)
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """Skin weights (V, B + 1), like `Character.weights`."""
+        modifier = self.skinning.modifier_of(self.rig)
+        return modifier_weights(self.obj, modifier, self.skeleton, self.groups)
+
+    @cached_property
+    def left_behind(self) -> np.ndarray:
+        """Which vertices (V,) no bone moves."""
+        unmoved = self.weights[:, -1] >= 1.0
+        for modifier in self.skinning.modifiers:
+            if modifier != self.skinning.modifier:
+                skeleton = rest_skeleton(modifier.object.data)
+                unmoved &= modifier_weights(self.obj, modifier, skeleton, self.groups)[:, -1] >= 1.0
+        return unmoved
+
+    @cached_property
+    def _worlds(self) -> list[np.ndarray]:
+        return worlds_at_start(self.obj, self.rig)
+
+    @property
+    def world(self) -> np.ndarray:
+        """The mesh object's transform (4, 4) when the scene starts, meters."""
+        return self._worlds[0]
+
+    @property
+    def rig_world(self) -> np.ndarray:
+        """The armature's transform (4, 4) then."""
+        return self._worlds[1]
+
+    @cached_property
+    def to_bind(self) -> np.ndarray:
+        """Local to bind space (3, 3)."""
+        return stretch(self.world)
+
+    def bone_segments(self, bones) -> np.ndarray:
+        """Heads and tails (D, 2, 3) of bones of the rig at rest, bind space."""
+        return bone_segments(bones, inverse(self.world) @ self.rig_world, self.to_bind)
+
+    # An attachment ---------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def to_body(self) -> np.ndarray:
+        """The attachment's local space to the body's (4, 4)."""
+        return inverse(self.body.world) @ self.world
+
+    @cached_property
+    def in_body(self) -> np.ndarray:
+        """The attachment's points (V, 3) in the body's local space."""
+        return carried(self.points, self.to_body)
