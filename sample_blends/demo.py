@@ -98,37 +98,39 @@ def row(name: str, about: str, draft: bool, job: job.Job | None = None) -> Row:
 def weights_at(job: job.Job | None, frame: int) -> str:
     if job is None:
         return ""
-    weights = job.result.weights[frame - job.settings.start]
-    return ", ".join(f"{name} {w:.2f}" for name, w in zip(job.result.target_names, weights, strict=True) if w > 0.005)
+    weights = job.outcome.bake.weights[frame - job.input.settings.start]
+    return ", ".join(
+        f"{name} {w:.2f}" for name, w in zip(job.outcome.bake.target_names, weights, strict=True) if w > 0.005
+    )
 
 
 def swing(job: job.Job, first: int, last: int) -> float:
     """How far the skin leaves the pose's own static shape between two frames, at most; meters."""
     apart = 0.0
-    for k in range(first - job.settings.start, last - job.settings.start + 1):
-        static = static_shapes(job.character, job.result.weights[k])
-        apart = max(apart, np.linalg.norm(job.result.displacement(k) - static, axis=1).max())
+    for k in range(first - job.input.settings.start, last - job.input.settings.start + 1):
+        static = static_shapes(job.outcome.character, job.outcome.bake.weights[k])
+        apart = max(apart, np.linalg.norm(job.outcome.bake.displacement(k) - static, axis=1).max())
     return float(apart)
 
 
 def print_table(variants: dict[str, job.Job]) -> None:
     """One column for each variant, every figure measured in this run."""
-    made = {name: job.model.summary for name, job in variants.items()}
+    made = {name: job.outcome.model.summary for name, job in variants.items()}
     lines = [(label, [str(made[name][key]) for name in variants]) for label, key in
              (("DOF", "dofs"), ("modes", "modes"), ("targets", "targets"))]  # fmt: skip
     lines.append(("precompute", [f"{sum(made[name]['seconds'].values()):.2f} s" for name in variants]))
-    lines.append(("steps per second", [f"{job.report['steps_per_second']:.0f}" for job in variants.values()]))
+    lines.append(("steps per second", [f"{job.outcome.report['steps_per_second']:.0f}" for job in variants.values()]))
     for label, (first, last) in SWINGS.items():
         lines.append((f"swing, {label}", [f"{1000 * swing(job, first, last):.1f} mm" for job in variants.values()]))
     lines.append(("", [""] * len(variants)))
-    stages = {name: {**made[name]["seconds"], **job.seconds} for name, job in variants.items()}
+    stages = {name: {**made[name]["seconds"], **job.progress.seconds} for name, job in variants.items()}
     for name in variants:
         del stages[name]["build"]  # its own stages are listed
     for stage in next(reversed(stages.values())):
         lines.append((stage, [f"{stages[name].get(stage, 0.0):.2f} s" for name in variants]))
-    lines.append(("bake, in all", [f"{sum(job.seconds.values()):.2f} s" for job in variants.values()]))
+    lines.append(("bake, in all", [f"{sum(job.progress.seconds.values()):.2f} s" for job in variants.values()]))
 
-    settings = next(iter(variants.values())).settings
+    settings = next(iter(variants.values())).input.settings
     print(f"\n{len(settings.frames)} frames, {settings.substeps} substeps each")
     print(f"{'':<26}" + "".join(f"{name:>18}" for name in variants))
     for label, values in lines:

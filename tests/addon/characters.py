@@ -142,7 +142,7 @@ class Baked:
     @property
     def skin(self) -> np.ndarray:
         """(V, 3), bind space."""
-        return self.job.character.vertices @ self.job.character.to_bind.T
+        return self.job.outcome.character.vertices @ self.job.outcome.character.to_bind.T
 
     @property
     def size(self) -> float:
@@ -152,17 +152,17 @@ class Baked:
     @cached_property
     def displacements(self) -> np.ndarray:
         """(F, V, 3), bind space."""
-        result = self.job.result
+        result = self.job.outcome.bake
         local = np.array([result.displacement(k) for k in range(len(result.frames))])
-        return local @ self.job.character.to_bind.T
+        return local @ self.job.outcome.character.to_bind.T
 
     @property
     def inside(self) -> np.ndarray:
         """Which of the skin's vertices are in the cage's tetrahedra, except those that bones alone move."""
         from dynamorph import TetMesh, embed  # opening and playing a character needs no engine
 
-        model = self.job.model
-        soft = self.skin[self.job.character.pieces >= 0]
+        model = self.job.outcome.model
+        soft = self.skin[self.job.outcome.character.pieces >= 0]
         return embed(TetMesh(model.nodes, model.tets), soft).distances < 1e-6 * self.size
 
 

@@ -4,6 +4,7 @@
 import os
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 
 os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_test_")  # before bpy is imported
@@ -83,6 +84,14 @@ def stand_in(addon, monkeypatch):
     from builders import StandIn, part
 
     engine = StandIn()
-    monkeypatch.setattr(part("engine"), "engine", lambda: (engine, engine))
+    for module, names in {"build": ("dependencies", "stale_reasons"), "simulate": ("build_for", "Shot")}.items():
+        for name in names:
+            monkeypatch.setattr(part(module), name, partial(_call, engine, name))
+    monkeypatch.setattr(part("model_store"), "Model", engine.Model)
     part("model_store").forget()
     return engine
+
+
+def _call(engine, name, *arguments, **options):
+    """A function of the stand-in as it is then: tests replace some."""
+    return getattr(engine, name)(*arguments, **options)

@@ -378,7 +378,7 @@ def exact(job) -> Exact:
     """
     from builders import skinned
 
-    character, bake, settings = job.character, job.result, job.settings
+    character, bake, settings = job.outcome.character, job.outcome.bake, job.input.settings
     whole = np.flatnonzero(bake.frames % 1 == 0)
     moved = np.array([bake.displacement(k) for k in whole])
     samples = job.computation.rig[(settings.start - settings.first) * settings.substeps :: settings.substeps]
@@ -402,13 +402,13 @@ def measure(obj, folder: Path, forms=FORMS, frames: tuple[int, int] | None = Non
         batch.run(job)
         ours = exact(job)
         row = {"form": form.name, "reader": form.reader, "error": None, "bytes": job.outcome.size}
-        row["seconds"] = job.seconds["make keys"] + job.seconds["write keys"]
-        numbers = range(job.settings.start, job.settings.end + 1)
+        row["seconds"] = job.progress.seconds["make keys"] + job.progress.seconds["write keys"]
+        numbers = range(job.input.settings.start, job.input.settings.end + 1)
         path = job.outcome.written[0][1]
         if form.key:
             path = folder / f"{k}{exports.FORMATS[form.key].suffix}"
             began = time.perf_counter()
-            actions.export(obj, form.key, path, (job.settings.start, job.settings.end))
+            actions.export(obj, form.key, path, (job.input.settings.start, job.input.settings.end))
             row["seconds"] = time.perf_counter() - began
         if path:
             row["bytes"] = path.stat().st_size

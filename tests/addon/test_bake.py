@@ -26,55 +26,61 @@ def shot(soft_arm):
 def simulated(shot, rig=None, **settings):
     """Coordinates (F, dofs) of the shot, with other settings."""
     simulate, rig = part("simulate"), rig or shot.computation.rig
-    frames = simulate.simulate(shot.model, shot.character, rig, replace(shot.settings, **settings))
+    frames = simulate.simulate(
+        shot.outcome.model, shot.outcome.character, rig, replace(shot.input.settings, **settings)
+    )
     return np.array([frame.coordinates for frame in frames])
 
 
 def played(player, shot, frames):
     """Coordinates of `frames`, requested one by one as playback does."""
-    substeps = shot.settings.substeps
+    substeps = shot.input.settings.substeps
     out = []
     for frame in frames:
-        first = 1 + (frame - shot.settings.start - 1) * substeps
+        first = 1 + (frame - shot.input.settings.start - 1) * substeps
         out.append(player.advance(shot.computation.rig[first : first + substeps], frame).coordinates)
     return np.array(out)
 
 
 def test_playback_frame_by_frame_is_the_bake(shot):
-    player = part("player").Player(shot.model, shot.character, shot.settings)
+    player = part("player").Player(shot.outcome.model, shot.outcome.character, shot.input.settings)
     begun = player.begin(shot.computation.rig[:2])
-    assert begun.number == 1 and np.array_equal(begun.coordinates, shot.result.coordinates[0])
-    assert np.array_equal(played(player, shot, range(2, 21)), shot.result.coordinates[1:])
+    assert begun.number == 1 and np.array_equal(begun.coordinates, shot.outcome.bake.coordinates[0])
+    assert np.array_equal(played(player, shot, range(2, 21)), shot.outcome.bake.coordinates[1:])
 
 
 def test_exchange_goes_on_with_other_materials(shot):
-    player = part("player").Player(shot.model, shot.character, shot.settings)
+    player = part("player").Player(shot.outcome.model, shot.outcome.character, shot.input.settings)
     player.begin(shot.computation.rig[:2])
     before = played(player, shot, range(2, 11))
-    same = player.exchange(shot.character)
-    sets = shot.character.target_sets[0]
+    same = player.exchange(shot.outcome.character)
+    sets = shot.outcome.character.target_sets[0]
     soft = tuple(replace(t, material=replace(t.material, stiffness=2e3)) for t in sets.targets)
-    other = player.exchange(replace(shot.character, target_sets=(replace(sets, targets=soft),)))
+    other = player.exchange(replace(shot.outcome.character, target_sets=(replace(sets, targets=soft),)))
     assert np.array_equal(other.past[0], before[-1])
     unchanged, softer = played(same, shot, range(11, 21)), played(other, shot, range(11, 21))
-    assert np.allclose(unchanged, shot.result.coordinates[10:], rtol=0, atol=1e-9 * np.abs(unchanged).max())
+    assert np.allclose(unchanged, shot.outcome.bake.coordinates[10:], rtol=0, atol=1e-9 * np.abs(unchanged).max())
     assert np.abs(softer - unchanged).max() > 0.1 * np.abs(unchanged).max()
 
 
 def test_static_morph_targets_play_too(shot):
-    build, simulate = part("engine").engine()
-    character = shot.character.with_settings(method="STATIC")
-    player = simulate.Player(build.build(character), character, shot.settings)
+    build, simulate = part("build"), part("simulate")
+    character = shot.outcome.character.with_settings(method="STATIC")
+    player = simulate.Player(build.build(character), character, shot.input.settings)
     assert player.begin(shot.computation.rig[:2]).weights == pytest.approx([1, 0])
-    frame = player.advance(shot.computation.rig[-shot.settings.substeps :], 2)
+    frame = player.advance(shot.computation.rig[-shot.input.settings.substeps :], 2)
     assert frame.weights == pytest.approx([0, 1]) and player.shown(frame).shape == (0,)
 
 
 def test_gains_scale_the_motion_about_the_targets(shot):
     gains = (0.0, 2.0)
-    player = part("player").Player(shot.model, shot.character, replace(shot.settings, gains=gains))
-    frame = part("player").Frame(9, shot.result.coordinates[8], shot.result.weights[8], {})
-    static = shot.result.weights[8] @ shot.model.target_coordinates(shot.model.engine(shot.character))
+    player = part("player").Player(
+        shot.outcome.model, shot.outcome.character, replace(shot.input.settings, gains=gains)
+    )
+    frame = part("player").Frame(9, shot.outcome.bake.coordinates[8], shot.outcome.bake.weights[8], {})
+    static = shot.outcome.bake.weights[8] @ shot.outcome.model.target_coordinates(
+        shot.outcome.model.engine(shot.outcome.character)
+    )
     motion = frame.coordinates - static
     assert np.abs(motion).min() > 0
     assert player.shown(frame) - static == pytest.approx([0.0, 2 * motion[1], *motion[2:]])
@@ -85,9 +91,9 @@ def test_gains_scale_the_motion_about_the_targets(shot):
 @pytest.mark.parametrize("change", [{}, {"solver": "FULL", "modes": 3}, {"method": "STATIC"}])
 def test_without_motion_a_bake_shows_the_targets_shapes(shot, change):
     """This holds even for an unreduced one, whose few modes are chosen for the motion."""
-    build, simulate = part("engine").engine()
-    character = shot.character.with_settings(**change)
-    bake, _ = simulate.bake(build.build(character), character, shot.computation.rig, shot.settings)
+    build, simulate = part("build"), part("simulate")
+    character = shot.outcome.character.with_settings(**change)
+    bake, _ = simulate.bake(build.build(character), character, shot.computation.rig, shot.input.settings)
     shapes = np.array([target.shape for target in character.targets])
     still = replace(bake, coordinates=bake.static)
     for k in (0, 10, 19):
@@ -99,17 +105,17 @@ def test_without_motion_a_bake_shows_the_targets_shapes(shot, change):
 
 def test_gains_are_baked(shot):
     simulate = part("simulate")
-    settings = replace(shot.settings, gains=(0.0,) * 5 + (0.5,) * 9)
-    bake, _ = simulate.bake(shot.model, shot.character, shot.computation.rig, settings)
-    motion, before = bake.coordinates - bake.static, shot.result.coordinates - shot.result.static
+    settings = replace(shot.input.settings, gains=(0.0,) * 5 + (0.5,) * 9)
+    bake, _ = simulate.bake(shot.outcome.model, shot.outcome.character, shot.computation.rig, settings)
+    motion, before = bake.coordinates - bake.static, shot.outcome.bake.coordinates - shot.outcome.bake.static
     assert np.allclose(motion, before * [0, 0, 0, 0, 0, 0.5, 0.5, 0.5])
 
 
 @pytest.mark.parametrize("change", [{}, {"solver": "FULL", "modes": 40}, {"method": "STATIC"}])
 def test_motion_amounts_of_the_targets_say_how_much_shows(shot, change):
     """Each counts fully in its pose; in between, each contributes by its weight."""
-    build, simulate = part("engine").engine()
-    character = shot.character.with_settings(**change)
+    build, simulate = part("build"), part("simulate")
+    character = shot.outcome.character.with_settings(**change)
     model = build.build(character)
 
     def motion(*amounts):
@@ -117,7 +123,7 @@ def test_motion_amounts_of_the_targets_say_how_much_shows(shot, change):
         targets = tuple(replace(t, motion_amount=value) for t, value in zip(sets.targets, amounts, strict=True))
         shown = replace(character, target_sets=(replace(sets, targets=targets),))
         assert build.stale_reasons(model, shown) == []
-        bake, _ = simulate.bake(model, shown, shot.computation.rig, shot.settings)
+        bake, _ = simulate.bake(model, shown, shot.computation.rig, shot.input.settings)
         return np.tensordot(bake.coordinates - bake.static, bake.modes, 1), bake.weights
 
     whole, weights = motion(1.0, 1.0)
@@ -134,7 +140,7 @@ def test_motion_amounts_of_the_targets_say_how_much_shows(shot, change):
 
 def standing(shot, frames=20):
     """The rig standing in its pose in the middle of the shot, between the targets, where gravity sags the tissue."""
-    count = 1 + (frames - 1) * shot.settings.substeps
+    count = 1 + (frames - 1) * shot.input.settings.substeps
     rig = shot.computation.rig
     middle = rig[len(rig) // 2 :][:1]
     return type(rig)(*(np.repeat(a, count, axis=0) for a in (middle.pose, middle.rig_world, middle.object_world)))
@@ -146,7 +152,9 @@ def test_settle_begins_in_balance(shot):
 
 
 def test_rest_begins_with_the_targets_shapes_and_then_sags(shot):
-    player = part("player").Player(shot.model, shot.character, replace(shot.settings, begin="REST"))
+    player = part("player").Player(
+        shot.outcome.model, shot.outcome.character, replace(shot.input.settings, begin="REST")
+    )
     begun = player.begin(standing(shot))
     assert np.array_equal(begun.coordinates, player.static(begun.weights))
     free, settled = simulated(shot, standing(shot), begin="REST"), simulated(shot, standing(shot), begin="SETTLE")
@@ -160,7 +168,7 @@ def test_rest_knows_no_motion_before_the_start(shot):
     """A rig that already moves at the start hits tissue that begins at rest, and carries along tissue that settled."""
     rig, still = shot.computation.rig, dict.fromkeys(["gravity"], (0.0, 0.0, 0.0))
     world = np.array(rig.rig_world)
-    world[:, 0, 3] += 3.0 * np.arange(len(world)) * shot.settings.step  # 3 m/s along x
+    world[:, 0, 3] += 3.0 * np.arange(len(world)) * shot.input.settings.step  # 3 m/s along x
     moving = replace(standing(shot), rig_world=world, object_world=world)
     rest, settled = (simulated(shot, moving, begin=begin, **still) for begin in ("REST", "SETTLE"))
     assert np.abs(settled - settled[0]).max() < 1e-6
@@ -169,9 +177,9 @@ def test_rest_knows_no_motion_before_the_start(shot):
 
 def test_a_pre_roll_can_be_canceled(shot):
     asked = []
-    settings = replace(shot.settings, preroll=5000)
+    settings = replace(shot.input.settings, preroll=5000)
     player = part("player").Player(
-        shot.model, shot.character, settings, keep_going=lambda: len(asked) < 9 and not asked.append(1)
+        shot.outcome.model, shot.outcome.character, settings, keep_going=lambda: len(asked) < 9 and not asked.append(1)
     )
     with pytest.raises(pytest.importorskip("dynamorph").Cancelled):
         player.begin(shot.computation.rig[:2])
@@ -205,15 +213,15 @@ def test_a_pre_roll_is_what_came_before(shot, swaying):
     """With the same first frame they agree to the last bit; with a later one, to a hundredth of the motion, as the
     slowest swing dies away in 40 frames.
     """
-    bake = baked(swaying, (1, 60)).result
+    bake = baked(swaying, (1, 60)).outcome.bake
     whole, motion = bake.coordinates, np.abs(bake.coordinates - bake.static).max()
     same = baked(swaying, (50, 60), preroll=49)
-    assert same.result.frames.tolist() == list(range(50, 61))
-    assert np.array_equal(same.result.coordinates, whole[49:])
-    later = baked(swaying, (50, 60), preroll=40).result.coordinates
+    assert same.outcome.bake.frames.tolist() == list(range(50, 61))
+    assert np.array_equal(same.outcome.bake.coordinates, whole[49:])
+    later = baked(swaying, (50, 60), preroll=40).outcome.bake.coordinates
     assert later == pytest.approx(whole[49:], abs=1e-2 * motion)
     for other in (baked(swaying, (50, 60)), baked(swaying, (50, 60), preroll=40, pose="HELD")):
-        assert np.abs(other.result.coordinates[0] - whole[49]).max() > 0.1 * motion
+        assert np.abs(other.outcome.bake.coordinates[0] - whole[49]).max() > 0.1 * motion
 
 
 def test_a_pre_roll_comes_in_chunks_too(shot, swaying, tmp_path, monkeypatch):
@@ -225,17 +233,17 @@ def test_a_pre_roll_comes_in_chunks_too(shot, swaying, tmp_path, monkeypatch):
     job = part("job").Job(swaying, "BAKE", (50, 60), cache_dir=caches)
     steps = batch.Batch([job], "BAKE").steps()
     next(steps)
-    while not (job.computation.shot and job.computation.done == 15):  # two chunks
+    while not (job.computation.shot and job.computation.shot.done == 15):  # two chunks
         next(steps)
-    job.canceled = True
+    job.progress.canceled = True
     with pytest.raises(errors.Cancelled):
         list(steps)
     resumed = part("job").Job(swaying, "BAKE", (50, 60), cache_dir=caches)
     batch.run(resumed)
     assert len(resumed.input.resumed["coordinates"]) >= 8
     for job in (stretched, resumed):
-        assert np.array_equal(job.result.coordinates, whole.result.coordinates)
-        assert job.report["steps"] == whole.report["steps"] == 30 * job.settings.substeps
+        assert np.array_equal(job.outcome.bake.coordinates, whole.outcome.bake.coordinates)
+        assert job.outcome.report["steps"] == whole.outcome.report["steps"] == 30 * job.input.settings.substeps
 
 
 def test_a_pre_roll_follows_extrapolated_curves(shot, soft_arm):
@@ -255,14 +263,14 @@ def test_a_pre_roll_follows_extrapolated_curves(shot, soft_arm):
     running, hit = baked(soft_arm, (1, 20), preroll=80), baked(soft_arm, (1, 20), preroll=80, pose="HELD")
     traveled = running.computation.rig.object_world[:, 0, 3]
     assert traveled == pytest.approx(np.linspace(-10.0, traveled[-1], len(traveled)), abs=1e-5)
-    calm, jolt = (np.abs(job.result.coordinates - job.result.static).max() for job in (running, hit))
+    calm, jolt = (np.abs(job.outcome.bake.coordinates - job.outcome.bake.static).max() for job in (running, hit))
     assert calm < 1e-3 * jolt and jolt > 0.0
 
 
 def test_a_loop_needs_no_pre_roll(shot, soft_arm):
     soft_arm.dynamorph.simulation.loop = True
     with_preroll, without = baked(soft_arm, (1, 20), preroll=30), baked(soft_arm, (1, 20))
-    assert np.array_equal(with_preroll.result.coordinates, without.result.coordinates)
+    assert np.array_equal(with_preroll.outcome.bake.coordinates, without.outcome.bake.coordinates)
 
 
 # Samples between frames --------------------------------------------------------------------------------------------
@@ -290,41 +298,41 @@ def test_samples_between_frames_change_nothing_at_the_frames(shot, soft_arm, cha
     whole = baked(soft_arm, (1, 20), substeps=6)
     soft_arm.dynamorph.simulation.samples = samples
     fine = baked(soft_arm, (1, 20), substeps=6)
-    assert fine.result.frames == pytest.approx(np.arange(19 * samples + 1) / samples + 1)
+    assert fine.outcome.bake.frames == pytest.approx(np.arange(19 * samples + 1) / samples + 1)
     for name in ("frames", "coordinates", "weights", "static"):
-        assert np.array_equal(getattr(fine.result, name)[::samples], getattr(whole.result, name)), name
-    between = fine.result.coordinates[samples // 2 :: samples]
-    middle = (whole.result.coordinates[1:] + whole.result.coordinates[:-1]) / 2
+        assert np.array_equal(getattr(fine.outcome.bake, name)[::samples], getattr(whole.outcome.bake, name)), name
+    between = fine.outcome.bake.coordinates[samples // 2 :: samples]
+    middle = (whole.outcome.bake.coordinates[1:] + whole.outcome.bake.coordinates[:-1]) / 2
     assert np.abs(between - middle).max() > 1e-3 * np.abs(middle).max()  # they are not merely interpolated
-    assert fine.report["steps"] == whole.report["steps"]
+    assert fine.outcome.report["steps"] == whole.outcome.report["steps"]
     assert fine.summary().startswith("20 frames in ")
 
 
 def test_substeps_are_rounded_up_to_the_samples(shot, soft_arm):
     soft_arm.dynamorph.simulation.samples = 4
-    assert baked(soft_arm, (1, 3)).settings.substeps == 8  # of 5
-    assert baked(soft_arm, (1, 3), substeps=9).settings.substeps == 12
+    assert baked(soft_arm, (1, 3)).input.settings.substeps == 8  # of 5
+    assert baked(soft_arm, (1, 3), substeps=9).input.settings.substeps == 12
     with pytest.raises(ValueError, match="multiple of samples"):
-        replace(shot.settings, substeps=5, samples=2)
+        replace(shot.input.settings, substeps=5, samples=2)
 
 
 def test_samples_come_in_chunks_and_have_a_pre_roll_too(shot, swaying, monkeypatch):
     swaying.dynamorph.simulation.samples = 2
     whole = baked(swaying, (30, 50), preroll=15)
-    assert whole.result.frames[:3].tolist() == [30.0, 30.5, 31.0] and len(whole.result.coordinates) == 41
+    assert whole.outcome.bake.frames[:3].tolist() == [30.0, 30.5, 31.0] and len(whole.outcome.bake.coordinates) == 41
     monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", 4)
     stretched = baked(swaying, (30, 50), preroll=15)
-    assert np.array_equal(stretched.result.coordinates, whole.result.coordinates)
-    assert len(stretched.computation.rig) <= 4 * stretched.settings.substeps
+    assert np.array_equal(stretched.outcome.bake.coordinates, whole.outcome.bake.coordinates)
+    assert len(stretched.computation.rig) <= 4 * stretched.input.settings.substeps
 
 
 @pytest.mark.parametrize("done", [2, 5, 20])
 def test_samples_resume_where_another_process_stopped(shot, done):
     simulate = part("simulate")
-    settings = replace(shot.settings, substeps=5, samples=5)
-    whole = simulate.Shot(shot.model, shot.character, settings)
+    settings = replace(shot.input.settings, substeps=5, samples=5)
+    whole = simulate.Shot(shot.outcome.model, shot.outcome.character, settings)
     whole.play(shot.computation.rig)
-    begun, other = (simulate.Shot(shot.model, shot.character, settings) for _ in range(2))
+    begun, other = (simulate.Shot(shot.outcome.model, shot.outcome.character, settings) for _ in range(2))
     begun.play(shot.computation.rig[: 1 + (done - 1) * 5])
     other.resume(begun.kept(), shot.computation.rig[:1])
     assert settings.reached(other.done) == done
@@ -335,11 +343,11 @@ def test_samples_resume_where_another_process_stopped(shot, done):
 
 
 def test_warnings_name_whole_frames(shot):
-    settings = replace(shot.settings, samples=shot.settings.substeps)
+    settings = replace(shot.input.settings, samples=shot.input.settings.substeps)
     world = np.array(shot.computation.rig.rig_world)
     world[3 * settings.substeps + 2 :, 0, 3] += 50.0  # a cut between frames 4 and 5
     cut = replace(shot.computation.rig, rig_world=world, object_world=world)
-    _, report = part("simulate").bake(shot.model, shot.character, cut, settings)
+    _, report = part("simulate").bake(shot.outcome.model, shot.outcome.character, cut, settings)
     assert [text for text in report["warnings"] if "jumps" in text] == [
         "The rig jumps at frame 5: the soft skin was carried along"
     ]
@@ -349,12 +357,14 @@ def test_blender_shows_the_samples_at_sub_frames(shot, soft_arm):
     """Blender has keyframes there, for motion blur."""
     soft_arm.dynamorph.simulation.samples = 2
     job = baked(soft_arm, (1, 20))
-    rest = shot.character.vertices
+    rest = shot.outcome.character.vertices
     soft_arm.modifiers["Armature"].show_viewport = False
     for k in (0, 1, 9, 10, 38):
         bpy.context.scene.frame_set(1 + k // 2, subframe=k % 2 / 2)
-        assert np.abs(evaluated_points(soft_arm) - rest - job.result.displacement(k)).max() < 1e-5 * size(shot)
-    swing = (job.result.displacement(9) - (job.result.displacement(8) + job.result.displacement(10)) / 2) / size(shot)
+        assert np.abs(evaluated_points(soft_arm) - rest - job.outcome.bake.displacement(k)).max() < 1e-5 * size(shot)
+    swing = (
+        job.outcome.bake.displacement(9) - (job.outcome.bake.displacement(8) + job.outcome.bake.displacement(10)) / 2
+    ) / size(shot)
     assert np.abs(swing).max() > 1e-4
 
 
@@ -363,7 +373,7 @@ def test_blender_shows_the_samples_at_sub_frames(shot, soft_arm):
 
 def cyclic(shot, frames=12, travel=0.0, closed=True):
     """The rig sways and bends once, or nearly once, while it travels along y, in meters."""
-    count = 1 + (frames - 1) * shot.settings.substeps
+    count = 1 + (frames - 1) * shot.input.settings.substeps
     phase = np.linspace(0.0, 1.0 if closed else 0.9, count)
     rig = standing(shot, frames)
     world = np.array(rig.rig_world)
@@ -380,36 +390,38 @@ def cyclic(shot, frames=12, travel=0.0, closed=True):
 
 
 def looped(shot, rig, **settings):
-    frames = (len(rig) - 1) // shot.settings.substeps + 1
-    settings = replace(shot.settings, end=shot.settings.start + frames - 1, loop=True, **settings)
-    return part("simulate").bake(shot.model, shot.character, rig, settings)
+    frames = (len(rig) - 1) // shot.input.settings.substeps + 1
+    settings = replace(shot.input.settings, end=shot.input.settings.start + frames - 1, loop=True, **settings)
+    return part("simulate").bake(shot.outcome.model, shot.outcome.character, rig, settings)
 
 
 def size(shot):
-    return np.linalg.norm(np.ptp(shot.character.vertices @ shot.character.to_bind.T, axis=0))
+    return np.linalg.norm(np.ptp(shot.outcome.character.vertices @ shot.outcome.character.to_bind.T, axis=0))
 
 
 @pytest.mark.parametrize("travel", [0.0, 1.0])
 def test_a_loop_closes(shot, travel):
     rig = cyclic(shot, travel=travel)
     bake, report = looped(shot, rig)
-    apart = np.linalg.norm((bake.displacement(11) - bake.displacement(0)) @ shot.character.to_bind.T, axis=1).max()
+    apart = np.linalg.norm(
+        (bake.displacement(11) - bake.displacement(0)) @ shot.outcome.character.to_bind.T, axis=1
+    ).max()
     assert apart <= report["gap"] * (1 + 1e-6) and report["gap"] <= 1e-6 * size(shot)
-    assert report["warnings"] == [] and report["steps"] == 11 * shot.settings.substeps
-    once = replace(shot.settings, end=shot.settings.start + 11)
-    single, _ = part("simulate").bake(shot.model, shot.character, rig, once)
+    assert report["warnings"] == [] and report["steps"] == 11 * shot.input.settings.substeps
+    once = replace(shot.input.settings, end=shot.input.settings.start + 11)
+    single, _ = part("simulate").bake(shot.outcome.model, shot.outcome.character, rig, once)
     assert np.abs(single.displacement(11) - single.displacement(0)).max() > 10 * report["gap"]
 
 
 def test_newtons_method_finds_the_same_loop(shot, monkeypatch):
     """The fallback for tissue that is too soft for accelerated passes."""
     loops = part("loops")
-    rig, settings = cyclic(shot), replace(shot.settings, end=12, loop=True)
+    rig, settings = cyclic(shot), replace(shot.input.settings, end=12, loop=True)
     found = []
     monkeypatch.setattr(loops, "PLAIN", 1)  # more would find it
     for passes in (40, 0):
         monkeypatch.setattr(loops, "ACCELERATED", passes)
-        player = part("player").Player(shot.model, shot.character, settings)
+        player = part("player").Player(shot.outcome.model, shot.outcome.character, settings)
         frames, gap = loops.cycle(player, rig)
         assert gap <= 1e-6 * size(shot) and loops.PLAIN < player.passes < loops.PASSES  # so that a step was taken
         found.append(np.array([frame.coordinates for frame in frames]))
@@ -419,13 +431,13 @@ def test_newtons_method_finds_the_same_loop(shot, monkeypatch):
 def test_a_loop_closes_in_velocity_too(shot):
     """Undamped tissue passes its starting place long before it does so with the same velocity."""
     rig = cyclic(shot)
-    sets = shot.character.target_sets[0]
+    sets = shot.outcome.character.target_sets[0]
     springy = {"stiffness": 1e6, "mass_damping": 0.0, "stiffness_damping": 0.0}
     targets = tuple(replace(t, material=replace(t.material, **springy)) for t in sets.targets)
-    character = replace(shot.character, target_sets=(replace(sets, targets=targets),))
-    settings = replace(shot.settings, end=12, loop=True)
+    character = replace(shot.outcome.character, target_sets=(replace(sets, targets=targets),))
+    settings = replace(shot.input.settings, end=12, loop=True)
 
-    player = part("player").Player(shot.model, character, settings)
+    player = part("player").Player(shot.outcome.model, character, settings)
     frames, gap = part("loops").cycle(player, rig)
     assert gap <= 1e-6 * size(shot)
     assert player.passes < part("loops").PASSES
@@ -435,7 +447,7 @@ def test_a_loop_closes_in_velocity_too(shot):
     first = np.array([frame.coordinates for frame in frames])
     assert again == pytest.approx(first[2:], abs=5e-5 * np.abs(first).max())
     assert gap >= player.gap(frames[0], frames[-1])
-    settled = next(part("player").Player(shot.model, character, settings).run(rig))
+    settled = next(part("player").Player(shot.outcome.model, character, settings).run(rig))
     assert player.gap(settled, frames[0]) > 1e2 * gap
 
 
@@ -477,9 +489,9 @@ def test_newtons_method_finds_fixed_points(factor):
 
 @pytest.mark.parametrize("frames", [12, 1])
 def test_static_morph_targets_loop_too(shot, frames):
-    build, simulate = part("engine").engine()
-    character = shot.character.with_settings(method="STATIC")
-    settings = replace(shot.settings, end=frames, loop=True)
+    build, simulate = part("build"), part("simulate")
+    character = shot.outcome.character.with_settings(method="STATIC")
+    settings = replace(shot.input.settings, end=frames, loop=True)
     rig = cyclic(shot, closed=False)[: 1 + (frames - 1) * settings.substeps]
     bake, report = simulate.bake(build.build(character), character, rig, settings)
     assert len(bake.weights) == frames and len(report["warnings"]) == (frames > 1)
@@ -491,20 +503,22 @@ def test_a_loop_is_what_many_cycles_approach(shot):
     cycles = 40
     world = np.concatenate([rig.rig_world[:-1] + c * (rig.rig_world[-1] - rig.rig_world[0]) for c in range(cycles)])
     pose = np.concatenate([rig.pose[:-1]] * cycles)
-    long = replace(rig, pose=pose, rig_world=world, object_world=world)[: 1 + 11 * cycles * shot.settings.substeps]
-    long = long[: 1 + (11 * cycles - 1) * shot.settings.substeps]
-    motion = simulated(shot, long, end=shot.settings.start + 11 * cycles - 1)
+    long = replace(rig, pose=pose, rig_world=world, object_world=world)[
+        : 1 + 11 * cycles * shot.input.settings.substeps
+    ]
+    long = long[: 1 + (11 * cycles - 1) * shot.input.settings.substeps]
+    motion = simulated(shot, long, end=shot.input.settings.start + 11 * cycles - 1)
     assert bake.coordinates[:-1] == pytest.approx(motion[-11:], abs=1e-4 * np.abs(motion).max())
 
 
 def test_a_loop_closes_whatever_its_targets_hide(shot):
     """Even where the targets hide the motion at the seam it must be periodic, because it shows elsewhere."""
-    sets = shot.character.target_sets[0]
+    sets = shot.outcome.character.target_sets[0]
     hidden = tuple(replace(t, motion_amount=k) for k, t in enumerate(sets.targets))
-    character = replace(shot.character, target_sets=(replace(sets, targets=hidden),))
-    rig, settings = cyclic(shot), replace(shot.settings, end=shot.settings.start + 11, loop=True)
+    character = replace(shot.outcome.character, target_sets=(replace(sets, targets=hidden),))
+    rig, settings = cyclic(shot), replace(shot.input.settings, end=shot.input.settings.start + 11, loop=True)
     (bake, report), (open_, before) = (
-        part("simulate").bake(shot.model, each, rig, settings) for each in (character, shot.character)
+        part("simulate").bake(shot.outcome.model, each, rig, settings) for each in (character, shot.outcome.character)
     )
     assert report["gap"] == before["gap"]
     assert np.abs(bake.displacement(11) - bake.displacement(0)).max() < 1e-6 * size(shot)
@@ -525,9 +539,9 @@ def test_a_loop_reports_its_passes_and_can_be_canceled(shot):
         seen.append((fraction, message))
         return "pass 3" not in message
 
-    settings = replace(shot.settings, end=12, loop=True)
+    settings = replace(shot.input.settings, end=12, loop=True)
     with pytest.raises(dynamorph.Cancelled):
-        part("simulate").bake(shot.model, shot.character, cyclic(shot), settings, progress)
+        part("simulate").bake(shot.outcome.model, shot.outcome.character, cyclic(shot), settings, progress)
     fractions = [fraction for fraction, _ in seen]
     assert fractions == sorted(fractions) and fractions[-1] < 1.0
     assert seen[-1][1] == "Simulating frame 2, pass 3"
@@ -545,24 +559,27 @@ def test_a_shot_in_chunks_is_the_shot(soft_arm, shot, frames, monkeypatch):
     job = part("job").Job(soft_arm, goal="BAKE")
     batch.run(job)
     for name in ("frames", "coordinates", "weights", "static"):
-        assert np.array_equal(getattr(job.result, name), getattr(shot.result, name)), name
-    assert job.report["steps"] == shot.report["steps"] and job.report["energy"] == shot.report["energy"]
+        assert np.array_equal(getattr(job.outcome.bake, name), getattr(shot.outcome.bake, name)), name
+    assert (
+        job.outcome.report["steps"] == shot.outcome.report["steps"]
+        and job.outcome.report["energy"] == shot.outcome.report["energy"]
+    )
 
 
 @pytest.mark.fault("A09")
 @pytest.mark.parametrize("done", [2, 4, 10, 20])
 def test_a_shot_resumes_where_another_process_stopped(shot, done):
-    simulate, substeps = part("simulate"), shot.settings.substeps
-    begun = simulate.Shot(shot.model, shot.character, shot.settings)
+    simulate, substeps = part("simulate"), shot.input.settings.substeps
+    begun = simulate.Shot(shot.outcome.model, shot.outcome.character, shot.input.settings)
     begun.play(shot.computation.rig[: 1 + (done - 1) * substeps])
     kept = {name: array.copy() for name, array in begun.kept().items()}
-    other = simulate.Shot(shot.model, shot.character, shot.settings)
+    other = simulate.Shot(shot.outcome.model, shot.outcome.character, shot.input.settings)
     other.resume(kept, shot.computation.rig[:1])
     assert other.done == done
     other.play(shot.computation.rig[1 + (done - 1) * substeps :])
     bake, report = other.bake()
-    assert np.array_equal(bake.coordinates, shot.result.coordinates)
-    assert report["steps"] == shot.report["steps"] and report["iterations"] == shot.report["iterations"]
+    assert np.array_equal(bake.coordinates, shot.outcome.bake.coordinates)
+    assert report["steps"] == shot.outcome.report["steps"] and report["iterations"] == shot.outcome.report["iterations"]
 
 
 # A part of a bake again ----------------------------------------------------------------------------------------------
@@ -591,16 +608,16 @@ def rebaked(obj, start, end, **more):
 def test_a_range_is_baked_into_the_rest(scene, shot, soft_arm):
     before = shown_at(soft_arm, range(1, 21))
     same = rebaked(soft_arm, 8, 15)
-    assert same.report["seam"] < 1e-5
+    assert same.outcome.report["seam"] < 1e-5
     assert np.abs(shown_at(soft_arm, range(1, 21)) - before).max() < 1e-5
-    assert len(same.outcome.written[0][0].modes) <= len(shot.result.modes) + 2
+    assert len(same.outcome.written[0][0].modes) <= len(shot.outcome.bake.modes) + 2
 
     lower = rig_of(soft_arm).pose.bones["lower"]
     for frame, angle in ((1, 0.0), (10, 0.0), (12, 0.5), (14, 0.0), (20, 0.0)):
         lower.rotation_euler.y = angle
         lower.keyframe_insert("rotation_euler", index=1, frame=frame)
     job = rebaked(soft_arm, 6, 20)
-    assert job.settings.run_up == 5  # as far back as the bake goes, otherwise one second
+    assert job.input.settings.run_up == 5  # as far back as the bake goes, otherwise one second
     assert part("staleness").outdated(soft_arm) == []
     mixed = shown_at(soft_arm, range(1, 21))
     assert [float(frame) for frame in part("bake_reading").read_back(soft_arm).frames] == list(range(1, 21))
@@ -623,7 +640,7 @@ def test_a_bake_is_made_longer(shot, soft_arm):
     rig_of(soft_arm).pose.bones["lower"].rotation_euler.x = 0.5
     rig_of(soft_arm).pose.bones["lower"].keyframe_insert("rotation_euler", frame=30)
     part("batch").run(part("job").Job(soft_arm, goal="BAKE"))
-    assert len(rebaked(soft_arm, 21, 24).result.frames) == 24
+    assert len(rebaked(soft_arm, 21, 24).outcome.bake.frames) == 24
     longer = shown_at(soft_arm, range(1, 25))
     soft_arm.dynamorph.simulation.start, soft_arm.dynamorph.simulation.keep_outside = 1, False
     part("batch").run(part("job").Job(soft_arm, goal="BAKE"))
@@ -698,7 +715,7 @@ def test_what_the_other_frames_were_made_from_is_said(shot, soft_arm):
 
 def test_a_patch_keeps_samples_alike(shot, soft_arm):
     soft_arm.dynamorph.simulation.samples = 2
-    frames = rebaked(soft_arm, 8, 15).result.frames
+    frames = rebaked(soft_arm, 8, 15).outcome.bake.frames
     np.testing.assert_allclose(frames, np.arange(1.0, 20.5, 0.5))
 
 
@@ -725,7 +742,7 @@ def test_a_point_cache_is_baked_again(shot, soft_arm, tmp_path, preserve_volume)
     baked = [part("job").Job(soft_arm, goal="BAKE", folder=tmp_path) for _ in range(2)]
     for job in baked:
         part("batch").run(job)
-    assert part("baked").digest(baked[0].result) == part("baked").digest(baked[1].result)
+    assert part("baked").digest(baked[0].outcome.bake) == part("baked").digest(baked[1].outcome.bake)
     assert len(list((tmp_path / "dynamorph_caches").iterdir())) == 1
     assert [modifier.type for modifier in soft_arm.modifiers] == ["MESH_CACHE", "ARMATURE"]
     assert not any("'Dynamorph'" in note.text for note in part("checks").notes(skinning_of(soft_arm)))

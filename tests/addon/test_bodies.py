@@ -211,7 +211,7 @@ def test_seams_stay_closed_where_blender_poses_the_nodes(figure):
     for name in ("Body", "Top", "Cap"):
         figure[name].modifiers["Armature"].use_deform_preserve_volume = True
     job = bake(figure["Body"])
-    assert job.character.probed
+    assert job.outcome.character.probed
     assert_closed(figure)
 
 

@@ -53,7 +53,7 @@ def test_new_soft_skins_have_them_and_others_keep_their_modes(arm, soft_arm):
 
 
 def test_a_sixth_is_tabulated(baked):
-    model = baked.model
+    model = baked.outcome.model
     assert (model.basis.shape[1], model.responses.shape[1]) == (10, 50)
     assert (model.summary["modes"], model.summary["tabulated"]) == (60, 10)
     assert len(baked.request.target.find().dynamorph.modes) == 10  # gains are of those
@@ -61,7 +61,7 @@ def test_a_sixth_is_tabulated(baked):
 
 def test_few_modes_are_enough_tabulated_ones_for_the_targets(baked):
     """As many as there are sculpts beside the fewest that there may be, and one response."""
-    model = part("build").build(baked.character.with_settings(modes=4), previous=baked.model)
+    model = part("build").build(baked.outcome.character.with_settings(modes=4), previous=baked.outcome.model)
     assert (model.basis.shape[1], model.responses.shape[1]) == (9, 1)
     shape = model.displacements[1][model.free].ravel()
     left = shape - model.basis @ np.linalg.lstsq(model.basis, shape, rcond=None)[0]
@@ -76,9 +76,11 @@ def test_how_many_are_tabulated(modes, tabulated):
 
 
 def test_playback_frame_by_frame_is_the_simulation(baked):
-    simulate, substeps = part("simulate"), baked.settings.substeps
-    whole = list(simulate.simulate(baked.model, baked.character, baked.computation.rig, baked.settings))
-    player = part("player").Player(baked.model, baked.character, baked.settings)
+    simulate, substeps = part("simulate"), baked.input.settings.substeps
+    whole = list(
+        simulate.simulate(baked.outcome.model, baked.outcome.character, baked.computation.rig, baked.input.settings)
+    )
+    player = part("player").Player(baked.outcome.model, baked.outcome.character, baked.input.settings)
     assert np.array_equal(player.begin(baked.computation.rig[:2]).coordinates, whole[0].coordinates)
     for k, frame in enumerate(whole[1:]):
         played = player.advance(baked.computation.rig[1 + k * substeps : 1 + (k + 1) * substeps], int(frame.number))
@@ -87,21 +89,21 @@ def test_playback_frame_by_frame_is_the_simulation(baked):
 
 def test_a_bake_has_fewer_keys_and_shows_the_same_to_a_thousandth(skin, baked):
     exact, _ = played(baked).bake(exact=True)
-    assert len(exact.modes) == 60 and len(baked.result.modes) < 25
-    assert off(displacement(baked.result), displacement(exact)) < 1.5e-3
-    assert np.allclose(baked.result.static @ baked.result.modes.reshape(len(baked.result.modes), -1),
+    assert len(exact.modes) == 60 and len(baked.outcome.bake.modes) < 25
+    assert off(displacement(baked.outcome.bake), displacement(exact)) < 1.5e-3
+    assert np.allclose(baked.outcome.bake.static @ baked.outcome.bake.modes.reshape(len(baked.outcome.bake.modes), -1),
                        exact.static @ exact.modes.reshape(60, -1), atol=1e-9)  # fmt: skip
     assert len(skin.data.shape_keys.key_blocks) < 30
-    assert_shows(skin, baked.result)
+    assert_shows(skin, baked.outcome.bake)
 
 
 @pytest.mark.parametrize("changes", [{}, {"solver": "FULL"}], ids=["reduced", "full"])
 def test_a_bake_of_what_hardly_moves_has_the_targets_shapes(baked, changes):
     """In the target's pose, where nothing is left of the motion but rounding."""
-    character = baked.character.with_settings(**changes)
-    model = baked.model.with_settings(character.settings)
-    held = baked.computation.rig[-1:].moved(np.tile(np.eye(4), (1 + 5 * baked.settings.substeps, 1, 1)))
-    settings = replace(baked.settings, end=6)
+    character = baked.outcome.character.with_settings(**changes)
+    model = baked.outcome.model.with_settings(character.settings)
+    held = baked.computation.rig[-1:].moved(np.tile(np.eye(4), (1 + 5 * baked.input.settings.substeps, 1, 1)))
+    settings = replace(baked.input.settings, end=6)
     engine = model.engine(character)
     frames = list(part("simulate").simulate(model, character, held, settings))
     whole = np.array([model.surface(engine.displacement(frame.coordinates)) for frame in frames])
@@ -112,7 +114,7 @@ def test_a_bake_of_what_hardly_moves_has_the_targets_shapes(baked, changes):
 
 
 def played(job):
-    shot = part("simulate").Shot(job.model, job.character, job.settings)
+    shot = part("simulate").Shot(job.outcome.model, job.outcome.character, job.input.settings)
     shot.play(job.computation.rig)
     return shot
 
@@ -143,17 +145,17 @@ def test_it_is_closer_to_unreduced_than_the_modes_of_before(skin, change):
     """The same shot, in the same cage."""
     change(skin)
     baked = bake(skin)
-    assert len(baked.character.target_sets) == 1 + (change == with_a_region)
-    assert baked.character.probed == (change == with_preserve_volume)
+    assert len(baked.outcome.character.target_sets) == 1 + (change == with_a_region)
+    assert baked.outcome.character.probed == (change == with_preserve_volume)
     simulate, build = part("simulate"), part("build")
 
     def motion(**changes):
-        character = baked.character.with_settings(**changes)
-        model = build.build(character, previous=baked.model)
-        bake, _ = simulate.bake(model, character, baked.computation.rig, baked.settings)
+        character = baked.outcome.character.with_settings(**changes)
+        model = build.build(character, previous=baked.outcome.model)
+        bake, _ = simulate.bake(model, character, baked.computation.rig, baked.input.settings)
         return displacement(bake)
 
-    full = motion(solver="FULL", modes=len(baked.settings.frames))
+    full = motion(solver="FULL", modes=len(baked.input.settings.frames))
     responses, modes = motion(), motion(basis="MODES", modes=20)
     assert off(responses, full) < 0.5 * off(modes, full) and off(responses, full) < 0.12
 
@@ -183,14 +185,14 @@ def test_targets_are_exact(skin, change):
     """At rest in its pose the skin has the sculpted shape, whatever the other set shows."""
     change(skin)
     baked = bake(skin)
-    engine, sets = baked.model.engine(baked.character), baked.character.target_sets
-    shapes = baked.model.target_coordinates(engine)
+    engine, sets = baked.outcome.model.engine(baked.outcome.character), baked.outcome.character.target_sets
+    shapes = baked.outcome.model.target_coordinates(engine)
     for chosen in itertools.product(*(np.eye(len(target_set.targets)) for target_set in sets)):
         weights = np.concatenate(chosen)
         shape = weights @ shapes
         _, force, stiffness = engine.linearize(weights, shape)
         assert np.linalg.norm(np.linalg.solve(stiffness, force)) < 1e-6 * np.linalg.norm(shapes[1])
-        expected = np.tensordot(weights, baked.model.displacements, 1)
+        expected = np.tensordot(weights, baked.outcome.model.displacements, 1)
         assert engine.displacement(shape) == pytest.approx(expected, abs=1e-7)
 
 
@@ -201,25 +203,29 @@ def test_a_loop_closes(skin):
         bone.keyframe_insert("rotation_euler", frame=frame)
     skin.dynamorph.simulation.loop = True
     looped = bake(skin)
-    moving = displacement(looped.result)
+    moving = displacement(looped.outcome.bake)
     exact, _ = played(looped).bake(exact=True)
     whole = displacement(exact)
-    assert looped.report["gap"] < 1e-6 * np.linalg.norm(skin.dimensions) and not looped.report["warnings"]
-    assert np.abs(whole[-1] - whole[0]).max() <= 1.000001 * looped.report["gap"]
+    assert (
+        looped.outcome.report["gap"] < 1e-6 * np.linalg.norm(skin.dimensions) and not looped.outcome.report["warnings"]
+    )
+    assert np.abs(whole[-1] - whole[0]).max() <= 1.000001 * looped.outcome.report["gap"]
     moves = np.abs(whole - whole.mean(axis=0)).max()
     assert np.abs(moving[-1] - moving[0]).max() < 2e-3 * moves  # with fewer keys
     skin.dynamorph.simulation.loop = False
-    once = displacement(bake(skin).result)
+    once = displacement(bake(skin).outcome.bake)
     assert np.abs(once[-1] - once[0]).max() > 0.02 * moves
 
 
 def test_they_are_not_fitted_to_a_shot(skin, baked):
     skin.dynamorph.model.fit_to_shot = True
     job = bake(skin)
-    assert "fitted" not in job.model.summary and np.array_equal(job.model.responses, baked.model.responses)
+    assert "fitted" not in job.outcome.model.summary and np.array_equal(
+        job.outcome.model.responses, baked.outcome.model.responses
+    )
     skin.dynamorph.model.basis = "MODES"
     skin.dynamorph.model.modes = 12
-    assert bake(skin).model.summary["fitted"] == [1, 20]
+    assert bake(skin).outcome.model.summary["fitted"] == [1, 20]
 
 
 def test_a_shot_in_chunks_is_the_whole_shot(skin, baked, monkeypatch):
@@ -227,28 +233,28 @@ def test_a_shot_in_chunks_is_the_whole_shot(skin, baked, monkeypatch):
     again = bake(skin)
     assert len(again.computation.rig) < len(baked.computation.rig)
     for name in ("coordinates", "modes", "static"):
-        assert np.array_equal(getattr(again.result, name), getattr(baked.result, name)), name
+        assert np.array_equal(getattr(again.outcome.bake, name), getattr(baked.outcome.bake, name)), name
 
 
 def test_materials_change_without_a_build(baked):
     build = part("build")
-    stiffer = baked.character.with_materials(
+    stiffer = baked.outcome.character.with_materials(
         lambda _index, target: replace(target.material, stiffness=4.0 * target.material.stiffness)
     )
-    assert build.stale_reasons(baked.model, stiffer) == []
-    rebuilt = build.build(stiffer, previous=baked.model)
+    assert build.stale_reasons(baked.outcome.model, stiffer) == []
+    rebuilt = build.build(stiffer, previous=baked.outcome.model)
     simulate = part("simulate")
     quick, slow = (
-        displacement(simulate.bake(model, stiffer, baked.computation.rig, baked.settings)[0])
-        for model in (baked.model, rebuilt)
+        displacement(simulate.bake(model, stiffer, baked.computation.rig, baked.input.settings)[0])
+        for model in (baked.outcome.model, rebuilt)
     )
     assert off(quick, slow) < 1e-3
 
 
 def test_a_model_with_them_is_stored_and_read(baked):
     model_file, model = part("model_file"), part("model")
-    arrays, meta = baked.model.to_arrays()
-    h = baked.model.responses.shape[1]
+    arrays, meta = baked.outcome.model.to_arrays()
+    h = baked.outcome.model.responses.shape[1]
     assert arrays["response_mu"].dtype == np.float64 and arrays["response_mu"].shape[1] == h
     assert arrays["coupling_mu"].dtype == np.float32 and arrays["coupling_mu"].shape[1] == h * 10 * 11 // 2
     read = model.Model.from_arrays(*model_file.unpack(model_file.pack(arrays, meta)))

@@ -59,8 +59,8 @@ def test_a_stopped_bake_is_resumed(coarse, folder, monkeypatch, changes):
     assert len(job.input.resumed["coordinates"]) == 11  # frames
     assert record.character_record(record.Done(job, job.warnings))["bake"]["resumed"] == 11
     whole = baked(coarse)
-    assert np.array_equal(job.result.coordinates, whole.result.coordinates)
-    assert job.report["steps"] == whole.report["steps"]
+    assert np.array_equal(job.outcome.bake.coordinates, whole.outcome.bake.coordinates)
+    assert job.outcome.report["steps"] == whole.outcome.report["steps"]
 
 
 @pytest.mark.fault("F05")
@@ -149,7 +149,7 @@ def test_models_are_built_once(coarse, folder, monkeypatch):
     part("storage").forget_model(coarse)
     monkeypatch.setattr(part("simulate"), "build_for", None)
     second = baked(coarse, folder, goal="BUILD")
-    assert second.reasons and np.array_equal(second.model.basis, first.model.basis)
+    assert second.input.reasons and np.array_equal(second.outcome.model.basis, first.outcome.model.basis)
     assert second.outcome.references == first.outcome.references
 
 
@@ -157,7 +157,7 @@ def test_models_fitted_to_a_shot_are_not_shared(coarse, folder):
     """Otherwise another shot of the same character would get them."""
     coarse.dynamorph.model.fit_to_shot = True
     job = baked(coarse, folder)
-    assert "fitted" in job.model.summary
+    assert "fitted" in job.outcome.model.summary
     assert not list(folder.glob("*"))
 
 
@@ -184,7 +184,7 @@ def test_a_probed_character_uses_the_nodes_of_the_shared_model(coarse, folder):
     arrays["nodes"] = arrays["nodes"] + 1e-9
     part("disk").save(built, model_file.pack(arrays, meta))
     job = baked(coarse, folder)
-    assert np.allclose(job.result.coordinates, shared.result.coordinates, atol=1e-4)
+    assert np.allclose(job.outcome.bake.coordinates, shared.outcome.bake.coordinates, atol=1e-4)
 
 
 def test_an_undo_between_two_chunks_stops_a_bake(coarse, folder, monkeypatch):

@@ -45,14 +45,14 @@ def test_the_skin_is_inside_its_cage(baked):
 
 
 def test_blender_shows_what_the_engine_computed(baked):
-    assert_shows(baked.body, baked.job.result)
+    assert_shows(baked.body, baked.job.outcome.bake)
 
 
 def test_a_second_bake_equals_the_first_and_delete_bake_restores(baked_from):
     before, baked = baked_from
     again = characters.bake(part("batch"), baked.body).job
-    assert again.reasons == []  # the model is equivalent to a new one
-    np.testing.assert_array_equal(again.result.coordinates, baked.job.result.coordinates)
+    assert again.input.reasons == []  # the model is equivalent to a new one
+    np.testing.assert_array_equal(again.outcome.bake.coordinates, baked.job.outcome.bake.coordinates)
     part("bake").free(baked.body)
     bpy.context.scene.frame_set(bpy.context.scene.frame_start)
     assert fingerprint(baked.body) == before

@@ -64,7 +64,7 @@ def test_it_is_how_far_two_simulated_hops_are_apart(coarse):
     job = build(coarse)
     wait()
     settings = part("settings").SimulationSettings(0, 30, 24.0, 5, gravity=(0.0, 0.0, bpy.context.scene.gravity.z))
-    character = job.character
+    character = job.outcome.character
     seconds = np.arange(151) / 120.0 - 0.1
     phase = np.where((seconds > 0.0) & (seconds < 1.0), seconds % 0.5 / 0.5, 0.0)
     size = np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
@@ -76,7 +76,7 @@ def test_it_is_how_far_two_simulated_hops_are_apart(coarse):
     )
 
     def motion(solver):
-        model = job.model.with_settings(replace(character.settings, solver=solver))
+        model = job.outcome.model.with_settings(replace(character.settings, solver=solver))
         frames = list(part("simulate").simulate(model, character, rig, settings))
         engine = model.engine(character)
         nodes = np.array([engine.displacement(frame.coordinates) for frame in frames])

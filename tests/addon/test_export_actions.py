@@ -159,7 +159,7 @@ def test_the_clips_share_as_many_keys_as_are_asked_for(game_arm, tmp_path):
     assert [name for name in mesh.extras["targetNames"] if "Dynamorph" in name] == [
         f"Dynamorph Mode 0{k}" for k in (1, 2, 3)
     ]
-    whole = export_actions.joined([job.result for job in batch.jobs])
+    whole = export_actions.joined([job.outcome.bake for job in batch.jobs])
     fewer = keys.with_fewer_keys(whole, 3)
     basis = part("mesh_data").rest_points(obj)
     found = np.concatenate([file.morphed("Arm", name) for name in ("Bend", "Wave")])
@@ -179,7 +179,7 @@ def test_influence_counts(game_arm, tmp_path):
     part("bake_influence").influence_strip(obj).influence = 0.5
     batch = part("export_actions").ActionsExport(obj, "GLTF", tmp_path / "arm.glb")
     part("batch").run_all(batch)
-    bend = batch.jobs[0].result
+    bend = batch.jobs[0].outcome.bake
     half = replace(bend, coordinates=(bend.coordinates + bend.static) / 2)
     exact = np.concatenate(list(part("baked").surfaces(half, part("mesh_data").rest_points(obj))))
     assert farthest(round_trips.Gltf(batch.path).morphed("Arm", "Bend"), exact, same_order=False) < CLOSE

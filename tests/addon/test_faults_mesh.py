@@ -46,10 +46,10 @@ def test_concave_ngons_and_what_is_loose(scene):
         faces += [[low + i, low + (i + 1) % sides, low + sides + (i + 1) % sides, low + sides + i] for i in first]
     obj = limb(scene, "Prism", prism + loose, faces, edges=[(len(prism), len(prism) + 1)])
     job = bake(obj)
-    moved = np.array([job.result.displacement(k) for k in range(20)])
+    moved = np.array([job.outcome.bake.displacement(k) for k in range(20)])
     assert np.isfinite(moved).all() and np.abs(moved).max() > 1e-3
     assert np.abs(moved[:, len(prism) + 2]).max() > 1e-3  # beside soft tissue, which carries it along
-    assert_shows(obj, job.result)
+    assert_shows(obj, job.outcome.bake)
 
 
 @pytest.mark.fault("M13")
@@ -69,7 +69,7 @@ def test_very_many_faces(scene, tmp_path):
     scene.frame_end = 5
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "large.blend"))  # the model goes beside it
     job = bake(obj, substeps=1)
-    assert np.isfinite(job.result.coordinates).all() and len(obj.dynamorph.bake.keys) > 0
+    assert np.isfinite(job.outcome.bake.coordinates).all() and len(obj.dynamorph.bake.keys) > 0
     used = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
     assert used < 2**28 + 3000 * len(triangles)
 
@@ -95,7 +95,7 @@ def test_a_key_with_another_number_of_vertices(soft_arm):
     assert words in soft_arm.dynamorph.model.stale or "275 vertices" in " ".join(drawn(soft_arm))
     for mode in ("EDIT", "OBJECT"):
         bpy.ops.object.mode_set(mode=mode)
-    assert np.isfinite(bake(soft_arm).result.coordinates).all()
+    assert np.isfinite(bake(soft_arm).outcome.bake.coordinates).all()
 
 
 @pytest.mark.fault("K03")
@@ -103,12 +103,12 @@ def test_a_key_with_another_number_of_vertices(soft_arm):
 def test_key_values_that_no_slider_has(soft_arm, driver):
     """Blender shows them, without a bake and of keys that are not the bake's: what is driven, within the slider."""
     coarse(soft_arm)
-    calm = bake(soft_arm).result
+    calm = bake(soft_arm).outcome.bake
     OPS.free_bake()
     for name in ("flexed", "smile"):
         keys_of(soft_arm).key_blocks[name].driver_add("value").driver.expression = driver
     job = bake(soft_arm)
-    np.testing.assert_array_equal(job.result.coordinates, calm.coordinates)
+    np.testing.assert_array_equal(job.outcome.bake.coordinates, calm.coordinates)
     assert np.isfinite(motion(soft_arm)).all()
 
 
@@ -119,4 +119,4 @@ def test_a_key_value_that_is_not_a_number_is_named(soft_arm):
     keys_of(soft_arm).key_blocks["smile"].value = float("nan")
     job = bake(soft_arm)
     assert [text for text in job.warnings if "'Arm': the value of shape key 'smile' is not a number" in text]
-    assert np.isfinite(job.result.coordinates).all()
+    assert np.isfinite(job.outcome.bake.coordinates).all()

@@ -21,7 +21,7 @@ def skin(soft_arm):
 
 def displaced(job):
     """The displacements (F, V, 3) of a bake."""
-    return np.array([job.result.displacement(k) for k in range(len(job.result.frames))])
+    return np.array([job.outcome.bake.displacement(k) for k in range(len(job.outcome.bake.frames))])
 
 
 def interpolate(rig, interpolation):
@@ -95,8 +95,8 @@ def test_a_thousand_bones(scene, basis, deforming):
     obj = chained(scene, 1000, deforming)
     obj.dynamorph.model.basis, obj.dynamorph.model.modes = basis, 12
     job = bake(obj, substeps=1)
-    assert len(job.character.skeleton.names) == 1000
-    assert_shows(obj, job.result)
+    assert len(job.outcome.character.skeleton.names) == 1000
+    assert_shows(obj, job.outcome.bake)
     assert np.abs(displaced(job)).max() > 1e-4
 
 
@@ -115,7 +115,7 @@ def test_stepped_keys(scene, skin):
     interpolate(rig, "CONSTANT")
     scene.frame_end = 120
     job = bake(skin)
-    assert_shows(skin, job.result)
+    assert_shows(skin, job.outcome.bake)
     moved = displaced(job)
     assert np.isfinite(moved).all() and np.abs(moved).max() < 0.5 * SIZE
     steps = np.abs(np.diff(moved, axis=0)).max(axis=(1, 2))
@@ -124,9 +124,9 @@ def test_stepped_keys(scene, skin):
 
 @pytest.mark.fault("A08")
 def test_what_is_for_rendering_alone_changes_no_bake(scene, skin):
-    plain = bake(skin).result
+    plain = bake(skin).outcome.bake
     scene.frame_step, scene.render.use_simplify, scene.render.simplify_subdivision = 3, True, 0
-    again = bake(skin).result
+    again = bake(skin).outcome.bake
     np.testing.assert_array_equal(again.frames, plain.frames)
     np.testing.assert_array_equal(again.coordinates, plain.coordinates)
 
@@ -171,7 +171,7 @@ def test_a_driven_material(scene, skin):
     skin.driver_add("dynamorph.targets[0].stiffness").driver.expression = "2e4 * frame"
     scene.frame_set(3)
     job = bake(skin)
-    assert job.character.targets[0].material.stiffness == 6e4
+    assert job.outcome.character.targets[0].material.stiffness == 6e4
     assert part("staleness").outdated(skin) == []
     scene.frame_set(5)
     assert part("staleness").outdated(skin) == ['Stiffness of "Neutral" changed']
@@ -182,4 +182,4 @@ def test_targets_that_are_a_million_million_times_stiffer(skin):
     targets = skin.dynamorph.targets
     targets[0].stiffness, targets[1].stiffness = 1.0, 1e12
     job = bake(skin)
-    assert np.isfinite(displaced(job)).all() and job.report["residual"] < 1e-3
+    assert np.isfinite(displaced(job)).all() and job.outcome.report["residual"] < 1e-3

@@ -167,7 +167,7 @@ def motion(obj, amount, **settings):
     obj.dynamorph.simulation.amount = amount
     job = part("job").Job(obj, "BAKE", stored=False, **settings)
     part("batch").run(job)
-    return np.tensordot(job.result.coordinates - job.result.static, job.result.modes, 1), job
+    return np.tensordot(job.outcome.bake.coordinates - job.outcome.bake.static, job.outcome.bake.modes, 1), job
 
 
 def test_amount_scales_the_motion_of_a_bake(built_arm):
@@ -177,7 +177,7 @@ def test_amount_scales_the_motion_of_a_bake(built_arm):
     none, _ = motion(built_arm, 0.0)
     np.testing.assert_allclose(half, 0.5 * whole, atol=1e-12)
     assert np.abs(none).max() < 1e-12
-    np.testing.assert_array_equal(job.result.static, motion(built_arm, 2.0)[1].result.static)
+    np.testing.assert_array_equal(job.outcome.bake.static, motion(built_arm, 2.0)[1].outcome.bake.static)
 
 
 def test_amount_is_out_of_date_in_a_bake_and_unknown_to_old_ones(built_arm):

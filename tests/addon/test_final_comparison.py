@@ -35,28 +35,28 @@ def test_final_quality_needs_no_other_build(coarse):
     reduced = coarse.dynamorph.bake.digest
     coarse.dynamorph.model.solver = "FULL"
     final = bake(coarse)
-    assert final.reasons == [] and coarse.dynamorph.model.content_id == content_id
+    assert final.input.reasons == [] and coarse.dynamorph.model.content_id == content_id
     assert coarse.dynamorph.bake.digest != reduced
     coarse.dynamorph.model.solver = "REDUCED"
-    assert bake(coarse).reasons == []
+    assert bake(coarse).input.reasons == []
     assert coarse.dynamorph.bake.digest == reduced
 
 
 def test_a_model_built_for_final_quality_keeps_its_cage_when_modes_are_asked_for(coarse):
     coarse.dynamorph.model.solver = "FULL"
     final = bake(coarse)
-    assert final.reasons == ["not built yet"] and not final.model.basis.size
+    assert final.input.reasons == ["not built yet"] and not final.outcome.model.basis.size
     coarse.dynamorph.model.solver = "REDUCED"
     assert part("staleness").model_changes(coarse) == ["Quality changed"]
     reduced = bake(coarse)
-    assert reduced.reasons == ["solver changed"] and reduced.model.basis.shape[1] == 4
-    assert np.array_equal(final.model.nodes, reduced.model.nodes)
+    assert reduced.input.reasons == ["solver changed"] and reduced.outcome.model.basis.shape[1] == 4
+    assert np.array_equal(final.outcome.model.nodes, reduced.outcome.model.nodes)
 
 
 def test_keys_that_lack_some_of_the_motion_say_so(coarse):
     coarse.dynamorph.model.solver = "FULL"
     job = bake(coarse)
-    lost = job.report["compression_error"]
+    lost = job.outcome.report["compression_error"]
     assert lost > 0 and f"keys off by at most {1000 * lost:.2g} mm" in job.summary()
 
 
@@ -64,8 +64,8 @@ def test_a_point_cache_holds_all_of_the_motion(coarse, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
     coarse.dynamorph.model.solver, coarse.dynamorph.output.sink = "FULL", "PC2"
     job = bake(coarse)
-    assert len(job.result.modes) > 4 and "off by" not in job.summary()
-    assert job.report["compression_error"] < 1e-5
+    assert len(job.outcome.bake.modes) > 4 and "off by" not in job.summary()
+    assert job.outcome.report["compression_error"] < 1e-5
 
 
 # Distance ----------------------------------------------------------------------------------------------------------
@@ -117,11 +117,11 @@ def test_it_is_the_distance_of_both_bakes(coarse):
     coarse.dynamorph.model.solver = "FULL"
     coarse.dynamorph.model.modes = 40  # keys: more than there are frames
     final = bake(coarse)
-    character = final.character
+    character = final.outcome.character
     corners = character.vertices[character.triangles]
     sizes = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     areas = np.bincount(character.triangles.ravel(), np.repeat(sizes, 3), len(character.vertices))
-    apart, moved = about_mean(reduced.result) - about_mean(final.result), about_mean(final.result)
+    apart, moved = about_mean(reduced.outcome.bake) - about_mean(final.outcome.bake), about_mean(final.outcome.bake)
     expected = np.sqrt(np.einsum("fvc,v->", apart**2, areas) / np.einsum("fvc,v->", moved**2, areas))
     assert distance == pytest.approx(expected, rel=1e-3)
 

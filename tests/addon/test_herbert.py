@@ -97,12 +97,12 @@ def test_belly_swings_upright_and_holds_in_the_tuck(herbert):
     batch = part("batch")
     job = part("job").Job(herbert, goal="BAKE")
     batch.run(job)
-    assert job.model.summary["modes"] == 12
-    assert job.model.summary["dofs"] == pytest.approx(603, rel=0.1)
-    assert job.report["inverted"] <= 10
+    assert job.outcome.model.summary["modes"] == 12
+    assert job.outcome.model.summary["dofs"] == pytest.approx(603, rel=0.1)
+    assert job.outcome.report["inverted"] <= 10
     assert not any("converge" in warning for warning in job.warnings)
 
-    character, bake = job.character, job.result
+    character, bake = job.outcome.character, job.outcome.bake
     shapes = np.array([target.shape for target in character.targets])
     belly = np.argsort(character.targets[2].shape[:, 1])[:200]  # bulges most to the front
     apart = np.array([bake.displacement(k)[belly] for k in range(len(bake.frames))])

@@ -98,6 +98,24 @@ def test_core_and_io_do_without_blender():
             assert not of_blender(tree), module
 
 
+def test_one_module_imports_the_compiled_engine():
+    """So the others load without it, and its absence is reported in one way."""
+    for module, tree in modules(PACKAGE).items():
+        types = [node for each in ast.walk(tree) if is_type_checking(each) for node in ast.walk(each)]
+        named = {
+            name
+            for node in ast.walk(tree)
+            if node not in types and isinstance(node, ast.Import | ast.ImportFrom)
+            for name in ([alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module])
+            if not getattr(node, "level", 0)
+        }
+        assert "dynamorph" not in named or module == "core/engine", module
+
+
+def is_type_checking(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+
+
 def test_what_a_job_s_thread_computes_does_without_blender():
     """Neither the module nor anything that it imports may import Blender."""
     graph, found = graph_of(PACKAGE), modules(PACKAGE)

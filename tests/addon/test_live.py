@@ -68,9 +68,9 @@ def baked(obj, **settings):
     extract = part("extract")
     job = part("job").Job(obj, goal="BAKE", stored=False, **settings)
     part("batch").run(job)
-    assert job.reasons == []
+    assert job.input.reasons == []
     rest = extract.character(obj).vertices
-    return np.array([rest + job.result.displacement(k) for k in range(len(job.result.frames))])
+    return np.array([rest + job.outcome.bake.displacement(k) for k in range(len(job.outcome.bake.frames))])
 
 
 def begun_at(obj, frame, **settings):

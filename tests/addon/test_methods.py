@@ -50,33 +50,33 @@ def run(obj, **settings):
 
 
 def displacements(job):
-    return np.array([job.result.displacement(k) for k in range(len(job.result.frames))])
+    return np.array([job.outcome.bake.displacement(k) for k in range(len(job.outcome.bake.frames))])
 
 
 @pytest.mark.parametrize("settings", METHODS + LAWS, ids=lambda settings: " ".join(settings.values()))
 def test_every_method_bakes_what_blender_shows(arm, settings):
     job = run(arm, **settings)
-    assert not job.report["inverted"]
-    assert_shows(arm, job.result)
+    assert not job.outcome.report["inverted"]
+    assert_shows(arm, job.outcome.bake)
 
 
 def test_full_bakes_tell_what_compression_costs(arm):
     job = run(arm, **FULL)
     moved = np.abs(displacements(job)).max()
-    assert 0 <= job.report["compression_error"] < 0.02 * moved
+    assert 0 <= job.outcome.report["compression_error"] < 0.02 * moved
 
 
 def test_static_targets_follow_the_pose_alone(arm):
     job = run(arm, method="STATIC")
-    shape = job.character.targets[1].shape
-    assert np.allclose(displacements(job), job.result.weights[:, 1, None, None] * shape, atol=1e-12)
-    assert job.result.weights[[0, -1], 1] == pytest.approx([0, 1])
+    shape = job.outcome.character.targets[1].shape
+    assert np.allclose(displacements(job), job.outcome.bake.weights[:, 1, None, None] * shape, atol=1e-12)
+    assert job.outcome.bake.weights[[0, -1], 1] == pytest.approx([0, 1])
     assert [key.name for key in arm.dynamorph.bake.keys] == ["Dynamorph Detail flexed"]
 
 
 def test_single_material_does_not_know_the_targets(arm):
     job = run(arm, method="SINGLE")
-    assert job.result.target_names == ("Neutral",)
+    assert job.outcome.bake.target_names == ("Neutral",)
     arm.dynamorph.targets["flexed"].stiffness *= 10
     assert np.array_equal(displacements(run(arm)), displacements(job))
 
@@ -92,12 +92,12 @@ def test_single_material_needs_no_targets(arm):
 def test_shape_follows_the_pose_and_stiffness_only_if_dynamic(arm, method, solver):
     """The same push in both target poses: only a pose-dependent shape responds alike, apart from its rotation."""
     job = run(arm, method=method, solver=solver)
-    engine = job.model.engine(job.character)
+    engine = job.outcome.model.engine(job.outcome.character)
     stepper = dynamorph.FullSimulation if solver == "FULL" else dynamorph.ReducedSimulation
     simulation = stepper(engine, 0.01)
-    still = np.repeat(np.eye(3, 4)[None], job.model.node_weights.shape[1], axis=0)
-    push = np.zeros_like(job.model.nodes)
-    push[job.model.nodes[:, 2] > 1.5, 0] = 1.0
+    still = np.repeat(np.eye(3, 4)[None], job.outcome.model.node_weights.shape[1], axis=0)
+    push = np.zeros_like(job.outcome.model.nodes)
+    push[job.outcome.model.nodes[:, 2] > 1.5, 0] = 1.0
     given = []
     for weights in ([1.0, 0.0], [0.0, 1.0]):
         rest, _ = simulation.solve_static(still, np.array(weights))
@@ -110,28 +110,30 @@ def test_shape_follows_the_pose_and_stiffness_only_if_dynamic(arm, method, solve
 
 def test_regions_have_weights_of_their_own(two_regions):
     job = run(two_regions)
-    assert job.result.target_names == ("Neutral", "flexed", "Neutral Tip", "tip")
-    assert np.allclose(job.result.weights[:, :2].sum(axis=1), 1) and np.allclose(
-        job.result.weights[:, 2:].sum(axis=1), 1
+    assert job.outcome.bake.target_names == ("Neutral", "flexed", "Neutral Tip", "tip")
+    assert np.allclose(job.outcome.bake.weights[:, :2].sum(axis=1), 1) and np.allclose(
+        job.outcome.bake.weights[:, 2:].sum(axis=1), 1
     )
-    assert job.result.weights[-1] == pytest.approx([0, 1, 1, 0], abs=1e-6)
-    regions = job.model.region_weights
+    assert job.outcome.bake.weights[-1] == pytest.approx([0, 1, 1, 0], abs=1e-6)
+    regions = job.outcome.model.region_weights
     assert np.allclose(regions.sum(axis=1), 1)
-    centers = job.model.nodes[job.model.tets].mean(axis=1)[:, 2]
+    centers = job.outcome.model.nodes[job.outcome.model.tets].mean(axis=1)[:, 2]
     assert regions[centers > 1.8, 1].min() > 0.8 and regions[centers < 1.0, 1].max() < 0.2
-    assert_shows(two_regions, job.result)
+    assert_shows(two_regions, job.outcome.bake)
 
 
 @pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
 def test_targets_are_met_in_both_regions_at_once(two_regions, solver):
     job = run(two_regions, solver=solver)
-    engine = job.model.engine(job.character)
+    engine = job.outcome.model.engine(job.outcome.character)
     stepper = dynamorph.FullSimulation if solver == "FULL" else dynamorph.ReducedSimulation
-    still = np.repeat(np.eye(3, 4)[None], job.model.node_weights.shape[1], axis=0)
+    still = np.repeat(np.eye(3, 4)[None], job.outcome.model.node_weights.shape[1], axis=0)
     weights = np.array([0.0, 1.0, 0.0, 1.0])
     rest, report = stepper(engine, 0.01).solve_static(still, weights, guess=np.zeros_like(engine.target(0)))
-    shape = job.model.surface(engine.displacement(rest)) + np.tensordot(weights, job.model.residual_shapes, 1)
-    sculpted = np.tensordot(weights, [target.shape for target in job.character.targets], 1)
+    shape = job.outcome.model.surface(engine.displacement(rest)) + np.tensordot(
+        weights, job.outcome.model.residual_shapes, 1
+    )
+    sculpted = np.tensordot(weights, [target.shape for target in job.outcome.character.targets], 1)
     assert report["converged"]
     assert np.abs(shape - sculpted).max() < 1e-5 * np.abs(sculpted).max()
 
@@ -145,10 +147,10 @@ def test_motion_amount_of_a_target_ends_with_its_region(two_regions, solver, lea
     for amount in (1.0, 0.0):
         two_regions.dynamorph.targets["tip"].influence = amount
         job = run(two_regions)
-        bake = job.result
+        bake = job.outcome.bake
         motion.append(np.tensordot(bake.coordinates - bake.static, bake.modes, 1))
-    assert job.reasons == [] and bake.weights[:, 3] == pytest.approx(1.0)
-    height = job.character.vertices[:, 2]
+    assert job.input.reasons == [] and bake.weights[:, 3] == pytest.approx(1.0)
+    height = job.outcome.character.vertices[:, 2]
     inside, outside = height > 1.9, height < 1.1
     before, after = (np.sqrt((part**2).mean(axis=2)).max(axis=0) for part in motion)
     assert after[inside].max() < leak * before.max()
@@ -203,7 +205,7 @@ def test_modes_fitted_to_the_shot_follow_it_more_closely(arm):
     apart = {}
     for fitted in (False, True):
         job = run(arm, solver="REDUCED", modes=10, fit_to_shot=fitted)
-        assert job.model.summary["modes"] == 10
+        assert job.outcome.model.summary["modes"] == 10
         apart[fitted] = np.abs(displacements(job) - full).max()
     assert apart[True] < 0.5 * apart[False]
 
@@ -218,7 +220,7 @@ def test_a_model_is_fitted_to_the_scene_s_range_when_it_is_built(arm):
     assert np.allclose(still, np.eye(6), atol=1e-10)
     job = part("job").Job(arm, goal="BAKE")
     part("batch").run(job)
-    assert job.reasons == []
+    assert job.input.reasons == []
     flat = part("rig_samples").ForceField("WIND", True, 1.0, 0.0, np.inf, np.eye(4)[None], np.array([8.0]))
     assert np.allclose(flat.pull(0, np.array([[9.0, 0, 0], [5, 5, 3.0]])), [[0, 0, 8.0], [0, 0, 2.0]])
 

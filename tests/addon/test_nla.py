@@ -91,10 +91,10 @@ def test_a_rig_that_strips_move_is_baked_as_one_that_is_keyed(swaying, playing):
     key_plainly(rig)
     plain = part("job").Job(obj, "BAKE")
     part("batch").run(plain)
-    assert plain.reasons == [] and np.ptp(plain.computation.rig.rig_world[:, 0, 3]) > 0.05
+    assert plain.input.reasons == [] and np.ptp(plain.computation.rig.rig_world[:, 0, 3]) > 0.05
     assert plain.computation.rig.pose == pytest.approx(job.computation.rig.pose, abs=1e-6)
-    largest = np.abs(plain.result.coordinates - plain.result.static).max()
-    assert job.result.coordinates == pytest.approx(plain.result.coordinates, abs=1e-4 * largest)
+    largest = np.abs(plain.outcome.bake.coordinates - plain.outcome.bake.static).max()
+    assert job.outcome.bake.coordinates == pytest.approx(plain.outcome.bake.coordinates, abs=1e-4 * largest)
 
 
 # The bake's own strips ---------------------------------------------------------------------------------------------

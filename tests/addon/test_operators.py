@@ -123,7 +123,7 @@ def test_bake_builds_only_when_something_changed(soft_arm, stand_in):
     assert soft_arm.dynamorph.model.stale == "shape of 'flexed' changed"
     job = part("job").Job(soft_arm, goal="BAKE")
     batch.run(job)
-    assert stand_in.built == 2 and job.reasons == ["shape of 'flexed' changed"]
+    assert stand_in.built == 2 and job.input.reasons == ["shape of 'flexed' changed"]
     assert soft_arm.dynamorph.model.stale == ""
 
 
@@ -191,7 +191,7 @@ def test_a_damaged_model_is_built_again(soft_arm, stand_in, damage):
     model_store.forget()
     job = part("job").Job(soft_arm, goal="BAKE")
     batch.run(job)
-    assert stand_in.built == 2 and len(job.reasons) == 1
+    assert stand_in.built == 2 and len(job.input.reasons) == 1
 
 
 def test_a_model_that_was_kept_as_bytes_is_read(soft_arm, stand_in):
@@ -237,9 +237,9 @@ def test_canceling_is_fast_and_changes_nothing(soft_arm, stand_in):
     job = part("job").Job(soft_arm, goal="BAKE")
     batch = part("batch").Batch([job], "BAKE")
     steps = batch.steps()
-    while job.message != "Frame 0":
+    while job.progress.message != "Frame 0":
         next(steps)
-    job.canceled = True
+    job.progress.canceled = True
     with pytest.raises(errors.Cancelled):
         list(steps)
     batch.stop()
@@ -441,7 +441,7 @@ def test_disabling_the_addon_stops_the_job(soft_arm, stand_in):
     job = part("job").Job(soft_arm, goal="BAKE")
     batch.running = batch.Batch([job], "BAKE")
     steps = batch.running.steps()
-    while job.message != "Frame 0":
+    while job.progress.message != "Frame 0":
         next(steps)
     addon_utils.disable(MODULE)
     assert stand_in.looks < 10 and not job.thread.is_alive() and batch.running is None

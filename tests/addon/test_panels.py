@@ -113,12 +113,12 @@ def next_step(obj) -> str:
 
 def test_progress_takes_the_row_of_the_state(soft_arm, stand_in):
     batch, job = part("batch"), part("job").Job(soft_arm, goal="BAKE")
-    batch.running, job.message = batch.Batch([job], "BAKE"), "Frame 7"
+    batch.running, job.progress.message = batch.Batch([job], "BAKE"), "Frame 7"
     try:
         for panel in (SIDEBAR, PHYSICS):
             assert drawn(soft_arm, panel)[:8] == ["0%  Frame 7", "dynamorph.cancel", *BUTTONS]
         assert not bpy.ops.dynamorph.build.poll() and not bpy.ops.dynamorph.bake.poll()
-        job.fraction, batch.running.time_left.seconds = 0.38, 11.4
+        job.progress.fraction, batch.running.time_left.seconds = 0.38, 11.4
         assert "38%  0:12 left  Frame 7" in drawn(soft_arm)
     finally:
         batch.running = None
@@ -202,7 +202,7 @@ def test_the_status_bar_says_what_runs(soft_arm, stand_in, monkeypatch):
     """It looks when it draws, so nothing is left behind in a workspace or window that the artist has left."""
     assert status() == []
     job = part("job").Job(soft_arm, goal="BAKE")
-    job.fraction, job.message = 0.4, "Frame 7"
+    job.progress.fraction, job.progress.message = 0.4, "Frame 7"
     running = part("batch").Batch([job], "BAKE")
     monkeypatch.setattr(part("batch"), "running", running)
     assert status() == ["40%  Frame 7    Esc: cancel"]

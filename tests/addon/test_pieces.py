@@ -86,21 +86,21 @@ def test_a_sleeve_shows_what_the_tissue_around_it_does(dressed):
     job = bake(arm)
     assert sleeve.dynamorph.follows == arm and len(sleeve.dynamorph.bake.keys) == len(arm.dynamorph.bake.keys)
     (follower,) = job.input.followers
-    modes = np.moveaxis(job.result.node_modes, 0, 1)
+    modes = np.moveaxis(job.outcome.bake.node_modes, 0, 1)
     engine = pytest.importorskip("dynamorph")
-    embedding = engine.embed(engine.TetMesh(job.model.nodes, job.model.tets), follower.vertices)
+    embedding = engine.embed(engine.TetMesh(job.outcome.model.nodes, job.outcome.model.tets), follower.vertices)
     bind = embedding.interpolate(modes.reshape(len(modes), -1)).reshape(len(follower.vertices), -1, 3)
     character = part("extract").character(arm)
     weights = scenes.two_bone_weights(scenes.tube()[0])
     weights = np.hstack([weights, 1.0 - weights.sum(axis=1, keepdims=True)])
     corners, inside = follower.skin.corners, follower.skin.weights
     for frame, shown, before in zip((1, 9, 20), motion(sleeve), stiff, strict=True):
-        moved = np.einsum("k,pkc->pc", job.result.coordinates[frame - 1], bind)
-        residual = np.tensordot(job.result.weights[frame - 1], job.result.residual_shapes, 1)
+        moved = np.einsum("k,pkc->pc", job.outcome.bake.coordinates[frame - 1], bind)
+        residual = np.tensordot(job.outcome.bake.weights[frame - 1], job.outcome.bake.residual_shapes, 1)
         moved += np.einsum("pc,pcx->px", inside, residual[corners]) @ character.to_bind.T
         local = (follower.vertices + moved) @ np.linalg.inv(character.to_bind).T
         worn = part("character").Character(**{**vars(character), "vertices": local, "weights": weights})
-        expected = skinned(worn, job.computation.rig[(frame - 1) * job.settings.substeps :][:1])[0]
+        expected = skinned(worn, job.computation.rig[(frame - 1) * job.input.settings.substeps :][:1])[0]
         assert np.abs(shown - expected).max() < 1e-5
         assert frame == 1 or np.abs(shown - before).max() > 0.01
 
@@ -345,12 +345,12 @@ def test_a_sleeve_does_not_follow_a_cage_in_its_way(soft_arm):
     group.add(upper, 1.0, "REPLACE")
     with_buckle.group, with_buckle.choice = "Buckle", "OWN_CAGE"
     job = bake(soft_arm)
-    parts = part("geometry").connected_parts(job.model.tets, len(job.model.nodes))
-    body = parts[job.model.embedding_nodes[job.character.pieces == 0, 0]]
+    parts = part("geometry").connected_parts(job.outcome.model.tets, len(job.outcome.model.nodes))
+    body = parts[job.outcome.model.embedding_nodes[job.outcome.character.pieces == 0, 0]]
     assert len(np.unique(parts)) > len(np.unique(body))
     (follower,) = job.input.followers
     other = np.isin(parts, np.setdiff1d(parts, body))
-    modes, _ = part("followers").carried(job.model, job.result.node_modes * other[:, None], follower)
+    modes, _ = part("followers").carried(job.outcome.model, job.outcome.bake.node_modes * other[:, None], follower)
     assert not modes.any()
 
 
@@ -454,7 +454,7 @@ def test_the_choice_of_parts_goes_into_the_character(scene):
     body = len(scenes.tube()[0])
     character = part("extract").character(arm, without_targets=True)
     assert not character.pieces[:body].any() and sorted(character.pieces[body::8]) == [-1, 0, 1, 2]
-    build = part("engine").engine()[0]
+    build = part("build")
     other = part("character").Character(**{**vars(character), "pieces": None})
     assert "pieces" in build.dependencies(character) and "pieces" not in build.dependencies(other)
     arm.vertex_groups[arm.dynamorph.pieces[0].group].name = "Buckle"

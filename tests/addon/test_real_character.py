@@ -36,9 +36,9 @@ def baked(addon):
 def single(baked):
     """The same shot with the neutral target alone."""
     _, job = baked
-    build, simulate = part("engine").engine()
-    character = job.character.with_settings(method="SINGLE")
-    return simulate.bake(build.build(character), character, job.computation.rig, job.settings)[0]
+    build, simulate = part("build"), part("simulate")
+    character = job.outcome.character.with_settings(method="SINGLE")
+    return simulate.bake(build.build(character), character, job.computation.rig, job.input.settings)[0]
 
 
 def displacements(bake):
@@ -46,31 +46,33 @@ def displacements(bake):
 
 
 def height(job):
-    return np.ptp(job.character.vertices[:, 2])
+    return np.ptp(job.outcome.character.vertices[:, 2])
 
 
 def test_targets_are_the_file_s_driven_keys(baked):
     body, job = baked
     driven = {curve.data_path.split('"')[1] for curve in body.data.shape_keys.animation_data.drivers}
-    targets = job.character.targets[1:]
+    targets = job.outcome.character.targets[1:]
     assert len(targets) >= 3
     assert {target.name for target in targets} <= driven
-    stiffness = [target.material.stiffness for target in job.character.targets]
+    stiffness = [target.material.stiffness for target in job.outcome.character.targets]
     assert max(stiffness) >= 4 * min(stiffness)
 
 
 def test_tissue_moves_and_knows_its_pose(baked, single):
     _, job = baked
-    moved = displacements(job.result)
+    moved = displacements(job.outcome.bake)
     assert np.isfinite(moved).all()
-    weights = job.result.weights
+    weights = job.outcome.bake.weights
     assert weights[:, 1:3].max() > 0.4  # both knees bend at the same time, and each has its own target
     assert np.allclose(weights.sum(axis=1), 1.0)
     peak = np.linalg.norm(moved, axis=2).max()
     assert 0.01 * height(job) < peak < 0.1 * height(job)
     apart = np.linalg.norm(moved - displacements(single), axis=2).max()
     assert apart > 0.01 * height(job)
-    assert np.abs(moved[:, job.character.softness == 0]).max() < 0.02 * height(job)  # head, hands and feet are held
+    assert np.abs(moved[:, job.outcome.character.softness == 0]).max() < 0.02 * height(
+        job
+    )  # head, hands and feet are held
 
 
 def test_blender_shows_what_the_engine_computed(baked):
@@ -79,10 +81,10 @@ def test_blender_shows_what_the_engine_computed(baked):
     for frame in (1, 14, 24, LAST):
         bpy.context.scene.frame_set(frame)
         sample = job.computation.rig[(frame - 1) * 4 : (frame - 1) * 4 + 1]
-        skin = sample.skin_matrices(job.character.skeleton, job.character.to_bind)[0]
-        local = job.character.vertices + job.result.displacement(frame - 1)
-        blended = np.einsum("vb,bij->vij", job.character.weights, skin)
-        bind = local @ job.character.to_bind.T
+        skin = sample.skin_matrices(job.outcome.character.skeleton, job.outcome.character.to_bind)[0]
+        local = job.outcome.character.vertices + job.outcome.bake.displacement(frame - 1)
+        blended = np.einsum("vb,bij->vij", job.outcome.character.weights, skin)
+        bind = local @ job.outcome.character.to_bind.T
         world = np.einsum("vij,vj->vi", blended[:, :, :3], bind) + blended[:, :, 3]
         deviations.append(np.abs(evaluated_points(body) - world).max())
     assert max(deviations) < 1e-5 * height(job)
@@ -93,14 +95,14 @@ def test_a_target_s_pose_shows_the_sculpted_shape(baked):
     gravity.
     """
     _, job = baked
-    _, simulate = part("engine").engine()
-    targets = job.character.targets
-    pose = job.character.skeleton.pose(np.array([targets[1].local]))
+    simulate = part("simulate")
+    targets = job.outcome.character.targets
+    pose = job.outcome.character.skeleton.pose(np.array([targets[1].local]))
     rig = replace(job.computation.rig[:1], pose=pose)
-    assert any(job.settings.gravity)
-    for gravity in (job.settings.gravity, (0.0, 0.0, 0.0)):
-        settings = replace(job.settings, start=1, end=1, gravity=gravity)
-        still, _ = simulate.bake(job.model, job.character, rig, settings)
+    assert any(job.input.settings.gravity)
+    for gravity in (job.input.settings.gravity, (0.0, 0.0, 0.0)):
+        settings = replace(job.input.settings, start=1, end=1, gravity=gravity)
+        still, _ = simulate.bake(job.outcome.model, job.outcome.character, rig, settings)
         assert still.weights[0] == pytest.approx(np.eye(len(targets))[1], abs=1e-9)
         assert np.abs(still.displacement(0) - targets[1].shape).max() < 1e-6 * height(job)
 
@@ -119,7 +121,7 @@ def test_picture(baked, single):
     rows.insert(0, Row("Single material", "", _pictures(), [""] * len(PICTURED)))
     bake.free(body)
     rows.insert(0, Row("Plain skinning", "", _pictures(), [""] * len(PICTURED)))
-    bake.write_keys(body, job.result)
+    bake.write_keys(body, job.outcome.bake)
     columns = [f"{frame}: {event}" for frame, event in PICTURED.items()]
     save(
         compose("MakeHuman body", f"{CLIP}, the file's own clip and shape keys", columns, rows),

@@ -139,7 +139,7 @@ def test_the_neutral_target_alone_is_a_soft_body(bar, method):
     assert not list(part("checks").next_steps(bar))
     job = part("job").Job(bar, goal="BAKE")
     part("batch").run(job)
-    bake = job.result
+    bake = job.outcome.bake
     assert np.abs(np.tensordot(bake.coordinates, bake.modes, 1)).max() > MOVES
     assert_shows(bar, bake)
     OPS.free_bake()

@@ -53,7 +53,7 @@ def test_the_build_gives_the_frequency(new_arm):
 def test_the_frequency_is_that_of_the_body(new_arm):
     """The first mode that moves 2 % of the mass, counted from the engine's own matrices."""
     job = bake(new_arm)
-    model, character = job.model, job.character
+    model, character = job.outcome.model, job.outcome.character
     full = replace(model, settings=replace(model.settings, solver="FULL")).engine(character)
     omega, shapes = full.linear_modes(0, 24)
     mass = np.repeat(full.body.volumes.sum(axis=1), 3) * character.targets[0].material.density
@@ -72,11 +72,11 @@ def test_a_rehearsal_keeps_the_skin_within_its_limits(new_arm):
     limit(new_arm, 0.0)
     free = bake(new_arm)
     assert not free.outcome.rehearsed and new_arm.dynamorph.simulation.rehearsed == ""
-    farthest = free.verdict.displacement
+    farthest = free.outcome.verdict.displacement
     limit(new_arm, 0.6 * farthest)
     job = bake(new_arm)
     neutral = new_arm.dynamorph.targets[0]
-    assert job.verdict.percentile <= 0.6 * farthest < farthest
+    assert job.outcome.verdict.percentile <= 0.6 * farthest < farthest
     assert neutral.frequency > 3.5 and neutral.bounce == pytest.approx(neutral.frequency, rel=1e-3)
     assert neutral.material().stiffness_damping * 2.0 * np.pi * neutral.frequency / 2.0 == pytest.approx(0.2, rel=0.03)
     assert not neutral.by_hand
@@ -84,8 +84,8 @@ def test_a_rehearsal_keeps_the_skin_within_its_limits(new_arm):
     assert f"to {neutral.frequency:.3g} Hz" in job.outcome.rehearsed
     assert not part("staleness").outdated(new_arm)
     again = bake(new_arm)  # it runs once
-    assert not again.outcome.rehearsed and neutral.frequency == job.character.targets[0].frequency
-    assert np.array_equal(again.result.coordinates, job.result.coordinates)
+    assert not again.outcome.rehearsed and neutral.frequency == job.outcome.character.targets[0].frequency
+    assert np.array_equal(again.outcome.bake.coordinates, job.outcome.bake.coordinates)
 
 
 def test_a_rehearsal_that_does_not_get_there_says_so(new_arm, monkeypatch):
@@ -110,7 +110,7 @@ def test_final_quality_takes_over_what_a_rehearsal_found(new_arm):
     assert said in " ".join(drawn(new_arm, "DYNAMORPH_PT_physics"))
     job = bake(new_arm)
     assert not job.outcome.rehearsed and new_arm.dynamorph.targets[0].frequency == 3.5
-    assert job.verdict.excess(job.input.limits) > 1.5 and verdict(new_arm)["remedy"] == "STIFFEN"
+    assert job.outcome.verdict.excess(job.input.limits) > 1.5 and verdict(new_arm)["remedy"] == "STIFFEN"
     new_arm.dynamorph.model.solver = "REDUCED"
     assert said not in " ".join(drawn(new_arm, "DYNAMORPH_PT_physics"))
     reduced = bake(new_arm)
@@ -118,8 +118,8 @@ def test_final_quality_takes_over_what_a_rehearsal_found(new_arm):
     new_arm.dynamorph.model.solver = "FULL"
     assert said not in " ".join(drawn(new_arm, "DYNAMORPH_PT_physics"))
     final = bake(new_arm)
-    assert final.character.targets[0].frequency == reduced.character.targets[0].frequency > 3.5
-    assert final.verdict.displacement < 0.7 * job.verdict.displacement
+    assert final.outcome.character.targets[0].frequency == reduced.outcome.character.targets[0].frequency > 3.5
+    assert final.outcome.verdict.displacement < 0.7 * job.outcome.verdict.displacement
 
 
 @pytest.mark.parametrize("by_hand, remedy", [(False, "REHEARSE"), (True, "STIFFEN")])
@@ -136,16 +136,18 @@ def test_the_best_of_a_rehearsal_is_kept(new_arm, monkeypatch):
     """A frequency that overshoots in the first step is lowered again, and what is stored and baked match."""
     monkeypatch.setattr(part("rehearsal"), "FACTOR", (8.0, 8.0))
     limit(new_arm, 0.0)
-    farthest = bake(new_arm).verdict.displacement
+    farthest = bake(new_arm).outcome.verdict.displacement
     limit(new_arm, 0.6 * farthest)
     job = bake(new_arm)
     neutral = new_arm.dynamorph.targets[0]
     assert 3.5 < neutral.frequency < 0.8 * 8.0 * 3.5
-    assert 0.5 < job.verdict.excess(job.input.limits) <= part("judge").SLACK
-    assert job.character.targets[0].frequency == neutral.frequency
+    assert 0.5 < job.outcome.verdict.excess(job.input.limits) <= part("judge").SLACK
+    assert job.outcome.character.targets[0].frequency == neutral.frequency
     assert f"to {neutral.frequency:.3g} Hz" in job.outcome.rehearsed
     again = bake(new_arm)
-    assert again.verdict == job.verdict and np.array_equal(again.result.coordinates, job.result.coordinates)
+    assert again.outcome.verdict == job.outcome.verdict and np.array_equal(
+        again.outcome.bake.coordinates, job.outcome.bake.coordinates
+    )
 
 
 @pytest.mark.parametrize("power", [1.0, 2.0, 4.0])
@@ -173,7 +175,7 @@ def test_a_rehearsal_without_finite_numbers_ends():
 def test_a_rehearsal_of_a_long_shot_reads_it_again(new_arm, monkeypatch):
     """The shot is read in chunks whose rig is not kept."""
     limit(new_arm, 0.0)
-    farthest = bake(new_arm).verdict.displacement
+    farthest = bake(new_arm).outcome.verdict.displacement
     limit(new_arm, 0.6 * farthest)
     whole = bake(new_arm)
     new_arm.dynamorph.simulation.rehearsed = ""
@@ -181,7 +183,7 @@ def test_a_rehearsal_of_a_long_shot_reads_it_again(new_arm, monkeypatch):
     monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", 6)
     parts = bake(new_arm)
     assert parts.outcome.rehearsed == whole.outcome.rehearsed
-    assert parts.result.coordinates == pytest.approx(whole.result.coordinates, rel=1e-4, abs=1e-6)
+    assert parts.outcome.bake.coordinates == pytest.approx(whole.outcome.bake.coordinates, rel=1e-4, abs=1e-6)
 
 
 @pytest.mark.parametrize("how", ["by hand", "pascals", "part", "patch", "unlimited", "cache"])
@@ -232,7 +234,7 @@ def test_pins_and_pascals_are_left_alone(new_arm):
     neutral.set_material(part("settings").Material())
     before = neutral.material()
     job = bake(new_arm)
-    assert neutral.material() == before and not len(job.model.hold_strength) and job.model.pinned.any()
+    assert neutral.material() == before and not len(job.outcome.model.hold_strength) and job.outcome.model.pinned.any()
 
 
 # The verdict -------------------------------------------------------------------------------------------------------
@@ -242,14 +244,14 @@ def test_the_verdict_measures_what_was_baked(new_arm):
     """It is compared with the displacements of the bake itself, frame by frame."""
     limit(new_arm, 0.0)
     job = bake(new_arm)
-    rest = job.character.vertices @ job.character.to_bind.T
+    rest = job.outcome.character.vertices @ job.outcome.character.to_bind.T
     size = np.linalg.norm(np.ptp(rest, axis=0))
-    local = np.array([job.result.displacement(k) for k in range(len(job.result.frames))])
-    moved = np.linalg.norm(local @ job.character.to_bind.T, axis=2) / size
-    assert job.verdict.displacement == pytest.approx(moved.max(), rel=1e-3)
-    assert job.verdict.frame == job.result.frames[moved.max(axis=1).argmax()]
-    assert moved[moved.max(axis=1).argmax()].argmax() in job.verdict.vertices
-    assert json.loads(new_arm.dynamorph.bake.verdict)["displacement"] == job.verdict.displacement
+    local = np.array([job.outcome.bake.displacement(k) for k in range(len(job.outcome.bake.frames))])
+    moved = np.linalg.norm(local @ job.outcome.character.to_bind.T, axis=2) / size
+    assert job.outcome.verdict.displacement == pytest.approx(moved.max(), rel=1e-3)
+    assert job.outcome.verdict.frame == job.outcome.bake.frames[moved.max(axis=1).argmax()]
+    assert moved[moved.max(axis=1).argmax()].argmax() in job.outcome.verdict.vertices
+    assert json.loads(new_arm.dynamorph.bake.verdict)["displacement"] == job.outcome.verdict.displacement
 
 
 def test_wreckage_is_no_success(new_arm):
@@ -259,7 +261,7 @@ def test_wreckage_is_no_success(new_arm):
     new_arm.dynamorph.targets[0].bounce = 0.4
     job = bake(new_arm)
     found = json.loads(new_arm.dynamorph.bake.verdict)
-    assert job.verdict.is_wreckage and not found["ok"]
+    assert job.outcome.verdict.is_wreckage and not found["ok"]
     assert found["remedy"] == "STIFFEN" and found["factor"] > 1.0
     assert any(text.startswith(found["text"]) for text in job.warnings)
 

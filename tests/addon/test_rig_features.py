@@ -314,7 +314,7 @@ def test_what_is_baked_is_what_blender_evaluates(scene, soft_arm, feature):
     bpy.ops.dynamorph.capture_pose()
     job = part("job").Job(soft_arm, goal="BAKE", substeps=3)
     part("batch").run(job)
-    bake = job.result
+    bake = job.outcome.bake
     assert np.isfinite(bake.coordinates).all()
     assert bake.weights[-1] == pytest.approx([0.0, 1.0], abs=1e-5)
     motion = np.tensordot(bake.coordinates - bake.static, bake.modes, 1)

@@ -56,7 +56,7 @@ def test_everything_is_renamed_after_a_bake(skin):
     skin.dynamorph.soft_group, skin.dynamorph.stiffness_group = "Soft", "Stiff"
     skin.dynamorph.targets[1].region = "Tip"
     before = names(skin)
-    first = bake(skin).result
+    first = bake(skin).outcome.bake
     shown = motion(skin)
     rename_everything(skin)
     target = skin.dynamorph.targets[1]
@@ -67,8 +67,8 @@ def test_everything_is_renamed_after_a_bake(skin):
     assert skin.dynamorph.model.stale == ""
     np.testing.assert_array_equal(motion(skin), shown)
     job = bake(skin)
-    assert job.reasons == []
-    np.testing.assert_array_equal(job.result.coordinates, first.coordinates)
+    assert job.input.reasons == []
+    np.testing.assert_array_equal(job.outcome.bake.coordinates, first.coordinates)
     assert OPS.free_bake() == {"FINISHED"}
     assert names(skin) == [f"key of {name}" for name in before]
     assert not any(block.mute for block in keys_of(skin).key_blocks)
@@ -107,7 +107,7 @@ def test_names_as_long_as_blender_allows(skin, name):
     keys_of(skin).key_blocks["flexed"].name = skin.name = skin.data.name = name
     before = fingerprint(skin)
     for _ in range(2):
-        assert_shows(skin, bake(skin).result)
+        assert_shows(skin, bake(skin).outcome.bake)
     bpy.context.scene.frame_set(1)
     assert OPS.free_bake() == {"FINISHED"}
     assert fingerprint(skin) == before
@@ -152,12 +152,14 @@ def test_alt_d(skin, when):
     assert fingerprint(skin)["keys"] == keys
     make_single_user(twin)
     first, second = bake(skin, frames=(1, 10)), bake(twin)
-    assert (first.reasons, second.reasons) == ((["not built yet"],) * 2 if when == "before the bake" else ([], []))
-    assert_shows(skin, first.result)
-    assert_shows(twin, second.result)
+    assert (first.input.reasons, second.input.reasons) == (
+        (["not built yet"],) * 2 if when == "before the bake" else ([], [])
+    )
+    assert_shows(skin, first.outcome.bake)
+    assert_shows(twin, second.outcome.bake)
     part("bake").free(skin)
     assert names(skin) == before
-    assert_shows(twin, second.result)
+    assert_shows(twin, second.outcome.bake)
     part("bake").free(twin)
     assert names(twin) == before
 
@@ -174,27 +176,27 @@ def test_shift_d_of_the_whole_character(skin):
     copy.dynamorph.targets[1].stiffness = 5e5
     shown = motion(skin)
     job = bake(copy)
-    assert job.reasons == []
-    assert_shows(copy, job.result)
+    assert job.input.reasons == []
+    assert_shows(copy, job.outcome.bake)
     np.testing.assert_array_equal(motion(skin), shown)
     activate(copy)
     copy.dynamorph.active_target_index = 0
     assert OPS.remove_target() == {"FINISHED"}
     assert names(copy) == ["Basis", "flexed", "smile"]
     np.testing.assert_array_equal(motion(skin), shown)
-    assert bake(skin).reasons == []
+    assert bake(skin).input.reasons == []
 
 
 def test_a_full_copy_of_the_scene(skin):
     job = bake(skin)
     bpy.ops.scene.new(type="FULL_COPY")
     copy = next(obj for obj in bpy.context.scene.objects if obj.type == "MESH")
-    assert_shows(copy, job.result)
+    assert_shows(copy, job.outcome.bake)
     activate(copy)
     assert OPS.free_bake() == {"FINISHED"}
     assert len(names(copy)) == 3 and len(names(skin)) == 10
-    assert bake(copy).reasons == []
-    assert_shows(copy, job.result)
+    assert bake(copy).input.reasons == []
+    assert_shows(copy, job.outcome.bake)
 
 
 def test_a_fake_user_is_no_second_object(skin):
@@ -214,7 +216,7 @@ def test_two_characters_on_one_armature(scene, skin):
         obj.select_set(True)  # of two skins on the active armature, the buttons act on the selected one
         obj.dynamorph.targets[0].stiffness = stiffness
         assert OPS.bake() == {"FINISHED"}
-        results[obj] = bake(obj).result
+        results[obj] = bake(obj).outcome.bake
     assert np.abs(results[skin].displacement(9) - results[other].displacement(9)).max() > 1e-4
     for obj, result in results.items():
         assert_shows(obj, result)
@@ -290,8 +292,8 @@ def test_mesh_edited_after_the_bake(skin, change):
     assert stale == f"the mesh has {vertices} vertices instead of 272" if vertices != 272 else "mesh changed" in stale
     assert part("model_store").load_model(skin) and len(skin.dynamorph.targets) == 2
     job = bake(skin)
-    assert job.reasons == [stale] or vertices == 272
-    assert_shows(skin, job.result)
+    assert job.input.reasons == [stale] or vertices == 272
+    assert_shows(skin, job.outcome.bake)
     assert OPS.free_bake() == {"FINISHED"}
     assert names(skin) == ["Basis", "flexed", "smile"]
     assert not any(block.mute for block in keys_of(skin).key_blocks)
@@ -351,8 +353,8 @@ def test_shape_keys_reordered(skin):
     assert names(skin)[0] == "Basis" and names(skin)[-1] == "flexed"
     np.testing.assert_allclose(motion(skin), shown, atol=1e-6)
     again = bake(skin)
-    assert again.reasons == []
-    np.testing.assert_array_equal(again.result.coordinates, first.result.coordinates)
+    assert again.input.reasons == []
+    np.testing.assert_array_equal(again.outcome.bake.coordinates, first.outcome.bake.coordinates)
     assert OPS.free_bake() == {"FINISHED"}
     assert names(skin) == ["Basis", "smile", "flexed"]
 
@@ -416,7 +418,7 @@ def test_driver_nla_and_action_on_the_keys(scene, skin):
     samples, character = part("rig_motion").sample_rig(skin, 1, 20, 1), part("extract").character(skin)
     for i in range(20):
         scene.frame_set(i + 1)
-        expected = skinned(character, samples[i : i + 1], job.result.displacement(i) + own[i])[0]
+        expected = skinned(character, samples[i : i + 1], job.outcome.bake.displacement(i) + own[i])[0]
         assert np.abs(evaluated_points(skin) - expected).max() < 2e-5
     assert keys_of(skin).key_blocks["flexed"].value == pytest.approx(1.0)  # still driven, but muted
     scene.frame_set(1)

@@ -75,7 +75,7 @@ def test_many_steps_undone_and_redone(skin):
     for expected in steps[1:]:
         bpy.ops.ed.redo()
         assert state() == expected
-    assert bake(bpy.data.objects["Arm"]).reasons == []
+    assert bake(bpy.data.objects["Arm"]).input.reasons == []
 
 
 # Save, append, link, override --------------------------------------------------------------------------------------
@@ -154,8 +154,8 @@ def test_an_appended_character_plays_and_is_freed(asset, tmp_path):
 
 def test_an_appended_model_needs_no_new_build(asset):
     job = bake(open_shot(asset("build"), link=False))
-    assert job.reasons == []
-    assert_shows(bpy.data.objects["Arm"], job.result)
+    assert job.input.reasons == []
+    assert_shows(bpy.data.objects["Arm"], job.outcome.bake)
 
 
 @pytest.mark.fault("F15", "F16")
@@ -167,11 +167,11 @@ def test_a_large_model_stays_behind_and_is_built_again(asset, tmp_path, monkeypa
     refused(OPS.bake, "'Arm' is large.*save the .blend first")
     assert obj.dynamorph.model.content_id and not obj.dynamorph.bake.keys
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "elsewhere.blend"))  # now its file has a place
-    assert bake(obj).reasons == []
+    assert bake(obj).input.reasons == []
     (tmp_path / "far").mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "far" / "shot.blend"))
     part("model_store").forget()
-    assert "is missing" in bake(obj).reasons[0]
+    assert "is missing" in bake(obj).input.reasons[0]
 
 
 @pytest.mark.fault("R08")
@@ -265,12 +265,12 @@ def test_the_remedy_for_overrides_works(asset, tmp_path):
     obj = bpy.context.object
     before = names(obj)
     job = bake(obj)
-    assert job.reasons == []
-    assert_shows(obj, job.result)
+    assert job.input.reasons == []
+    assert_shows(obj, job.outcome.bake)
     name = obj.name
     reload(tmp_path)
     obj = bpy.data.objects[name]
-    assert_shows(obj, job.result)
+    assert_shows(obj, job.outcome.bake)
     part("bake").free(obj)
     assert names(obj) == before
 
@@ -301,8 +301,8 @@ def test_add_on_off_and_on_again_with_a_bake(scene, skin, tmp_path):
     assert handlers() == installed
     obj = bpy.data.objects["Arm"]
     assert settings(obj.dynamorph) == kept
-    assert bake(obj).reasons == []
-    assert_shows(obj, job.result)
+    assert bake(obj).input.reasons == []
+    assert_shows(obj, job.outcome.bake)
     bpy.context.scene.frame_set(1)
     assert bpy.ops.dynamorph.free_bake() == {"FINISHED"}
     assert fingerprint(obj) == before

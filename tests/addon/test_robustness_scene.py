@@ -79,9 +79,9 @@ def test_placed_rigs(skin, place):
     place(skin)
     bpy.context.view_layer.update()
     job = bake(skin)
-    displacement = np.array([job.result.displacement(k) for k in range(20)])
+    displacement = np.array([job.outcome.bake.displacement(k) for k in range(20)])
     assert np.isfinite(displacement).all() and np.abs(displacement[10]).max() > 1e-4
-    assert_shows(skin, job.result)
+    assert_shows(skin, job.outcome.bake)
 
 
 @pytest.mark.fault("M16")
@@ -90,7 +90,7 @@ def test_a_mirrored_character_moves_as_its_mirror_image(skin):
     shown = motion(skin)
     mirrored(skin)
     bpy.context.view_layer.update()
-    assert bake(skin).reasons == []
+    assert bake(skin).input.reasons == []
     assert np.abs(motion(skin) - shown * [-1.0, 1.0, 1.0]).max() < 1e-4
 
 
@@ -103,7 +103,7 @@ def test_small_units_below_a_small_scale_change_nothing(scene, skin):
     shown = motion(skin)
     in_centimeters(skin, units=128.0)
     scene.frame_set(1)
-    assert "mesh changed" in bake(skin).reasons
+    assert "mesh changed" in bake(skin).input.reasons
     assert np.abs(motion(skin) - shown).max() < 1e-4
 
 
@@ -125,10 +125,10 @@ def test_gravity_is_still_balanced_after_a_transform_is_applied(scene, arm, kind
         each.select_set(True)
     bpy.ops.object.transform_apply(location=False, **{name: name == kind for name in ("rotation", "scale")})
     job = bake(skin, frames=(1, 5))
-    target = job.character.targets[pose == "flexed"]
-    assert job.result.weights[-1, int(pose == "flexed")] == pytest.approx(1.0)
+    target = job.outcome.character.targets[pose == "flexed"]
+    assert job.outcome.bake.weights[-1, int(pose == "flexed")] == pytest.approx(1.0)
     for k in range(5):
-        assert np.abs(job.result.displacement(k) - target.shape).max() < 1e-5
+        assert np.abs(job.outcome.bake.displacement(k) - target.shape).max() < 1e-5
 
 
 # Skinning by more than weights -------------------------------------------------------------------------------------
@@ -182,12 +182,12 @@ def corrective_smooth(obj):
 @pytest.mark.fault("M17")
 @pytest.mark.parametrize("add", [subdivision, mask, corrective_smooth])
 def test_modifiers_after_the_armature(scene, skin, add):
-    plain = bake(skin).result
+    plain = bake(skin).outcome.bake
     bare = motion(skin)
     add(skin)
     job = bake(skin)
-    assert job.reasons == [] and job.warnings == []
-    np.testing.assert_array_equal(job.result.coordinates, plain.coordinates)
+    assert job.input.reasons == [] and job.warnings == []
+    np.testing.assert_array_equal(job.outcome.bake.coordinates, plain.coordinates)
     for i, frame in enumerate((1, 7, 13, 20)):
         scene.frame_set(frame)
         shown = evaluated_points(skin)
@@ -196,7 +196,7 @@ def test_modifiers_after_the_armature(scene, skin, add):
         assert (shown.min(axis=0) > bare[i].min(axis=0) - 0.1).all()
     assert (len(shown) > 272, len(shown) < 272) == (add == subdivision, add == mask)
     skin.modifiers["After"].show_viewport = False
-    assert_shows(skin, job.result)
+    assert_shows(skin, job.outcome.bake)
 
 
 # Time --------------------------------------------------------------------------------------------------------------
@@ -208,13 +208,13 @@ def test_twice_the_frame_rate_is_the_same_motion(scene, skin):
     for curve in curves:
         for point in curve.keyframe_points:
             point.interpolation = "LINEAR"
-    slow = bake(skin, substeps=10).result
+    slow = bake(skin, substeps=10).outcome.bake
     for curve in curves:
         for point in curve.keyframe_points:
             point.co.x = 2.0 * point.co.x - 1.0
         curve.update()
     scene.render.fps = 48
-    fast = bake(skin, frames=(1, 39), substeps=5).result
+    fast = bake(skin, frames=(1, 39), substeps=5).outcome.bake
     np.testing.assert_allclose(fast.coordinates[::2], slow.coordinates, atol=1e-3 * np.abs(slow.coordinates).max())
 
 
@@ -224,7 +224,7 @@ def test_frame_rates(scene, skin, fps, base):
     settings = part("run_settings").simulation_settings(skin, scene)
     assert settings.fps == pytest.approx(fps / base)
     assert settings.step == pytest.approx(base / fps / settings.substeps) and settings.step <= 1.01 / 120.0
-    assert_shows(skin, bake(skin).result)
+    assert_shows(skin, bake(skin).outcome.bake)
 
 
 @pytest.mark.fault("A08")
@@ -234,8 +234,8 @@ def test_remapped_time(scene, skin, old, new):
     before = fingerprint(skin)
     scene.render.frame_map_old, scene.render.frame_map_new = old, new
     job = bake(skin, frames=(-2, 20))
-    assert np.abs(np.diff(job.result.coordinates, axis=0)).max() > 0
-    assert_shows(skin, job.result)
+    assert np.abs(np.diff(job.outcome.bake.coordinates, axis=0)).max() > 0
+    assert_shows(skin, job.outcome.bake)
     assert OPS.free_bake() == {"FINISHED"}
     assert fingerprint(skin) == before
 
@@ -257,7 +257,7 @@ def test_time_remapped_after_the_bake_keeps_rig_and_tissue_together(scene, skin)
     for frame in (3, 9, 19):
         scene.frame_set(2 * frame)
         rig = part("rig_motion").sample_rig(skin, 2 * frame, 2 * frame, 1)
-        expected = skinned(part("extract").character(skin), rig, job.result.displacement(frame - 1))[0]
+        expected = skinned(part("extract").character(skin), rig, job.outcome.bake.displacement(frame - 1))[0]
         assert np.abs(evaluated_points(skin) - expected).max() < 2e-5
 
 
@@ -265,8 +265,8 @@ def test_time_remapped_after_the_bake_keeps_rig_and_tissue_together(scene, skin)
 @pytest.mark.parametrize("frames", [(-10, 5), (-3, -3), (7, 7), (0, 1)])
 def test_ranges(skin, frames):
     job = bake(skin, frames=frames)
-    assert job.result.frames.tolist() == list(range(frames[0], frames[1] + 1))
-    assert_shows(skin, job.result)
+    assert job.outcome.bake.frames.tolist() == list(range(frames[0], frames[1] + 1))
+    assert_shows(skin, job.outcome.bake)
 
 
 @pytest.mark.fault("A07")
@@ -286,7 +286,7 @@ def test_sub_frames_lie_in_between(scene, skin):
     for s in range(len(samples)):
         frame, part_of_it = divmod(s, 4)
         scene.frame_set(1 + frame, subframe=part_of_it / 4)
-        before, after = job.result.displacement(frame), job.result.displacement(min(frame + 1, 19))
+        before, after = job.outcome.bake.displacement(frame), job.outcome.bake.displacement(min(frame + 1, 19))
         between = before + (after - before) * part_of_it / 4
         assert np.abs(evaluated_points(skin) - skinned(character, samples[s : s + 1], between)[0]).max() < 2e-5
 
@@ -345,7 +345,7 @@ def test_motion_blur(scene, skin, film):
     np.testing.assert_array_equal(film(10, 11), blurred)
     scene.frame_set(1)
     assert fingerprint(skin) == before
-    assert_shows(skin, job.result)
+    assert_shows(skin, job.outcome.bake)
 
 
 @pytest.mark.fault("A04", "G04")
@@ -369,7 +369,7 @@ def test_playing_while_rendering(scene, skin, film):
     finally:
         for handlers in added:
             handlers.remove(jump)
-    first = job.result.coordinates[:, 0] / np.abs(job.result.coordinates[:, 0]).max()
+    first = job.outcome.bake.coordinates[:, 0] / np.abs(job.outcome.bake.coordinates[:, 0]).max()
     assert [frame for frame, _ in seen] == [9, 9, 10, 10, 11, 11]
     assert [value for _, value in seen] == pytest.approx([first[frame - 1] for frame, _ in seen], abs=1e-6)
-    assert_shows(skin, job.result)
+    assert_shows(skin, job.outcome.bake)

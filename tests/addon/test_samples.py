@@ -118,13 +118,15 @@ def test_soft_when_straight_and_hard_when_flexed(limb):
     job = part("job").Job(limb, goal="BAKE")
     batch.run(job)
     assert job.warnings == []
-    assert job.model.summary["dofs"] == pytest.approx(918, rel=0.02)
-    assert job.model.summary["modes"] == 13
+    assert job.outcome.model.summary["dofs"] == pytest.approx(918, rel=0.02)
+    assert job.outcome.model.summary["modes"] == 13
 
     def swing(first, last):
-        shapes = np.array([target.shape for target in job.character.targets])
+        shapes = np.array([target.shape for target in job.outcome.character.targets])
         frames = range(first - 1, last)
-        apart = [job.result.displacement(k) - np.tensordot(job.result.weights[k], shapes, 1) for k in frames]
+        apart = [
+            job.outcome.bake.displacement(k) - np.tensordot(job.outcome.bake.weights[k], shapes, 1) for k in frames
+        ]
         return np.linalg.norm(apart, axis=2).max()
 
     pushed, shaken = swing(114, 124), swing(136, 150)

@@ -133,7 +133,7 @@ def test_plain_skinning_runs_into_itself_and_the_sculpt_does_not(shoulder, motio
 @pytest.mark.parametrize("motion", FOLDS)
 def test_simulated_skin_stays_out_of_itself_all_the_way(shoulder, baked, motion):
     def skin(frame):
-        return shoulder.posed(frame, baked.result.displacement(frame - 1))
+        return shoulder.posed(frame, baked.outcome.bake.displacement(frame - 1))
 
     opened, folded, closed = FOLDS[motion]
     pairs = {f: intersecting_pairs(shoulder, skin(f)) for f in range(opened, closed + 1, 2)}
@@ -143,10 +143,10 @@ def test_simulated_skin_stays_out_of_itself_all_the_way(shoulder, baked, motion)
 
 
 def test_model_has_the_size_of_the_thesis(baked):
-    made = baked.model.summary
+    made = baked.outcome.model.summary
     assert made["modes"] == 19 and made["targets"] == 6
     assert made["dofs"] == pytest.approx(4899, rel=0.1)
-    assert baked.report["inverted"] == 0
+    assert baked.outcome.report["inverted"] == 0
 
 
 def test_elbow_shakes_when_relaxed_and_holds_when_folded(shoulder, baked):
@@ -154,8 +154,10 @@ def test_elbow_shakes_when_relaxed_and_holds_when_folded(shoulder, baked):
     elbow = shoulder.character.target_sets[1].region_weights > 0.9
 
     def swing(first, last):
-        weights = baked.result.weights
-        apart = [baked.result.displacement(k) - np.tensordot(weights[k], shapes, 1) for k in range(first - 1, last)]
+        weights = baked.outcome.bake.weights
+        apart = [
+            baked.outcome.bake.displacement(k) - np.tensordot(weights[k], shapes, 1) for k in range(first - 1, last)
+        ]
         return np.linalg.norm(np.array(apart)[:, elbow], axis=2).max()
 
     assert swing(234, 250) > 0.004
@@ -169,7 +171,7 @@ def test_chest_bulges_as_the_arm_comes_down(shoulder, baked):
     def depth(shape):
         return measures.depth(shoulder.posed(frame, shape), chest, np.array([0.0, 1.0, 0.0]))
 
-    assert depth(baked.result.displacement(frame - 1)) > depth(0) + 0.005
+    assert depth(baked.outcome.bake.displacement(frame - 1)) > depth(0) + 0.005
 
 
 @pytest.mark.parametrize("frame", [80, 174])
@@ -183,4 +185,4 @@ def test_biceps_bulges_when_the_elbow_is_folded(shoulder, baked, frame):
     def girth(shape):
         return measures.girth(shoulder.posed(frame, shape), upper, (head + tail) / 2, tail - head)
 
-    assert girth(baked.result.displacement(frame - 1)) > 1.04 * girth(0)
+    assert girth(baked.outcome.bake.displacement(frame - 1)) > 1.04 * girth(0)

@@ -301,13 +301,13 @@ def test_blender_shows_what_the_engine_computed(scene, small_arm, change):
     """Check that Blender shows the skin, displaced by the bake, where a probe says that the engine has it."""
     change(small_arm)
     job = run(small_arm)
-    assert np.abs(job.result.coordinates).max() > 0 and job.report["inverted"] == 0
+    assert np.abs(job.outcome.bake.coordinates).max() > 0 and job.outcome.report["inverted"] == 0
     for k in (0, 6, 19):
-        displacement = job.result.displacement(k)
+        displacement = job.outcome.bake.displacement(k)
         probe, there = skin_probe(small_arm, displacement if change is bendy else 0.0)
         samples = part("rig_motion").sample_rig(small_arm, k + 1, k + 1, 1, probe)
         if change is not bendy:
-            there = there + displacement @ job.character.to_bind.T
+            there = there + displacement @ job.outcome.character.to_bind.T
         scene.frame_set(k + 1)
         shown = evaluated_points(small_arm)
         posed = moved(samples.nodes.transforms(samples.object_world)[0], there)
@@ -334,9 +334,9 @@ def test_modifiers_before_the_armature_stay_with_a_note(scene, small_arm, change
     assert len(notes) == 2 and [modifier.type for modifier in small_arm.modifiers] == [*kinds, "ARMATURE"]
     scene.frame_set(12)
     with_both = evaluated_points(small_arm)
-    baked = part("references").key_points(small_arm.data.shape_keys.reference_key) + job.result.displacement(11)
+    baked = part("references").key_points(small_arm.data.shape_keys.reference_key) + job.outcome.bake.displacement(11)
     bpy.ops.dynamorph.free_bake()
-    displace(small_arm, baked - job.character.vertices)
+    displace(small_arm, baked - job.outcome.character.vertices)
     assert np.abs(evaluated_points(small_arm) - with_both).max() < 1e-5
     small_arm.modifiers["Lattice"].show_viewport = False
     assert np.abs(evaluated_points(small_arm) - with_both).max() > 1e-3
@@ -346,7 +346,7 @@ def test_the_nodes_move_with_the_skin(scene, small_arm):
     """Transforms of the nodes, carried to the skin, put it about where Blender does."""
     twisting(small_arm)
     job = run(small_arm)
-    player = part("player").Player(job.model, job.character, job.settings)
+    player = part("player").Player(job.outcome.model, job.outcome.character, job.input.settings)
     skin = player.posing.skin
     frames = player.posing.frames(job.computation.rig[-1:])
     scene.frame_set(20)
@@ -364,9 +364,9 @@ def test_on_plain_bones_both_ways_are_one(small_arm, monkeypatch, solver):
     dense = run(small_arm)
     monkeypatch.undo()
     plain = run(small_arm)
-    assert dense.computation.rig.nodes is not None and plain.computation.rig.nodes is None and plain.reasons == []
-    apart = [np.abs(dense.result.displacement(k) - plain.result.displacement(k)).max() for k in range(8)]
-    moved_by = max(np.abs(plain.result.displacement(k)).max() for k in range(8))
+    assert dense.computation.rig.nodes is not None and plain.computation.rig.nodes is None and plain.input.reasons == []
+    apart = [np.abs(dense.outcome.bake.displacement(k) - plain.outcome.bake.displacement(k)).max() for k in range(8)]
+    moved_by = max(np.abs(plain.outcome.bake.displacement(k)).max() for k in range(8))
     assert moved_by > 0.01 and max(apart) < 2e-6
 
 
@@ -376,14 +376,14 @@ def test_a_target_is_balanced_against_gravity_in_its_own_pose(small_arm):
     small_arm.dynamorph.active_target_index = 1
     bpy.ops.dynamorph.capture_pose()
     job = run(small_arm)
-    assert any(job.settings.gravity)
-    still = replace(job.settings, start=20, end=20)
-    balanced, _ = part("simulate").bake(job.model, job.character, job.computation.rig[-1:], still)
-    shape = job.character.targets[1].shape
+    assert any(job.input.settings.gravity)
+    still = replace(job.input.settings, start=20, end=20)
+    balanced, _ = part("simulate").bake(job.outcome.model, job.outcome.character, job.computation.rig[-1:], still)
+    shape = job.outcome.character.targets[1].shape
     assert np.abs(balanced.displacement(0) - shape).max() < 1e-5
     without = replace(job.computation.rig[-1:], target_nodes=None)
     with pytest.raises(ValueError, match="sampled without the nodes"):
-        part("simulate").bake(job.model, job.character, without, still)
+        part("simulate").bake(job.outcome.model, job.outcome.character, without, still)
 
 
 def test_a_loop_a_jump_and_wind(scene, small_arm):
@@ -402,17 +402,17 @@ def test_a_loop_a_jump_and_wind(scene, small_arm):
     activate(small_arm)
     job = run(small_arm)
     assert any("rig jumps at frame 10" in text for text in job.warnings)
-    assert max(np.abs(job.result.displacement(k)).max() for k in range(20)) < 0.5
-    player = part("player").Player(job.model, job.character, job.settings)
+    assert max(np.abs(job.outcome.bake.displacement(k)).max() for k in range(20)) < 0.5
+    player = part("player").Player(job.outcome.model, job.outcome.character, job.input.settings)
     player.begin(job.computation.rig[:2])
-    rest = job.character.vertices @ job.character.to_bind.T
+    rest = job.outcome.character.vertices @ job.outcome.character.to_bind.T
     assert player.pose_gap(job.computation.rig[:1]) < 1e-12 and player.pose_gap(job.computation.rig) > 0.1
     assert player.posing.skinned(job.computation.rig[:1])[0] == pytest.approx(rest[player.posing.skin.known], abs=1e-5)
     frames, moved = player.posing.frames(job.computation.rig[:1])[0], player.engine.displacement(player.past[0])
     push = player.posing.skin.push(job.computation.rig.fields, 0, frames, moved)
     assert push.sum(axis=0)[2] == pytest.approx(40.0 * player.posing.skin.areas.sum(), rel=1e-6)
     small_arm.dynamorph.simulation.loop = True
-    assert "gap" in run(small_arm).report
+    assert "gap" in run(small_arm).outcome.report
 
 
 def test_bones_scaled_to_zero_keep_their_size(small_arm):
@@ -423,7 +423,7 @@ def test_bones_scaled_to_zero_keep_their_size(small_arm):
         bone.keyframe_insert("scale", frame=frame)
     job = run(small_arm)
     assert any("Bones scaled to zero keep their last size" in text for text in job.warnings)
-    assert max(np.abs(job.result.displacement(k)).max() for k in range(20)) < 1.0
+    assert max(np.abs(job.outcome.bake.displacement(k)).max() for k in range(20)) < 1.0
 
 
 def test_the_bake_is_outdated_by_the_modifiers_and_the_model_is_not(small_arm):
@@ -432,7 +432,7 @@ def test_the_bake_is_outdated_by_the_modifiers_and_the_model_is_not(small_arm):
     preserve_volume(small_arm)
     assert part("staleness").outdated(small_arm) == ["Armature modifiers changed"]
     job = run(small_arm)
-    assert job.reasons == [] and part("staleness").outdated(small_arm) == []
+    assert job.input.reasons == [] and part("staleness").outdated(small_arm) == []
     rig_of(small_arm).data.bones["lower"].bbone_segments = 4
     assert part("staleness").outdated(small_arm) == ["Armature modifiers changed"]
 
@@ -448,15 +448,15 @@ def test_a_cage_is_made_before_the_rig_is_read_and_serves_the_model(small_arm):
     batch = part("batch")
     job = part("job").Job(small_arm, "BAKE")
     seen = []
-    batch.run(job, lambda job: seen.append(job.fraction))
-    assert seen == sorted(seen) and job.model.summary["seconds"]["meshing"] < 0.01
+    batch.run(job, lambda job: seen.append(job.progress.fraction))
+    assert seen == sorted(seen) and job.outcome.model.summary["seconds"]["meshing"] < 0.01
     stages = {"build", "sample rig", "measure", "simulate", "judge", "make keys", "store model", "write keys"}
-    assert set(job.seconds) == stages
+    assert set(job.progress.seconds) == stages
     for goal in ("BUILD", "BAKE"):
         again = part("job").Job(small_arm, goal)
         again.read()
         assert not again.computation.needs_cage
-    assert again.reasons == []
+    assert again.input.reasons == []
 
 
 def test_canceled_while_the_cage_is_made(small_arm):
@@ -478,7 +478,7 @@ def test_other_methods(small_arm, method):
     small_arm.dynamorph.model.method = method
     job = run(small_arm)
     assert (job.computation.rig.nodes is None) == (method == "STATIC")
-    assert np.isfinite(job.result.displacement(19)).all()
+    assert np.isfinite(job.outcome.bake.displacement(19)).all()
 
 
 def test_a_body_in_two_cages(small_arm):
@@ -489,7 +489,8 @@ def test_a_body_in_two_cages(small_arm):
     piece.group, piece.choice = "End", "OWN_CAGE"
     job = run(small_arm)
     assert (
-        len(job.computation.rig.nodes.rest) == job.model.free.sum() and np.abs(job.result.displacement(12)).max() > 0.0
+        len(job.computation.rig.nodes.rest) == job.outcome.model.free.sum()
+        and np.abs(job.outcome.bake.displacement(12)).max() > 0.0
     )
 
 
@@ -497,10 +498,10 @@ def test_a_body_in_two_cages(small_arm):
 def test_a_shot_in_chunks_is_the_whole_shot(small_arm, monkeypatch, basis):
     twisting(small_arm)
     small_arm.dynamorph.model.basis = basis
-    whole = run(small_arm).result
+    whole = run(small_arm).outcome.bake
     monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 6)
     job = run(small_arm)
-    assert len(job.computation.rig) < 40 and np.abs(job.result.coordinates - whole.coordinates).max() < 1e-9
+    assert len(job.computation.rig) < 40 and np.abs(job.outcome.bake.coordinates - whole.coordinates).max() < 1e-9
 
 
 def test_methods_are_compared(small_arm):
@@ -508,14 +509,14 @@ def test_methods_are_compared(small_arm):
     job = part("job").Job(small_arm, "BAKE", frames=(1, 3), whole=True, stored=False)
     rig = part("batch").read_rig(job)
     variants = {name: part("settings").VARIANTS[name] for name in ("DMT StVK reduced", "DMT StVK full")}
-    found = part("compare").compare(job.character, rig, job.settings, variants)["variants"]
+    found = part("compare").compare(job.outcome.character, rig, job.input.settings, variants)["variants"]
     assert found["DMT StVK reduced"]["steps"] > 0 and found["DMT StVK reduced"]["error"]["rms_total"] < 1.0
 
 
 def test_modes_are_fitted_to_a_shot(small_arm):
     twisting(small_arm)
     small_arm.dynamorph.model.fit_to_shot = True
-    assert run(small_arm, goal="BUILD").model.summary["fitted"] == [1, 20]
+    assert run(small_arm, goal="BUILD").outcome.model.summary["fitted"] == [1, 20]
 
 
 # Live --------------------------------------------------------------------------------------------------------------
@@ -531,8 +532,8 @@ def test_playback_is_the_bake(scene, small_arm):
     for k in range(20):
         scene.frame_set(k + 1)
         assert part("live").problem(small_arm) == ""
-        shown = part("references").key_points(block) - job.character.vertices
-        assert np.abs(shown - job.result.displacement(k)).max() < 2e-6
+        shown = part("references").key_points(block) - job.outcome.character.vertices
+        assert np.abs(shown - job.outcome.bake.displacement(k)).max() < 2e-6
     scene.frame_set(20)
     small_arm.dynamorph.active_target_index = 1
     bpy.ops.dynamorph.capture_pose()  # is probed again

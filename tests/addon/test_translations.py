@@ -85,7 +85,7 @@ def test_panels_are_translated(soft_arm, stand_in, german):
 def test_progress_is_translated(soft_arm, german, monkeypatch):
     message, batch = part("message"), part("batch")
     job = part("job").Job(soft_arm, goal="BAKE")
-    job.fraction, job.message = 0.38, message.Message("Simulating frame {frame}", frame=7)
+    job.progress.fraction, job.progress.message = 0.38, message.Message("Simulating frame {frame}", frame=7)
     running = batch.Batch([job], "BAKE")
     running.time_left.seconds = 11.4
     monkeypatch.setattr(batch, "running", running)

@@ -52,8 +52,8 @@ def test_blender_shows_what_the_engine_computed(small_arm, change):
     change(small_arm)
     bpy.context.view_layer.update()
     job = run(small_arm, goal="BAKE")
-    assert np.abs(job.result.coordinates).max() > 0
-    assert_shows(small_arm, job.result)
+    assert np.abs(job.outcome.bake.coordinates).max() > 0
+    assert_shows(small_arm, job.outcome.bake)
 
 
 @pytest.mark.parametrize("change", [plain, scaled_and_traveling, mirrored])
@@ -93,7 +93,7 @@ def blended_otherwise(obj):
 def test_what_never_needs_a_new_model(small_arm, change):
     run(small_arm, goal="BUILD")
     change(small_arm)
-    assert run(small_arm, goal="BAKE").reasons == []
+    assert run(small_arm, goal="BAKE").input.reasons == []
 
 
 def sculpted(obj):
@@ -116,7 +116,7 @@ def scaled(obj):
 def test_what_needs_one_is_named(small_arm, change, reason):
     run(small_arm, goal="BUILD")
     change(small_arm)
-    assert reason in "; ".join(run(small_arm, goal="BAKE").reasons)
+    assert reason in "; ".join(run(small_arm, goal="BAKE").input.reasons)
 
 
 def test_a_cage_that_targets_grade_is_made_again_for_other_targets(small_arm):
@@ -144,7 +144,7 @@ def test_canceling_the_engine(small_arm):
     job = part("job").Job(small_arm, goal="BAKE")
     batch = part("batch").Batch([job], "BAKE")
     list(batch.read())
-    job.canceled = True
+    job.progress.canceled = True
     with pytest.raises(errors.Cancelled):
         list(batch.compute())
     assert not small_arm.dynamorph.bake.keys and not small_arm.dynamorph.model.content_id

@@ -27,7 +27,7 @@ def when_computed(batch, stand_in, change):
     last, changed = batch.jobs[-1], threading.Event()
     stand_in.waits[last.name] = changed
     for _ in batch.steps(pause=0.01):
-        if not changed.is_set() and last.message.startswith("Frame"):
+        if not changed.is_set() and last.progress.message.startswith("Frame"):
             change()
             changed.set()
     assert changed.is_set()
@@ -184,7 +184,7 @@ def test_a_job_stays_in_the_scene_that_it_began_in(scene, soft_arm, other, stand
         list(batch.compute())
     list(batch.write())
     assert bpy.context.scene == other
-    settings = batch.jobs[0].settings
+    settings = batch.jobs[0].input.settings
     assert (settings.start, settings.end, settings.fps) == (1, 20, 24.0)
     assert times(soft_arm) == [1.0, 20.0]
     bpy.context.window.scene = scene

@@ -79,14 +79,14 @@ def round_trips(folder: Path) -> dict:
         job = Job(obj, "BAKE", folder=folder)
         batch.run(job)
         ours = round_trips.exact(job)
-        shown = round_trips.shown(obj.name, job.result.frames)
+        shown = round_trips.shown(obj.name, job.outcome.bake.frames)
         return {
-            "keys": job.report["keys"],
-            "said": job.report["keys_error"] / ours.size,
+            "keys": job.outcome.report["keys"],
+            "said": job.outcome.report["keys_error"] / ours.size,
             "error": round_trips.farthest(shown, ours.world) / ours.size,
             "bytes": job.outcome.size,
             "size": ours.size,
-            "frames": len(job.result.frames),
+            "frames": len(job.outcome.bake.frames),
         }
 
     body = soft_arm()

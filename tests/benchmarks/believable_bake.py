@@ -126,13 +126,13 @@ def click(body, found: dict) -> job.Job | None:
 
 def of_job(job: job.Job) -> dict:
     """What the bake says of itself."""
-    tets = len(job.model.tets)
+    tets = len(job.outcome.model.tets)
     return {
-        "nodes": len(job.model.nodes),
+        "nodes": len(job.outcome.model.nodes),
         "tets": tets,
-        "modes": job.model.summary["modes"],
-        "inverted_tets": job.report["inverted"],
-        "inverted": job.report.get("inverted_volume", job.report["inverted"] / max(tets, 1)),
+        "modes": job.outcome.model.summary["modes"],
+        "inverted_tets": job.outcome.report["inverted"],
+        "inverted": job.outcome.report.get("inverted_volume", job.outcome.report["inverted"] / max(tets, 1)),
         "warnings": job.warnings,
         "summary": job.summary(),
     }
@@ -140,8 +140,8 @@ def of_job(job: job.Job) -> dict:
 
 def of_stages(job: job.Job) -> dict[str, float]:
     """Seconds by stage of the job and, as "build: ...", of what a build consists of."""
-    built = {f"build: {stage}": seconds for stage, seconds in job.model.summary["seconds"].items()}
-    return job.seconds | built
+    built = {f"build: {stage}": seconds for stage, seconds in job.outcome.model.summary["seconds"].items()}
+    return job.progress.seconds | built
 
 
 # The clip -------------------------------------------------------------------------------------------------------------

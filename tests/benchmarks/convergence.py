@@ -85,9 +85,9 @@ def simulated(job: job.Job, size: int, stiffness: float | None) -> dict:
     """Simulates the shot in a cage of this size, unreduced: with the stiffness that its own frequency asks for, and,
     where there is one, with another cage's stiffness. Keeps both motions."""
     began = time.perf_counter()
-    frames = len(job.settings.frames)
-    character = job.character.with_settings(solver="FULL", modes=frames, cage_nodes=size)
-    model = simulate.build_for(character, job.computation.rig, job.settings)
+    frames = len(job.input.settings.frames)
+    character = job.outcome.character.with_settings(solver="FULL", modes=frames, cage_nodes=size)
+    model = simulate.build_for(character, job.computation.rig, job.input.settings)
     character = calibration.calibrated(character, list(calibration.references(model, character)))
     own = character.targets[0].material.stiffness
     figures = {
@@ -113,7 +113,7 @@ def simulated(job: job.Job, size: int, stiffness: float | None) -> dict:
 
 def motion(job: job.Job, model, character) -> np.ndarray:
     """Displacement (F, V, 3) of the surface, bind space."""
-    bake, _ = simulate.bake(model, character, job.computation.rig, job.settings)
+    bake, _ = simulate.bake(model, character, job.computation.rig, job.input.settings)
     return np.array([bake.displacement(k) for k in range(len(bake.frames))]) @ character.to_bind.T
 
 

@@ -85,7 +85,7 @@ def scene_panes(loop: Loop) -> tuple[Panes, dict]:
         with quiet():
             job = Job(obj, "BAKE")
             batch.run(job, lambda *_: True)
-        motion = dynamic(job)[first - job.settings.start :][: last + 1 - first]
+        motion = dynamic(job)[first - job.input.settings.start :][: last + 1 - first]
         panes[title] = list(film([Soft(obj, motion)], range(first, last + 1), loop.red, zoom=subject.zoom))
         farthest[title] = float(motion.max())
     return panes, {"farthest": farthest, "frames": [first, last], "red": f"{1000 * loop.red:.3g} mm"}
@@ -93,8 +93,8 @@ def scene_panes(loop: Loop) -> tuple[Panes, dict]:
 
 def dynamic(job: Job) -> np.ndarray:
     """How far the skin is from the blended shapes of the targets (F, V), meters."""
-    static = static_shapes(job.character, job.result.weights)
-    return np.array([np.linalg.norm(job.result.displacement(k) - static[k], axis=1) for k in range(len(static))])
+    static = static_shapes(job.outcome.character, job.outcome.bake.weights)
+    return np.array([np.linalg.norm(job.outcome.bake.displacement(k) - static[k], axis=1) for k in range(len(static))])
 
 
 # Characters -----------------------------------------------------------------------------------------------------------

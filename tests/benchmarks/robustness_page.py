@@ -165,13 +165,13 @@ def write_page() -> None:
 
 
 def mesh_row(baked: characters.Baked) -> list[str]:
-    mesh, found = baked.body.data, baked.job.model.summary.get("defects", {})
+    mesh, found = baked.body.data, baked.job.outcome.model.summary.get("defects", {})
     counts = [len(mesh.vertices), len(mesh.polygons), *(found.get(key) for key in DEFECTS.values())]
     return [ABSENT if count is None else f"{count:,}" for count in counts]
 
 
 def cage_row(baked: characters.Baked) -> list[str]:
-    model = baked.job.model
+    model = baked.job.outcome.model
     angles = dihedral_angles(model.nodes, model.tets)
     known = model.summary
     return [
@@ -188,13 +188,13 @@ def cage_row(baked: characters.Baked) -> list[str]:
 def bake_row(baked: characters.Baked) -> list[str]:
     job = baked.job
     farthest = np.linalg.norm(baked.displacements, axis=2).max()
-    built = job.seconds["build"]
+    built = job.progress.seconds["build"]
     return [
         f"{built:.2f} s",
-        f"{sum(job.seconds.values()) - built:.2f} s",
+        f"{sum(job.progress.seconds.values()) - built:.2f} s",
         f"{1000 * farthest:.0f} mm",
         f"{100 * farthest / baked.size:.1f} %",
-        f"{job.report['inverted']:,}",
+        f"{job.outcome.report['inverted']:,}",
         "yes" if np.isfinite(baked.displacements).all() else "no",
     ]
 
@@ -220,7 +220,7 @@ def portraits(baked: characters.Baked) -> list:
     scene = bpy.context.scene
     lengths = np.linalg.norm(baked.displacements, axis=2)
     farthest = int(lengths.max(axis=1).argmax())
-    scene.frame_set(int(baked.job.result.frames[farthest]))
+    scene.frame_set(int(baked.job.outcome.bake.frames[farthest]))
     shown = [obj for obj in scene.objects if obj.type == "MESH" and obj.parent and obj.visible_get()]
     for obj in scene.objects:
         obj.hide_render = obj not in shown and obj.type != "LIGHT"

@@ -113,13 +113,13 @@ def test_bake(benchmark, pose_evaluation, frames, subdivided):
         job = Job(body, goal="BAKE", frames=(1, frames), substeps=SUBSTEPS)
         batch.run(job)
         total = time.perf_counter() - began
-        evaluated, engine = sum(pose_evaluation), job.report["engine_seconds"]
+        evaluated, engine = sum(pose_evaluation), job.outcome.report["engine_seconds"]
         stages = {
             "pose evaluation": evaluated,
-            "read the rig": job.seconds["sample rig"] - sum(pose_evaluation[1:]),  # one places the character
+            "read the rig": job.progress.seconds["sample rig"] - sum(pose_evaluation[1:]),  # one places the character
             "engine": engine,
-            "simulate, but for the engine": job.seconds["simulate"] - engine,
-            "write keys": job.seconds["write keys"],
+            "simulate, but for the engine": job.progress.seconds["simulate"] - engine,
+            "write keys": job.progress.seconds["write keys"],
         }
         runs.append({"total": total, **stages, "extract": total - sum(stages.values())})
 

@@ -65,7 +65,7 @@ def looped(name: str) -> dict:
     path = set_off(body, walk)
     without, closed = (bake(body, path, loop) for loop in (False, True))
     job = closed.job
-    motion, size = job.result.coordinates, job.computation.shot.player.size
+    motion, size = job.outcome.bake.coordinates, job.computation.shot.player.size
     steps = np.diff(motion, axis=0)
     gone_on = job.computation.shot.player.past[0]
     onward = gone_on - motion[-1]  # the step from the last frame to where the loop has gone on
@@ -77,19 +77,19 @@ def looped(name: str) -> dict:
         "turn": walk.turn,
         "stiffness": walk.shot.stiffness,
         "swing": max(length(job, row) for row in motion),
-        "without": length(job, without.job.result.coordinates[-1] - without.job.result.coordinates[0]),
+        "without": length(job, without.job.outcome.bake.coordinates[-1] - without.job.outcome.bake.coordinates[0]),
         "gap": length(job, motion[-1] - motion[0]),
         "velocity_gap": length(job, onward - steps[0]),  # a frame
         "shown": closed.apart / size,
-        "reported": job.report["gap"] / size,
+        "reported": job.outcome.report["gap"] / size,
         "passes": job.computation.shot.player.passes,
         "repeated": gaps[-1],
-        "seconds": job.report["seconds"],
-        "warnings": job.report["warnings"],
+        "seconds": job.outcome.report["seconds"],
+        "warnings": job.outcome.report["warnings"],
     }
     if name == PICTURED:
         draw_seam(without, closed)
-        draw_motion(job, without.job.result.coordinates, cycles)
+        draw_motion(job, without.job.outcome.bake.coordinates, cycles)
     if name == ENDLESS:
         draw_passes(job, gaps)
     return found
@@ -97,7 +97,7 @@ def looped(name: str) -> dict:
 
 def length(job, coordinates: np.ndarray) -> float:
     """How far coordinates (r,) displace a vertex at most, in sizes of the body."""
-    moved = np.tensordot(coordinates, job.result.modes, 1) @ job.character.to_bind.T
+    moved = np.tensordot(coordinates, job.outcome.bake.modes, 1) @ job.outcome.character.to_bind.T
     return float(np.linalg.norm(moved, axis=1).max()) / job.computation.shot.player.size
 
 
@@ -126,7 +126,7 @@ def bake(body, path, loop: bool) -> Baked:
     body.dynamorph.simulation.loop = loop
     job = Job(body, "BAKE")
     batch.run(job)
-    ends, surfaces = (job.settings.start, job.settings.end), []
+    ends, surfaces = (job.input.settings.start, job.input.settings.end), []
     for frame in ends:
         bpy.context.scene.frame_set(frame)
         back = np.array(path.matrix_world.inverted())
@@ -139,8 +139,8 @@ def repeat(job) -> tuple[np.ndarray, list[float]]:
     """The cycle again and again without Loop: coordinates (REPEATED, F, r), and how far the end of each is from its
     beginning, in sizes of the body.
     """
-    settings = replace(job.settings, loop=False)
-    player = Player(job.model, job.character, settings)
+    settings = replace(job.input.settings, loop=False)
+    player = Player(job.outcome.model, job.outcome.character, settings)
     first, cycles, gaps = player.begin(job.computation.rig), [], []
     for _ in range(REPEATED):
         frames = [first, *player.play(job.computation.rig[1:], settings.simulated[1:])]
@@ -195,7 +195,7 @@ def overlaid(first: Image.Image, last: Image.Image) -> Image.Image:
 
 
 def draw_seam(without: Baked, closed: Baked):
-    ends = without.job.settings.start, without.job.settings.end
+    ends = without.job.input.settings.start, without.job.input.settings.end
     rows = [
         Row(name, f"{1000 * baked.apart:.3g} mm apart", [*baked.pictures, overlaid(*baked.pictures)],
             [""] * 3)
@@ -208,14 +208,14 @@ def draw_seam(without: Baked, closed: Baked):
 
 def draw_motion(job, without: np.ndarray, cycles: np.ndarray):
     """The point that swings the most, over two and a half cycles."""
-    bake, to_bind = job.result, job.character.to_bind
+    bake, to_bind = job.outcome.bake, job.outcome.character.to_bind
     surface = np.tensordot(bake.coordinates, bake.modes, 1) @ to_bind.T
     vertex = int(surface.std(axis=0).sum(axis=1).argmax())
     _, _, axes = np.linalg.svd(surface[:, vertex] - surface[:, vertex].mean(axis=0))
     swing = 1000.0 * bake.modes[:, vertex] @ to_bind.T @ axes[0]  # (r,): mm along the way that it swings most
     frames = np.arange(len(surface))
-    times = np.concatenate([frames + turn * frames[-1] for turn in range(3)]) / job.settings.fps
-    shown = times <= 2.5 * frames[-1] / job.settings.fps
+    times = np.concatenate([frames + turn * frames[-1] for turn in range(3)]) / job.input.settings.fps
+    shown = times <= 2.5 * frames[-1] / job.input.settings.fps
     curves = {
         "with Loop, played on and on": np.tile(bake.coordinates, (3, 1)),
         "without Loop, played on and on": np.tile(without, (3, 1)),
@@ -229,7 +229,7 @@ def draw_motion(job, without: np.ndarray, cycles: np.ndarray):
     for line, (color, style, width) in zip(panel.lines, styles, strict=True):
         line.set(color=color, linestyle=style, linewidth=width)
     for turn in (1, 2):
-        panel.axvline(turn * frames[-1] / job.settings.fps, color=SEAM, linewidth=0.8)
+        panel.axvline(turn * frames[-1] / job.input.settings.fps, color=SEAM, linewidth=0.8)
     low, high = panel.get_ylim()
     panel.set_ylim(low, high + 0.45 * (high - low))  # room for the legend
     panel.legend(fontsize=8, loc="upper left")
@@ -238,7 +238,7 @@ def draw_motion(job, without: np.ndarray, cycles: np.ndarray):
 
 def draw_passes(job, gaps: list[float]):
     """How the gap closes pass by pass."""
-    watched = Watched(job.model, job.character, job.settings)
+    watched = Watched(job.outcome.model, job.outcome.character, job.input.settings)
     loops.cycle(watched, job.computation.rig)
     closing = [max(pair) for pair in zip(watched.gaps[::2], watched.gaps[1::2], strict=True)]
     curves = {

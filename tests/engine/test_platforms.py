@@ -5,6 +5,7 @@ import builtins
 import importlib
 import platform
 import re
+import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -82,10 +83,30 @@ def loader_message(monkeypatch, tmp_path):
             patch.setattr(platform, "machine", lambda: machine)
             patch.setattr(engine, "__file__", str(tmp_path / "core" / "engine.py"))
             with pytest.raises(EngineNotFoundError) as refused:
-                engine.engine()
+                engine.load()
         return sentence(refused.value)
 
     return loader_message
+
+
+WITHOUT_ENGINE = """
+import importlib, pkgutil, sys
+sys.modules["dynamorph"] = None
+import dynamic_morph_targets.core as core, dynamic_morph_targets.io as io
+for package in (core, io):
+    for module in pkgutil.iter_modules(package.__path__):
+        importlib.import_module(f"{package.__name__}.{module.name}")
+from dynamic_morph_targets.core import cage, errors
+try:
+    cage.dynamorph.embed
+except errors.EngineNotFoundError as error:
+    print(errors.sentence(error))
+"""
+
+
+def test_every_module_loads_without_the_engine_and_says_what_is_missing_when_it_is_used():
+    done = subprocess.run([sys.executable, "-c", WITHOUT_ENGINE], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("The engine cannot be loaded on ")
 
 
 PYTHON = f"{sys.version_info.major}.{sys.version_info.minor}"
@@ -140,8 +161,8 @@ def test_an_engine_from_before_an_update_asks_for_a_restart(monkeypatch):
         patch.setattr(dynamorph, "__version__", "0.1.0")
         patch.setattr(metadata, "version", lambda _name: "0.2.0")
         with pytest.raises(EngineNotFoundError, match="earlier version is still loaded: restart Blender"):
-            importlib.reload(engine).engine()
-    importlib.reload(engine).engine()
+            importlib.reload(engine).load()
+    importlib.reload(engine).load()
 
 
 @pytest.mark.fault("V03")
@@ -155,5 +176,5 @@ def test_an_engine_that_another_add_on_has_brought(monkeypatch):
         with pytest.raises(
             EngineNotFoundError, match=f"version 7.0.0 and this extension of {ours}: disable the add-on"
         ):
-            engine.engine()
-    importlib.reload(engine).engine()
+            engine.load()
+    importlib.reload(engine).load()

@@ -16,7 +16,7 @@ from types import MappingProxyType
 import bpy
 import numpy as np
 
-from ..core import engine, errors, material_fit, oscillation
+from ..core import compare, engine, errors, material_fit, oscillation
 from ..core.errors import FileInUseError, InputError
 from ..core.settings import MOST_SUBSTEPS, VARIANTS, Material, ModelSettings
 from ..io import cache_dir, disk, outputs, paths, point_cache, report_page
@@ -92,7 +92,7 @@ def work_on(
     frames = tuple(args.frames) if args.frames else None
     job = Job(obj, goal, frames, args.substeps, folder, rebuild=rebuild, cache_dir=caches, cache_files=files)
     tick = ProgressPrinter(args.progress == "openjd")
-    batch.run(job, tick)
+    batch.run_all(batch.Batch([job], goal), tick)
     beside |= job.outcome.beside
     warnings = list(job.warnings)
     if export_process.leaves_python_out():
@@ -101,16 +101,16 @@ def work_on(
         warnings.append(f"{text}: say {option} if you trust it")
     if args.compare_final:
         batch.run_all(final_comparison.FinalComparison(obj), tick)
-        job.report["off_final"] = obj.dynamorph.bake.off_final
+        job.outcome.report["off_final"] = obj.dynamorph.bake.off_final
     if format_of(args) in exports.FORMATS:
-        first, last = job.result.frames[[0, -1]] if job.input.is_bake else (0, 0)
+        first, last = job.outcome.bake.frames[[0, -1]] if job.input.is_bake else (0, 0)
         warnings += export(args, obj, files[obj.name], (math.ceil(first), math.floor(last)))
     return Done(job, warnings)
 
 
 def say(done: Done) -> None:
     job = done.job
-    for reason in job.reasons:
+    for reason in job.input.reasons:
         print(f"{job.name}: built: {reason}")
     if job.outcome.rehearsed:
         print(f"{job.name}: {job.outcome.rehearsed}")
@@ -267,7 +267,7 @@ def run_collect(args: argparse.Namespace) -> None:
 
 def run_check(args: argparse.Namespace) -> None:
     """Raises InputError when something is in the way."""
-    engine.engine()
+    engine.load()
     in_the_way = 0
     for obj in chosen_objects(args):
         skinning = Skinning.of(obj)
@@ -292,9 +292,7 @@ def run_check(args: argparse.Namespace) -> None:
 
 def run_report(args: argparse.Namespace) -> None:
     check_substeps(args)
-    engine.engine()  # says what is missing
-    from ..core import compare
-
+    engine.load()
     found: dict[str, dict] = {}
     for obj in chosen_objects(args):
         frames = tuple(args.frames) if args.frames else None
@@ -302,12 +300,11 @@ def run_report(args: argparse.Namespace) -> None:
         rig, tick = batch.read_rig(job), ProgressPrinter()
 
         def progress(fraction: float, message: str, job: Job = job, tick: ProgressPrinter = tick) -> bool:
-            job.fraction, job.message = fraction, message
-            tick(job)
+            tick.show(job.name, fraction, message)
             return True
 
         variants = {name: VARIANTS[name] for name in args.methods}
-        found[obj.name] = compare.compare(job.character, rig, job.settings, variants, progress)
+        found[obj.name] = compare.compare(job.input.character, rig, job.input.settings, variants, progress)
     for name, compared in found.items():
         print(f"\n{name}\n{compare.table(compared)}")
     if args.json:

@@ -13,7 +13,7 @@ import bpy
 
 from ..core import baked, engine
 from ..core.time_left import TimeLeft, clock
-from ..run.batch import Batch
+from ..run.batch import Work
 from ..run.job import Job
 from . import signals
 
@@ -51,22 +51,22 @@ def character_record(done: Done) -> dict:
     job = done.job
     found = {
         "name": job.name,
-        "built": job.reasons,
+        "built": job.input.reasons,
         "model": find_model(job.name).content_id,
-        "summary": job.model.summary,
-        "seconds": {stage: round(seconds, 4) for stage, seconds in job.seconds.items()},
+        "summary": job.outcome.model.summary,
+        "seconds": {stage: round(seconds, 4) for stage, seconds in job.progress.seconds.items()},
         "warnings": done.warnings,
     }
     if job.input.is_bake:
         found["bake"] = {
             "made_from": job.outcome.content_id,
-            "hash": baked.digest(job.result),
-            "frames": [job.settings.start, job.settings.end],
-            "fps": job.settings.fps,
-            "substeps": job.settings.substeps,
+            "hash": baked.digest(job.outcome.bake),
+            "frames": [job.input.settings.start, job.input.settings.end],
+            "fps": job.input.settings.fps,
+            "substeps": job.input.settings.substeps,
             "resumed": len(job.input.resumed.get("coordinates", ())),
-            "max_displacement": baked.largest_displacement(job.result, job.character.to_bind),
-            **{name: value for name, value in job.report.items() if name != "warnings"},
+            "max_displacement": baked.largest_displacement(job.outcome.bake, job.outcome.character.to_bind),
+            **{name: value for name, value in job.outcome.report.items() if name != "warnings"},
         }
     return found
 
@@ -84,40 +84,48 @@ class ProgressPrinter:
         self.percent = -1
         self.time_left = TimeLeft()
 
-    def __call__(self, job: Job | Batch) -> None:
+    def __call__(self, work: Work) -> None:
+        self.show(work.name, work.fraction, work.message)
+
+    def show(self, name: str, fraction: float, message: str) -> None:
         signals.check()
-        self.time_left.learn(time.monotonic(), job.fraction)
-        percent = int(100 * job.fraction) // self.step * self.step
+        self.time_left.learn(time.monotonic(), fraction)
+        percent = int(100 * fraction) // self.step * self.step
         if percent > self.percent:
             self.percent = percent
             seconds = self.time_left.seconds
-            message = job.message if seconds is None else f"{clock(seconds)} left  {job.message}"
-            print(f"{job.name}: {percent:3d} %  {message}", flush=True)
+            message = message if seconds is None else f"{clock(seconds)} left  {message}"
+            print(f"{name}: {percent:3d} %  {message}", flush=True)
             if self.openjd:
-                print(f"openjd_progress: {percent}\nopenjd_status: {job.name}: {message}", flush=True)
+                print(f"openjd_progress: {percent}\nopenjd_status: {name}: {message}", flush=True)
 
 
 def print_table(job: Job, save_seconds: float) -> None:
-    made = job.model.summary
+    made, report = job.outcome.model.summary, job.outcome.report
     rows = [(name, made[name.lower()]) for name in ("Nodes", "DOFs", "Modes", "Targets")]
     if made["seconds"]:  # it was built now
         rows.append(("precompute", f"{sum(made['seconds'].values()):.2f} s"))
     if job.input.is_bake:
-        rows.append(("frames x substeps", f"{job.settings.end - job.settings.start + 1} x {job.settings.substeps}"))
-        rows.append(("steps per second", f"{job.report['steps_per_second']:.0f}"))
-        rows.append(("smallest det F", f"{job.report['smallest_det']:.2f}"))
-        if "gap" in job.report:
-            rows.append(("loop gap", f"{1000 * job.report['gap']:.3g} mm"))
-        rows.append(("keys", str(job.report["keys"])))
-        if job.report["keys_error"]:
-            rows.append(("keys' error", f"{1000 * job.report['keys_error']:.3g} mm"))
-        if "seam" in job.report:
-            rows.append(("seam", f"{1000 * job.report['seam']:.3g} mm"))
-        if "off_final" in job.report:
-            rows.append(("off Final", f"{100 * job.report['off_final']:.1f} %"))
-        if "compression_error" in job.report:
-            rows.append(("compression error", f"{1000 * job.report['compression_error']:.3g} mm"))
-    rows += [(stage, f"{seconds:.2f} s") for stage, seconds in (*job.seconds.items(), ("save", save_seconds))]
+        rows.append(
+            (
+                "frames x substeps",
+                f"{job.input.settings.end - job.input.settings.start + 1} x {job.input.settings.substeps}",
+            )
+        )
+        rows.append(("steps per second", f"{report['steps_per_second']:.0f}"))
+        rows.append(("smallest det F", f"{report['smallest_det']:.2f}"))
+        if "gap" in report:
+            rows.append(("loop gap", f"{1000 * report['gap']:.3g} mm"))
+        rows.append(("keys", str(report["keys"])))
+        if report["keys_error"]:
+            rows.append(("keys' error", f"{1000 * report['keys_error']:.3g} mm"))
+        if "seam" in report:
+            rows.append(("seam", f"{1000 * report['seam']:.3g} mm"))
+        if "off_final" in report:
+            rows.append(("off Final", f"{100 * report['off_final']:.1f} %"))
+        if "compression_error" in report:
+            rows.append(("compression error", f"{1000 * report['compression_error']:.3g} mm"))
+    rows += [(stage, f"{seconds:.2f} s") for stage, seconds in (*job.progress.seconds.items(), ("save", save_seconds))]
     print(f"\n{job.name}")
     for name, value in rows:
         print(f"  {name:<18}{value:>12}")

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from typing import Any
+from typing import Any, TypeAlias
 
-import dynamorph
 import numpy as np
 
 from . import cage
 from .cage import ProgressFn, Report, Stages
 from .character import Character, Target
+from .engine import dynamorph
 from .errors import SceneError
 from .model import CAGE_DEPENDENCIES, MESH_DEPENDENCIES, Model, array_hash, engine_hash, morph_targets
 from .settings import ENGINE, FREE_SETTINGS, TABULATED, ModelSettings
@@ -98,7 +98,7 @@ def _reusable(previous: Model | None, authored: dict[str, str]) -> dynamorph.Tet
     return dynamorph.TetMesh(previous.nodes, previous.tets) if fits else None
 
 
-Basis = np.ndarray | dynamorph.ResponseBasis  # modes (3 free, r), or modes and responses
+Basis: TypeAlias = "np.ndarray | dynamorph.ResponseBasis"  # modes (3 free, r), or modes and responses
 
 
 def _basis(full: dynamorph.FullModel, targets: int, settings: ModelSettings, report: Report) -> Basis:

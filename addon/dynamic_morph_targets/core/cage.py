@@ -9,10 +9,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-import dynamorph
 import numpy as np
 
 from .character import Character
+from .engine import dynamorph
 from .geometry import connected_parts, diagonal, triangle_areas
 from .hold import Hold, hold
 

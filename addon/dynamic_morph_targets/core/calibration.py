@@ -6,18 +6,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from math import pi, sqrt
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .character import Character, Target
 from .geometry import determinant
 from .material_fit import checked, full_engine, natural_frequency, target_indices
+from .model import Model
 from .oscillation import stiffness_for
 from .settings import Material
-
-if TYPE_CHECKING:  # it needs the engine
-    from .model import Model
 
 
 def references(model: Model, character: Character) -> Iterator[tuple[float, float]]:

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The compiled engine, imported when it is first used, so that a missing one leaves an add-on that can say so."""
+"""The compiled engine, loaded when it is first used, so that an extension without it can say what is missing.
+
+Modules that use it import `dynamorph` from here; they can themselves be imported without it.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 from .errors import DynamorphError, EngineNotFoundError, sentence
 from .message import Message, joined
@@ -32,13 +36,10 @@ REMEDIES = {
 _threads, _passed_on = 0, True  # what the user wants, and whether the engine knows; 0 is its own choice
 
 
-def engine() -> tuple[ModuleType, ModuleType]:
-    """The modules that need the compiled engine: (build, simulate). Raises EngineNotFoundError.
-
-    Imported here and not at the top, so that a missing wheel leaves an add-on that can say so.
-    """
+def load() -> ModuleType:
+    """The compiled engine's module. Raises EngineNotFoundError."""
     try:
-        import dynamorph  # noqa: F401
+        import dynamorph
     except Exception as error:  # a wheel for another system fails in many ways
         raise EngineNotFoundError(
             "The engine cannot be loaded on {system} with Python {python} ({error}). {remedy}",
@@ -47,7 +48,19 @@ def engine() -> tuple[ModuleType, ModuleType]:
             error=error,
             remedy=_remedy(str(error)),
         ) from error
-    if not _is_installed_version():
+    _check_version()
+    _tell_threads()
+    return dynamorph
+
+
+@lru_cache(maxsize=1)
+def _check_version() -> None:
+    """Refuse an engine that is not this extension's: no update unloads a compiled module. Raises
+    EngineNotFoundError.
+    """
+    import dynamorph
+
+    if getattr(dynamorph, "__version__", "") != installed_version():
         raise EngineNotFoundError("The engine of an earlier version is still loaded: restart Blender")
     if installed_version() not in ("", addon_version()):
         raise EngineNotFoundError(
@@ -56,10 +69,19 @@ def engine() -> tuple[ModuleType, ModuleType]:
             engine=installed_version(),
             addon=addon_version(),
         )
-    _tell_threads()
-    from . import build, simulate
 
-    return build, simulate
+
+class _Engine:
+    """Stands for the module `dynamorph`, and loads it when something of it is used."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(load(), name)
+
+
+if TYPE_CHECKING:
+    import dynamorph as dynamorph
+else:
+    dynamorph = _Engine()
 
 
 def _remedy(error: str) -> Message:
@@ -70,14 +92,6 @@ def _remedy(error: str) -> Message:
     if not held or remedy != INSTALL:
         return Message(remedy)
     return joined(". ", [Message("This extension has it for {systems}", systems=", ".join(held)), Message(remedy)])
-
-
-@lru_cache(maxsize=1)
-def _is_installed_version() -> bool:
-    """Whether the engine in memory is the one on the disk: no update of an extension unloads a compiled module."""
-    import dynamorph
-
-    return getattr(dynamorph, "__version__", "") == installed_version()
 
 
 def installed_version() -> str:
@@ -99,7 +113,7 @@ def addon_version() -> str:
 def engine_problem() -> str:
     """Why the engine cannot be loaded, or ''."""
     try:
-        engine()
+        load()
     except EngineNotFoundError as error:
         return sentence(error)
     return ""

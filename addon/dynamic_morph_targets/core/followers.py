@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import dynamorph
 import numpy as np
 
 from .baked import Bake
 from .character import Follower
+from .engine import dynamorph
 from .geometry import connected_parts, interpolated
 from .model import Model
 from .simulate import part_of

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import dynamorph
 import numpy as np
 
+from .engine import dynamorph
 from .geometry import determinant, smooth_step
 
 FIRMNESS = 100.0  # of fully held tissue, which then moves like tissue of a tenth of its thickness

@@ -9,16 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .baked import Bake
 from .character import Character
 from .geometry import determinant, diagonal, vertex_areas
-
-if TYPE_CHECKING:  # it needs the engine
-    from .model import Model
+from .model import Model
 
 LOOKED_AT = 32  # at most so many frames, those that move most
 CHECKED = 10  # of these, frames whose tetrahedra are checked

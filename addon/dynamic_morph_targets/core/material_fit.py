@@ -27,13 +27,12 @@ import numpy as np
 from .character import Character
 from .errors import FitError
 from .geometry import interpolated
+from .model import Model
 from .oscillation import Oscillation, damped, damping_for, swing
 from .settings import Material
 
-if TYPE_CHECKING:  # they need the engine
+if TYPE_CHECKING:
     from dynamorph import FullModel
-
-    from .model import Model
 
 MODES = 8  # modes among which the visible one is sought
 SEARCHED = 24  # the same where many thin parts may swing more slowly

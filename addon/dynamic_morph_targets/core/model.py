@@ -6,13 +6,13 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
+from typing import Any, TypeAlias
 
-import dynamorph
 import numpy as np
 
 from . import memory, model_schema
 from .character import Character, Skeleton
+from .engine import dynamorph
 from .errors import ModelFileError, SceneError
 from .geometry import interpolated
 from .settings import Material, ModelSettings
@@ -25,8 +25,8 @@ MESH_DEPENDENCIES = (
 # The tetrahedra together with what holds them depend on these.
 CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Soft vertex group", "what is rigid")
 
-EngineModel = dynamorph.ReducedModel | dynamorph.FullModel
-EngineSimulation = dynamorph.ReducedSimulation | dynamorph.FullSimulation
+EngineModel: TypeAlias = "dynamorph.ReducedModel | dynamorph.FullModel"
+EngineSimulation: TypeAlias = "dynamorph.ReducedSimulation | dynamorph.FullSimulation"
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
 
-import dynamorph
 import numpy as np
 
 from .amounts import Amounts
 from .character import Character
+from .engine import dynamorph
 from .geometry import diagonal
 from .model import EngineModel, EngineSimulation, Model
 from .posing import Posing

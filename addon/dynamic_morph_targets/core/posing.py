@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import Protocol
 
-import dynamorph
 import numpy as np
 
 from .character import Character, Skeleton, Target, TargetSet, target_labels
+from .engine import dynamorph
 from .errors import SceneError
 from .geometry import determinant, interpolated, inverse, vertex_areas
 from .model import Model

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from . import posing
 from .character import Skeleton, TargetSet
 
 SLACK = 1.1  # on half the widest gap between neighbors
@@ -48,8 +49,6 @@ class Space:
     """
 
     def __init__(self, name: str, skeleton: Skeleton, target_sets: tuple[TargetSet, ...], order: list[int]):
-        from . import posing  # which needs the engine
-
         self.name, self.skeleton, self.target_sets, self.order = name, skeleton, target_sets, order
         self.targets = [target for target_set in target_sets for target in target_set.targets]
         self.placing = posing.placing_bones(self)

@@ -11,17 +11,15 @@ import hashlib
 import json
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core import errors
+from ..core import build, errors
+from ..core.character import Character
+from ..core.model import Model
+from ..core.player import STEP
+from ..core.simulate import Shot
 from . import disk, model_file
-
-if TYPE_CHECKING:  # they need the engine
-    from ..core.character import Character
-    from ..core.model import Model
-    from ..core.simulate import Shot
 
 VERSION = 1  # version of the content of an unfinished bake
 BLOCK = 2**20
@@ -35,11 +33,9 @@ class CacheDir:
 
     def built(self, character: Character) -> Model | None:
         """A model that was built for such a character, or None."""
-        from ..core import build, model
-
         found = self._read(self._model_path(build.dependencies(character)))
         with suppress(errors.ModelFileError):
-            return model.Model.from_arrays(*found) if found else None
+            return Model.from_arrays(*found) if found else None
         return None
 
     def keep_model(self, model: Model) -> None:
@@ -54,8 +50,6 @@ class CacheDir:
         Except for the model, which may not exist yet, it depends on what was authored (`inputs`), on the `files` that
         contain what moves it, and on the version of Blender.
         """
-        from ..core import build
-
         depends_on = [name, inputs, build.dependencies(character), [_file_hash(file) for file in files]]
         return self.folder / f"{_hash([VERSION, blender, *depends_on])}.unfinished"
 
@@ -92,8 +86,6 @@ def _hash(what: object) -> str:
 
 def _fits(kept: dict[str, np.ndarray], model: Model, states: int) -> bool:
     """Whether these arrays are what `keep` stores of a bake of so many states with this model."""
-    from ..core.player import STEP  # which needs the engine
-
     done, bones = next(iter(np.shape(kept.get("weights", ()))), 0), len(model.rest)
     dofs = 3 * int(model.free.sum()) if model.settings.solver == "FULL" else model.modes.shape[1]
     shapes = {

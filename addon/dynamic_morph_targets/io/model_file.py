@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.engine import dynamorph
 from ..core.errors import ModelFileError
 
 if TYPE_CHECKING:  # for type checkers alone: Blender does not have it
@@ -62,8 +63,6 @@ def pack(arrays: dict[str, np.ndarray], meta: dict) -> bytes:
 
 def unpack(buffer: Buffer) -> tuple[dict[str, np.ndarray], dict]:
     """The inverse of `pack`: arrays with their own memory, and the description. Raises ModelFileError."""
-    import dynamorph  # not earlier, because an add-on without its engine still writes reports
-
     try:
         arrays, meta = dynamorph.unpack_model(memoryview(buffer).cast("B"))
     except dynamorph.Error as error:

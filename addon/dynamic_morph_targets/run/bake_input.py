@@ -11,16 +11,17 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import bpy
 import numpy as np
 
-from ..core import engine, errors, judge, memory, records
+from ..core import build, engine, errors, judge, memory, records
 from ..core.character import Follower
 from ..core.errors import SceneError
 from ..core.keys import united
 from ..core.message import Message, joined
+from ..core.model import Model
 from ..io import outputs, paths, point_cache
 from ..io.cache_dir import CacheDir
 from ..scene import animation, extract, probe, rig_motion, run_settings, staleness
@@ -33,9 +34,6 @@ from ..write.bake import check, check_cache, check_local, overwritten_keys
 from ..write.bake_reading import read_back
 from ..write.reconcile import reconcile
 from .job_data import BakeInput
-
-if TYPE_CHECKING:  # it needs the engine
-    from ..core.model import Model
 
 CHUNK_FRAMES = 1000  # of a shot, that are read and simulated at once: bounds memory
 SHORT_CHUNK_FRAMES = 100  # where each node is read, or chunks are kept for other processes, which go on from there
@@ -71,7 +69,7 @@ class Request:
 
 def read(request: Request) -> BakeInput:
     """Check and read the character and its settings. Raises SceneError, SinkError, ModelFileError, OSError."""
-    engine.engine()
+    engine.load()
     obj = request.target.find()
     check_local(obj)
     if obj.type == "MESH":
@@ -177,7 +175,6 @@ def _read_model(given: BakeInput, obj: bpy.types.Object, request: Request) -> bo
 def _reasons(given: BakeInput, obj: bpy.types.Object, rebuild: bool) -> list[str]:
     """Why something must be built."""
     if given.only_cage:
-        build, _ = engine.engine()
         current = given.previous is not None and build.has_cage(given.previous, given.character)
         return [] if current else ["the cage is out of date"]
     return stale_reasons(obj, given.character) or ["asked for"] * rebuild

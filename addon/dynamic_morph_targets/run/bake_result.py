@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import bpy
 
 from ..core import baked, calibration, logger, records
 from ..core.errors import SceneError
+from ..core.model import Model
 from ..io import disk
 from ..scene import skin, staleness, target_properties
 from ..scene.model_store import PACKED, blend_folder, index_in, stored_model
@@ -22,9 +22,6 @@ from ..write.before import Before
 from ..write.storage import fit_modes, keep_model, model_path
 from .bake_input import Request, handles
 from .job_data import BakeInput, Outcome, Progress
-
-if TYPE_CHECKING:  # it needs the engine
-    from ..core.model import Model
 
 
 def write_all(writers: Sequence[Writer]) -> None:

@@ -70,16 +70,16 @@ class Batch:
 
     @property
     def message(self) -> str:
-        message = self._at.message
+        message = self._at.progress.message
         return joined(": ", [self.name, message]) if len(self.jobs) > 1 else message
 
     @property
     def fraction(self) -> float:
-        return sum(job.fraction for job in self.jobs) / len(self.jobs)
+        return sum(job.progress.fraction for job in self.jobs) / len(self.jobs)
 
     def cancel(self) -> None:
         for job in self.jobs:
-            job.canceled = True
+            job.progress.canceled = True
 
     def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
         """The work, main thread. Yields when it has blocked that for about so many seconds, and every `pause` seconds
@@ -149,7 +149,7 @@ class Batch:
         """The window's turn, and what came of it."""
         self.time_left.learn(time.monotonic(), self.fraction)
         yield
-        if self._at.canceled:
+        if self._at.progress.canceled:
             raise Cancelled
         if reading and self.undone:
             raise SceneError(UNDONE, name=self.name)

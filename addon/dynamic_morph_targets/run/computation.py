@@ -8,28 +8,27 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from ..core import baked, calibration, engine, errors, judge, rig_samples
+from ..core import baked, build, calibration, errors, followers, judge, rig_samples, simulate
 from ..core.baked import Bake
+from ..core.character import Character
 from ..core.errors import SceneError, SelfCheckError
 from ..core.judge import Verdict
 from ..core.keys import as_keys, splice
 from ..core.message import Message
+from ..core.model import Model
 from ..core.rehearsal import Rehearsal
 from ..core.rig_samples import RigSamples
+from ..core.settings import OutputSettings
+from ..core.simulate import Shot
 from ..io import disk, model_file, outputs, paths, point_cache
 from .job_data import BakeInput, Outcome, Progress
-
-if TYPE_CHECKING:  # they need the engine
-    from ..core.character import Character
-    from ..core.model import Model
-    from ..core.settings import OutputSettings
-    from ..core.simulate import Shot
 
 CAGE = 0.1  # fraction of a job for a cage that is needed before the rig is read
 READ = 0.2  # fraction of a job after which the rig is read
@@ -42,13 +41,29 @@ class Sampling(Protocol):
     def samples(self) -> RigSamples: ...
 
 
+@dataclass(frozen=True)
+class Attempt:
+    """A whole shot, simulated with the materials of `character`. report: of the simulation."""
+
+    character: Character
+    bake: Bake
+    report: dict
+    verdict: Verdict
+
+    @property
+    def frequency(self) -> float:
+        """Of the neutral target, Hz."""
+        return self.character.targets[0].frequency
+
+
 class Computation:
     """Computes what a job is for, one chunk of the rig after the other, so that a long shot takes no more memory.
 
     The first bake of a whole shot is a rehearsal too: while the skin moves further than the limits allow, the tissue is
     made stiffer and the shot begins again; the stiffness is stored with the targets.
 
-    rig: the chunk that was simulated last. shot: the `simulate.Shot` that goes on with the next one.
+    wanted: how many states of the shot come before the next chunk that it needs; None when there is none. rig: the
+    chunk that was simulated last. shot: the one that is simulated, or was last.
     """
 
     def __init__(self, given: BakeInput, progress: Progress):
@@ -61,38 +76,18 @@ class Computation:
         self.previous = given.previous  # a model whose cage may be used again
         self.read_from = 0.0  # of the job, the part that is done before the rig is read
         self._shot_from = READ  # of the job, the part that is done before the shot is simulated
-        self._needs_model = given.model is None
-        self._chunks = 0  # that were simulated
-        self._best: tuple[Character, Bake, dict, Verdict]  # what the rehearsal keeps; the dictionary is the report
-        self._rehearsal: Rehearsal | None = None  # until it has finished
-        if given.rehearsed_from:
-            self._rehearsal = Rehearsal(given.rehearsed_from)
-            self.outcome.rehearsed = Message(
-                "Bounce of {frequency:.3g} Hz keeps the skin within Max Displacement", frequency=given.rehearsed_from
-            )
+        self.wanted: int | None = len(given.resumed.get("coordinates", ()))
+        self._work = self._steps()
 
     @property
     def needs_cage(self) -> bool:
         """Whether a cage must exist before the rig is read, because Blender poses its nodes."""
         if not self.given.is_probed:
             return False
-        build, _ = engine.engine()
         return not (self.previous and build.has_cage(self.previous, self.given.character))
-
-    @property
-    def needs_chunk(self) -> bool:
-        """Whether another chunk must be read and computed after one is done."""
-        begins_again = self._chunks > 0 and self.shot is None
-        return begins_again or (self.shot is not None and not self.shot.is_complete)
-
-    @property
-    def done(self) -> int:
-        """How many states of the shot are simulated."""
-        return self.shot.done if self.shot else len(self.given.resumed.get("coordinates", ()))
 
     def make_cage(self) -> None:
         """Build what must exist before the rig is read."""
-        build, _ = engine.engine()
         with self.progress.stage("build"):
             progress = self.progress.part(0.0, CAGE)
             self.previous = build.build_cage(self.given.character, progress, self.previous)
@@ -103,21 +98,9 @@ class Computation:
 
         Raises SceneError, SelfCheckError, OSError and what the engine raises.
         """
-        given, outcome = self.given, self.outcome
-        build, simulate = engine.engine()
-        if given.only_cage:
-            if given.reasons:
-                with self.progress.stage("build"):
-                    progress = self.progress.part(0.0, 1.0)
-                    model = build.build_cage(given.character, progress, self.previous)
-                self._take_model(model)
-            return
         if sampling:
             self.take(sampling.samples())
-        if self._needs_model:
-            self._build(simulate)
-        if given.is_bake and not self.progress.canceled and self._simulate(simulate):
-            finish(given, outcome, self.progress)
+        self.wanted = next(self._work, None)
 
     def take(self, samples: RigSamples) -> RigSamples:
         """Check what was read of the rig, and go on with that as `rig`. Raises SceneError."""
@@ -130,7 +113,27 @@ class Computation:
         self.rig = samples
         return samples
 
-    def _build(self, simulate: ModuleType) -> None:
+    def _steps(self) -> Iterator[int]:
+        """The work, from chunk to chunk of the rig: yields what becomes `wanted`, and goes on when `rig` is that."""
+        given, outcome = self.given, self.outcome
+        if given.only_cage:
+            if given.reasons:
+                self._build_cage()
+            return
+        if given.model is None:
+            self._build()
+        if not given.is_bake or self.progress.canceled:
+            return
+        attempt = yield from self._rehearse() if given.rehearsed_from else self._attempt()
+        outcome.bake, outcome.report, outcome.verdict = attempt.bake, attempt.report, attempt.verdict
+        finish(given, outcome, self.progress)
+
+    def _build_cage(self) -> None:
+        with self.progress.stage("build"):
+            model = build.build_cage(self.given.character, self.progress.part(0.0, 1.0), self.previous)
+        self._take_model(model)
+
+    def _build(self) -> None:
         given, outcome = self.given, self.outcome
         built = 0.95 if given.character.settings.fits_shot else 0.7
         with self.progress.stage("build"):
@@ -154,71 +157,73 @@ class Computation:
     def _take_model(self, model: Model) -> None:
         with self.progress.stage("store model"):
             self.outcome.model, self.outcome.packed = model, model_file.pack(*model.to_arrays())
-        self._needs_model = False
 
-    def _simulate(self, simulate: ModuleType) -> bool:
-        """Simulate the chunk; True when the shot is complete, and no rehearsal needs another pass."""
+    def _rehearse(self) -> Generator[int, None, Attempt]:
+        """One attempt after the other, each with another frequency; the best one is kept."""
+        given, outcome = self.given, self.outcome
+        rehearsal = Rehearsal(given.rehearsed_from)
         while True:
-            shot = self._play(simulate)
-            if not shot.is_complete:
-                return False
-            self._judge(shot)
-            if not self._rehearse_again():
-                return True
+            attempt = yield from self._attempt()
+            rehearsal.learn(attempt.frequency, attempt.verdict.excess(given.limits))
+            if rehearsal.best == attempt.frequency:
+                best = attempt
+            frequency = rehearsal.next()
+            if not frequency:
+                break
+            adopt(outcome, calibration.stiffened(attempt.character, frequency / attempt.frequency))
             self.progress.fraction = self._shot_from
-            if self._chunks > 1:  # of the rig the last is left: it is read again
-                self.rig, self._chunks, self.shot = None, 1, None
-                return False
-            self._chunks, self.shot = 0, None
+        if best is not attempt:
+            adopt(outcome, best.character)
+        outcome.rehearsed = _rehearsed(rehearsal, best.verdict.is_believable(given.limits))
+        return best
 
-    def _play(self, simulate: ModuleType) -> Shot:
+    def _attempt(self) -> Generator[int, None, Attempt]:
+        """The whole shot with the materials of the outcome's character."""
+        given, outcome = self.given, self.outcome
+        if self.shot and not self._has_whole_rig:
+            self.rig = self.shot = None
+            yield 0
+        with self.progress.stage("simulate"):
+            shot = simulate.Shot(
+                outcome.model, outcome.character, given.settings, self.progress.part(self._shot_from, 1.0)
+            )
+            if given.first is not None:
+                shot.resume(given.resumed, given.first)
+        self.shot = shot
+        self._play(shot)
+        while not shot.is_complete:
+            yield shot.done
+            self._play(shot)
+        with self.progress.stage("simulate"):
+            bake, report = shot.bake(exact=given.output is None or given.output.sink != "MODES")
+        with self.progress.stage("judge"):
+            verdict = judge.judge(outcome.model, outcome.character, bake)
+        report["inverted_volume"] = verdict.inverted
+        return Attempt(outcome.character, bake, report, verdict)
+
+    @property
+    def _has_whole_rig(self) -> bool:
+        """Whether the shot came in one chunk, so that it can begin again without reading the rig again."""
+        settings = self.given.settings
+        return self.rig is not None and len(self.rig) == 1 + (settings.end - settings.first) * settings.substeps
+
+    def _play(self, shot: Shot) -> None:
         """Simulate the shot to the end of the rig that was read."""
-        given, outcome, rig = self.given, self.outcome, self.rig
+        given, rig = self.given, self.rig
         assert rig is not None  # a shot has one
         with self.progress.stage("simulate"):
-            if self.shot is None:
-                progress = self.progress.part(self._shot_from, 1.0)
-                self.shot = simulate.Shot(outcome.model, outcome.character, given.settings, progress)
-                if given.first is not None:
-                    self.shot.resume(given.resumed, given.first)
-            shot: Shot = self.shot
             shot.play(rig)
-            self._chunks += 1
         if given.cache_dir and given.kept and len(rig):  # otherwise nothing was left to do
             given.cache_dir.keep(given.kept, shot, rig.pose[-1])
-        return shot
 
-    def _judge(self, shot: Shot) -> None:
-        outcome, output = self.outcome, self.given.output
-        with self.progress.stage("simulate"):
-            outcome.bake, outcome.report = shot.bake(exact=output is None or output.sink != "MODES")
-        with self.progress.stage("judge"):
-            outcome.verdict = judge.judge(outcome.model, outcome.character, outcome.bake)
-        outcome.report["inverted_volume"] = outcome.verdict.inverted
 
-    def _rehearse_again(self) -> bool:
-        """Continue with another frequency, if a rehearsal asks for one; otherwise with the best."""
-        rehearsal, outcome, limits = self._rehearsal, self.outcome, self.given.limits
-        if not rehearsal:
-            return False
-        now = outcome.character.targets[0].frequency
-        rehearsal.learn(now, outcome.verdict.excess(limits))
-        if rehearsal.best == now:
-            self._best = outcome.character, outcome.bake, outcome.report, outcome.verdict
-        frequency = rehearsal.next()
-        if frequency:
-            adopt(outcome, calibration.stiffened(outcome.character, frequency / now))
-            return True
-        self._rehearsal = None
-        character, outcome.bake, outcome.report, outcome.verdict = self._best
-        if rehearsal.best != now:
-            adopt(outcome, character)
-        if rehearsal.best != rehearsal.asked:
-            kept = outcome.verdict.is_believable(limits)
-            text = "Bounce raised from {before:.3g} to {frequency:.3g} Hz"
-            text += ": the skin stays within Max Displacement" if kept else ", and the skin still moves too far"
-            outcome.rehearsed = Message(text, before=rehearsal.asked, frequency=rehearsal.best)
-        return False
+def _rehearsed(rehearsal: Rehearsal, kept: bool) -> Message:
+    """What a rehearsal has changed; kept: whether the skin now stays within the limits."""
+    if rehearsal.best == rehearsal.asked:
+        return Message("Bounce of {frequency:.3g} Hz keeps the skin within Max Displacement", frequency=rehearsal.asked)
+    text = "Bounce raised from {before:.3g} to {frequency:.3g} Hz"
+    text += ": the skin stays within Max Displacement" if kept else ", and the skin still moves too far"
+    return Message(text, before=rehearsal.asked, frequency=rehearsal.best)
 
 
 def adopt(outcome: Outcome, character: Character) -> None:
@@ -236,8 +241,6 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
     """Make the result from the simulated shot, and the messages about it. Raises SceneError, SelfCheckError,
     OSError.
     """
-    from ..core import followers  # which needs the engine
-
     outside = [] if given.character.parts else given.followers
     outcome.carried = [followers.follow(outcome.model, outcome.bake, follower) for follower in outside]
     for name in ("coordinates", "weights", "modes", "residual_shapes", "static"):
@@ -274,8 +277,6 @@ def of_meshes(given: BakeInput, model: Model, bake: Bake) -> list[Bake]:
     character = given.character
     if not character.parts:
         return [bake]
-    from ..core import followers, simulate  # which need the engine
-
     carried = (followers.follow(model, bake, follower) for follower in given.followers)
     return [simulate.part_of(bake, character.own_vertices), *carried]
 
@@ -333,6 +334,5 @@ def _point_cache(given: BakeInput, outcome: Outcome, sink: str, name: str, point
 
 
 def _content_id(given: BakeInput, outcome: Outcome) -> str:
-    build, _ = engine.engine()
     made_from = [outcome.inputs, build.dependencies(outcome.character), *map(baked.digest, given.before)]
     return hashlib.sha256(json.dumps(made_from, sort_keys=True).encode()).hexdigest()

@@ -18,7 +18,7 @@ from dataclasses import replace
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..core import baked, engine, logger
+from ..core import baked, engine, logger, simulate
 from ..core.errors import SceneError
 from ..core.geometry import vertex_areas
 from ..core.settings import SimulationSettings
@@ -47,13 +47,12 @@ class Measurement:
         obj = job.target()
         self.object, self.key = ObjectHandle.of(obj), _key(obj)
         self.pauses = self.canceled = False
-        self._model, self._character, self._settings = job.model, job.character, _settings(obj)
+        self._model, self._character, self._settings = job.outcome.model, job.outcome.character, _settings(obj)
         nodes = probe.Probe(obj, self._model, self._character) if self._character.probed else None
         self._still = rig_motion.sample_present(obj, nodes)
 
     def run(self) -> float:
         """In any thread. Raises dynamorph.Cancelled, and what else the engine raises."""
-        _, simulate = engine.engine()
         model, character = self._model, self._character
         settings = [replace(character.settings, solver=solver) for solver in ("REDUCED", "FULL")]
         shots = [simulate.Shot(model.with_settings(each), character, self._settings, self.goes_on) for each in settings]
@@ -173,7 +172,7 @@ def _is_of(measurement: Measurement, obj: bpy.types.Object) -> bool:
 def _is_wanted(job: Job) -> bool:
     """Whether the error of its model concerns the artist, is not known, and is soon found."""
     obj = job.target()
-    return _concerns(obj.dynamorph.model) and known(obj) is None and 0 < len(job.model.modes) <= LARGEST
+    return _concerns(obj.dynamorph.model) and known(obj) is None and 0 < len(job.outcome.model.modes) <= LARGEST
 
 
 def _concerns(record: bpy.types.PropertyGroup) -> bool:

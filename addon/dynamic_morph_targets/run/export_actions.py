@@ -27,7 +27,7 @@ from .job import Job
 
 
 class ClipJob(Job):
-    """Simulates one of the clips with the built model, and writes nothing: the result is in `result` and `carried`."""
+    """Simulates one of the clips with the built model, and writes nothing: the motion is in `outcome`."""
 
     def __init__(self, obj: bpy.types.Object, clip: Clip, clips: Sequence[Clip]):
         name, frames = f"{obj.name}: {clip.name}", (clip.first, clip.last)
@@ -38,11 +38,11 @@ class ClipJob(Job):
 
     def read(self) -> None:
         super().read()
-        if self.reasons:
-            why = message.joined("; ", self.reasons)
+        if self.input.reasons:
+            why = message.joined("; ", self.input.reasons)
             raise SceneError(
                 "The model of '{name}' is out of date ({why}): press Build Model first",
-                name=self.character.name,
+                name=self.input.character.name,
                 why=why,
             )
 
@@ -138,7 +138,7 @@ class ActionsExport(batch.Batch):
         wholes = [joined(each) for each in zip(*([o.bake, *o.carried] for o in outcomes), strict=True)]
         budget = obj.dynamorph.output.keys
         wholes = [keys.with_fewer_keys(bake, budget) if budget else bake for bake in wholes]
-        bakes = [bake for whole in wholes for bake in of_meshes(job.input, job.model, whole)]
+        bakes = [bake for whole in wholes for bake in of_meshes(job.input, job.outcome.model, whole)]
         with ExitStack() as stack:
             stack.enter_context(frames_kept())
             stack.enter_context(actions.laid_out(rig_of(obj), self.clips))

@@ -19,7 +19,7 @@ REDUCED = 0.05  # of the time, for the reduced simulation
 
 
 class ShotJob(Job):
-    """Simulates a shot in one quality with the model as it is built, and writes nothing: the motion is in `result`.
+    """Simulates a shot in one quality with the model as it is built, and writes nothing: the motion is in `outcome`.
 
     solver: REDUCED or FULL; frames: first and last.
     """
@@ -36,11 +36,11 @@ class ShotJob(Job):
             raise SceneError(
                 "The model of '{name}' is out of date ({why}): bake again first",
                 name=self.name,
-                why=joined("; ", self.reasons),
+                why=joined("; ", given.reasons),
             )
         given.character = given.character.with_settings(solver=self._solver)
         given.model = given.model.with_settings(given.character.settings)
-        self.computation = Computation(given, self)
+        self.computation = Computation(given, self.progress)
 
 
 class FinalComparison(Batch):
@@ -59,14 +59,14 @@ class FinalComparison(Batch):
     @property
     def fraction(self) -> float:
         reduced, final = self.jobs
-        return REDUCED * reduced.fraction + (1.0 - REDUCED) * final.fraction
+        return REDUCED * reduced.progress.fraction + (1.0 - REDUCED) * final.progress.fraction
 
     def write(self) -> Iterator[None]:
         yield from super().write()
         reduced, final = self.jobs
-        character = reduced.character
+        character = reduced.outcome.character
         areas = vertex_areas(character.vertices @ character.to_bind.T, character.triangles)
-        distance = baked.motion_distance(reduced.result, final.result, character.to_bind, areas)
+        distance = baked.motion_distance(reduced.outcome.bake, final.outcome.bake, character.to_bind, areas)
         reduced.target().dynamorph.bake.off_final = distance
 
 

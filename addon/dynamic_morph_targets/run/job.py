@@ -6,19 +6,15 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import bpy
 import numpy as np
 
 from ..core import engine
-from ..core.baked import Bake
-from ..core.character import Character
 from ..core.errors import Cancelled
-from ..core.judge import Verdict
 from ..core.message import Message
 from ..core.rig_samples import RigSamples
-from ..core.settings import SimulationSettings
 from ..scene import rig_motion
 from ..scene.skin import ObjectHandle, SceneHandle
 from . import bake_input, bake_result
@@ -27,11 +23,8 @@ from .bake_result import Writer
 from .computation import READ, Computation
 from .job_data import BakeInput, Outcome, Progress
 
-if TYPE_CHECKING:  # it needs the engine
-    from ..core.model import Model
 
-
-class Job(Progress):
+class Job:
     """Builds the model of one object if that is necessary, and with the goal "BAKE" simulates and writes the shot.
 
     What it reads of Blender is in `input`, what a thread computes of that in `outcome`; `batch.Batch` runs it. goal,
@@ -51,9 +44,9 @@ class Job(Progress):
         folder: Path | None = None,
         **options: Any,
     ):
-        super().__init__()
         options = {"name": obj.name, "frames": frames, "substeps": substeps, "folder": folder, **options}
         self.request = Request(ObjectHandle.of(obj), SceneHandle.present(), goal=goal, **options)
+        self.progress = Progress()
         self.thread = threading.Thread()  # the last one that was started
         self._error: BaseException | None = None
 
@@ -66,72 +59,45 @@ class Job(Progress):
         return self.computation.outcome
 
     @property
-    def character(self) -> Character:
-        return self.outcome.character
-
-    @property
-    def settings(self) -> SimulationSettings:
-        return self.input.settings
-
-    @property
-    def reasons(self) -> list[str]:
-        """Why the model was built."""
-        return self.input.reasons
-
-    @property
-    def model(self) -> Model:
-        return self.outcome.model
-
-    @property
-    def result(self) -> Bake:
-        return self.outcome.bake
-
-    @property
-    def report(self) -> dict:
-        """What the simulation reported."""
-        return self.outcome.report
-
-    @property
-    def verdict(self) -> Verdict:
-        return self.outcome.verdict
-
-    @property
     def warnings(self) -> list[str]:
+        """What to tell the artist at the end."""
         return [*self.input.notes, *self.outcome.warnings]
 
     def summary(self) -> str:
         """One line for the artist."""
-        return bake_result.summary(self.input, self.outcome, self.seconds)
+        return bake_result.summary(self.input, self.outcome, self.progress.seconds)
 
     # Reading: main thread --------------------------------------------------------------------------------------------
 
     def read(self) -> None:
         """Check and read the character and its settings. Raises as `bake_input.read`."""
-        self.message = "Reading the character"
+        self.progress.message = "Reading the character"
         with self.request.scene.as_context():
             self.input = bake_input.read(self.request)
-            self.computation = Computation(self.input, self)
+            self.computation = Computation(self.input, self.progress)
             self._reader = RigReader(self.request, self.input)
-            self._reader.begin_chunk(self.computation.done)
+            self.next_chunk()
 
     def sample(self, seconds: float = np.inf) -> bool:
         """Read the moving rig, if the job needs it, for about so long; True when the chunk is read."""
         sampling = self._reader.sampling
         if sampling is None:
             return True
-        with self.stage("sample rig"), self.request.scene.as_context():
+        progress, before = self.progress, self.progress.fraction
+        with progress.stage("sample rig"), self.request.scene.as_context():
             done = self._reader.advance(seconds, self.computation.previous)
-        before, progress = self.fraction, self.part(self.computation.read_from, READ)
-        progress(sampling.done / sampling.count, Message("Reading frame {frame}", frame=sampling.frame))
-        self.fraction = max(before, self.fraction)  # another chunk than the first
+        report = progress.part(self.computation.read_from, READ)
+        report(sampling.done / sampling.count, Message("Reading frame {frame}", frame=sampling.frame))
+        progress.fraction = max(before, progress.fraction)  # another chunk than the first
         return done
 
     def next_chunk(self) -> bool:
-        """Whether there is another chunk to be read and computed, after one is."""
-        if not self.computation.needs_chunk:
+        """Whether there is another chunk to be read and computed; then it begins."""
+        wanted = self.computation.wanted
+        if wanted is None:
             return False
         with self.request.scene.as_context():
-            self._reader.begin_chunk(self.computation.done)
+            self._reader.begin_chunk(wanted)
         return True
 
     def take_rig(self) -> RigSamples:
@@ -155,7 +121,7 @@ class Job(Progress):
         self.thread.join(timeout)
         if self.thread.is_alive():
             return False
-        if self.canceled:
+        if self.progress.canceled:
             raise Cancelled
         if self._error:
             raise self._error
@@ -182,11 +148,11 @@ class Job(Progress):
         has a mesh of its own.
         """
         if rig_motion.render_runs():
-            self.message = "Waiting for the render to end"
+            self.progress.message = "Waiting for the render to end"
             return True
         handles = (self.request.target, *bake_input.handles(self.input.followers))
         if self.input.is_bake and any(handle.find().mode == "EDIT" for handle in handles):
-            self.message = "Waiting for you to leave Edit Mode"
+            self.progress.message = "Waiting for you to leave Edit Mode"
             return True
         return False
 
@@ -197,4 +163,4 @@ class Job(Progress):
     def writer(self) -> Writer:
         """What writes the results."""
         self._reader.free()
-        return Writer(self.request, self.input, self.outcome, self)
+        return Writer(self.request, self.input, self.outcome, self.progress)

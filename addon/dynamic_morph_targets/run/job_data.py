@@ -8,17 +8,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..core.baked import Bake
 from ..core.character import Character, Follower
 from ..core.judge import Limits, Verdict
+from ..core.model import Model
 from ..core.rig_samples import RigSamples
 from ..core.settings import OutputSettings, SimulationSettings
 from ..io.cache_dir import CacheDir
-
-if TYPE_CHECKING:  # it needs the engine
-    from ..core.model import Model
 
 
 # The stages of a build in an artist's words.

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
@@ -14,13 +13,11 @@ from mathutils import Euler, Matrix
 
 from ..core.errors import SceneError, SinkError
 from ..core.geometry import smooth_step
+from ..core.player import Player
 from ..core.rig_samples import RigSamples
 from ..scene import events, references, rig_motion, skin
 from ..write import live_key, muting
 from . import live, session
-
-if TYPE_CHECKING:  # it needs the engine
-    from ..core.player import Player
 
 SECONDS = 2.5  # a shake test
 REST = 0.1  # seconds of it before it moves

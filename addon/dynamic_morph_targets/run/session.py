@@ -7,16 +7,17 @@ import math
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
 
-from ..core import engine, errors, rig_samples
+from ..core import errors, rig_samples, simulate
+from ..core import followers as carrying
 from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
 from ..core.geometry import interpolated
 from ..core.message import joined
+from ..core.player import Frame, Player, State
 from ..core.rig_samples import RigSamples
 from ..core.settings import Material, SimulationSettings
 from ..scene import (
@@ -36,9 +37,6 @@ from ..write import comparison, live_key
 from ..write.reconcile import reconcile
 from .live_surface import LiveMesh, Move, by_modes, by_nodes
 
-if TYPE_CHECKING:  # it needs the engine
-    from ..core.player import Frame, State
-
 # Frames whose rig is read at once; the setup costs as much as five frames, and more frames would be noticed as a
 # stutter.
 BLOCK = 16
@@ -55,10 +53,7 @@ class Tissue:
     def __init__(self, obj: bpy.types.Object, scene: bpy.types.Scene):
         reconcile(obj)
         self.model, self.character = model_store.current_model(obj)
-        _, simulate = engine.engine()
-        from ..core import followers as carrying  # which needs it
-
-        self.player = simulate.Player(self.model, self.character, simulation_settings(obj, scene))
+        self.player = Player(self.model, self.character, simulation_settings(obj, scene))
         self.probe = probe.Probe(obj, self.model, self.character) if self.player.probed else None
         self.dofs = len(self.player.amounts.gains)
         self.modes = self.dofs if self.model.settings.solver == "REDUCED" else 0  # that can be shown one by one
@@ -97,7 +92,6 @@ class Tissue:
     @cached_property
     def _node_modes(self) -> np.ndarray:
         """The modes of the nodes (r, n, 3), bind space."""
-        _, simulate = engine.engine()
         return simulate.node_modes(self.model, self.model.modes.T)
 
     @property

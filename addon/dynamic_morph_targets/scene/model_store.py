@@ -11,9 +11,10 @@ import bpy
 import numpy as np
 
 from .. import preferences
-from ..core import engine, errors
+from ..core import build, errors
 from ..core.errors import SceneError
 from ..core.message import joined
+from ..core.model import Model
 from ..io import model_file
 from . import extract
 from .skin import find
@@ -65,11 +66,10 @@ def load_model(obj):
 
 @lru_cache(maxsize=4)
 def _load(session_uid: int, _content_id: str):
-    build, _ = engine.engine()
     obj = find(session_uid)
     content = stored_model(obj)
     try:
-        return build.Model.from_arrays(*model_file.unpack(content))
+        return Model.from_arrays(*model_file.unpack(content))
     except errors.ModelFileError as error:
         if PACKED in obj:
             raise errors.ModelFileError("'{name}': {error}", name=obj.name, error=errors.sentence(error)) from error
@@ -85,7 +85,6 @@ def forget():
 
 def stale_reasons(obj, character) -> list[str]:
     """Why the model of `obj` must be built (again); empty when it is up to date."""
-    build, _ = engine.engine()
     try:
         model = load_model(obj)
     except errors.ModelFileError as error:

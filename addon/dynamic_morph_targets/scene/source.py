@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a character is read from: one mesh object with its rig, of which each answer is asked of Blender once."""
+"""What a character is read from: a mesh object and its rig. Each question is asked of Blender once."""
 
 from __future__ import annotations
 

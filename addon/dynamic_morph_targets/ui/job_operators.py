@@ -122,9 +122,9 @@ class JobOperator(SoftSkinOperator):
     def _done(self, batch):
         expected_error.begin(batch.jobs)
         for job in batch.jobs:
-            built_first = job.input.is_bake and job.reasons
+            built_first = job.input.is_bake and job.input.reasons
             text = "{name}: {result} (built first: {reasons})" if built_first else "{name}: {result}"
-            reasons = joined("; ", job.reasons)
+            reasons = joined("; ", job.input.reasons)
             message = Message(text, name=job.name, result=job.summary(), reasons=reasons)
             self.report({"INFO"}, translated(message, rpt_))
             if job.outcome.rehearsed:

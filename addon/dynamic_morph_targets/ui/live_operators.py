@@ -17,6 +17,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty
 from bpy.types import Operator
 from mathutils import Matrix
 
+from ..core import compare
 from ..core.character import target_labels
 from ..core.errors import SceneError
 from ..run import live, preview, task
@@ -322,8 +323,6 @@ class DYNAMORPH_OT_check_targets(JobOperator, Operator):
     @staticmethod
     def _misses(obj) -> task.Chunks[list[str]]:
         model, character = model_store.current_model(obj)
-        from ..core import compare  # needs the engine, which is there now
-
         misses = yield from task.in_thread(partial(compare.residuals, model, character), "Checking targets")
         labels = zip(target_labels(character.target_sets), character.targets, strict=True)
         return [f"{label}: {1000 * misses[target.name]:.3f} mm" for label, target in labels]

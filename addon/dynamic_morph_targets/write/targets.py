@@ -11,7 +11,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from mathutils import Matrix
 from mathutils.kdtree import KDTree
 
-from ..core import engine
+from ..core import engine, posing
 from ..core.character import Character, Skeleton
 from ..core.errors import SceneError
 from ..core.geometry import diagonal, turned
@@ -84,9 +84,6 @@ def blended_shape(obj, local: np.ndarray) -> np.ndarray:
 
 def _blend(character: Character, local: np.ndarray) -> np.ndarray:
     """The shape (V, 3), local space, of a character's blended targets in a pose (B, 4, 4)."""
-    engine.engine()
-    from ..core import posing  # which needs it
-
     if not character.target_sets:
         return np.zeros_like(character.vertices)
     weights = posing.pose_space(character).weights(local[None])[0]
