@@ -40,7 +40,7 @@ def add_character(name: str, thickness: float) -> tuple[bpy.types.Object, bpy.ty
     obj.parent = rig
     obj.modifiers.new("Armature", "ARMATURE").object = rig
     bones = zip(rig.data.bones.keys(), limb.skin_weights(vertices).T, strict=True)
-    add_vertex_groups(obj, dict(bones) | {limb.SOFT: limb.softness(vertices)})
+    add_vertex_groups(obj, dict(bones) | {limb.FIRMNESS: 1 - limb.softness(vertices) / 2})
     add_shape_keys(obj, vertices * thick, {key: shape * thick for key, shape in bulges.items()})
     return obj, rig
 
@@ -63,7 +63,7 @@ def make(path: Path, period: int):
         animate(rig, period)
         flexed = {"Flexed": (1 + period // 2, {"stiffness": 150e3, "stiffness_damping": 0.0015})}
         add_soft_skin(obj, {"stiffness": 15e3}, flexed)
-        obj.dynamorph.soft_group = limb.SOFT
+        obj.dynamorph.firmness_group = limb.FIRMNESS
         obj.dynamorph.model.modes = MODES
     save_scene(path)
 

@@ -49,7 +49,7 @@ FRAMES = 160
 SKIN_COLOR = np.array([0.03, 0.36, 0.37])
 BAND_COLOR = np.array([0.86, 0.40, 0.13])
 
-SOFT = "Soft"  # vertex group: 1 soft, 0 held by the bones
+FIRMNESS = "Firmness"  # vertex group: 0.5 as the targets are, 1 held by the bones
 # The sculpted targets as lumps: (side, x, width along x, spread around, height); side +1 is the inside.
 SHAPES = {
     "Half bend": ((1, 0.205, 0.066, 0.5, 0.016), (1, 0.47, 0.06, 0.5, 0.004), (-1, 0.33, 0.06, 0.5, 0.005)),
@@ -221,7 +221,7 @@ def add_limb(rig: bpy.types.Object) -> bpy.types.Object:
     modifier = limb.modifiers.new("Armature", "ARMATURE")
     modifier.object = rig
     groups = {bone.name: column for bone, column in zip(rig.data.bones, skin_weights(vertices).T, strict=True)}
-    add_vertex_groups(limb, groups | {SOFT: softness(vertices)})
+    add_vertex_groups(limb, groups | {FIRMNESS: 1 - softness(vertices) / 2})
     add_shape_keys(limb, vertices, {name: sculpt(vertices, lumps) for name, lumps in SHAPES.items()})
     return limb
 
@@ -267,5 +267,5 @@ def make(path: Path) -> None:
     add_push(rig)
     add_soft_skin(limb, SOFT_FLESH, TARGETS)
     assign(limb.dynamorph.model, MODEL)
-    limb.dynamorph.soft_group = SOFT
+    limb.dynamorph.firmness_group = FIRMNESS
     save_scene(path)

@@ -56,7 +56,7 @@ TUCK = {
     "legs/{s}-upperleg-fat-incr": 0.9,
     "buttocks/buttocks-volume-incr": 0.9,
 }
-SOFT = "Soft"  # vertex group: 1 soft, 0 held by the bones
+FIRMNESS = "Firmness"  # vertex group: 0.5 as the targets are, 1 held by the bones
 SOFT_BONES = ("pelvis", "spine_01", "spine_02", "spine_03", "thigh_l", "thigh_r")
 
 # Stiffness in Pa and the two Rayleigh dampings of each target.
@@ -258,7 +258,7 @@ def add_body(human: Human, bones: Skeleton, rig: bpy.types.Object) -> bpy.types.
         "color", colors(vertices, edge).astype(np.float32).ravel()
     )
     soft = softness(weights, bones, vertices)
-    add_vertex_groups(body, weights | {SOFT: soft})
+    add_vertex_groups(body, weights | {FIRMNESS: 1 - soft / 2})
     add_shape_keys(body, vertices, sculpt(used, soft, quads))
     skin(body, rig)
     finer = body.modifiers.new("Subdivision", "SUBSURF")
@@ -372,5 +372,5 @@ def make(path: Path) -> None:
     for soft_target in body.dynamorph.targets[1:]:
         soft_target.set_bones(SPINE)
     assign(body.dynamorph.model, MODEL)
-    body.dynamorph.soft_group = SOFT
+    body.dynamorph.firmness_group = FIRMNESS
     save_scene(path)

@@ -59,7 +59,7 @@ SHAKES = (176, 234)  # the same shake twice: of the folded arm and of the relaxe
 SHAKE = (0.0, 2.0, -2.0, 2.0, -2.0, 0.0)  # degrees that the stand turns, a key every other frame
 FRAMES = 260
 
-SOFT, ELBOW = "Soft", "Elbow"  # vertex groups: 1 soft, 0 held by the bones; the elbow's region weights
+FIRMNESS, ELBOW = "Firmness", "Elbow"  # vertex groups: 1 held by the bones; the elbow's region weights
 SKIN_COLOR, CUT_COLOR = (0.42, 0.19, 0.115), (0.03, 0.028, 0.03)
 
 # Stiffness in Pa and the two Rayleigh dampings of each target; the frame at which its pose is captured.
@@ -144,7 +144,7 @@ def add_skin(rig: bpy.types.Object, bust: Bust) -> bpy.types.Object:
     skin.parent = rig
     skin.modifiers.new("Armature", "ARMATURE").object = rig
     groups = dict(zip(BONES, bust.weights.T, strict=True))
-    add_vertex_groups(skin, groups | {SOFT: softness(bust), ELBOW: elbow_region(bust)})
+    add_vertex_groups(skin, groups | {FIRMNESS: 1 - softness(bust) / 2, ELBOW: elbow_region(bust)})
     add_shape_keys(skin, bust.vertices, shoulder_shapes(bust) | elbow_shapes(bust))
     return skin
 
@@ -193,5 +193,5 @@ def make(path: Path) -> None:
     for target in skin.dynamorph.targets[1:]:
         target.set_bones(PLACED_BY[target.name])
     assign(skin.dynamorph.model, MODEL)
-    skin.dynamorph.soft_group = SOFT
+    skin.dynamorph.firmness_group = FIRMNESS
     save_scene(path)

@@ -195,7 +195,7 @@ class Shot:
 
     def middle(self, frame: int) -> np.ndarray:
         """Of the soft skin (3,), as the bones move it, world space."""
-        return self.world(np.zeros_like(self.rest), frame)[self.character.softness > 0.5].mean(axis=0)
+        return self.world(np.zeros_like(self.rest), frame)[self.character.firmness < 0.75].mean(axis=0)
 
     def part(self, first: int, last: int) -> Shot:
         """The frames from first to last."""

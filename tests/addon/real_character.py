@@ -61,12 +61,12 @@ def make_soft(clip: str):
 
 
 def _hold_extremities(body):
-    """A vertex group for Soft: everything but head, hands and feet."""
-    soft = body.vertex_groups.new(name="Soft")
+    """A vertex group for Firmness: head, hands and feet are held."""
+    firm = body.vertex_groups.new(name="Firmness")
     held = {group.index for group in body.vertex_groups if group.name.split("_")[0] in HELD}
     for vertex in body.data.vertices:
-        soft.add([vertex.index], 1.0 - sum(g.weight for g in vertex.groups if g.group in held), "REPLACE")
-    body.dynamorph.soft_group = soft.name
+        firm.add([vertex.index], 0.5 + 0.5 * sum(g.weight for g in vertex.groups if g.group in held), "REPLACE")
+    body.dynamorph.firmness_group = firm.name
 
 
 def _pose(rig, turned: dict[str, float]):

@@ -99,7 +99,7 @@ def target_selected(obj):
 def painting(obj):
     """One side of the stiffness map."""
     activate(obj)
-    bpy.ops.dynamorph.paint_group(which="STIFFNESS")
+    bpy.ops.dynamorph.paint_firmness()
     obj.vertex_groups.active.add([vertex.index for vertex in obj.data.vertices if vertex.co.x < 0.0], 1.0, "REPLACE")
 
 
@@ -155,12 +155,6 @@ def built(obj):
 
 def baked(obj):
     OPS.bake()
-
-
-def held(obj):
-    """Let the thickness of the body hold it."""
-    obj.dynamorph.model.hold = "THICKNESS"
-    built(obj)
 
 
 def judged(obj):
@@ -247,16 +241,14 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "free_bake": (baked, {}),
     "go_to_pose": (target_selected, {}),
     "hold_bones": (bones_selected, {}),
-    "hold_to_group": (held, {}),
     "live": (built, {}),
     "load_preset": (preset_saved, {"filepath": str(PRESET), "menu_idname": "DYNAMORPH_PT_material_presets"}),
     "load_setup": (setup_saved, {"filepath": SETUP}),
-    "mirror_map": (painting, {"to": "LEFT"}),
+    "mirror_firmness": (painting, {"to": "LEFT"}),
     "mirror_target": (two_sides, {}),
     "move_target": (two_targets, {"direction": "DOWN"}),
     "new_from_pose": (posed, {"key": "Bent"}),
-    "paint_group": (target_selected, {"which": "SOFT"}),
-    "refine_cage": (judged, {}),
+    "paint_firmness": (target_selected, {}),
     "rehearse": (target_selected, {}),
     "region_from_sculpt": (target_selected, {}),
     "remove_bone": (target_selected, {"bone": "lower"}),

@@ -350,28 +350,17 @@ def test_a_sculpt_goes_on_across_a_seam(figure):
     assert OPS.check_targets() == {"FINISHED"}
 
 
-def test_soft_groups_of_the_other_meshes_count(figure):
+def test_firmness_of_the_other_meshes_counts(figure):
     body, top = figure["Body"], figure["Top"]
-    for obj, weight in ((body, 1.0), (top, 0.25)):
-        group = obj.vertex_groups.new(name="Soft")
+    for obj, weight in ((body, 0.5), (top, 0.25)):
+        group = obj.vertex_groups.new(name="Firm")
         group.add(range(len(obj.data.vertices)), weight, "REPLACE")
-    body.dynamorph.soft_group = "Soft"
+    body.dynamorph.firmness_group = "Firm"
     character = part("extract").character(body)
     seam = character.coincident[character.parts[0].members] < character.own_vertices.stop
-    assert (character.softness[character.own_vertices] == 1.0).all()
-    assert character.softness[character.parts[0].members][~seam][:-16] == pytest.approx(0.25)
-    assert (character.softness[character.parts[1].members] == 0.0).all()  # it is held nevertheless
-
-
-def test_softness_from_the_hold_goes_to_all_meshes_of_the_body(figure):
-    body, top = figure["Body"], figure["Top"]
-    body.dynamorph.model.hold = "THICKNESS"
-    OPS.build()
-    before = part("heat").holds(body)[top.session_uid]
-    OPS.hold_to_group()
-    assert part("mesh_data").group_weights(top, ["Soft"])[:, 0] == pytest.approx(1.0 - before, abs=1e-3)
-    OPS.build()
-    assert np.abs(part("heat").holds(body)[top.session_uid] - before).mean() < 0.15
+    assert (character.firmness[character.own_vertices] == 0.5).all()
+    assert character.firmness[character.parts[0].members][~seam] == pytest.approx(0.25)
+    assert (character.rigidity[character.parts[1].members] == 1.0).all()  # it is held nevertheless
 
 
 def test_a_setup_keeps_the_attachments_of_other_meshes(figure, tmp_path):
@@ -435,7 +424,7 @@ def hard_robot(scene):
 def test_a_wholly_hard_character_is_recognized(scene):
     obj = hard_robot(scene)
     OPS.add_soft_skin()
-    text = "'Merged': nothing soft found: paint the Softness Map"
+    text = "'Merged': nothing soft found: paint Firmness"
     assert obj.dynamorph.targets and obj.dynamorph.model.warnings == text
     assert text in " ".join(drawn(obj))
     obj.dynamorph.model.method = "SINGLE"
@@ -449,8 +438,8 @@ def test_the_artist_can_make_something_hard_soft(scene, way):
     OPS.add_soft_skin()
     prepare(obj)
     if way == "paint":
-        obj.vertex_groups.new(name="Soft").add(range(len(obj.data.vertices)), 1.0, "REPLACE")
-        obj.dynamorph.soft_group = "Soft"
+        obj.vertex_groups.new(name="Firm").add(range(len(obj.data.vertices)), 0.0, "REPLACE")
+        obj.dynamorph.firmness_group = "Firm"
         obj.dynamorph.pieces.clear()
     else:
         obj.dynamorph.pieces[0].choice = "WITH_BODY"
@@ -532,11 +521,15 @@ def test_a_plain_tube_has_no_head(scene):
     assert obj.dynamorph.model.head == "" and "No head was found" in drawn(obj, "DYNAMORPH_PT_physics")
 
 
-def test_painted_softness_counts_on_a_head(scene):
+def test_soft_paint_frees_a_head(scene):
     obj = chain_figure(scene)
-    obj.vertex_groups.new(name="Soft").add(range(len(obj.data.vertices)), 1.0, "REPLACE")
-    obj.dynamorph.soft_group = "Soft"
-    assert not part("extract").character(obj, without_targets=True).rigidity.any()
+    by_itself = part("extract").character(obj, without_targets=True).rigidity
+    group = obj.vertex_groups.new(name="Firm")
+    obj.dynamorph.firmness_group = "Firm"
+    for weight, remains in ((0.9, 1.0), (0.25, 0.5), (0.0, 0.0)):
+        group.add(range(len(obj.data.vertices)), weight, "REPLACE")
+        rigidity = part("extract").character(obj, without_targets=True).rigidity
+        np.testing.assert_array_equal(rigidity, remains * by_itself)
 
 
 # The arrays ----------------------------------------------------------------------------------------------------------

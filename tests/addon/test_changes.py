@@ -37,7 +37,7 @@ SETTINGS = [
     ("targets[1].region", "lower", 'Region of "flexed" changed'),
     ("model.modes", 7, "Detail (Modes) changed"),
     ("model.blending", "FORCES", "Between Targets changed"),
-    ("soft_group", "lower", "Softness Map changed"),
+    ("firmness_group", "lower", "Firmness changed"),
     ("simulation.substeps", 9, "Substeps Per Frame changed"),
     ("simulation.scheme", "EULER", "Integrator changed"),
     ("simulation.gravity", 0.5, "Gravity changed"),

@@ -449,143 +449,75 @@ def test_fitting_to_the_shot_needs_no_shot_for_the_cage(coarse_arm):
     assert not job.input.has_shot
 
 
-# Painted groups ----------------------------------------------------------------------------------------------------
+# Firmness ----------------------------------------------------------------------------------------------------------
 
 
-def weights(obj, name):
-    return part("mesh_data").group_weights(obj, [name])[:, 0]
+def weights(obj):
+    return part("mesh_data").group_weights(obj, ["Firmness"])[:, 0]
 
 
-@pytest.mark.parametrize("which, name, start", [("SOFT", "Soft", 1.0), ("STIFFNESS", "Stiffness", 0.0)])
 @pytest.mark.parametrize("mode", ["OBJECT", "SCULPT", "EDIT"])
-def test_paint_and_back(soft_arm, which, name, start, mode):
+def test_paint_and_back(soft_arm, mode):
     bpy.ops.object.mode_set(mode=mode)
     groups = [*soft_arm.vertex_groups.keys()]
-    assert OPS.paint_group(which=which) == {"FINISHED"}
-    assert soft_arm.mode == "WEIGHT_PAINT" and soft_arm.vertex_groups.active.name == name
-    assert [*soft_arm.vertex_groups.keys()] == [*groups, name]
-    assert getattr(soft_arm.dynamorph, name.lower() + "_group") == name
-    assert (weights(soft_arm, name) == start).all()
-    assert OPS.paint_group(which=which) == {"FINISHED"}
-    assert soft_arm.mode == mode
-    OPS.paint_group(which=which)  # the group that exists
-    assert [*soft_arm.vertex_groups.keys()] == [*groups, name]
+    assert OPS.paint_firmness() == {"FINISHED"}
+    assert soft_arm.mode == "WEIGHT_PAINT" and soft_arm.vertex_groups.active.name == "Firmness"
+    assert [*soft_arm.vertex_groups.keys()] == [*groups, "Firmness"]
+    assert soft_arm.dynamorph.firmness_group == "Firmness"
+    assert (weights(soft_arm) == 0.5).all() and "paint.weight_set" in drawn(soft_arm)
+    assert OPS.paint_firmness() == {"FINISHED"}
+    assert soft_arm.mode == mode and "paint.weight_set" not in drawn(soft_arm)
+    OPS.paint_firmness()  # the group that exists
+    assert [*soft_arm.vertex_groups.keys()] == [*groups, "Firmness"]
 
 
 def test_paint_from_pose_mode_and_back(soft_arm):
     rig = rig_of(soft_arm)
     activate(rig)
     bpy.ops.object.mode_set(mode="POSE")
-    OPS.paint_group(which="SOFT")
+    OPS.paint_firmness()
     assert bpy.context.object == soft_arm and soft_arm.mode == "WEIGHT_PAINT"
-    OPS.paint_group(which="STIFFNESS")
-    assert soft_arm.mode == "WEIGHT_PAINT" and soft_arm.vertex_groups.active.name == "Stiffness"
-    OPS.paint_group(which="STIFFNESS")
+    OPS.paint_firmness()
     assert bpy.context.object == rig and rig.mode == "POSE" and soft_arm.mode == "OBJECT"
     activate(soft_arm)
-    OPS.paint_group(which="SOFT")
-    OPS.paint_group(which="SOFT")
+    OPS.paint_firmness()
+    OPS.paint_firmness()
     assert bpy.context.object == soft_arm and soft_arm.mode == "OBJECT"
-
-
-def brush_weight() -> float:
-    tools = bpy.context.scene.tool_settings
-    shared = getattr(tools.weight_paint, "unified_paint_settings", None) or tools.unified_paint_settings
-    return shared.weight
-
-
-@pytest.mark.parametrize("which, first", [("SOFT", 0.0), ("STIFFNESS", 1.0)])
-def test_the_first_stroke_shows(soft_arm, which, first):
-    OPS.paint_group(which=which)
-    assert brush_weight() == first and "paint.weight_set" in drawn(soft_arm)
-    bpy.ops.paint.weight_set()
-    assert (weights(soft_arm, soft_arm.vertex_groups.active.name) == first).all()
-    OPS.paint_group(which=which)
-    assert "paint.weight_set" not in drawn(soft_arm)
-    OPS.paint_group(which=which)
-    assert brush_weight() == 1.0 - first
-    soft_arm.vertex_groups.active.add([1, 2, 3], 0.5, "REPLACE")
-    OPS.paint_group(which=which)
-    tools = bpy.context.scene.tool_settings
-    (getattr(tools.weight_paint, "unified_paint_settings", None) or tools.unified_paint_settings).weight = 0.25
-    OPS.paint_group(which=which)
-    assert brush_weight() == 0.25  # a painted map belongs to the artist
-
-
-@pytest.fixture
-def held_arm(soft_arm):
-    """A coarse cage, held by the thickness of the body."""
-    soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 300, 8
-    soft_arm.dynamorph.model.hold = "THICKNESS"
-    soft_arm.dynamorph.model.method = "SINGLE"
-    OPS.build()
-    return soft_arm
-
-
-def test_the_hold_becomes_a_group(held_arm):
-    hold = part("heat").holds(held_arm)[held_arm.session_uid]
-    assert hold.shape == (len(held_arm.data.vertices),) and 0.0 <= hold.min() < hold.max() <= 1.0
-    assert OPS.hold_to_group() == {"FINISHED"}
-    assert held_arm.dynamorph.soft_group == "Soft" and held_arm.vertex_groups.active.name == "Soft"
-    np.testing.assert_allclose(weights(held_arm, "Soft"), 1.0 - hold, atol=1e-3)
-    assert part("staleness").model_age(held_arm)
-    held_arm.dynamorph.soft_group = "mine"
-    held_arm.vertex_groups.new(name="mine")
-    OPS.hold_to_group()
-    np.testing.assert_allclose(weights(held_arm, "mine"), 1.0 - hold, atol=1e-3)
-
-
-def test_painting_softness_begins_with_the_hold(held_arm):
-    hold = part("heat").holds(held_arm)[held_arm.session_uid]
-    OPS.paint_group(which="SOFT")
-    np.testing.assert_allclose(weights(held_arm, "Soft"), 1.0 - hold, atol=1e-3)
-
-
-def test_without_a_hold_there_is_nothing_to_paint_over(soft_arm):
-    assert not OPS.hold_to_group.poll()
-    soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 200, 8
-    OPS.build()
-    refused(OPS.hold_to_group, "no model with a hold by thickness")
 
 
 def test_a_hidden_mesh_is_not_painted(soft_arm):
     activate(rig_of(soft_arm))
     soft_arm.hide_viewport = True
-    refused(OPS.paint_group, "'Arm' is hidden: show it")
-    assert "Soft" not in soft_arm.vertex_groups
+    refused(OPS.paint_firmness, "'Arm' is hidden: show it")
+    assert "Firmness" not in soft_arm.vertex_groups
 
 
-def test_stiffness_group(soft_arm):
+def test_what_is_not_painted_stays_as_it_is(soft_arm):
     extract, errors = part("extract"), part("errors")
-    np.testing.assert_array_equal(extract.character(soft_arm).stiffness, 1.0)
-    soft_arm.vertex_groups.new(name="Firm").add([1, 2], 0.5, "REPLACE")
+    np.testing.assert_array_equal(extract.character(soft_arm).firmness, 0.5)
+    soft_arm.vertex_groups.new(name="Firm").add([1, 2], 0.25, "REPLACE")
     soft_arm.vertex_groups["Firm"].add([3], 1.0, "REPLACE")
-    soft_arm.dynamorph.stiffness_group = "Firm"
-    soft_arm.dynamorph.stiffness_factor = 9.0
-    stiffness = extract.character(soft_arm).stiffness
-    np.testing.assert_allclose(stiffness[:5], [1.0, 3.0, 3.0, 9.0, 1.0])
-    soft_arm.dynamorph.stiffness_factor = float("nan")
-    with pytest.raises(errors.SceneError, match="Stiffness Factor is nan, but must be a number from 0.01 to 100"):
-        extract.character(soft_arm)
-    soft_arm.dynamorph.stiffness_group = "Gone"
-    soft_arm.dynamorph.stiffness_factor = 4.0
-    with pytest.raises(errors.SceneError, match="'Arm'.*'Gone' for Stiffness is gone"):
+    soft_arm.dynamorph.firmness_group = "Firm"
+    np.testing.assert_array_equal(extract.character(soft_arm).firmness[:5], [0.5, 0.25, 0.25, 1.0, 0.5])
+    soft_arm.dynamorph.firmness_group = "Gone"
+    with pytest.raises(errors.SceneError, match="'Arm'.*'Gone' of Firmness is gone"):
         extract.character(soft_arm)
 
 
 def test_painting_makes_the_model_old(coarse_arm):
     with_target(coarse_arm)
     OPS.build()
-    OPS.paint_group(which="STIFFNESS")
-    assert part("staleness").model_changes(coarse_arm) == ["Stiffness Map changed"]
-    OPS.paint_group(which="STIFFNESS")
+    OPS.paint_firmness()
+    assert part("staleness").model_changes(coarse_arm) == ["Firmness changed"]
+    OPS.paint_firmness()
     OPS.bake()
     assert part("staleness").model_changes(coarse_arm) == []  # nothing is painted
-    OPS.paint_group(which="STIFFNESS")
-    coarse_arm.vertex_groups["Stiffness"].add([*range(100)], 1.0, "REPLACE")
-    OPS.paint_group(which="STIFFNESS")
-    assert coarse_arm.dynamorph.model.stale == "Stiffness vertex group changed"
+    OPS.paint_firmness()
+    coarse_arm.vertex_groups["Firmness"].add([*range(100)], 0.9, "REPLACE")
+    OPS.paint_firmness()
+    assert coarse_arm.dynamorph.model.stale == "Firmness changed"
     OPS.build()
     model = part("model_store").load_model(coarse_arm)
     assert model.stiffness.min() == pytest.approx(1.0, rel=0.1)
-    assert model.stiffness.max() == pytest.approx(4.0, rel=0.1) and (model.stiffness <= 4.0 + 1e-12).all()
+    assert model.stiffness.max() == pytest.approx(4.0, rel=0.1) and (model.stiffness <= 4.0 + 1e-6).all()
+    np.testing.assert_array_equal(model.unpainted.stiffness, 1.0)

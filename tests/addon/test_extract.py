@@ -166,7 +166,7 @@ def test_character_arrays(soft_arm):
     assert character.triangles.shape[1] == 3 and character.triangles.max() < len(vertices)
     np.testing.assert_allclose(character.weights.sum(axis=1), 1.0)
     np.testing.assert_allclose(character.to_bind, np.eye(3))
-    np.testing.assert_array_equal(character.softness, 1.0)
+    np.testing.assert_array_equal(character.firmness, 0.5)
     neutral, flexed = character.targets
     assert (neutral.name, flexed.name) == ("Neutral", "flexed")
     np.testing.assert_array_equal(neutral.shape, 0.0)
@@ -227,13 +227,6 @@ def test_an_armature_that_vanishes_is_refused_with_the_frame(soft_arm):
     rig.keyframe_insert("scale", frame=9)
     with pytest.raises(errors.SceneError, match="is scaled to zero at frame 9"):
         rig_motion.sample_rig(soft_arm, 1, 12, 2)
-
-
-def test_soft_group(soft_arm):
-    soft_arm.vertex_groups.new(name="Soft").add([1, 2], 0.25, "REPLACE")
-    soft_arm.dynamorph.soft_group = "Soft"
-    softness = part("extract").character(soft_arm).softness
-    assert softness[1] == 0.25 and softness.sum() == 0.5
 
 
 def test_to_bind_does_not_depend_on_rotation(soft_arm):
@@ -425,8 +418,8 @@ def edit_mode(obj):
     bpy.ops.object.mode_set(mode="EDIT")
 
 
-def soft_group_removed(obj):
-    obj.dynamorph.soft_group = "Soft"
+def firmness_removed(obj):
+    obj.dynamorph.firmness_group = "Firm"
 
 
 def no_faces(obj):
@@ -459,7 +452,7 @@ def zero_scale(obj):
         (bone_removed, "bone 'lower' of target 'flexed' is gone|'lower'"),
         (subdivided_first, "'Subdivision' comes before the Armature: move it below"),
         (edit_mode, "'Arm' is in Edit Mode"),
-        (soft_group_removed, "'Arm'.*'Soft'.*gone"),
+        (firmness_removed, "'Arm'.*'Firm'.*gone"),
         (no_faces, "'Arm' has no faces"),
         (zero_scale, "'Arm' is scaled to zero"),
         (basis_removed, "'Arm': target 'flexed' has become the Basis"),

@@ -74,10 +74,10 @@ def test_tuck_bulges_only_what_is_soft(herbert):
     character = part("extract").character(herbert)
     tuck = np.linalg.norm(character.targets[2].shape, axis=1)
     assert 0.05 < tuck.max() < 0.25
-    assert tuck[character.softness == 0].max() < 0.001
+    assert tuck[character.firmness == 1].max() < 0.001
     for bone in ("head", "hand_l", "foot_r"):
         column = character.weights[:, character.skeleton.names.index(bone)]
-        assert character.softness[column > 0.5].max() == 0
+        assert character.firmness[column > 0.5].min() == 1
 
 
 def test_flight_is_ballistic(herbert):

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What helps to paint a map: holding selected bones, blurring, mirroring, and the colors of the stiffness map."""
-
-from functools import partial
+"""What helps to paint Firmness: holding selected bones, blurring, mirroring, and its colors in the viewport."""
 
 import bpy
 import numpy as np
@@ -33,8 +31,8 @@ def select_bones(obj, *names):
 
 @pytest.fixture
 def painted_arm(soft_arm):
-    """The arm in Weight Paint on a softness map that is 1."""
-    OPS.paint_group(which="SOFT")
+    """The arm in Weight Paint on a new map."""
+    OPS.paint_firmness()
     return soft_arm
 
 
@@ -42,59 +40,59 @@ def painted_arm(soft_arm):
 
 
 def test_selected_bones_hold_their_skin(soft_arm):
-    """With a border of a few edges, over which softness rises."""
+    """With a border of a few edges, over which firmness falls."""
     select_bones(soft_arm, "lower")
     assert OPS.hold_bones() == {"FINISHED"}
-    assert soft_arm.dynamorph.soft_group == "Soft"
-    soft, lower, height = weights(soft_arm, "Soft"), weights(soft_arm, "lower"), points(soft_arm)[:, 2]
-    assert (soft[lower >= 0.5] == 0.0).all() and (soft[height < 0.3] == 1.0).all()
-    rings = np.array([soft[height == z].mean() for z in np.unique(height)])
-    assert (np.diff(rings) <= 0.0).all() and np.ptp(soft[height == height[0]]) == 0.0
-    border = (rings > 0.01) & (rings < 0.99)
-    assert 2 <= border.sum() <= 8 and np.abs(np.diff(rings)).max() < 0.55
+    assert soft_arm.dynamorph.firmness_group == "Firmness"
+    firm, lower, height = weights(soft_arm, "Firmness"), weights(soft_arm, "lower"), points(soft_arm)[:, 2]
+    assert (firm[lower >= 0.5] == 1.0).all() and (firm[height < 0.3] == 0.5).all()
+    rings = np.array([firm[height == z].mean() for z in np.unique(height)])
+    assert (np.diff(rings) >= 0.0).all() and np.ptp(firm[height == height[0]]) == 0.0
+    border = (rings > 0.505) & (rings < 0.995)
+    assert 2 <= border.sum() <= 8 and np.abs(np.diff(rings)).max() < 0.28
 
 
 @pytest.mark.parametrize("of_bone", [False, True])
 def test_a_new_map_takes_no_group_that_is_there(soft_arm, of_bone):
-    """Neither what the artist keeps in a group called Soft, nor the skin weights of such a bone."""
+    """Neither what the artist keeps in a group called Firmness, nor the skin weights of such a bone."""
     if of_bone:
-        rig_of(soft_arm).data.bones["lower"].name = "Soft"
+        rig_of(soft_arm).data.bones["lower"].name = "Firmness"
     else:
-        paint(soft_arm, "Soft", 0.25 + 0.0 * points(soft_arm)[:, 2])
-        soft_arm.dynamorph.soft_group = ""
-    before = weights(soft_arm, "Soft")
-    select_bones(soft_arm, "Soft" if of_bone else "lower")
+        paint(soft_arm, "Firmness", 0.25 + 0.0 * points(soft_arm)[:, 2])
+        soft_arm.dynamorph.firmness_group = ""
+    before = weights(soft_arm, "Firmness")
+    select_bones(soft_arm, "Firmness" if of_bone else "lower")
     OPS.hold_bones()
-    assert soft_arm.dynamorph.soft_group == "Soft 1" and np.array_equal(weights(soft_arm, "Soft"), before)
+    assert soft_arm.dynamorph.firmness_group == "Firmness 1" and np.array_equal(weights(soft_arm, "Firmness"), before)
 
 
 def test_a_locked_map_stays_as_it_is(painted_arm):
     select_bones(painted_arm, "lower")
-    painted_arm.vertex_groups["Soft"].lock_weight = True
-    before = weights(painted_arm, "Soft")
-    refused(OPS.hold_bones, "vertex group 'Soft' is locked")
-    refused(OPS.mirror_map, "vertex group 'Soft' is locked")
-    assert np.array_equal(weights(painted_arm, "Soft"), before)
+    painted_arm.vertex_groups["Firmness"].lock_weight = True
+    before = weights(painted_arm, "Firmness")
+    refused(OPS.hold_bones, "vertex group 'Firmness' is locked")
+    refused(OPS.mirror_firmness, "vertex group 'Firmness' is locked")
+    assert np.array_equal(weights(painted_arm, "Firmness"), before)
 
 
-def test_what_is_held_already_stays_so(soft_arm):
-    paint(soft_arm, "Mine", 0.25 + 0.0 * points(soft_arm)[:, 2])
-    soft_arm.dynamorph.soft_group = "Mine"
+def test_what_is_firm_already_stays_so(soft_arm):
+    paint(soft_arm, "Mine", 0.75 + 0.0 * points(soft_arm)[:, 2])
+    soft_arm.dynamorph.firmness_group = "Mine"
     select_bones(soft_arm, "lower")
     OPS.hold_bones()
-    soft, lower = weights(soft_arm, "Mine"), weights(soft_arm, "lower")
-    assert "Soft" not in soft_arm.vertex_groups and soft.max() == pytest.approx(0.25)
-    assert (soft[lower >= 0.5] == 0.0).all()
+    firm, lower = weights(soft_arm, "Mine"), weights(soft_arm, "lower")
+    assert "Firmness" not in soft_arm.vertex_groups and firm.min() == pytest.approx(0.75)
+    assert (firm[lower >= 0.5] == 1.0).all()
 
 
 def test_bones_are_held_while_painting(painted_arm):
     select_bones(painted_arm, "upper")
     bpy.ops.ed.undo_push(message="painting")
     OPS.hold_bones()
-    assert painted_arm.mode == "WEIGHT_PAINT" and weights(painted_arm, "Soft").min() == 0.0
+    assert painted_arm.mode == "WEIGHT_PAINT" and weights(painted_arm, "Firmness").max() == 1.0
     bpy.ops.ed.undo_push(message="held")
     bpy.ops.ed.undo()
-    assert weights(bpy.data.objects["Arm"], "Soft").min() == 1.0
+    assert weights(bpy.data.objects["Arm"], "Firmness").max() == 0.5
 
 
 def test_held_bones_make_the_model_old(soft_arm):
@@ -110,7 +108,7 @@ def test_bones_that_hold_nothing(soft_arm):
     select_bones(soft_arm, "lower")
     rig_of(soft_arm).data.bones["lower"].use_deform = False
     refused(OPS.hold_bones, "move no skin of 'Arm'")
-    assert "Soft" not in soft_arm.vertex_groups
+    assert "Firmness" not in soft_arm.vertex_groups
 
 
 # Blur and Mirror -----------------------------------------------------------------------------------------------------
@@ -119,10 +117,10 @@ def test_bones_that_hold_nothing(soft_arm):
 def test_blender_blurs_the_map(painted_arm):
     """As the button calls it; other groups stay."""
     height, lower = points(painted_arm)[:, 2], weights(painted_arm, "lower")
-    paint(painted_arm, "Soft", height > 1.0)
+    paint(painted_arm, "Firmness", height > 1.0)
     assert "object.vertex_group_smooth" in drawn(painted_arm)
     bpy.ops.object.vertex_group_smooth(group_select_mode="ACTIVE", factor=0.5, repeat=2)
-    soft = weights(painted_arm, "Soft")
+    soft = weights(painted_arm, "Firmness")
     near = np.abs(height - 1.0) < 0.2
     assert soft[near].min() > 0.01 and soft[near].max() < 0.99 and set(soft[np.abs(height - 1.0) > 0.5]) == {0.0, 1.0}
     np.testing.assert_array_equal(weights(painted_arm, "lower"), lower)
@@ -132,87 +130,95 @@ def test_blender_blurs_the_map(painted_arm):
 def test_a_side_is_copied_to_the_other(painted_arm, to, kept):
     at, lower = points(painted_arm), weights(painted_arm, "lower")
     values = np.round(0.4 + at[:, 0] + 0.1 * at[:, 2], 3)
-    paint(painted_arm, "Soft", values)
-    OPS.mirror_map(to=to)
+    paint(painted_arm, "Firmness", values)
+    OPS.mirror_firmness(to=to)
     expected = np.round(0.4 + kept * np.abs(at[:, 0]) + 0.1 * at[:, 2], 3)
-    np.testing.assert_allclose(weights(painted_arm, "Soft"), expected, atol=1e-3)
+    np.testing.assert_allclose(weights(painted_arm, "Firmness"), expected, atol=1e-3)
     np.testing.assert_array_equal(weights(painted_arm, "lower"), lower)
 
 
-def test_the_stiffness_map_is_mirrored_too(soft_arm):
-    assert not OPS.mirror_map.poll()
-    OPS.paint_group(which="STIFFNESS")
-    paint(soft_arm, "Stiffness", points(soft_arm)[:, 0] > 0.1)
+def test_mirroring_is_undone(soft_arm):
+    assert not OPS.mirror_firmness.poll()
+    OPS.paint_firmness()
+    paint(soft_arm, "Firmness", points(soft_arm)[:, 0] > 0.1)
     bpy.ops.ed.undo_push(message="painted")
-    OPS.mirror_map(to="RIGHT")
-    assert (weights(soft_arm, "Stiffness") == (np.abs(points(soft_arm)[:, 0]) > 0.1)).all()
+    OPS.mirror_firmness(to="RIGHT")
+    assert (weights(soft_arm, "Firmness") == (np.abs(points(soft_arm)[:, 0]) > 0.1)).all()
     bpy.ops.ed.undo_push(message="mirrored")
     bpy.ops.ed.undo()
     arm = bpy.data.objects["Arm"]
-    assert (weights(arm, "Stiffness") == (points(arm)[:, 0] > 0.1)).all()
+    assert (weights(arm, "Firmness") == (points(arm)[:, 0] > 0.1)).all()
 
 
 def test_a_vertex_without_a_mirror_image_keeps_its_weight(painted_arm, capfd):
     painted_arm.data.shape_keys.reference_key.points[5].co.x -= 0.05
     values = (points(painted_arm)[:, 0] > 0.0).astype(float)
-    paint(painted_arm, "Soft", values)
-    OPS.mirror_map(to="RIGHT")
-    assert weights(painted_arm, "Soft")[5] == values[5]
+    paint(painted_arm, "Firmness", values)
+    OPS.mirror_firmness(to="RIGHT")
+    assert weights(painted_arm, "Firmness")[5] == values[5]
     assert "2 vertices have no mirror image" in capfd.readouterr().out
 
 
 def test_a_mesh_without_two_sides(scene, painted_arm):
     for point in painted_arm.data.shape_keys.reference_key.points:
         point.co.x += 3.0
-    refused(OPS.mirror_map, "'Arm' is not symmetric about its X axis")
+    refused(OPS.mirror_firmness, "'Arm' is not symmetric about its X axis")
 
 
 def test_the_tools_of_a_map(soft_arm):
-    assert "dynamorph.hold_bones" in drawn(soft_arm) and "dynamorph.mirror_map" not in drawn(soft_arm)
-    OPS.paint_group(which="STIFFNESS")
-    assert {"paint.weight_set", "object.vertex_group_smooth", "dynamorph.mirror_map"} <= set(drawn(soft_arm))
+    assert "dynamorph.hold_bones" in drawn(soft_arm) and "dynamorph.mirror_firmness" not in drawn(soft_arm)
+    OPS.paint_firmness()
+    assert {"paint.weight_set", "object.vertex_group_smooth", "dynamorph.mirror_firmness"} <= set(drawn(soft_arm))
 
 
-# Stiffness in the viewport -------------------------------------------------------------------------------------------
+# Firmness in the viewport --------------------------------------------------------------------------------------------
 
 
-def test_the_stiffness_map_colors_the_skin(soft_arm):
+def test_the_map_colors_the_skin(soft_arm):
     display, overlays, context = bpy.context.window_manager.dynamorph, part("overlays"), bpy.context
-    display.hold = True
-    display.stiffness = True
-    assert not display.hold and not display.heat
-    with pytest.raises(part("errors").SceneError, match="no stiffness map: press Paint"):
+    display.heat = True
+    display.firmness = True
+    assert not display.heat
+    with pytest.raises(part("errors").SceneError, match="has no model: press Build Model, or Paint"):
         overlays.painted(context, soft_arm)
-    OPS.paint_group(which="STIFFNESS")
-    soft_arm.dynamorph.stiffness_factor = 9.0
+    OPS.paint_firmness()
     values, title, texts = overlays.painted(context, soft_arm)
-    assert (title, texts) == ("Stiffness", ["x 1", "x 3", "x 9"]) and not values[soft_arm.session_uid].any()
-    paint(soft_arm, "Stiffness", points(soft_arm)[:, 2] > 1.0)
+    assert (title, texts) == ("Firmness", ["soft", "as it is", "held"]) and (values[soft_arm.session_uid] == 0.5).all()
+    paint(soft_arm, "Firmness", points(soft_arm)[:, 2] > 1.0)
     context.view_layer.update()
     shown = overlays.painted(context, soft_arm)[0][soft_arm.session_uid]
     np.testing.assert_array_equal(shown, points(soft_arm)[:, 2] > 1.0)
     display.heat = True
-    assert not display.stiffness
+    assert not display.firmness
     display.heat = False
+
+
+def test_what_is_held_by_itself_is_red_too(soft_arm):
+    soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 300, 8
+    soft_arm.dynamorph.model.hold, soft_arm.dynamorph.model.method = "THICKNESS", "SINGLE"
+    OPS.build()
+    (held,) = part("heat").firmness(soft_arm).values()
+    assert held.shape == (len(soft_arm.data.vertices),) and 0.5 <= held.min() < held.max() <= 1.0
+    OPS.paint_firmness()
+    paint(soft_arm, "Firmness", np.ones(len(held)))
+    bpy.context.view_layer.update()
+    assert (part("heat").firmness(soft_arm)[soft_arm.session_uid] == 1.0).all()
 
 
 def test_legends_have_values(soft_arm, monkeypatch):
     display, overlays, heat = bpy.context.window_manager.dynamorph, part("overlays"), part("heat")
     monkeypatch.setattr(heat, "displacements", lambda _obj: {})
-    monkeypatch.setattr(heat, "holds", lambda _obj: {})
     soft_arm.dynamorph.simulation.max_displacement = 0.05
     display.heat = True
     assert overlays.painted(bpy.context, soft_arm)[1:] == ("Displacement, of Size", ["0", "2.50%", "5.00%"])
-    display.hold = True
-    assert overlays.painted(bpy.context, soft_arm)[1:] == ("Hold", ["0 soft", "0.5", "1 held"])
-    display.hold = False
+    display.heat = False
     assert overlays.painted(bpy.context, soft_arm) is None
 
 
 def test_another_mesh_is_refused(scene, painted_arm):
     bpy.ops.object.mode_set(mode="OBJECT")
     activate(make_mesh(scene, "Plane", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)]))
-    assert not OPS.hold_bones.poll() and not OPS.mirror_map.poll()
+    assert not OPS.hold_bones.poll() and not OPS.mirror_firmness.poll()
 
 
 @pytest.mark.fault("G07")
@@ -225,8 +231,7 @@ def test_a_mesh_that_is_edited_on_another_object_is_refused(scene, soft_arm):
     bpy.context.view_layer.objects.active = soft_arm
     soft_arm.dynamorph.active_target_index = 1
     for press in (
-        partial(OPS.paint_group, which="SOFT"),
-        partial(OPS.paint_group, which="STIFFNESS"),
+        OPS.paint_firmness,
         OPS.sculpt_target,
     ):
         with pytest.raises(RuntimeError, match="is in Edit Mode on another object: leave it there first"):
@@ -235,4 +240,4 @@ def test_a_mesh_that_is_edited_on_another_object_is_refused(scene, soft_arm):
     bpy.context.view_layer.objects.active = other
     bpy.ops.object.mode_set(mode="OBJECT")
     bpy.context.view_layer.objects.active = soft_arm
-    assert OPS.paint_group(which="SOFT") == {"FINISHED"}
+    assert OPS.paint_firmness() == {"FINISHED"}

@@ -151,7 +151,7 @@ def test_nothing_but_state_live_and_bake_is_in_both_places(soft_arm, stand_in):
 def test_the_order_of_the_sections(soft_arm):
     panels = part("panels")
     titles = [section.label for section in panels.SIDEBAR_SECTIONS if section.parent == "sidebar"]
-    assert titles[:3] == ["Feel", "Softness", "Targets"] and titles[-1] == "Messages"
+    assert titles[:3] == ["Feel", "Firmness", "Targets"] and titles[-1] == "Messages"
     parents = {section.label: section.parent for section in panels.PHYSICS_SECTIONS}
     assert {parents[label] for label in ("Cage", "Detail", "Solver")} == {"advanced"}
 

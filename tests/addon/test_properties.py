@@ -249,7 +249,7 @@ def test_save_and_load(soft_arm, tmp_path):
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "arm.blend"))
     after = part("extract").character(bpy.data.objects["Arm"])
     assert after.targets[1].material.stiffness == pytest.approx(123_456.0)
-    for field in ("vertices", "triangles", "weights", "to_bind", "softness"):
+    for field in ("vertices", "triangles", "weights", "to_bind", "firmness"):
         np.testing.assert_array_equal(getattr(after, field), getattr(before, field))
     for old, new in zip(before.targets, after.targets, strict=True):
         assert (old.name, old.bones) == (new.name, new.bones)

@@ -37,7 +37,7 @@ def rename_everything(obj):
     for bone in rig.data.bones:
         bone.name = f"bone of {bone.name}"
     for group in obj.vertex_groups:
-        if group.name in ("Soft", "Stiff", "Tip"):
+        if group.name in ("Firm", "Tip"):
             group.name = f"group of {group.name}"
     for data in (obj, obj.data, keys_of(obj), rig, rig.data, *bpy.data.actions):
         data.name = f"new {data.name}"
@@ -50,10 +50,9 @@ def rename_everything(obj):
 
 @pytest.mark.fault("R02")
 def test_everything_is_renamed_after_a_bake(skin):
-    add_group(skin, "Soft", -1.0, 1.0)
-    add_group(skin, "Stiff", 0.0, 2.0)
+    add_group(skin, "Firm", -1.0, 1.0)
     add_group(skin, "Tip", 0.5, 1.5)
-    skin.dynamorph.soft_group, skin.dynamorph.stiffness_group = "Soft", "Stiff"
+    skin.dynamorph.firmness_group = "Firm"
     skin.dynamorph.targets[1].region = "Tip"
     before = names(skin)
     first = bake(skin).outcome.bake
@@ -63,7 +62,7 @@ def test_everything_is_renamed_after_a_bake(skin):
     assert (target.name, target.region, target.bone_names()) == (
         "key of flexed", "group of Tip", ("bone of lower",)
     )  # fmt: skip
-    assert (skin.dynamorph.soft_group, skin.dynamorph.stiffness_group) == ("group of Soft", "group of Stiff")
+    assert skin.dynamorph.firmness_group == "group of Firm"
     assert skin.dynamorph.model.stale == ""
     np.testing.assert_array_equal(motion(skin), shown)
     job = bake(skin)
@@ -76,18 +75,18 @@ def test_everything_is_renamed_after_a_bake(skin):
 
 
 def test_groups_swapped_sorted_or_removed_are_not_mistaken_for_renamed(soft_arm):
-    for name in ("Tip", "Soft"):
+    for name in ("Tip", "Firm"):
         soft_arm.vertex_groups.new(name=name).add([1], 1.0, "REPLACE")
-    soft_arm.dynamorph.soft_group = "Soft"
+    soft_arm.dynamorph.firmness_group = "Firm"
     bpy.context.view_layer.update()
     bpy.ops.object.vertex_group_sort(sort_type="NAME")
     bpy.context.view_layer.update()
-    assert soft_arm.dynamorph.soft_group == "Soft"
-    soft_arm.vertex_groups.remove(soft_arm.vertex_groups["Soft"])
+    assert soft_arm.dynamorph.firmness_group == "Firm"
+    soft_arm.vertex_groups.remove(soft_arm.vertex_groups["Firm"])
     soft_arm.vertex_groups.new(name="Hair")
     bpy.context.view_layer.update()
-    assert soft_arm.dynamorph.soft_group == "Soft"
-    with pytest.raises(part("errors").SceneError, match="'Soft' for Soft is gone"):
+    assert soft_arm.dynamorph.firmness_group == "Firm"
+    with pytest.raises(part("errors").SceneError, match="'Firm' of Firmness is gone"):
         part("extract").character(soft_arm)
 
 

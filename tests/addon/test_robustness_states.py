@@ -132,8 +132,8 @@ def target_in_edit_mode():
     OPS.sculpt_target(mode="EDIT")
 
 
-def painting_softness():
-    OPS.paint_group(which="SOFT")
+def painting_firmness():
+    OPS.paint_firmness()
 
 
 def live():
@@ -175,7 +175,7 @@ STATES = [
     mesh_deleted, bones_deleted, shape_keys_deleted, target_keys_deleted, geometry_deleted, groups_deleted,
     modifiers_deleted, mesh_not_in_the_scene, rig_not_in_the_scene, both_hidden, collection_excluded,
     mesh_in_edit_mode, mesh_in_sculpt_mode, mesh_in_weight_paint, target_in_sculpt_mode, target_in_edit_mode,
-    painting_softness, live, live_in_edit_mode, live_without_armature, live_without_its_key, rig_in_pose_mode,
+    painting_firmness, live, live_in_edit_mode, live_without_armature, live_without_its_key, rig_in_pose_mode,
     rig_in_edit_mode, rig_in_edit_mode_below_the_active_mesh,
 ]  # fmt: skip
 NOBODY = [no_active_object, camera_active, other_scene, mesh_deleted, mesh_not_in_the_scene, collection_excluded]

@@ -94,7 +94,7 @@ def test_targets_have_their_poses_and_materials(limb):
 
 def test_sculpted_shapes_are_sane(limb):
     character = part("extract").character(limb)
-    held = character.softness == 0
+    held = character.firmness == 1
     assert held.any()
     for target in character.targets[1:]:
         size = np.linalg.norm(target.shape, axis=1)
@@ -168,7 +168,7 @@ def test_script_reproduces_the_file(limb, tmp_path):
 def content(limb):
     """What matters of the scene as arrays: mesh, keys, weights, targets and the rig's motion."""
     character = part("extract").character(limb)
-    content = {name: getattr(character, name) for name in ("vertices", "triangles", "weights", "softness")}
+    content = {name: getattr(character, name) for name in ("vertices", "triangles", "weights", "firmness")}
     for target in character.targets:
         material = target.material
         content[f"shape {target.name}"] = target.shape

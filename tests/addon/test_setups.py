@@ -40,7 +40,7 @@ def rich(soft_arm):
         add_group(soft_arm, name, weights)
     smile = settings.targets["smile"]
     smile.mute, smile.radius, smile.region, smile.stiffness, smile.density = True, 0.7, "belly", 54_321.0, 900.1
-    settings.soft_group, settings.stiffness_group, settings.stiffness_factor = "loose", "belly", 3.3
+    settings.firmness_group = "loose"
     settings.model.law, settings.model.modes, settings.model.pin_radius = "STVK", 7, 0.31
     settings.simulation.scheme, settings.simulation.gravity, settings.simulation.substeps = "EULER", 0.3, 4
     settings.modes.add().gain = 0.4
@@ -94,7 +94,7 @@ def test_a_setup_holds_what_was_authored_and_no_results(rich, stand_in):
     assert set(setup["model"]) == set(vars(settings.ModelSettings()))
     assert set(vars(settings.Material())) < set(setup["targets"][0])
     assert setup["targets"][2]["bones"] == ["lower"] and set(setup["targets"][2]["pose"]) == {"upper", "lower"}
-    assert setup["skin"] == {"soft_group": "loose", "stiffness_group": "belly", "stiffness_factor": pytest.approx(3.3)}
+    assert setup["skin"] == {"firmness_group": "loose"}
     assert [mode["gain"] for mode in setup["modes"][:2]] == [pytest.approx(0.4), 1.0]
     part("setups").check(json.loads(json.dumps(setup)))
 
@@ -122,11 +122,11 @@ def test_on_another_character_what_is_missing_is_listed_and_skipped(scene, rich,
     rig_of(other).data.bones["upper"].name = "thigh"
     assert OPS.load_setup(filepath=str(file)) == {"FINISHED"}
     out = capfd.readouterr().out
-    assert "shape keys 'smile'; bones 'upper'; vertex groups 'loose', 'belly'" in out and out.count("Warning") == 1
+    assert "shape keys 'smile'; bones 'upper'; vertex groups 'loose'" in out and out.count("Warning") == 1
     settings = other.dynamorph
     assert [target.name for target in settings.targets] == ["Neutral", "flexed"]
     assert [bone.name for bone in settings.targets[1].pose] == ["lower"]
-    assert (settings.soft_group, settings.stiffness_group, settings.model.modes) == ("", "", 7)
+    assert (settings.firmness_group, settings.model.modes) == ("", 7)
     assert settings.targets[1].bone_names() == ("lower",)
     part("extract").character(other)
 
@@ -336,7 +336,7 @@ def test_what_a_file_leaves_out_stays(rich, tmp_path):
     path.write_text(json.dumps(small))
     OPS.load_setup(filepath=str(path))
     settings = rich.dynamorph
-    assert (settings.model.modes, settings.simulation.scheme, settings.soft_group) == (7, "EULER", "loose")
+    assert (settings.model.modes, settings.simulation.scheme, settings.firmness_group) == (7, "EULER", "loose")
     assert settings.targets[1].stiffness == part("settings").Material().stiffness
     assert len(settings.targets[1].pose) == 0  # every bone at rest
 

@@ -100,14 +100,12 @@ def test_a_wrong_part_leaves_the_rest(baked, wrong):
     [
         ("REHEARSE", "dynamorph.rehearse"),
         ("STIFFEN", "dynamorph.stiffen"),
-        ("CAGE", "dynamorph.refine_cage"),
-        ("SOFTNESS", "Paint Softness"),
         ("", None),
     ],
 )
 def test_one_button_mends_it(baked, remedy, button):
     baked.dynamorph.bake.verdict = said(remedy=remedy)
-    buttons = {"dynamorph.rehearse", "dynamorph.stiffen", "dynamorph.refine_cage", "Paint Softness"}
+    buttons = {"dynamorph.rehearse", "dynamorph.stiffen"}
     assert buttons & set(drawn(baked)) == ({button} if button else set())
     assert "Show Frame 7" in drawn(baked) and "heat" in drawn(baked)
 
@@ -210,14 +208,6 @@ def test_stiffen_needs_a_bounce(baked):
     refused(OPS.stiffen, "press Build Model first")
 
 
-def test_a_finer_cage(baked):
-    baked.dynamorph.model.cage_nodes = 300
-    OPS.refine_cage()
-    assert baked.dynamorph.model.cage_nodes == 600
-    baked.dynamorph.model.cage_nodes = 200_000
-    refused(OPS.refine_cage, "the maximum number of nodes")
-
-
 def test_rehearse_asks_the_job_for_it(baked, monkeypatch):
     job, asked = part("job"), []
     make = job.Job
@@ -236,9 +226,11 @@ def test_in_a_window_the_remedy_goes_on_to_a_bake(baked, monkeypatch):
     """In the background `bpy.ops` cannot be called as in a window, so the test looks at what is asked of it."""
     goes_on = []
     monkeypatch.setattr(part("job_operators"), "press", lambda _operator, name: goes_on.append(name))
-    before = baked.dynamorph.model.cage_nodes
-    assert Pressed(baked, operator="DYNAMORPH_OT_refine_cage").result == {"FINISHED"}
-    assert goes_on == ["dynamorph.bake"] and baked.dynamorph.model.cage_nodes == 2 * before
+    neutral = baked.dynamorph.targets[0]
+    neutral.set_references(0.5, 1.0, neutral.poisson)
+    before = neutral.bounce
+    assert Pressed(baked, operator="DYNAMORPH_OT_stiffen").result == {"FINISHED"}
+    assert goes_on == ["dynamorph.bake"] and neutral.bounce > before
 
 
 # The heat map ------------------------------------------------------------------------------------------------------
@@ -274,8 +266,8 @@ def test_what_cannot_be_colored_is_said(soft_arm):
     heat, errors = part("heat"), part("errors")
     with pytest.raises(errors.SceneError, match="turn Live on or press Bake"):
         heat.displacements(soft_arm)
-    with pytest.raises(errors.SceneError, match="no model with a hold by thickness"):
-        heat.holds(soft_arm)
+    with pytest.raises(errors.SceneError, match="has no model: press Build Model, or Paint"):
+        heat.firmness(soft_arm)
 
 
 def test_the_colored_surface_lies_on_the_mesh(scene, soft_arm):
@@ -298,9 +290,9 @@ def test_the_colored_surface_lies_on_the_mesh(scene, soft_arm):
 def test_only_one_thing_colors_the_surface(addon):
     display = bpy.context.window_manager.dynamorph
     display.heat = True
-    display.hold = True
-    assert display.hold and not display.heat
+    display.firmness = True
+    assert display.firmness and not display.heat
     display.heat = True
-    assert display.heat and not display.hold
+    assert display.heat and not display.firmness
     display.heat = False
     activate(bpy.context.object)

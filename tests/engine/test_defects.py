@@ -303,8 +303,6 @@ def soft(body: Body, cage_nodes: int) -> Character:
         triangles=body.triangles.astype(np.int32),
         to_bind=np.eye(3),
         weights=np.column_stack([weights, 0.0 * every]),
-        softness=every,
-        stiffness=every,
         bone_segments=body.bones,
         skeleton=Skeleton(("root", "tip"), np.array([-1, 0]), rest),
         target_sets=(TargetSet("Body", (neutral,), every),),

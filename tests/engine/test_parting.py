@@ -74,8 +74,7 @@ def character(skin, soft, pieces=None, **settings):
         triangles=triangles.astype(np.int32),
         to_bind=np.eye(3),
         weights=np.tile([1.0, 0.0], (len(vertices), 1)),
-        softness=soft(vertices).astype(float),
-        stiffness=every,
+        rigidity=1.0 - soft(vertices),
         bone_segments=np.full((1, 2, 3), 50.0),
         skeleton=Skeleton(("root",), np.array([-1]), at_rest),
         target_sets=(TargetSet("Fork", (neutral,), every),),
@@ -173,7 +172,7 @@ def test_a_part_that_nothing_holds_stays_with_its_bones():
     model = build(of)
     assert model.summary["held_parts"] == 1
     (warning,) = model.summary["warnings"]
-    assert "222 vertices at 'root'" in warning and "the Softness Map with 0" in warning
+    assert "222 vertices at 'root'" in warning and "Firmness with 1" in warning
     afloat = of.vertices[:, 2] > 0.3
     moved = pushed(model, of, of.vertices[:, 0] > 0.9)
     assert np.abs(moved[afloat]).max() == 0 and np.abs(moved[~afloat]).max() > 1e-3
@@ -202,7 +201,7 @@ def test_a_body_that_could_spin_about_its_bone_is_refused():
 def test_a_part_that_could_spin_about_its_bone_stays_with_it():
     limb = tube([[x, 0, 0] for x in np.linspace(0, 1, 21)], 0.1)
     of = pinned_along_a_bone(limb, ball(0.15, (0.5, 0.0, 0.6)))
-    of = replace(of, softness=np.where(of.vertices[:, 2] > 0.7, 0.0, 1.0))
+    of = replace(of, rigidity=np.where(of.vertices[:, 2] > 0.7, 1.0, 0.0))
     model = build(of)
     (warning,) = model.summary["warnings"]
     assert f"{len(limb[0])} vertices at 'root' is pinned only along a line" in warning

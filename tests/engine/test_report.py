@@ -42,8 +42,6 @@ def character():
         triangles=np.array(triangles, np.int32),
         to_bind=np.eye(3),
         weights=weights,
-        softness=every,
-        stiffness=every,
         bone_segments=np.array([[[0, 0, 0], [0, 0, 1]], [[0, 0, 1], [0, 0, 2]]], float),
         skeleton=SKELETON,
         target_sets=(TargetSet("Tube", targets, every),),

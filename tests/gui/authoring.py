@@ -71,70 +71,66 @@ def cage():
     assert differing(before) > 0.005, "the viewport shows no cage"
 
 
-@step("Paint where it is soft", picture=view)
+@step("Paint where it is softer", picture=view)
 def paint():
     yield from properties.press("dynamorph.cage")
     yield from close("cage", "advanced")
     yield from sidebar.fold("DYNAMORPH_PT_targets")
-    yield from sidebar.unfold("DYNAMORPH_PT_softness")
-    for name in ("dynamorph.soft_group", "dynamorph.stiffness_group"):
-        yield from sidebar.look_into(name)
+    yield from sidebar.unfold("DYNAMORPH_PT_firmness")
+    yield from sidebar.look_into("dynamorph.firmness_group")
     bpy.context.scene.frame_set(1)
-    paint_soft = "dynamorph.paint_group(which='SOFT')"
-    yield from sidebar.press(paint_soft)
+    settings().firmness_group = ""  # a map of its own
+    yield from sidebar.press("dynamorph.paint_firmness")
     yield from until(lambda: skin().mode == "WEIGHT_PAINT", "Weight Paint")
+    yield from stroke(0.0, 0.56, 0.58)
+    assert firmness().min() < 0.25 and firmness().max() == 0.5, "the stroke painted nothing"
+
+
+def firmness() -> np.ndarray:
+    return addon("scene.mesh_data").group_weights(skin(), [settings().firmness_group])[:, 0]
+
+
+def stroke(weight: float, start: float, end: float):
+    """Across the wrist, at these places along the arm."""
     tool = bpy.context.scene.tool_settings.weight_paint
     tool.unified_paint_settings.size = 2 * BRUSH
-    tool.unified_paint_settings.weight = tool.brush.weight = 0.0
-    wrist = np.linspace((0.56, -0.03, 0.03), (0.58, -0.03, -0.03), 6)
+    tool.unified_paint_settings.weight = tool.brush.weight = weight
+    wrist = np.linspace((start, -0.03, 0.03), (end, -0.03, -0.03), 6)
     yield from driver.drag([on_screen(point) for point in wrist])
-    weights = addon("scene.mesh_data").group_weights(skin(), ["Soft"])[:, 0]
-    assert weights.min() < 0.5 < 0.9 < weights.max(), "the stroke painted nothing"
 
 
 @step("Hold Selected Bones, and blur the border")
 def hold_bones():
-    weights = lambda: addon("scene.mesh_data").group_weights(skin(), ["Soft"])[:, 0]  # noqa: E731
-    painted, forearm = weights(), addon("scene.mesh_data").group_weights(skin(), [limb.BONES[1]])[:, 0]
+    painted, forearm = firmness(), addon("scene.mesh_data").group_weights(skin(), [limb.BONES[1]])[:, 0]
     for bone in rig().pose.bones:
         bone.select = bone.name == limb.BONES[1]  # not by hand
     yield from sidebar.press("dynamorph.hold_bones")
-    yield from until(lambda: (weights()[forearm > 0.5] == 0.0).all(), "the forearm to be held")
-    held = weights()
+    yield from until(lambda: (firmness()[forearm > 0.5] == 1.0).all(), "the forearm to be held")
+    held = firmness()
     yield from sidebar.press("object.vertex_group_smooth")
-    yield from until(lambda: not np.array_equal(weights(), held), "the blur")
-    assert np.abs(weights() - held).max() < 0.5
+    yield from until(lambda: not np.array_equal(firmness(), held), "the blur")
+    assert np.abs(firmness() - held).max() < 0.5
     for _ in range(2):
         yield from viewport.key("Z", ctrl=True)
-    yield from until(lambda: np.array_equal(weights(), painted), "both to be undone")
+    yield from until(lambda: np.array_equal(firmness(), painted), "both to be undone")
 
 
-@step("Done")
-def stop_painting():
-    yield from sidebar.press("dynamorph.paint_group(which='SOFT')")
-    yield from until(lambda: skin().mode == "OBJECT", "Object Mode")
-    assert settings().soft_group == "Soft"
-
-
-@step("Paint a stiffer wrist, and show it")
-def stiffness():
-    paint_stiffness = "dynamorph.paint_group(which='STIFFNESS')"
-    yield from sidebar.press(paint_stiffness)
-    yield from until(lambda: skin().mode == "WEIGHT_PAINT", "Weight Paint")
-    wrist = np.linspace((0.5, -0.03, 0.03), (0.5, -0.03, -0.03), 6)
-    yield from driver.drag([on_screen(point) for point in wrist])
-    yield from sidebar.press(paint_stiffness)
+@step("A firmer wrist, and its colors")
+def firmer():
+    yield from stroke(0.9, 0.5, 0.5)
+    assert firmness().max() > 0.7, "the stroke painted nothing"
+    yield from sidebar.press("dynamorph.paint_firmness")
     yield from until(lambda: skin().mode == "OBJECT", "Object Mode")
     before = driver.pixels(viewport.box)
-    yield from sidebar.press("dynamorph.stiffness")
+    yield from sidebar.press("dynamorph.firmness")
     yield from driver.drawn()
-    assert differing(before) > 0.01, "the viewport shows no stiffness"
+    assert differing(before) > 0.01, "the viewport shows no firmness"
     yield from driver.keep("stiffness", viewport)
-    yield from sidebar.press("dynamorph.stiffness")
-    settings().stiffness_group = ""  # the next steps are about an arm without one
-    skin().vertex_groups.remove(skin().vertex_groups["Stiffness"])
+    yield from sidebar.press("dynamorph.firmness")
+    skin().vertex_groups.remove(skin().vertex_groups[settings().firmness_group])
+    settings().firmness_group = limb.FIRMNESS
     yield from driver.drawn()
-    yield from sidebar.fold("DYNAMORPH_PT_softness")
+    yield from sidebar.fold("DYNAMORPH_PT_firmness")
 
 
 @step("Attachments: find another mesh, and remove it from the list")

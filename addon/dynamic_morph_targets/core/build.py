@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from . import cage
+from . import cage, firmness
 from .cage import ProgressFn, Report, Stages
 from .character import Character, Target
 from .engine import dynamorph
@@ -213,19 +213,21 @@ def _with_tissue(
 ) -> tuple[Model, dynamorph.Embedding]:
     """The tetrahedra around the skin with everything that they inherit from it; the targets' shapes are added later."""
     tissue = cage.make_cage(character, mesh, stages)
-    hold = tissue.hold
+    hold, painted = tissue.hold, bool((tissue.firmness != firmness.NEUTRAL).any())
     model = _model(
         character,
         authored,
         nodes=tissue.mesh.nodes,
         tets=tissue.mesh.tets,
         fill=tissue.fill,
-        stiffness=tissue.stiffness,
+        stiffness=tissue.stiffness * firmness.stiffness(tissue.firmness)[tissue.mesh.tets].mean(axis=1),
         region_weights=tissue.region_weights,
         pinned=tissue.pinned,
         hold_strength=hold.strength if hold else np.zeros(0),
         hold=hold.phi if hold else np.zeros(0),
         thickness=hold.thickness if hold else np.zeros(0),
+        unpainted_stiffness=tissue.stiffness if painted else np.zeros(0),
+        unpainted_hold=hold.unpainted if hold and painted else np.zeros(0),
         node_weights=tissue.node_weights,
         embedding_nodes=tissue.embedding.nodes,
         embedding_weights=tissue.embedding.weights,
@@ -273,9 +275,9 @@ def dependencies(character: Character) -> dict[str, str]:
         "mesh": (character.vertices, character.triangles),
         "object scale": (character.to_bind,),
         "skin weights": (character.weights,),
-        "Soft vertex group": (character.softness,),
-        "Stiffness vertex group": (character.stiffness,),
+        "Firmness": (character.firmness,),
         "pieces": (character.pieces,),
+        "what is rigid": (character.rigidity,),
         "bones at rest": (skeleton.parents, skeleton.rest, character.bone_segments),
         "regions": (
             np.array([len(target_set.targets) for target_set in character.target_sets]),
@@ -283,8 +285,6 @@ def dependencies(character: Character) -> dict[str, str]:
         ),
         "number of targets": (np.array([len(character.targets)]),),
     }
-    if settings.hold != "BONES":
-        parts["what is rigid"] = (character.rigidity, np.array([character.painted]))
     for j, target in enumerate(character.targets):
         parts[f"shape {j}"] = (target.shape,)
     if character.cage:

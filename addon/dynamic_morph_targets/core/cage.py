@@ -11,6 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from . import firmness as paint
 from .character import Character
 from .engine import dynamorph
 from .geometry import connected_parts, diagonal, triangle_areas
@@ -23,7 +24,7 @@ GRID = (
     2.0**-13
 )  # body sizes; with a finer grid, the last digits of coordinates, which a scale changes, would change the mesh
 MOSTLY = 0.5  # fraction of the vertices; with more of them outside, a cage does not belong to this body
-PINNED = 0.05  # nodes whose softness is below this are pinned
+PINNED = 0.95  # nodes that are rigid, or painted to be held, by more than this are pinned
 ON_A_LINE = 1e-6  # of the cage's size; pins across which a body is no wider are on a line
 FEWEST_NODES = 50  # of an attachment's own cage
 
@@ -32,15 +33,16 @@ FEWEST_NODES = 50  # of an attachment's own cage
 class Cage:
     """The cage before the targets: n nodes, m tets, S target sets, B bones. Bind space, meters.
 
-    embedding: of the V surface vertices; fill (m,) filled fraction; stiffness (m,) factor, painted and by thickness;
-    region_weights (m, S); pinned (n,) bool; node_weights (n, B + 1); hold: by thickness, or None; summary: facts
-    for the report.
+    embedding: of the V surface vertices; fill (m,) filled fraction; stiffness (m,) factor by thickness; firmness (n,)
+    weights of the Firmness map; region_weights (m, S); pinned (n,) bool; node_weights (n, B + 1); hold: by thickness,
+    or None; summary: facts for the report.
     """
 
     mesh: dynamorph.TetMesh
     embedding: dynamorph.Embedding
     fill: np.ndarray
     stiffness: np.ndarray
+    firmness: np.ndarray
     region_weights: np.ndarray
     pinned: np.ndarray
     node_weights: np.ndarray
@@ -66,19 +68,21 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
         ]
         mesh, embedding = _together(character.pieces, list(cages), filled)
         embedding = _alike(embedding, character.coincident)
-        stiffness, weights, softness, rigidity, region_weights = _inherited(character, mesh, embedding)
+        firmness, weights, rigidity, region_weights = _inherited(character, mesh, embedding)
         fill = np.concatenate([cage.fill for cage in filled])
-        of_thickness, pinned, adrift = None, np.zeros(len(mesh.nodes), bool), []
+        of_thickness, stiffness = None, np.ones(len(mesh.tets))
+        pinned, adrift = np.zeros(len(mesh.nodes), bool), []
         if character.settings.hold == "BONES":
-            pinned = np.concatenate([cage.pinned for cage in filled]) | (softness < PINNED)
+            held = np.maximum(rigidity, (firmness - paint.NEUTRAL) / (1.0 - paint.NEUTRAL))
+            pinned = np.concatenate([cage.pinned for cage in filled]) | (held > PINNED)
             adrift = _adrift(mesh, pinned)
         else:
-            of_thickness = _hold(character, mesh, surface, softness, rigidity, fill)
-            stiffness = stiffness * of_thickness.stiffness
+            of_thickness = _hold(character, mesh, surface, firmness, rigidity, fill)
+            stiffness = of_thickness.stiffness
     if len(adrift) and np.concatenate(adrift).size == len(mesh.nodes):
         raise dynamorph.Error(
             f"'{character.name}': {_cause(character, weights[pinned])}: raise Bone Pinning, set Hold to Thickness, or "
-            "paint the Softness Map with 0 where it is attached"
+            "paint Firmness with 1 where it is attached"
         )
     warned = [_adrift_warning(character, embedding, nodes, pinned) for nodes in adrift]
     for nodes in adrift:
@@ -95,20 +99,20 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
         "held_parts": len(adrift),  # loose parts that are pinned
         "warnings": [text for cage in filled for text in cage.warnings] + _glued_warnings(character, glued) + warned,
     }
-    return Cage(mesh, embedding, fill, stiffness, region_weights, pinned, weights, of_thickness, summary)
+    return Cage(mesh, embedding, fill, stiffness, firmness, region_weights, pinned, weights, of_thickness, summary)
 
 
 def _hold(
     character: Character,
     mesh: dynamorph.TetMesh,
     surface: np.ndarray,
-    softness: np.ndarray,
+    firmness: np.ndarray,
     rigidity: np.ndarray,
     fill: np.ndarray,
 ) -> Hold:
     soft = (character.pieces[character.triangles] >= 0).all(axis=1)
     thickness = dynamorph.Thickness(surface, character.triangles[soft])
-    return hold(mesh, thickness, surface, rigidity, softness if character.painted else None, fill)
+    return hold(mesh, thickness, surface, rigidity, firmness, fill)
 
 
 # Cages: of the body, and of pieces that have their own ---------------------------------------------------------------
@@ -311,7 +315,7 @@ def _adrift_warning(character: Character, embedding: dynamorph.Embedding, nodes:
     how = "is pinned only along a line" if pinned[nodes].any() else "is pinned to no bone"
     return (
         f"A part of {int(on_it.sum())} vertices at '{bone}' {how}, so it moves rigidly with its bones: paint the "
-        "Softness Map with 0 where it is attached"
+        "Firmness with 1 where it is attached"
     )
 
 
@@ -321,22 +325,22 @@ def _adrift_warning(character: Character, embedding: dynamorph.Embedding, nodes:
 
 def _inherited(
     character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.Embedding
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The values that the cage inherits from the skin: stiffness (m,) of the tets, weights (n, B + 1), softness and
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The values that the cage inherits from the skin: weights of the Firmness map (n,), of the bones (n, B + 1),
     rigidity (n,), and region weights (m, S) of the tets.
     """
-    # Stiffness is interpolated as a ratio: exactly one where nothing is painted, and never beyond the painted values.
-    painted = np.log(character.stiffness)
+    # Exactly neutral where nothing is painted, and never beyond what is.
+    painted = character.firmness - paint.NEUTRAL
     parts = [target_set.region_weights for target_set in character.target_sets]
-    values = np.column_stack([painted, character.weights, character.softness, character.rigidity, *parts])
+    values = np.column_stack([painted, character.weights, character.rigidity, *parts])
     at_nodes = dynamorph.extend_to_nodes(mesh, embedding, values)
-    stiffness = np.exp(at_nodes[:, 0].clip(painted.min(), painted.max()))[mesh.tets].mean(axis=1)
+    firmness = paint.NEUTRAL + at_nodes[:, 0].clip(painted.min(), painted.max())
     bones = character.weights.shape[1]
-    weights, softness, rigidity, region_weights = np.split(at_nodes[:, 1:].clip(0.0), np.cumsum([bones, 1, 1]), axis=1)
+    weights, rigidity, region_weights = np.split(at_nodes[:, 1:].clip(0.0), np.cumsum([bones, 1]), axis=1)
     region_weights = region_weights[mesh.tets].mean(axis=1)
     weights /= weights.sum(axis=1, keepdims=True)
     region_weights /= region_weights.sum(axis=1, keepdims=True)
-    return stiffness, weights, softness[:, 0].clip(max=1.0), rigidity[:, 0].clip(max=1.0), region_weights
+    return firmness, weights, rigidity[:, 0].clip(max=1.0), region_weights
 
 
 def _pinned(character: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from .settings import Material
 
 def references(model: Model, character: Character) -> Iterator[tuple[float, float]]:
     """For each target: its undamped bounce in Hz per square root of stiffness over density, and the volume of its
-    tissue in m^3.
+    tissue in m^3. Without the Firmness map: what it makes softer or firmer leaves the rest as it was.
 
     For another stiffness or density it follows from `swing`, exactly where no other target shares the tissue. Zeros for
     a target without tissue of its own, or whose modes cannot be found.
@@ -28,6 +28,7 @@ def references(model: Model, character: Character) -> Iterator[tuple[float, floa
     if not len(model.tets):
         yield from [(0.0, 0.0)] * len(character.targets)
         return
+    model = model.unpainted
     engine = full_engine(model, character)
     corners = model.nodes[model.tets]
     volumes = model.fill * determinant(corners[:, 1:] - corners[:, :1]) / 6.0

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .firmness import NEUTRAL
 from .geometry import inverse
 from .settings import Material, ModelSettings
 
@@ -128,14 +129,12 @@ class Character:
     """One soft skin, as authored.
 
     vertices (V, 3) local space, triangles (T, 3); to_bind (3, 3): bind = to_bind @ local; weights (V, B + 1): skin
-    weights as Blender normalizes them, last column 1 for vertices that no bone moves; softness (V,): 1 soft, 0 held by
-    the bones; stiffness (V,): factor on the targets' stiffness; bone_segments (D, 2, 3): heads and tails of the
-    deforming bones, bind space. probed: Blender skins it in a way that is not linear in the bones, so the nodes'
-    transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's tissue is. pieces (V,): 0
-    with the body, -1 moved by the bones alone, k >= 1 in a cage of its own. cage: the artist's own, if there is one.
-    rigidity (V,): 1 where the skin belongs to something hard (a head, a helmet that touches soft skin), 0 elsewhere;
-    with the hold by thickness the cage is held there. painted: whether the artist painted `softness`, which then says
-    alone what is held but for the core.
+    weights as Blender normalizes them, last column 1 for vertices that no bone moves; bone_segments (D, 2, 3): heads
+    and tails of the deforming bones, bind space. probed: Blender skins it in a way that is not linear in the bones, so
+    the nodes' transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's tissue is.
+    pieces (V,): 0 with the body, -1 moved by the bones alone, k >= 1 in a cage of its own. cage: the artist's own, if
+    there is one. rigidity (V,): 1 where the skin belongs to something hard (a head, a helmet that touches soft skin), 0
+    elsewhere; the cage is held there. firmness (V,): weights of the Firmness map, see core/firmness.
 
     With one_cage the arrays cover the vertices of several meshes: first those of the soft skin's own mesh (`own`), then
     those of `parts`. coincident (V,): the first vertex at the same place as each, which moves alike.
@@ -146,8 +145,6 @@ class Character:
     triangles: np.ndarray
     to_bind: np.ndarray
     weights: np.ndarray
-    softness: np.ndarray
-    stiffness: np.ndarray
     bone_segments: np.ndarray
     skeleton: Skeleton
     target_sets: tuple[TargetSet, ...]
@@ -156,7 +153,7 @@ class Character:
     cage: OwnCage | None = None
     pieces: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
     rigidity: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
-    painted: bool = False
+    firmness: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
     coincident: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
     parts: tuple[Follower, ...] = ()
 
@@ -165,6 +162,8 @@ class Character:
             object.__setattr__(self, "pieces", np.zeros(len(self.vertices), np.int32))
         if self.rigidity is None:
             object.__setattr__(self, "rigidity", np.zeros(len(self.vertices)))
+        if self.firmness is None:
+            object.__setattr__(self, "firmness", np.full(len(self.vertices), NEUTRAL))
         if self.coincident is None:
             object.__setattr__(self, "coincident", np.arange(len(self.vertices)))
 

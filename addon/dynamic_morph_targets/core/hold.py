@@ -4,9 +4,10 @@ lines.
 
 Importers guess where bones end; the thickness is always right. Let T be the radius of the largest ball in the body that
 covers a point, and d its depth below the skin. Held are the core (deep compared with T), thin parts (T small compared
-with the body's: fingers, ears, horns, feet, tails, blades), and whatever is rigid. A smooth field phi from 0 to 1 says
-how firmly. The hold is an energy, FIRMNESS mu phi / T^2 |u - d_j|^2 / 2 integrated over the body, inside each target's
-own (docs/theory.md): it converges as the cage gets finer, whereas pins node by node do not. Never touches bpy.
+with the body's: fingers, ears, horns, feet, tails, blades), whatever is rigid, and what the Firmness map says. A smooth
+field phi from 0 to 1 says how firmly. The hold is an energy, FIRMNESS mu phi / T^2 |u - d_j|^2 / 2 integrated over the
+body, inside each target's own (docs/theory.md): it converges as the cage gets finer, whereas pins node by node do not.
+Never touches bpy.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from . import firmness as paint
 from .engine import dynamorph
 from .geometry import determinant, smooth_step
 
@@ -32,11 +34,12 @@ QUADRATURE = np.full((4, 4), B) + (A - B) * np.eye(4)
 class Hold:
     """The hold of a cage of n nodes and m tets, and the V vertices of the skin.
 
-    strength (m,): FIRMNESS phi / T^2, 1/m^2; stiffness (m,): factor; phi (n,): how firmly nodes are held, for display;
-    thickness (V,): T at the skin, meters.
+    strength (m,): FIRMNESS phi / T^2, 1/m^2, and unpainted (m,): the same without the Firmness map; stiffness (m,):
+    factor by thickness; phi (n,): how firmly nodes are held, for display; thickness (V,): T at the skin, meters.
     """
 
     strength: np.ndarray
+    unpainted: np.ndarray
     stiffness: np.ndarray
     phi: np.ndarray
     thickness: np.ndarray
@@ -47,13 +50,13 @@ def hold(
     thickness: dynamorph.Thickness,
     surface: np.ndarray,
     rigidity: np.ndarray,
-    softness: np.ndarray | None,
+    firmness: np.ndarray,
     fill: np.ndarray,
 ) -> Hold:
     """The hold of a body.
 
-    surface (V, 3): the skin, bind space; rigidity, softness (n,): at the nodes, from the skin; softness None: nothing
-    is painted, so thin parts are held. fill (m,).
+    surface (V, 3): the skin, bind space; rigidity and weights of the Firmness map (n,): at the nodes, from the skin;
+    fill (m,).
     """
     corners = mesh.nodes[mesh.tets]
     points = np.einsum("qa,eac->eqc", QUADRATURE, corners)
@@ -61,11 +64,11 @@ def hold(
     rigid = rigidity[mesh.tets] @ QUADRATURE.T
     volume = fill * np.abs(determinant(corners[:, 1:] - corners[:, :1]))
     body = _quantile(radius.ravel(), (volume[:, None] * (1.0 - rigid)).ravel(), THICKEST)
-    phi = smooth_step(depth / radius, *CORE)
-    if softness is None:
-        phi = np.maximum(phi, np.maximum(rigid, 1.0 - smooth_step(radius / body, *THIN)))
-    else:
-        phi = np.maximum(phi, 1.0 - softness[mesh.tets] @ QUADRATURE.T)
+    firm = paint.NEUTRAL + (firmness - paint.NEUTRAL)[mesh.tets] @ QUADRATURE.T
+    core = np.maximum(smooth_step(depth / radius, *CORE), rigid)
+    thin = 1.0 - smooth_step(radius / body, *THIN)
+    unpainted = np.maximum(core, thin)
+    phi = np.maximum(np.maximum(core, paint.kept(firm) * thin), paint.held(firm))
     ratio, limit = STIFFER
     stiffness = np.clip((ratio * body / radius) ** 2, 1.0, limit)
     nodes = mesh.tets.ravel()
@@ -73,8 +76,8 @@ def hold(
     shown = np.bincount(nodes, weights * phi.ravel(), len(mesh.nodes)) / np.bincount(nodes, weights, len(mesh.nodes))
     at_skin, _ = thickness.at(surface)
     # The stiffness also multiplies the hold; its mean is taken once.
-    strength = FIRMNESS * (phi / radius**2).mean(axis=1)
-    return Hold(strength, stiffness.mean(axis=1), shown, at_skin)
+    strength, unpainted = (FIRMNESS * (field / radius**2).mean(axis=1) for field in (phi, unpainted))
+    return Hold(strength, unpainted, stiffness.mean(axis=1), shown, at_skin)
 
 
 def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:

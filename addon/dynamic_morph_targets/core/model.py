@@ -23,7 +23,7 @@ MESH_DEPENDENCIES = (
     "cage object", "pin radius", "pieces", "engine", "hold", "one cage",
 )  # fmt: skip
 # The tetrahedra together with what holds them depend on these.
-CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Soft vertex group", "what is rigid")
+CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Firmness", "what is rigid")
 
 EngineModel: TypeAlias = "dynamorph.ReducedModel | dynamorph.FullModel"
 EngineSimulation: TypeAlias = "dynamorph.ReducedSimulation | dynamorph.FullSimulation"
@@ -35,7 +35,8 @@ class Model:
 
     nodes (n, 3), tets (m, 4), fill (m,), stiffness (m,) factor on the targets', region_weights (m, S), pinned (n,). Of
     a hold by thickness, else empty: hold_strength (m,) 1/m^2 as `dynamorph.SoftBody` takes it, hold (n,) how firmly
-    from 0 to 1, thickness (V,) of the body at the skin.
+    from 0 to 1, thickness (V,) of the body at the skin. Where Firmness is painted, else empty:
+    unpainted_stiffness and unpainted_hold (m,), the stiffness and hold_strength without it.
     node_weights (n, B + 1), embedding_nodes and embedding_weights (V, 4), displacements (J, n, 3), residual_shapes
     (J, V, 3) local space: what the cage cannot carry of the targets' shapes; to_bind (3, 3); parents (B,), rest
     (B, 4, 4) of the skeleton. basis (3 free, r), table_lambda and table_mu (J, ...) of a reduced model
@@ -53,6 +54,8 @@ class Model:
     hold_strength: np.ndarray
     hold: np.ndarray
     thickness: np.ndarray
+    unpainted_stiffness: np.ndarray
+    unpainted_hold: np.ndarray
     node_weights: np.ndarray
     embedding_nodes: np.ndarray
     embedding_weights: np.ndarray
@@ -189,6 +192,13 @@ class Model:
         simulation.
         """
         return replace(self, settings=settings)
+
+    @property
+    def unpainted(self) -> Model:
+        """The same body as it is without the Firmness map, for which Bounce is meant."""
+        if not self.unpainted_stiffness.size:
+            return self
+        return replace(self, stiffness=self.unpainted_stiffness, hold_strength=self.unpainted_hold)
 
     @property
     def modes(self) -> np.ndarray:

@@ -32,6 +32,7 @@ TISSUE = {
     "embedding_weights": "f V 4",
     "displacements": "f J n 3",
 }
+UNPAINTED = {"unpainted_stiffness": "f m", "unpainted_hold": "f m"}
 HOLD = {"hold_strength": "f m", "hold": "f n", "thickness": "f V"}
 REDUCED = {"basis": "f F r", "table_lambda": "f J c", "table_mu": "f J c"}
 RESPONSES = {
@@ -80,6 +81,7 @@ def _forms(arrays: dict[str, np.ndarray], settings: ModelSettings, only_cage: bo
     forms |= TISSUE
     if any(arrays[name].size for name in HOLD):
         forms |= HOLD
+    forms |= {name: form for name, form in UNPAINTED.items() if arrays[name].size}
     if settings.solver == "REDUCED" and not only_cage:
         forms |= REDUCED
         if arrays["responses"].size:

@@ -10,7 +10,7 @@ from functools import lru_cache
 from . import records
 from .errors import RecordError
 
-REMEDIES = ("REHEARSE", "STIFFEN", "CAGE", "SOFTNESS")
+REMEDIES = ("REHEARSE", "STIFFEN")
 UNREADABLE = "The verdict on this bake cannot be read: bake again"
 STIFFER = 1.5  # factor on Bounce where the verdict names none
 

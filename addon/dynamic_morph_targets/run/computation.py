@@ -266,7 +266,7 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
     found = outcome.verdict.as_dict(given.limits, given.can_rehearse)
     if not found["ok"]:
         outcome.warnings.append(
-            Message("{verdict}. Raise Bounce or Cage Nodes, or paint the Softness Map", verdict=found["text"])
+            Message("{verdict}. Raise Bounce or Cage Nodes, or paint Firmness", verdict=found["text"])
         )
 
 

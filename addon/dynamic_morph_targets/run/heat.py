@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the viewport colors the skin by: how far it moves away from the animation, how firmly it is held, and where it
-is stiffer.
+"""What the viewport colors the skin by: how far it moves away from the animation, and how firm it is.
 
 There is one value from 0 to 1 for each vertex of a mesh; `overlays` draws them.
 """
@@ -14,7 +13,8 @@ import numpy as np
 
 from ..core import engine, errors
 from ..core.errors import SceneError
-from ..core.geometry import diagonal, interpolated
+from ..core.firmness import NEUTRAL
+from ..core.geometry import diagonal
 from ..core.message import Message
 from ..scene import extract, mesh_data, model_store, references, skin
 from ..write import bake_reading
@@ -100,52 +100,48 @@ def _live_motions(obj: bpy.types.Object) -> dict[int, np.ndarray]:
     return motions
 
 
-def holds(obj: bpy.types.Object) -> dict[int, np.ndarray]:
-    """How firmly the vertices (V,) of the soft skin `obj`, and of the meshes in its cage, are held: 0 free to 1; by
-    session_uid, as the model was built. Raises SceneError when the model does not say, or the mesh has changed.
+def firmness(obj: bpy.types.Object) -> dict[int, np.ndarray]:
+    """How firm the vertices (V,) of the soft skin `obj` and of the meshes in its cage are, by session_uid: weights of
+    the Firmness map, and toward 1 what the built model holds. Raises SceneError when there is neither map nor model.
     """
-    found = _holds(obj.session_uid, obj.dynamorph.model.content_id)
-    if isinstance(found, str):
-        raise SceneError(found)
-    if len(found[obj.session_uid]) != len(obj.data.vertices):
+    group, built = obj.dynamorph.firmness_group, _holds(obj.session_uid, obj.dynamorph.model.content_id)
+    if isinstance(built, str) and not group:
+        raise SceneError(built)
+    painted = {obj.session_uid: _weights(obj.session_uid, group)}
+    if isinstance(built, str):
+        return painted
+    if len(built[obj.session_uid]) != len(obj.data.vertices):
         raise SceneError("'{name}' has other vertices than its model: press Build Model", name=obj.name)
-    return found
+    return {uid: np.maximum(held, painted.get(uid, 0.0)) for uid, held in built.items()}
 
 
 @lru_cache(maxsize=4)
 def _holds(session_uid: int, _content_id: str) -> dict[int, np.ndarray] | str:
-    """The result of `holds`, or why there is none. Cached, because a viewport asks whenever it draws."""
+    """What the built model holds, as weights (V,) of the Firmness map from NEUTRAL to 1, by session_uid; or why it is
+    not known. Cached, because a viewport asks whenever it draws.
+    """
     obj = skin.find(session_uid)
     try:
         model = model_store.load_model(obj)
-        if model is None or not len(getattr(model, "hold", ())):
-            return Message(
-                "'{name}' has no model with a hold by thickness: set Hold to Thickness and build", name=obj.name
-            )
+        if model is None or not len(model.tets):
+            return Message("'{name}' has no model: press Build Model, or Paint beside Firmness", name=obj.name)
         character = extract.character(obj)
     except engine.expected_errors() as error:
         return errors.sentence(error)
-    hold = interpolated(model.hold[:, None], model.embedding_nodes, model.embedding_weights)
-    on_skin = hold[:, 0].clip(0.0, 1.0)
+    at_nodes = model.hold if len(model.hold) else model.pinned.astype(float)
+    on_skin = np.einsum("va,va->v", model.embedding_weights, at_nodes[model.embedding_nodes]).clip(0.0, 1.0)
     if len(on_skin) != len(character.vertices):
         return Message("'{name}' has other vertices than its model: press Build Model", name=obj.name)
-    return {session_uid: on_skin[character.own_vertices]} | {
-        part.session_uid: on_skin[part.members] for part in character.parts
+    weights = NEUTRAL + (1.0 - NEUTRAL) * on_skin
+    return {session_uid: weights[character.own_vertices]} | {
+        part.session_uid: weights[part.members] for part in character.parts
     }
-
-
-def stiffness(obj: bpy.types.Object) -> dict[int, np.ndarray]:
-    """The stiffness map (V,) of the soft skin `obj` as it is painted, by session_uid. Raises SceneError without one."""
-    name = obj.dynamorph.stiffness_group
-    if name not in obj.vertex_groups:
-        raise SceneError("'{name}' has no stiffness map: press Paint beside Stiffness Map", name=obj.name)
-    return {obj.session_uid: _weights(obj.session_uid, name)}
 
 
 @lru_cache(maxsize=4)
 def _weights(session_uid: int, name: str) -> np.ndarray:
-    """It is asked whenever a viewport draws, and Blender hands weights out vertex by vertex."""
-    return mesh_data.group_weights(skin.find(session_uid), [name])[:, 0]
+    """The Firmness map (V,). It is asked whenever a viewport draws, and Blender hands weights out vertex by vertex."""
+    return mesh_data.group_weights(skin.find(session_uid), [name], NEUTRAL)[:, 0]
 
 
 def edited() -> None:

@@ -17,7 +17,6 @@ from ..core.rig_samples import RigSamples
 from ..core.settings import OutputSettings, SimulationSettings
 from ..io.cache_dir import CacheDir
 
-
 # The stages of a build in an artist's words.
 STAGES = {
     "Meshing": "Wrapping a cage",

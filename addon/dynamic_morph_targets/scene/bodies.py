@@ -14,6 +14,7 @@ from mathutils import Matrix
 
 from ..core import errors, rigid
 from ..core.character import Character, Follower, TargetSet
+from ..core.firmness import NEUTRAL, kept
 from ..core.geometry import diagonal, inverse, vertex_areas
 from . import checks, mesh_data, rig_motion
 from .nearest import nearest
@@ -47,15 +48,11 @@ def joined(source: Source, single: Character) -> Character:
     same = first[: len(bind)]
     pieces, rigidity = _closed_seams(pieces, held, same, first[len(bind) :], whole.triangles)
     _refuse_hard(obj, whole, pieces, rigidity, [(p, t) for p, (_, t) in zip(others, beside, strict=True)])
-    softness, painted = whole.painted("Soft", obj.dynamorph.soft_group, single.softness, 1.0)
-    stiffness, _ = whole.painted("Stiffness", obj.dynamorph.stiffness_group, single.stiffness, 1.0)
+    firmness = whole.firmness()
     if single.settings.hold_head:
         found = rigid.heads(single.skeleton, whole.weights, bind, whole.triangles)
         head = rigid.head_rigidity(single.skeleton, whole.weights, bind, whole.triangles, found)
-        rigidity = np.maximum(rigidity, np.where(painted & (softness > 0.0), 0.0, head))
-    softness, rigidity = softness[same], _most(rigidity, same)
-    if single.settings.hold == "BONES" or single.painted:  # then nothing uses the rigidity of the skin
-        softness = softness * (1.0 - rigidity)
+        rigidity = np.maximum(rigidity, head * kept(firmness))
     joint_bones = dict.fromkeys(bone for each in (source, *meshes) for bone in each.skinning.bones(source.rig))
     parts = [
         Follower(
@@ -69,13 +66,12 @@ def joined(source: Source, single: Character) -> Character:
         vertices=whole.vertices,
         triangles=whole.triangles,
         weights=whole.weights,
-        softness=softness,
-        stiffness=stiffness[same],
         bone_segments=source.bone_segments(list(joint_bones)),
         target_sets=whole.target_sets(same),
         probed=single.probed or any(mesh.skinning.beyond_bones for mesh in meshes),
         pieces=pieces,
-        rigidity=rigidity,
+        rigidity=_most(rigidity, same),
+        firmness=firmness[same],
         coincident=same,
         parts=tuple(parts),
     )
@@ -111,23 +107,13 @@ class _Whole:
         nearness = ((FAR - away) / (FAR - NEAR)).clip(0.0, 1.0).reshape(-1, *[1] * (values.ndim - 1))
         return np.concatenate([values, beyond + nearness * (found.carry(values) - beyond)])
 
-    def painted(self, use: str, group: str, values: np.ndarray, neutral: float) -> tuple[np.ndarray, np.ndarray]:
-        """The values (V,) of a painted group, from the own mesh (V',), and where (V,) they are painted. A mesh with a
-        group of that name keeps its own values.
-        """
-        found = self._carried(values, neutral)
-        painted = np.zeros(len(found), bool)
-        if not group:
-            return found, painted
-        painted[self.slices[0]] = True
+    def firmness(self) -> np.ndarray:
+        """The weights (V,) of the Firmness map. A mesh with a group of that name keeps its own."""
+        group, found = self.obj.dynamorph.firmness_group, self._carried(self.single.firmness, NEUTRAL)
         for mesh, members in zip(self.meshes, self.slices[1:], strict=True):
-            if group in mesh.obj.vertex_groups:
-                read = mesh_data.softness if use == "Soft" else mesh_data.stiffness
-                found[members], painted[members] = read(self.obj, mesh.groups), True
-            else:
-                start = self.slices[0].stop
-                painted[members] = self._near[1][members.start - start : members.stop - start] < FAR
-        return found, painted
+            if group and group in mesh.obj.vertex_groups:
+                found[members] = mesh_data.firmness(mesh.obj, mesh.groups, group)
+        return found
 
     def target_sets(self, same: np.ndarray) -> tuple[TargetSet, ...]:
         """The target sets of all meshes; same (V,): see `Character.coincident`."""
@@ -200,7 +186,7 @@ def _refuse_hard(obj, whole: _Whole, pieces, rigidity, beside):
     points and triangles of what only its bones move. Raises SceneError.
     """
     settings = obj.dynamorph
-    if settings.soft_group or any(not piece.reason for piece in settings.pieces):
+    if settings.firmness_group or any(not piece.reason for piece in settings.pieces):
         return
     bind, soft = whole.vertices @ whole.single.to_bind.T, (pieces >= 0) & (rigidity < 1.0)
     labels, volumes = rigid.part_volumes(bind, whole.triangles)

@@ -168,7 +168,7 @@ def shared_mesh(obj) -> Iterator[Problem]:
 
 def nothing_soft(obj) -> str:
     """Says that a character is rigid everywhere."""
-    return Message("'{name}': nothing soft found: paint the Softness Map", name=obj.name)
+    return Message("'{name}': nothing soft found: paint Firmness", name=obj.name)
 
 
 def follower(of_body: Skinning, of_piece: Skinning) -> Iterator[Problem]:

@@ -17,7 +17,7 @@ from ..core.geometry import diagonal, inverse
 from ..core.settings import ModelSettings
 from . import bodies, body_checks, checks, data_checks
 from .checks import refuse, skinned
-from .mesh_data import carried, mesh_triangles, pieces_of, softness, stiffness, target_shape
+from .mesh_data import carried, firmness, mesh_triangles, pieces_of, target_shape
 from .nearest import nearest
 from .rig_motion import at_rest, rig_scene
 from .skin import clothes_in, parts_in, unit_scale
@@ -56,8 +56,6 @@ def read(source: Source, without_targets=False) -> Character:
         triangles=source.triangles,
         to_bind=source.to_bind,
         weights=source.weights,
-        softness=softness(obj, source.groups),
-        stiffness=stiffness(obj, source.groups),
         bone_segments=source.bone_segments(source.skinning.bones(source.rig)),
         skeleton=source.skeleton,
         target_sets=target_sets,
@@ -65,7 +63,7 @@ def read(source: Source, without_targets=False) -> Character:
         probed=bool(source.skinning.beyond_bones),
         pieces=pieces_of(parts_in(obj), obj, source.groups),
         cage=_own_cage(source),
-        painted=bool(settings.soft_group),
+        firmness=firmness(obj, source.groups, obj.dynamorph.firmness_group),
     )
     return bodies.joined(source, single) if single.settings.one_cage else single
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..core.character import Skeleton
 from ..core.errors import SceneError
+from ..core.firmness import NEUTRAL
 from ..core.geometry import determinant
 from .checks import skinned
 from .references import key_points, rest_skeleton
@@ -48,9 +49,9 @@ def target_shape(obj, key_name: str, groups: VertexGroups | None = None) -> np.n
     return shape
 
 
-def group_weights(obj, names) -> np.ndarray:
-    """Weights (V, len(names)) of the vertex groups; 0 for vertices and groups that are not there."""
-    return VertexGroups(obj).weights(names)
+def group_weights(obj, names, absent: float = 0.0) -> np.ndarray:
+    """Weights (V, len(names)) of the vertex groups; `absent` for vertices and groups that are not there."""
+    return VertexGroups(obj).weights(names, absent)
 
 
 class VertexGroups:
@@ -66,10 +67,10 @@ class VertexGroups:
         ]
         self._vertices, self._groups, self._weights = np.array(flat, np.float64).reshape(-1, 3).T
 
-    def weights(self, names) -> np.ndarray:
+    def weights(self, names, absent: float = 0.0) -> np.ndarray:
         """As `group_weights`. Raises SceneError."""
         obj = self._obj
-        weights = np.zeros((len(obj.data.vertices), len(names)))
+        weights = np.full((len(obj.data.vertices), len(names)), absent)
         for column, name in enumerate(names):
             if name in obj.vertex_groups:
                 members = self._groups == obj.vertex_groups[name].index
@@ -105,28 +106,13 @@ def modifier_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) ->
     return np.hstack([weights, 1.0 - weights.sum(axis=1, keepdims=True)])
 
 
-def _painted(obj, groups: VertexGroups, use: str, group: str) -> np.ndarray:
-    """Weights (V,) of the vertex group chosen as softness or stiffness map. Raises SceneError."""
-    if group not in obj.vertex_groups:
+def firmness(obj, groups: VertexGroups, group: str) -> np.ndarray:
+    """Weights (V,) of the Firmness map `group` on `obj`. Raises SceneError."""
+    if group and group not in obj.vertex_groups:
         raise SceneError(
-            "'{name}': the vertex group '{group}' for {use} is gone: choose another",
-            name=obj.name,
-            group=group,
-            use=use,
+            "'{name}': the vertex group '{group}' of Firmness is gone: choose another", name=obj.name, group=group
         )
-    return groups.weights([group])[:, 0].clip(0.0, 1.0)
-
-
-def softness(obj, groups: VertexGroups) -> np.ndarray:
-    group = obj.dynamorph.soft_group
-    return _painted(obj, groups, "Soft", group) if group else np.ones(len(obj.data.vertices))
-
-
-def stiffness(obj, groups: VertexGroups) -> np.ndarray:
-    settings = obj.dynamorph
-    if not settings.stiffness_group:
-        return np.ones(len(obj.data.vertices))
-    return settings.stiffness_factor ** _painted(obj, groups, "Stiffness", settings.stiffness_group)
+    return groups.weights([group], NEUTRAL)[:, 0].clip(0.0, 1.0)
 
 
 def pieces_of(parts, mesh, groups: VertexGroups, first: int = 1) -> np.ndarray:

@@ -9,7 +9,7 @@ of the key's shape, the bone's rest matrix. `reconcile` uses it when a name is g
 from __future__ import annotations
 
 import bpy
-from bpy.props import BoolProperty, CollectionProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import BoolProperty, CollectionProperty, IntProperty, PointerProperty, StringProperty
 from bpy.types import PropertyGroup
 
 from . import events
@@ -30,25 +30,13 @@ class DynamorphSettings(PropertyGroup):
     active_target_index: IntProperty(
         name="Active Target", description="Index of the target selected in the list", override=OVERRIDE
     )
-    soft_group: StringProperty(
-        name="Softness Map",
-        description="Vertex group that is 1 where the skin is soft and 0 where the bones hold it. Without a group all "
-        "of the skin is soft",
+    firmness_group: StringProperty(
+        name="Firmness",
+        description="Vertex group that is 0 where the skin is softer, 0.5 where it stays as it is, 0.9 where it is "
+        "firmer and 1 where the bones hold it. Paint it when a part moves too much or too little",
         override=OVERRIDE,
     )
     groups: StringProperty(name="Groups", description="Names of the vertex groups, one per line, to follow renames")
-    stiffness_group: StringProperty(
-        name="Stiffness Map",
-        description="Vertex group of places that are stiffer or softer than the targets say. Stiffness Factor sets by "
-        "how much",
-        override=OVERRIDE,
-    )
-    stiffness_factor: FloatProperty(
-        name="Stiffness Factor",
-        description="Multiplies the stiffness where the stiffness map is 1. Where the map is 0, the stiffness stays "
-        "the same",
-        default=4.0, min=0.01, max=100.0, soft_min=0.1, soft_max=10.0, override=OVERRIDE,
-    )  # fmt: skip
     pieces: CollectionProperty(
         name="Attachments", description="Parts of the mesh and other meshes that do not simply belong to the body",
         type=DynamorphPiece, override=OVERRIDE_LIST,
@@ -95,7 +83,7 @@ class DynamorphSettings(PropertyGroup):
         return self.pieces[self.active_piece_index] if self.active_piece_index < len(self.pieces) else None
 
 
-COLORINGS = ("heat", "hold", "stiffness")  # of the surface: one at a time
+COLORINGS = ("heat", "firmness")  # of the surface: one at a time
 
 
 def _color_surface(which: str):
@@ -129,13 +117,11 @@ class DynamorphDisplay(PropertyGroup):
         description="Color the skin by how far it moves away from the animation, as a fraction of Max Displacement",
         update=_color_surface("heat"),
     )  # fmt: skip
-    hold: BoolProperty(
-        name="Show Hold", description="Color the skin by how firmly the skeleton holds it in the built model",
-        update=_color_surface("hold"),
-    )  # fmt: skip
-    stiffness: BoolProperty(
-        name="Show Stiffness", description="Color the skin by how many times stiffer the stiffness map makes it",
-        update=_color_surface("stiffness"),
+    firmness: BoolProperty(
+        name="Show Firmness",
+        description="Color the skin by how firm it is: blue is softer, green stays as it is, and red is held by the "
+        "bones, because it is painted so or because its part is thin or a head",
+        update=_color_surface("firmness"),
     )  # fmt: skip
     posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")
 

@@ -124,9 +124,7 @@ def _kept_range(then: dict, now: dict, is_patch: bool) -> dict:
 def model_inputs(obj) -> dict:
     """The settings that a model depends on, by where they are."""
     settings = obj.dynamorph
-    groups = {"soft_group": settings.soft_group, "stiffness_group": settings.stiffness_group}
-    if settings.stiffness_group:
-        groups["stiffness_factor"] = settings.stiffness_factor
+    groups: dict = {"firmness_group": settings.firmness_group}
     groups["pieces"] = [[part.group, part.choice] for part in parts_in(obj) if part.choice != "WITH_BODY"]
     if settings.model.one_cage:
         groups["attachments"] = [

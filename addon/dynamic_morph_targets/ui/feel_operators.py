@@ -17,9 +17,6 @@ from ..scene.registration import of_classes
 from .base import SoftSkinOperator
 from .job_operators import JobOperator, StartsJob
 
-FINER = 2.0  # times as many nodes in a cage that is too coarse
-MOST_NODES = 200_000
-
 
 def give_feel(obj, feel: Feel):
     """Give the neutral target this feel and limit the motion. Every other target that was not set by hand keeps its
@@ -134,28 +131,10 @@ class DYNAMORPH_OT_stiffen(StartsJob, Operator):
         self.report({"INFO"}, text.format(before=before, after=measured[0].bounce))
 
 
-class DYNAMORPH_OT_refine_cage(StartsJob, Operator):
-    """Build a cage with twice as many nodes, and bake again"""
-
-    bl_idname = "dynamorph.refine_cage"
-    bl_label = "Refine Cage and Bake"
-    job = "dynamorph.bake"
-
-    def apply(self, obj):
-        model = obj.dynamorph.model
-        before = model.cage_nodes
-        if before >= MOST_NODES:
-            raise SceneError("'{name}': the cage has the maximum number of nodes: raise Bounce instead", name=obj.name)
-        model.cage_nodes = min(round(FINER * before), MOST_NODES)
-        text = rpt_("Cage Nodes {before} → {after}")
-        self.report({"INFO"}, text.format(before=before, after=model.cage_nodes))
-
-
 CLASSES = (
     DYNAMORPH_OT_apply_feel,
     DYNAMORPH_OT_show_worst,
     DYNAMORPH_OT_rehearse,
     DYNAMORPH_OT_stiffen,
-    DYNAMORPH_OT_refine_cage,
 )
 register, unregister = of_classes(CLASSES)

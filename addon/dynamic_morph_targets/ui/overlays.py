@@ -22,7 +22,7 @@ from mathutils import Matrix, Vector
 from ..core import engine, errors, logger
 from ..core.rig_samples import RigSamples
 from ..run import heat, live
-from ..scene import checks, events, model_properties, model_store, references, rig_motion, skin
+from ..scene import checks, events, model_store, references, rig_motion, skin
 from ..write import beside, comparison
 from .gpu_drawing import (
     MARGIN,
@@ -170,11 +170,8 @@ def painted(context, obj) -> tuple[dict[int, np.ndarray], str, list[str]] | None
     if display.heat:
         limit = heat.limit_of(obj)
         return heat.displacements(obj), iface_("Displacement, of Size"), ["0", f"{limit / 2:.2%}", f"{limit:.2%}"]
-    if display.hold:
-        return heat.holds(obj), iface_("Hold", model_properties.CONTEXT), [iface_("0 soft"), "0.5", iface_("1 held")]
-    if display.stiffness:
-        factor = obj.dynamorph.stiffness_factor
-        return heat.stiffness(obj), iface_("Stiffness"), [f"x {factor**part:.3g}" for part in (0.0, 0.5, 1.0)]
+    if display.firmness:
+        return heat.firmness(obj), iface_("Firmness"), [iface_("soft"), iface_("as it is"), iface_("held")]
     return None
 
 

@@ -14,8 +14,7 @@ from .widgets import draw_message
 REMEDIES = {
     "REHEARSE": ("dynamorph.rehearse", "PLAY"),
     "STIFFEN": ("dynamorph.stiffen", "FORCE_HARMONIC"),
-    "CAGE": ("dynamorph.refine_cage", "MOD_LATTICE"),
-}  # fmt: skip
+}
 
 
 def draw_trying(layout, _context, obj):
@@ -57,9 +56,7 @@ def draw_verdict(layout, obj):
     if found is None:
         return
     draw_message(layout, found.text, icon="CHECKMARK" if found.ok else "ERROR")
-    if found.remedy == "SOFTNESS":
-        layout.operator("dynamorph.paint_group", text="Paint Softness", icon="WPAINT_HLT").which = "SOFT"
-    elif found.remedy:
+    if found.remedy:
         operator, icon = REMEDIES[found.remedy]
         layout.operator(operator, icon=icon)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from ..core import feel
 from ..run import batch
+from ..write import painting
 from . import paint_operators
 
 
@@ -55,27 +56,13 @@ def draw_material(layout, _context, obj):
     layout.operator("dynamorph.fit_material")
 
 
-def draw_softness(layout, context, obj):
-    """The maps that are painted."""
-    settings = obj.dynamorph
+def draw_firmness(layout, context, obj):
+    """The map that is painted."""
     layout.enabled = batch.running is None
-    draw_painted_group(layout, obj, "SOFT")
-    pair = layout.column(align=True)  # side by side, their names would be cut off
-    pair.use_property_split = False
-    pair.prop(context.window_manager.dynamorph, "hold", icon="OVERLAY", toggle=True)
-    pair.operator("dynamorph.hold_to_group", icon="GROUP_VERTEX")
-    draw_painted_group(layout, obj, "STIFFNESS")
-    column = layout.column()
-    column.active = bool(settings.stiffness_group)
-    column.prop(settings, "stiffness_factor")
-    column.prop(context.window_manager.dynamorph, "stiffness", icon="OVERLAY", toggle=True)
-
-
-def draw_painted_group(layout, obj, which: str):
     row = layout.row(align=True)
-    row.prop_search(obj.dynamorph, paint_operators.PAINTED[which].field, obj, "vertex_groups")
-    text = "Done" if paint_operators.is_painting(obj, which) else "Paint"
+    row.prop_search(obj.dynamorph, "firmness_group", obj, "vertex_groups")
     button = row.row(align=True)
     button.ui_units_x = 2.5  # the name of the group needs the rest
-    button.operator("dynamorph.paint_group", text=text).which = which
-    paint_operators.draw_tools(layout, obj, which)
+    button.operator("dynamorph.paint_firmness", text="Done" if painting.is_painting(obj) else "Paint")
+    paint_operators.draw_tools(layout, obj)
+    layout.prop(context.window_manager.dynamorph, "firmness", icon="OVERLAY", toggle=True)

@@ -17,7 +17,7 @@ from ..scene.registration import of_classes
 from .panel_advanced import DYNAMORPH_UL_modes, draw_cage, draw_detail, draw_modes, draw_solver, has_modes
 from .panel_attachments import DYNAMORPH_UL_pieces, draw_pieces, pieces_title
 from .panel_bake import draw_bake, draw_details, draw_export, draw_result, draw_setup, draw_trying, is_baked
-from .panel_feel import draw_feel, draw_material, draw_softness
+from .panel_feel import draw_feel, draw_firmness, draw_material
 from .panel_status import draw_messages, draw_top
 from .panel_targets import (
     DYNAMORPH_MT_targets,
@@ -92,7 +92,7 @@ def draw_nothing(_layout, _context, _obj):
 SIDEBAR_SECTIONS = (
     Section("feel", "Feel", "sidebar", draw_feel, closed=False),
     Section("material", "Material", "feel", draw_material, presets=DYNAMORPH_PT_material_presets),
-    Section("softness", "Softness", "sidebar", draw_softness),
+    Section("firmness", "Firmness", "sidebar", draw_firmness),
     Section("targets", "Targets", "sidebar", draw_targets),
     Section("bones", "", "targets", draw_bones, needed=has_bones, title=bones_title),
     Section("target_weights", "Target Weights", "sidebar", draw_target_weights, needed=has_weights),

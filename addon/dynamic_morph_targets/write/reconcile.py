@@ -104,7 +104,7 @@ def _follow_groups(obj):
     settings.groups = "\n".join(now)
     moved = zip(then, now, strict=True) if len(now) == len(then) else ()
     renamed = {old: new for old, new in moved if old not in now and new not in then}
-    users = [(settings, "soft_group"), (settings, "stiffness_group")]
+    users = [(settings, "firmness_group")]
     users += [(piece, "group") for piece in parts_in(obj)]
     for user, name in users:
         if getattr(user, name) in renamed:

@@ -179,7 +179,7 @@ def _write(obj, together: list, groups, free: set[str]) -> tuple[str, str]:
 def _remove(obj, names):
     """Remove those automatic groups that nothing uses any more."""
     settings = obj.dynamorph
-    used = {settings.soft_group, settings.stiffness_group, *(target.region for target in settings.targets)}
+    used = {settings.firmness_group, *(target.region for target in settings.targets)}
     used |= {piece.group for piece in settings.pieces}
     for name in names:
         if name.startswith(REGION) and name not in used and name in obj.vertex_groups:

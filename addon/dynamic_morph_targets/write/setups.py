@@ -56,7 +56,7 @@ PARTS = {
     "simulation": DynamorphSimulation,
     "output": DynamorphOutput,
 }
-GROUPS = ("soft_group", "stiffness_group")
+GROUPS = ("firmness_group",)
 
 
 # From and to an object ---------------------------------------------------------------------------------------------
