@@ -39,6 +39,11 @@ void bind_reduced(py::module_& m) {
       "shapes exactly. progress(fraction) -> bool: returning False raises Cancelled. Raises Error when the body can "
       "move without resistance.");
 
+  m.def("adapt_response_basis", &adapt_response_basis, "model"_a, "U"_a, "W"_a,
+        py::call_guard<py::gil_scoped_release>(),
+        "The same modes U (3 free, r), and responses of the span of W (3 free, h) that decouple with the model's "
+        "stiffness, which may be another one than they were made for.");
+
   py::class_<ReducedTables>(m, "ReducedTables",
                             "The tables that a built reduced model stores. They hold geometry only, no material.")
       .def(py::init([](Law law, const MatrixXd& basis, const std::vector<VectorXd>& lambda,

@@ -9,7 +9,7 @@ import addon_utils
 import bpy
 import numpy as np
 import pytest
-from builders import MODULE, activate, evaluated_points, fingerprint, part, refused, rig_of, skinning_of
+from builders import MODULE, activate, evaluated_points, fingerprint, part, refused, rig_of, skinning_of, soon
 from layout import drawn
 from mathutils import Matrix
 from pressed import Pressed, press
@@ -1216,3 +1216,33 @@ def test_disabling_the_add_on_leaves_no_frozen_skin(playing):
     assert key_mutes(playing) == ASLEEP
     addon_utils.enable(MODULE)
     assert apart(play(playing, range(1, 10)), whole) < 1e-6 and key_mutes(playing) == LIVE
+
+
+# Paint -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_stroke_of_paint_shows_without_a_build(arm):
+    """What is painted softer moves more, and the stored model stays; a build then shows the same, nearly."""
+    activate(arm)
+    bpy.ops.dynamorph.add_soft_skin()
+    arm.dynamorph.model.cage_nodes, arm.dynamorph.model.modes = 400, 40
+    rig, frames = rig_of(arm), range(1, 37)
+    for frame in frames:  # far below its bounce
+        rig.location.z = 0.3 * np.sin(frame / 24 * 2.0 * np.pi)
+        rig.keyframe_insert("location", frame=frame)
+    bpy.ops.dynamorph.build()
+    bpy.ops.dynamorph.live()
+    before, built = np.ptp(play(arm, frames), axis=0), arm.dynamorph.model.content_id
+    bpy.ops.dynamorph.paint_firmness()
+    with soon():
+        arm.vertex_groups["Firmness"].add(range(len(arm.data.vertices)), 0.25, "REPLACE")
+        arm.data.update()
+        bpy.context.view_layer.update()
+    softer = np.ptp(play(arm, frames), axis=0)
+    assert softer.max() > 1.2 * before.max() and arm.dynamorph.model.content_id == built
+    bpy.ops.dynamorph.paint_firmness()  # done: the model is out of date, and Live goes on
+    assert part("staleness").model_age(arm) and not part("live").problem(arm)
+    np.testing.assert_array_equal(np.ptp(play(arm, frames), axis=0), softer)
+    bpy.ops.dynamorph.build()
+    assert arm.dynamorph.model.content_id != built
+    assert np.ptp(play(arm, frames), axis=0).max() == pytest.approx(softer.max(), rel=0.15)

@@ -45,7 +45,8 @@ def scene() -> SimpleNamespace:
     s.basis = dynamorph.make_basis(s.full, 6)
     s.tables = dynamorph.reduce(s.full, s.basis.U)
     s.reduced = dynamorph.ReducedModel(s.body, s.targets, s.tables, s.blending)
-    s.with_responses = dynamorph.reduce(s.full, dynamorph.make_response_basis(s.full, 5, 6))
+    s.response_basis = dynamorph.make_response_basis(s.full, 5, 6)
+    s.with_responses = dynamorph.reduce(s.full, s.response_basis)
     s.bones, s.weights = np.eye(3, 4)[None], np.array([0.5, 0.5])
     s.next = s.bones + np.array([0.0, 0.0, 0.0, 0.01]) * np.array([[[1.0], [0.0], [0.0]]])
     vertices, faces = tube(6, 8)
@@ -174,6 +175,7 @@ def calls() -> dict[str, tuple[object, dict]]:
                                   "values": np.ones((len(s.embedding.nodes), 2))}),
         "fill_fractions": (lib, {"mesh": s.tube, **skin, "progress": going}),
         "instruction_set": (lib, {}),
+        "adapt_response_basis": (lib, {"model": s.full, "U": s.response_basis.U, "W": s.response_basis.W}),
         "make_basis": (lib, {"model": s.full, "r": 6, "progress": going}),
         "make_cage_surface": (lib, {**skin, "target_vertices": 60, "thickness": 0.01, "progress": going}),
         "make_response_basis": (lib, {"model": s.full, "r": 5, "h": 6, "progress": going}),

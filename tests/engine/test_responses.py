@@ -137,6 +137,35 @@ def test_what_does_not_fit_is_refused_by_name():
         dynamorph.make_response_basis(full, MODES, 0)
 
 
+def test_responses_adapt_to_another_stiffness():
+    """They stay in the span of all modes, orthonormal in the mass, and decouple as those of a build do."""
+    cells, size, law = (8, 2, 2), (0.4, 0.1, 0.1), dynamorph.Law.LINEAR
+    body, targets, _ = test_physics.sculpture(cells=cells)
+    basis = dynamorph.make_response_basis(
+        dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN), MODES, RESPONSES
+    )
+    nodes, tets = test_physics.bar(cells, size)
+    softer, count, s = 0.25 ** (nodes[tets, 1].mean(axis=1) / size[1]), np.ones(len(tets)), nodes[:, 0] / size[0]
+    painted = dynamorph.SoftBody(
+        dynamorph.TetMesh(nodes, tets), count, softer, count[:, None], s < 1e-9, np.stack([1 - s, s], axis=1)
+    )
+    full = dynamorph.FullModel(painted, targets, law, dynamorph.Blending.EVEN)
+    found = dynamorph.adapt_response_basis(full, basis.U, basis.W)
+    mass = np.repeat(body.volumes.sum(axis=1), 3)[:, None]
+    stiffness = full.linearize(np.array([1.0, 0.0, 0.0]), np.zeros(full.dofs))[2]
+    together = np.hstack([basis.U, basis.W])
+    np.testing.assert_array_equal(found.U, basis.U)
+    in_span = together @ np.linalg.lstsq(together, found.W, rcond=None)[0]
+    np.testing.assert_allclose(in_span, found.W, atol=1e-8 * np.abs(found.W).max())
+    np.testing.assert_allclose(found.W.T @ (mass * found.W), np.eye(RESPONSES), atol=1e-8)
+    apart = found.W.T @ (stiffness @ found.W)
+    np.testing.assert_allclose(apart, np.diag(np.diag(apart)), atol=1e-8 * apart.max())
+    coupled = np.abs(found.W.T @ (stiffness @ found.U)).max()
+    assert coupled < 1e-8 * apart.max() < 1e-4 * np.abs(basis.W.T @ (stiffness @ basis.U)).max()
+    with pytest.raises(ValueError, match=f"U, W: expected {full.dofs} rows each"):
+        dynamorph.adapt_response_basis(full, basis.U[3:], basis.W)
+
+
 def test_a_state_resumes_bit_for_bit():
     model, *_ = with_responses(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN)
     rig, weights = test_physics.swing(model, 20)

@@ -25,6 +25,7 @@ SimulateShot = Callable[[Model, Report], tuple[np.ndarray, np.ndarray]]
 FITTED_IN_FULL = 1500  # degrees of freedom up to which a shot is simulated unreduced, to fit modes to it
 FEW = 1e-3  # fraction of the tetrahedra that may fall back without a warning
 CAGE_SHARE = 0.35  # of the time of a build
+PAINT = {"Firmness", "what is rigid"}  # the dependencies on the Firmness map: soft paint frees the head
 
 
 def build(
@@ -193,6 +194,47 @@ def _static_model(character: Character, authored: dict[str, str]) -> Model:
     )
 
 
+def only_paint_changed(model: Model, character: Character) -> bool:
+    """Whether `repainted` makes `model` fit `character` again."""
+    now, then = dependencies(character), model.dependencies
+    changed = {name for name in {**now, **then} if now.get(name) != then.get(name)}
+    return bool(changed) and changed <= PAINT and character.settings.hold == "THICKNESS" and not model.only_cage
+
+
+def repainted(model: Model, character: Character) -> Model:
+    """The model of another Firmness map, for a picture while it is painted. The cage and the span of the modes stay.
+    Only what depends on the stiffness is computed again. A build finds modes for the map, so this is never stored.
+    """
+    character = character.by_method()
+    mesh = dynamorph.TetMesh(model.nodes, model.tets)
+    embedding = dynamorph.Embedding(model.embedding_nodes, model.embedding_weights)
+    weights, rigidity = cage.painted(character, mesh, embedding)
+    hold = cage.held_by_thickness(character, mesh, weights, rigidity, model.fill)
+    model = replace(
+        model,
+        stiffness=hold.stiffness * _factor(weights, mesh.tets),
+        hold_strength=hold.strength,
+        hold=hold.phi,
+        unpainted_stiffness=hold.stiffness,
+        unpainted_hold=hold.unpainted,
+    )
+    if not model.basis.size:
+        return model
+    law = dynamorph.Law.__members__[model.settings.law]
+    full = dynamorph.FullModel(
+        model.soft_body(), morph_targets(character, model.displacements), law, dynamorph.Blending.EVEN
+    )
+    basis: Basis = model.basis
+    if model.responses.size:
+        basis = dynamorph.adapt_response_basis(full, model.basis, model.responses)
+    return _reduced(model, full, basis, lambda _done: True)
+
+
+def _factor(weights: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """The factor (m,) on the stiffness of tets whose nodes have these weights (n,) of the Firmness map."""
+    return firmness.stiffness(weights)[tets].mean(axis=1)
+
+
 def _model(character: Character, authored: dict[str, str], **known: Any) -> Model:
     """A model with the `known` fields and those that it takes over from the character; all others are empty."""
     empty = {name: np.zeros((0, 0)) for name in Model.array_names()}
@@ -220,7 +262,7 @@ def _with_tissue(
         nodes=tissue.mesh.nodes,
         tets=tissue.mesh.tets,
         fill=tissue.fill,
-        stiffness=tissue.stiffness * firmness.stiffness(tissue.firmness)[tissue.mesh.tets].mean(axis=1),
+        stiffness=tissue.stiffness * _factor(tissue.firmness, tissue.mesh.tets),
         region_weights=tissue.region_weights,
         pinned=tissue.pinned,
         hold_strength=hold.strength if hold else np.zeros(0),

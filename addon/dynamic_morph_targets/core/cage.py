@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ from . import firmness as paint
 from .character import Character
 from .engine import dynamorph
 from .geometry import connected_parts, diagonal, triangle_areas
-from .hold import Hold, hold
+from .hold import Depths, Hold, depths, hold
 
 ProgressFn = Callable[[float, str], bool]  # of a build: how much is done, and what is at hand
 Report = Callable[[float], bool]  # of a stage of it
@@ -26,6 +27,7 @@ GRID = (
 MOSTLY = 0.5  # fraction of the vertices; with more of them outside, a cage does not belong to this body
 PINNED = 0.95  # nodes that are rigid, or painted to be held, by more than this are pinned
 ON_A_LINE = 1e-6  # of the cage's size; pins across which a body is no wider are on a line
+KEPT = 2  # bodies whose depths are remembered
 FEWEST_NODES = 50  # of an attachment's own cage
 
 
@@ -77,7 +79,7 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
             pinned = np.concatenate([cage.pinned for cage in filled]) | (held > PINNED)
             adrift = _adrift(mesh, pinned)
         else:
-            of_thickness = _hold(character, mesh, surface, firmness, rigidity, fill)
+            of_thickness = held_by_thickness(character, mesh, firmness, rigidity, fill)
             stiffness = of_thickness.stiffness
     if len(adrift) and np.concatenate(adrift).size == len(mesh.nodes):
         raise dynamorph.Error(
@@ -102,17 +104,22 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
     return Cage(mesh, embedding, fill, stiffness, firmness, region_weights, pinned, weights, of_thickness, summary)
 
 
-def _hold(
-    character: Character,
-    mesh: dynamorph.TetMesh,
-    surface: np.ndarray,
-    firmness: np.ndarray,
-    rigidity: np.ndarray,
-    fill: np.ndarray,
+_depths: dict[bytes, Depths] = {}  # of the last bodies, by what they follow from: a stroke of paint changes none
+
+
+def held_by_thickness(
+    character: Character, mesh: dynamorph.TetMesh, firmness: np.ndarray, rigidity: np.ndarray, fill: np.ndarray
 ) -> Hold:
-    soft = (character.pieces[character.triangles] >= 0).all(axis=1)
-    thickness = dynamorph.Thickness(surface, character.triangles[soft])
-    return hold(mesh, thickness, surface, rigidity, firmness, fill)
+    """The hold of a character's cage. firmness, rigidity (n,): at the nodes; fill (m,)."""
+    surface = (character.vertices @ character.to_bind.T)[character.coincident]
+    triangles = character.triangles[(character.pieces[character.triangles] >= 0).all(axis=1)]
+    made_from = (mesh.nodes, mesh.tets, surface, triangles)
+    key = b"".join(hashlib.sha256(array.tobytes()).digest() for array in made_from)
+    if key not in _depths:
+        while len(_depths) >= KEPT:
+            del _depths[next(iter(_depths))]
+        _depths[key] = depths(mesh, surface, triangles)
+    return hold(mesh, _depths[key], rigidity, firmness, fill)
 
 
 # Cages: of the body, and of pieces that have their own ---------------------------------------------------------------
@@ -321,6 +328,14 @@ def _adrift_warning(character: Character, embedding: dynamorph.Embedding, nodes:
 
 # What the cage inherits from the skin
 # ---------------------------------------------------------------------------------------------
+
+
+def painted(
+    character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.Embedding
+) -> tuple[np.ndarray, np.ndarray]:
+    """The weights of the Firmness map and the rigidity at the nodes (n,)."""
+    firmness, _, rigidity, _ = _inherited(character, mesh, embedding)
+    return firmness, rigidity
 
 
 def _inherited(

@@ -45,27 +45,36 @@ class Hold:
     thickness: np.ndarray
 
 
-def hold(
-    mesh: dynamorph.TetMesh,
-    thickness: dynamorph.Thickness,
-    surface: np.ndarray,
-    rigidity: np.ndarray,
-    firmness: np.ndarray,
-    fill: np.ndarray,
-) -> Hold:
+@dataclass(frozen=True)
+class Depths:
+    """Of the quadrature points (m, 4) of the tets: thickness of the body there and depth below the skin, meters;
+    thickness (V,) at the skin.
+    """
+
+    thickness: np.ndarray
+    depth: np.ndarray
+    at_skin: np.ndarray
+
+
+def depths(mesh: dynamorph.TetMesh, surface: np.ndarray, triangles: np.ndarray) -> Depths:
+    """surface (V, 3): the skin, bind space; triangles (T, 3): those that enclose the body."""
+    thickness = dynamorph.Thickness(surface, triangles)
+    points = np.einsum("qa,eac->eqc", QUADRATURE, mesh.nodes[mesh.tets])
+    radius, depth = (part.reshape(-1, len(QUADRATURE)) for part in thickness.at(points.reshape(-1, 3)))
+    return Depths(radius, depth, thickness.at(surface)[0])
+
+
+def hold(mesh: dynamorph.TetMesh, at: Depths, rigidity: np.ndarray, firmness: np.ndarray, fill: np.ndarray) -> Hold:
     """The hold of a body.
 
-    surface (V, 3): the skin, bind space; rigidity and weights of the Firmness map (n,): at the nodes, from the skin;
-    fill (m,).
+    rigidity and weights of the Firmness map (n,): at the nodes, from the skin; fill (m,).
     """
-    corners = mesh.nodes[mesh.tets]
-    points = np.einsum("qa,eac->eqc", QUADRATURE, corners)
-    radius, depth = (part.reshape(-1, len(QUADRATURE)) for part in thickness.at(points.reshape(-1, 3)))
+    corners, radius = mesh.nodes[mesh.tets], at.thickness
     rigid = rigidity[mesh.tets] @ QUADRATURE.T
     volume = fill * np.abs(determinant(corners[:, 1:] - corners[:, :1]))
     body = _quantile(radius.ravel(), (volume[:, None] * (1.0 - rigid)).ravel(), THICKEST)
     firm = paint.NEUTRAL + (firmness - paint.NEUTRAL)[mesh.tets] @ QUADRATURE.T
-    core = np.maximum(smooth_step(depth / radius, *CORE), rigid)
+    core = np.maximum(smooth_step(at.depth / radius, *CORE), rigid)
     thin = 1.0 - smooth_step(radius / body, *THIN)
     unpainted = np.maximum(core, thin)
     phi = np.maximum(np.maximum(core, paint.kept(firm) * thin), paint.held(firm))
@@ -74,10 +83,9 @@ def hold(
     nodes = mesh.tets.ravel()
     weights = np.repeat(volume, 4)
     shown = np.bincount(nodes, weights * phi.ravel(), len(mesh.nodes)) / np.bincount(nodes, weights, len(mesh.nodes))
-    at_skin, _ = thickness.at(surface)
     # The stiffness also multiplies the hold; its mean is taken once.
     strength, unpainted = (FIRMNESS * (field / radius**2).mean(axis=1) for field in (phi, unpainted))
-    return Hold(strength, unpainted, stiffness.mean(axis=1), shown, at_skin)
+    return Hold(strength, unpainted, stiffness.mean(axis=1), shown, at.at_skin)
 
 
 def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:

@@ -15,8 +15,9 @@ from ..core.message import Message, joined
 from ..scene import events, references, staleness
 from ..scene.skin import followers, soft_skins
 from ..write import bake, live_key, muting, reconcile, regions, storage, targets
-from .session import Session, simulation_settings, way_to_skin
+from .session import Session, painted, simulation_settings, way_to_skin
 
+STROKE = 0.2  # seconds without an edit after which a stroke of paint shows
 SCRUBBED = 0.02  # seconds between two checks whether the artist still drags through the timeline
 AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 sessions: dict[int, Session] = {}  # by Object.session_uid
@@ -196,12 +197,23 @@ def _edited(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         session = sessions[obj.session_uid]
         if moved:
             session.rig_changed()
+        if reskinned:
+            events.soon(_after_stroke, STROKE)
         if reskinned and way_to_skin(obj) != session.skinning:
             del sessions[obj.session_uid]
         if is_on(obj) and live_key.find(obj, session.tissue.skin.written) is None:
             turn_off(obj)
         elif is_on(obj):
             reconcile.note_others(obj.data.shape_keys.key_blocks, obj.dynamorph.live)
+
+
+def _after_stroke() -> None:
+    """By a timer: show what was painted, or mirrored or filled, since the sessions began."""
+    for obj in soft_skins(bpy.context.scene.objects):
+        session = sessions.get(obj.session_uid)
+        if session and painted(obj) != session.painted:
+            del sessions[obj.session_uid]
+            refresh(obj)
 
 
 def _may_reskin(update: bpy.types.DepsgraphUpdate) -> bool:
@@ -314,7 +326,7 @@ def register() -> None:
 def unregister() -> None:
     events.unsubscribe(LISTENERS)
     events.remove(HANDLERS)
-    for look in (_after_scrubbing, _wake_late):
+    for look in (_after_scrubbing, _after_stroke, _wake_late):
         events.forget(look)
     _forget()
     _hide()

@@ -15,6 +15,7 @@ from ..core import errors, rig_samples, simulate
 from ..core import followers as carrying
 from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
+from ..core.firmness import NEUTRAL
 from ..core.geometry import interpolated
 from ..core.message import joined
 from ..core.player import Frame, Player, State
@@ -23,6 +24,7 @@ from ..core.settings import Material, SimulationSettings
 from ..scene import (
     checks,
     extract,
+    mesh_data,
     model_store,
     probe,
     references,
@@ -52,7 +54,7 @@ class Tissue:
 
     def __init__(self, obj: bpy.types.Object, scene: bpy.types.Scene):
         reconcile(obj)
-        self.model, self.character = model_store.current_model(obj)
+        self.model, self.character = model_store.live_model(obj)
         self.player = Player(self.model, self.character, simulation_settings(obj, scene))
         self.probe = probe.Probe(obj, self.model, self.character) if self.player.probed else None
         self.dofs = len(self.player.amounts.gains)
@@ -171,7 +173,7 @@ class Session:
         self.now: int | None = None  # the one that shows, or just before
         self._frames: dict[int, Frame] = {}
         self._states: dict[int, tuple[int, State]] = {}
-        self.skinning = way_to_skin(obj)
+        self.skinning, self.painted = way_to_skin(obj), painted(obj)
         self._placing, self._material = _placing(obj), _materials(obj)
         self._sampled = _sampling(obj)
         settings = self.tissue.player.settings
@@ -237,7 +239,7 @@ class Session:
 
     def _sync_settings(self, obj: bpy.types.Object, settings: SimulationSettings) -> None:
         """Apply what the artist has changed; the frames simulated after the one that shows are then dropped."""
-        age = staleness.model_age(obj)
+        age = staleness.live_age(obj)
         if age:
             raise SceneError("The model is out of date ({why}): press Build Model", why=joined("; ", age))
         for handle, count in self.tissue.vertices.items():
@@ -255,7 +257,7 @@ class Session:
         if changed or _physics(settings) != _physics(player.settings):
             self._rewind()
             if placing != self._placing:
-                _, self.tissue.character = model_store.current_model(obj)
+                _, self.tissue.character = model_store.live_model(obj)
             else:
                 self.tissue.character = _with_materials(self.tissue.character, materials)
             self._placing, self._material = placing, materials
@@ -386,6 +388,11 @@ def _with_materials(character: Character, materials: dict[str, Material]) -> Cha
         targets = (replace(target, material=materials[name]) for name, target in named)
         sets.append(replace(target_set, targets=tuple(targets)))
     return replace(character, target_sets=tuple(sets))
+
+
+def painted(obj: bpy.types.Object) -> bytes:
+    """The Firmness map of the soft skin's own mesh, to be compared."""
+    return mesh_data.group_weights(obj, [obj.dynamorph.firmness_group], NEUTRAL).tobytes()
 
 
 def way_to_skin(obj: bpy.types.Object) -> tuple:

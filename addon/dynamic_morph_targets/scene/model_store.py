@@ -105,6 +105,14 @@ def current_model(obj):
     return load_model(obj).with_settings(character.settings), character
 
 
+def live_model(obj):
+    """`current_model` for Live, which shows the Firmness map as it is painted, without a build."""
+    model, character = load_model(obj), extract.character(obj)
+    if model is None or not build.only_paint_changed(model, character):
+        return current_model(obj)
+    return build.repainted(model, character).with_settings(character.settings), character
+
+
 def fit_input(obj, target):
     """The input of the fits in `material_fit`: (model, character, index there) of one of the object's targets.
 

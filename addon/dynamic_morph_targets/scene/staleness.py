@@ -30,6 +30,7 @@ from .skinning import Skinning
 SCULPT = "sculpt"  # in the records of targets; identifies a renamed target
 # Properties of targets on which no result depends: the stiffness and the region contain them, or they only steer the
 # add-on.
+PAINTED = ("Firmness changed", "what is rigid changed")  # for both of which a stroke of paint is enough
 UNUSED = ("rig_world", "frequency", "by_hand", "auto_region", "auto_bones")
 
 
@@ -81,6 +82,14 @@ def model_changes(obj) -> list[str]:
 def model_age(obj) -> list[str]:
     """Why the model of `obj` must be built again: its settings, otherwise the last examination of its mesh."""
     return model_changes(obj) or [text for text in [obj.dynamorph.model.stale] if text]
+
+
+def live_age(obj) -> list[str]:
+    """As `model_age`, without what Live shows at once."""
+    age = model_age(obj)
+    if obj.dynamorph.model.hold != "THICKNESS":
+        return age
+    return [text for reason in age for text in str(reason).split("; ") if text not in PAINTED]
 
 
 def outdated(obj) -> list[str]:

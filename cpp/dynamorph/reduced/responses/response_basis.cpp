@@ -265,4 +265,17 @@ ResponseBasis make_response_basis(const FullModel& model, int r, int h, const Pr
   return basis;
 }
 
+ResponseBasis adapt_response_basis(const FullModel& model, const MatrixXd& U, const MatrixXd& W) {
+  if (U.rows() != model.dofs() || W.rows() != model.dofs())
+    throw std::invalid_argument("U, W: expected " + std::to_string(model.dofs()) + " rows each, got " +
+                                std::to_string(U.rows()) + " and " + std::to_string(W.rows()));
+  if (W.cols() < 1 || !U.allFinite() || !W.allFinite())
+    throw std::invalid_argument("U, W: expected finite numbers, and at least one response");
+  SparseMatrix K = model.zero();
+  for (int j : summed_at(model.targets(), 0)) values(K) += values(model.rest_stiffness(j));
+  ResponseBasis basis{U, {}, decoupled(K, model.body().unit_mass(), U, W)};
+  if (!basis.W.allFinite()) throw Error("The modes do not fit this soft skin. Build it again.");
+  return basis;
+}
+
 }  // namespace dynamorph

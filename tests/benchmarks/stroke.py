@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How long a stroke of paint takes until Live shows it, against a build: python tests/benchmarks/stroke.py ASSET.glb
+
+The mesh is subdivided until it has VERTICES. Prints seconds: of the wall clock, and of the processor.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_stroke_")  # before bpy is imported
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "addon"))
+
+import bpy  # noqa: E402
+import dynamic_morph_targets  # noqa: E402
+import numpy as np  # noqa: E402
+from dynamic_morph_targets.__main__ import leave  # noqa: E402
+from dynamic_morph_targets.core import build, material_fit  # noqa: E402
+from dynamic_morph_targets.run import session  # noqa: E402
+from dynamic_morph_targets.scene import extract, model_store  # noqa: E402
+
+VERTICES = 10_000
+COMPARED = 6  # of the slowest modes
+
+
+def main() -> None:
+    dynamic_morph_targets.register()
+    obj = character(sys.argv[1])
+    bpy.ops.dynamorph.add_soft_skin()
+    bpy.ops.dynamorph.build()
+    model = model_store.load_model(obj)
+    print(f"{obj.name}: {len(obj.data.vertices)} vertices, {len(model.nodes)} nodes, {model.modes.shape[1]} modes")
+    height = np.array([(obj.matrix_world @ vertex.co).z for vertex in obj.data.vertices])
+    group = obj.vertex_groups.new(name="Firmness")
+    obj.dynamorph.firmness_group = group.name
+    for weight in (0.0, 0.25, 0.9):
+        group.add(np.flatnonzero(height < np.median(height)).tolist(), weight, "REPLACE")
+        painted = extract.character(obj)
+        model_store.live_model(obj)  # the first stroke measures the depths of the body
+        quick, _ = timed("stroke, its model", lambda: model_store.live_model(obj))
+        timed("stroke, all of Live", lambda: session.Session(obj, bpy.context.scene))
+        built = timed("build", lambda character=painted: build.build(character, previous=model))
+        errors = [frequencies(each, built, painted) for each in (quick, built)]
+        print(f"lower half painted {weight:g}: the slowest modes are too fast by up to "
+              f"{errors[0]:.1%} after the stroke, {errors[1]:.1%} after the build")  # fmt: skip
+    leave(0)
+
+
+def character(path: str) -> bpy.types.Object:
+    """The largest mesh of a file, selected, with VERTICES."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.ops.import_scene.gltf(filepath=path)
+    obj = max((each for each in bpy.data.objects if each.type == "MESH"), key=lambda each: len(each.data.vertices))
+    bpy.context.view_layer.objects.active = obj
+    obj.select_set(True)
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    while len(obj.data.vertices) < VERTICES:
+        bpy.ops.mesh.subdivide()
+        obj.update_from_editmode()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    return obj
+
+
+def timed(label: str, work):
+    wall, processor = time.perf_counter(), time.process_time()
+    result = work()
+    print(f"{label:20s} {time.perf_counter() - wall:6.2f} s  {time.process_time() - processor:6.2f} s")
+    return result
+
+
+def frequencies(model, built, painted) -> float:
+    """By how much the slowest modes of a reduced `model` are faster than those of the unreduced one."""
+    full = material_fit.full_engine(built, painted)
+    omega, _ = full.linear_modes(0, COMPARED)
+    at_rest = np.eye(len(painted.targets))[0]
+    stiffness = full.linearize(at_rest, np.zeros(full.dofs))[2]
+    mass = np.repeat(full.body.volumes.sum(axis=1), 3)[:, None] * painted.targets[0].material.density
+    modes = model.modes
+    squared = np.linalg.eigvals(np.linalg.solve(modes.T @ (mass * modes), modes.T @ (stiffness @ modes)))
+    return float((np.sqrt(np.sort(squared.real)[:COMPARED]) / omega - 1.0).max())
+
+
+if __name__ == "__main__":
+    main()
