@@ -32,7 +32,7 @@ def moved(weight) -> np.ndarray:
         obj.dynamorph.firmness_group = group.name
     job = bake(obj)
     assert obj.dynamorph.targets[0].bounce == pytest.approx(3.5, rel=1e-4)  # of the body without paint
-    shown = np.einsum("fk,kvc->fvc", job.result.coordinates, job.result.modes)
+    shown = np.einsum("fk,kvc->fvc", job.outcome.bake.coordinates, job.outcome.bake.modes)
     far = np.linalg.norm(shown, axis=2).max(axis=0)
     return np.array([far[(low < height) & (height < high)].max() for low, high in (BELLY, CHEST)])
 
