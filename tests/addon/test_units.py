@@ -59,7 +59,7 @@ def shot(obj, original: Shot | None = None, moved=STILL) -> Shot:
 
 def carried(original: Shot, transform: np.ndarray, character):
     """The original's model with its nodes moved to another bind space: it has the cage that `character` asks for."""
-    model = original.outcome.model
+    model = original.model
     nodes = model.nodes @ transform[:3, :3].T + transform[:3, 3]
     tets = model.tets if np.linalg.det(transform) > 0 else model.tets[:, [0, 2, 1, 3]]
     return replace(model, nodes=nodes, tets=tets, dependencies=part("build").dependencies(character))
@@ -281,7 +281,7 @@ def scaled_family(body, size: float):
 @pytest.mark.parametrize("scale", [0.001, 0.01, 0.3937, 10.0, 100.0])
 def test_the_cage_does_not_depend_on_the_scale(scene, scale):
     """It is meshed on a grid of its own size: other scales differ in the digits that single precision cuts off."""
-    expected = original().outcome.model
+    expected = original().model
     obj = limb(clear())
     scaled(obj, scale, scale)
     volume = part("cage").make_cage(part("extract").character(obj), None, part("cage").Stages(None))

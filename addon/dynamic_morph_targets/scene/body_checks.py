@@ -8,6 +8,7 @@ look (`run/watch`) when the body is another than it was then.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 
@@ -15,10 +16,10 @@ from ..core.errors import SceneError
 from ..core.geometry import signed_volume
 from ..core.settings import Material
 from . import events
-from .checks import Problem, skinned
+from .checks import Problem
 from .mesh_data import stretch
 from .skin import unit_scale
-from .skinning import armature_modifiers
+from .skinning import Skinning
 from .source import Source
 
 PLAUSIBLE = (0.05, 4.0)  # meters, the longest side; a body of another size is probably unintended
@@ -28,14 +29,15 @@ PERSON = 1.7  # meters; what a fix makes of an implausible size
 _looks: dict[int, tuple[tuple, list[Problem]]] = {}  # by Object.session_uid: the body's state then, what looked wrong
 
 
-def known(obj) -> list[Problem]:
-    """What the last look at the body of `obj` found. Reads no mesh: fit for drawing."""
-    if not armature_modifiers(obj):
+def known(skinning: Skinning) -> list[Problem]:
+    """What the last look at a body found. Reads no mesh: fit for drawing."""
+    obj = skinning.obj
+    if not skinning.modifiers:
         return []
     state, found = _looks.get(obj.session_uid, ((), []))
     if obj.mode != "OBJECT":  # what is edited, sculpted or painted is looked at afterward
         return found
-    if state != _state(obj):
+    if state != _state(skinning):
         events.emit(events.Event.LOOK_ASKED, obj)
         return []
     return found
@@ -43,12 +45,11 @@ def known(obj) -> list[Problem]:
 
 def look(obj) -> list[Problem]:
     """Read the body of `obj`; returns what looks unintended, which is also what `known` returns from now on."""
-    try:
-        source = Source.of(skinned(obj))
-        found = list(unintended(source, mesh_points(obj), stretch(_world(obj))))
-    except SceneError:  # weights that are not numbers, which a build refuses
-        found = []
-    _looks[obj.session_uid] = _state(obj), found
+    skinning, found = Skinning.of(obj), []
+    if skinning.modifiers:
+        with suppress(SceneError):  # weights that are not numbers, which a build refuses
+            found = list(unintended(Source.of(skinning), mesh_points(obj), stretch(_world(obj))))
+    _looks[obj.session_uid] = _state(skinning), found
     return found
 
 
@@ -125,10 +126,10 @@ def _world(obj) -> np.ndarray:
     return unit_scale() * np.array(obj.matrix_world)
 
 
-def _state(obj) -> tuple:
+def _state(skinning: Skinning) -> tuple:
     """What a look depends on and is quickly read. Edits of the mesh are not among it: they call `forget`."""
-    targets = obj.dynamorph.targets
-    rigs = tuple(modifier.object.data.session_uid for modifier in armature_modifiers(obj))
+    obj, targets = skinning.obj, skinning.obj.dynamorph.targets
+    rigs = tuple(modifier.object.data.session_uid for modifier in skinning.modifiers)
     scale = tuple(round(side, 5) for side in obj.matrix_world.to_scale())
     density = targets[0].density if targets else 0.0
     counts = len(obj.data.vertices), len(obj.vertex_groups)

@@ -146,7 +146,7 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
         text = Message("'{name}' moves with '{body}'", name=obj.name, body=settings.follows.name)
         yield Problem(text), "LINKED"
         return
-    for problem in body_checks.known(obj):
+    for problem in body_checks.known(skinning):
         yield problem, "ERROR"
     if settings.targets:
         for text in texts(obj):

@@ -62,7 +62,7 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         in_the_way += [text for text in _find_attachments(obj) if text not in in_the_way]
         body_checks.look(obj)
         skinning = Skinning.of(obj)
-        found = (*checks.problems(skinning), *checks.notes(skinning), *body_checks.known(obj))
+        found = (*checks.problems(skinning), *checks.notes(skinning), *body_checks.known(skinning))
         drawn = [problem.text for problem in found]
         obj.dynamorph.model.warnings = "\n".join(text for text in in_the_way if text not in drawn)  # until a build
         for text in in_the_way:
