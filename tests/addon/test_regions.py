@@ -405,7 +405,7 @@ def test_the_other_side_has_a_region_of_its_own(scene):
     OPS.mirror_target()
     left, right = obj.dynamorph.targets[1:]
     assert (left.bone_names(), right.bone_names()) == (("lower.L",), ("lower.R",))
-    partners = part("targets").mirror_partners(rest(obj))
+    partners = part("mirror").mirror_partners(rest(obj))
     np.testing.assert_allclose(group(obj, right.region), group(obj, left.region)[partners], atol=0.1)  # faces differ
     OPS.go_to_pose()
     for bone, angle in (("lower.L", 1.0), ("upper.L", 0.7), ("upper.R", 2.0)):

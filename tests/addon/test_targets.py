@@ -427,7 +427,7 @@ def shown(obj, key):
 
 
 def test_blender_shows_the_mirror_image(arms):
-    partners = part("targets").mirror_partners(key_points(arms, "Basis"))
+    partners = part("mirror").mirror_partners(key_points(arms, "Basis"))
     assert (partners[partners] == np.arange(len(partners))).all()
     left = shown(arms, "flexed.L")
     assert OPS.mirror_target() == {"FINISHED"}

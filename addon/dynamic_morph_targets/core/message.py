@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Self
 
+LISTED = 5  # names in a report
+
 
 class Message(str):
     """A sentence in English. It knows its template, which is what a language translates, and the values in that."""
@@ -23,6 +25,12 @@ def joined(separator: str, texts: Sequence[str]) -> Message:
     """Sentences one after the other. Each can still be translated."""
     template = separator.join(f"{{text{k}}}" for k in range(len(texts)))
     return Message(template, **{f"text{k}": text for k, text in enumerate(texts)})
+
+
+def listed(names: Sequence[str]) -> str:
+    """The names, as many as a report has room for."""
+    first, more = ", ".join(names[:LISTED]), len(names) - LISTED
+    return Message("{names} and {count} more", names=first, count=more) if more > 0 else first
 
 
 def translated(text: str, translate: Callable[[str], str]) -> str:

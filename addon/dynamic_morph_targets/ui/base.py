@@ -6,13 +6,11 @@ from __future__ import annotations
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from ..core import engine, errors, logger
+from ..core import engine, errors, logger, message
 from ..core.message import Message, translated
 from ..run import batch
 from ..scene import events, skin
 from ..write.reconcile import reconcile
-
-LISTED = 5  # names in a report
 
 
 def report_errors(operator, action, *args) -> set[str]:
@@ -82,6 +80,11 @@ class SoftSkinOperator:
     def _apply_reconciled(self, obj):
         return self.apply(reconciled(obj))
 
+    def warn(self, texts):
+        """Report sentences that do not prevent what the button does."""
+        for text in texts:
+            self.report({"WARNING"}, translated(text, rpt_))
+
 
 def reconciled(obj):
     """The object, once its references follow what a script may have renamed just now."""
@@ -98,9 +101,8 @@ def at_work() -> str:
 
 
 def listed(names: list[str]) -> str:
-    """The names, as many as a report has room for."""
-    first, more = ", ".join(names[:LISTED]), len(names) - LISTED
-    return rpt_("{names} and {count} more").format(names=first, count=more) if more > 0 else first
+    """`message.listed` in the interface's language."""
+    return translated(message.listed(names), rpt_)
 
 
 class TargetOperator(SoftSkinOperator):

@@ -11,7 +11,6 @@ from ..core.errors import SceneError
 from ..scene import checks, rig_motion
 from ..scene.registration import of_classes
 from ..write import muting, regions, targets
-from ..write.targets import capture
 from .base import TargetOperator, listed
 
 
@@ -23,7 +22,7 @@ class DYNAMORPH_OT_capture_pose(TargetOperator, Operator):
     neutral_too = True
 
     def apply(self, obj):
-        capture(self, obj, obj.dynamorph.active_target, rig_motion.current_pose(obj))
+        self.warn(targets.capture(obj, obj.dynamorph.active_target, rig_motion.current_pose(obj)))
         regions.update(obj)
 
 

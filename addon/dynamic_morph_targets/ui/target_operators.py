@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, EnumProperty, StringProperty
@@ -12,12 +11,12 @@ from bpy.types import Operator
 from ..core.errors import SceneError
 from ..run import task
 from ..run.live import remove_soft_skin
-from ..scene import checks, data_checks, mesh_data, rig_motion, skin
-from ..scene.references import key_points, rest_skeleton
+from ..scene import checks, rig_motion, skin
+from ..scene.references import rest_skeleton
 from ..scene.registration import of_classes
-from ..write import muting, regions, suggest, targets
-from ..write.targets import capture, sculpted_key
-from .base import SoftSkinOperator, TargetOperator, listed
+from ..write import mirror, muting, regions, suggest, targets
+from ..write.targets import sculpted_key
+from .base import SoftSkinOperator, TargetOperator
 from .job_operators import JobOperator
 
 # The list ----------------------------------------------------------------------------------------------------------
@@ -73,7 +72,7 @@ class DYNAMORPH_OT_add_target(SoftSkinOperator, Operator):
         if block.name == settings.live.key.name:
             raise SceneError("'{name}' belongs to Live: select another shape key", name=block.name)
         pose = rig_motion.current_pose(obj)
-        capture(self, obj, targets.add(obj, block), pose)
+        self.warn(targets.capture(obj, targets.add(obj, block), pose))
         regions.update(obj)
 
 
@@ -181,72 +180,7 @@ class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
     )
 
     def apply(self, obj):
-        settings = obj.dynamorph
-        source, index = settings.active_target, settings.active_target_index
-        skeleton = rest_skeleton(checks.armature_modifier(obj).object.data)
-        local = targets.mirrored_pose(skeleton, source.local(skeleton))
-        bones = self._bones(source, skeleton, local)
-        region = "" if source.auto_region else self._region(obj, source)
-        block = self._key(obj)
-        existing = [i for i, target in enumerate(settings.targets) if i and target.name == block.name]
-        if existing:
-            settings.active_target_index = existing[0]
-        else:
-            targets.add(obj, block, after=index)
-        source, target = settings.targets[index], settings.active_target
-        targets.copy_settings(source, target)
-        target.set_region(region, source.auto_region)
-        target.made_region = ""
-        target.set_pose(skeleton, local, targets.mirrored_world(source.rig_world))
-        target.set_bones(bones, source.auto_bones)
-        regions.update(obj)
-
-    def _bones(self, source, skeleton, mirrored) -> list[str]:
-        """The target's bones on the other side. Raises SceneError where there is no other side."""
-        if bpy.utils.flip_name(source.name) == source.name:
-            raise SceneError("'{name}' does not say its side: give it a name that ends in .L or .R", name=source.name)
-        bones = [bpy.utils.flip_name(bone) for bone in source.bone_names()]
-        missing = [bone for bone in bones if bone not in skeleton.names]
-        if missing:
-            raise SceneError("Bone '{bone}' is missing: '{name}' has no other side", bone=missing[0], name=source.name)
-        used = [name in {*bones, *source.bone_names()} for name in skeleton.names]
-        if data_checks.same_pose(source.local(skeleton)[used], mirrored[used]):
-            raise SceneError("'{name}' has a symmetric pose, which its mirror image would share", name=source.name)
-        return bones
-
-    def _region(self, obj, source) -> str:
-        region = bpy.utils.flip_name(source.region)
-        if not region or region in obj.vertex_groups:
-            return region
-        text = rpt_("There is no vertex group '{region}': the mirrored target has no Region")
-        self.report({"WARNING"}, text.format(region=region))
-        return ""
-
-    def _key(self, obj):
-        """The shape key of the other side. It is created, overwritten or used as it is."""
-        keys = obj.data.shape_keys
-        source = sculpted_key(obj)
-        name = bpy.utils.flip_name(source.name)
-        existing = keys.key_blocks.get(name)
-        if existing and not self.overwrite:
-            return existing
-        checks.check_mesh(obj)
-        partners = targets.mirror_partners(key_points(keys.reference_key))
-        alone = (partners < 0).nonzero()[0]
-        if len(alone) == len(partners):
-            raise SceneError(
-                "'{name}' is not symmetric about its X axis: sculpt a shape key '{key}' yourself",
-                name=obj.name,
-                key=name,
-            )
-        if len(alone):
-            text = rpt_("{count} vertices have no mirror image and stay as in the Basis: {numbers}")
-            self.report({"WARNING"}, text.format(count=len(alone), numbers=listed([str(vertex) for vertex in alone])))
-        shape = targets.mirrored_shape(mesh_data.target_shape(obj, source.name), partners)
-        if existing is None:
-            return targets.new_key(obj, name, shape)
-        targets.sculpt_anew(existing, shape)
-        return existing
+        self.warn(mirror.mirror_target(obj, self.overwrite))
 
 
 class DYNAMORPH_OT_select_key(TargetOperator, Operator):

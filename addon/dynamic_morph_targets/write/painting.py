@@ -11,6 +11,7 @@ from ..core.errors import SceneError
 from ..scene import checks, mesh_data, references, skin
 from . import bake, storage, targets
 from .fixes import owned
+from .mirror import mirror_partners
 
 NAME = "Firmness"  # of a new map
 STEPS = 1000  # weights that a vertex group distinguishes
@@ -70,7 +71,7 @@ def mirror(obj, to: str) -> int:
     and stay as they are. Raises SceneError.
     """
     points = mesh_data.rest_points(obj)
-    partners = targets.mirror_partners(points)
+    partners = mirror_partners(points)
     overwritten = (points[:, 0] < 0.0 if to == "RIGHT" else points[:, 0] > 0.0) & (partners >= 0)
     if not overwritten.any():
         raise SceneError("'{name}' is not symmetric about its X axis: paint the other side yourself", name=obj.name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the buttons of the list of targets do to shape keys and poses: blend, mirror, copy, pose the armature."""
+"""What the buttons of the list of targets do to shape keys and poses: blend, copy, pose the armature."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ from dataclasses import asdict, replace
 
 import bpy
 import numpy as np
-from bpy.app.translations import pgettext_rpt as rpt_
 from mathutils import Matrix
-from mathutils.kdtree import KDTree
 
 from ..core import engine, posing
 from ..core.character import Character, Skeleton
 from ..core.errors import SceneError
-from ..core.geometry import diagonal, turned
+from ..core.geometry import turned
+from ..core.message import Message
 from ..scene import animation, checks, data_checks, extract, mesh_data, rig_motion, skinning
 from ..scene.plain import plain
 from ..scene.references import KEY_REFERENCE, key_points, rest_skeleton, rig_of
@@ -24,9 +23,7 @@ from .bake import ensure_basis
 from .muting import show_target
 from .reconcile import reconcile
 
-MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 NOTHING = 1e-6  # of the coordinates; smaller differences are round-off, not sculpted
-MIRROR_TOLERANCE = 1e-3  # of the mesh's size; the largest distance of a vertex's partner from its mirror image
 
 
 # Shape keys --------------------------------------------------------------------------------------------------------
@@ -166,46 +163,6 @@ def at_pose_of(obj, skeleton: Skeleton, local: np.ndarray, bones):
         if data_checks.same_pose(target.local(skeleton)[used], local[used]):
             return target
     return None
-
-
-# Mirroring ---------------------------------------------------------------------------------------------------------
-
-
-def mirrored_pose(skeleton: Skeleton, local: np.ndarray) -> np.ndarray:
-    """A pose (B, 4, 4) with left and right exchanged, about the armature's local x, whatever the rolls of the bones.
-
-    What is mirrored is how each bone moves the skin, D = P R^-1: D' = S D S of the bone on the other side.
-    """
-    other = [other_side(skeleton, b) for b in range(len(skeleton.names))]
-    carried = skeleton.pose(local) @ skeleton.rest_inverse
-    return skeleton.local_transforms(MIRROR @ carried[other] @ MIRROR @ skeleton.rest)
-
-
-def mirrored_world(rig_world) -> np.ndarray:
-    """The armature's transform (4, 4) for a mirrored pose: gravity, along world z, is then mirrored in its space."""
-    return MIRROR @ np.array(rig_world).reshape(4, 4) @ MIRROR
-
-
-def other_side(skeleton: Skeleton, b: int) -> int:
-    """The index of the bone on the other side; a center bone is its own partner."""
-    flipped = bpy.utils.flip_name(skeleton.names[b])
-    return skeleton.names.index(flipped) if flipped in skeleton.names else b
-
-
-def mirror_partners(points: np.ndarray) -> np.ndarray:
-    """For each point (V, 3) the index of the one at its mirror image about x, or -1."""
-    tree = KDTree(len(points))
-    for index, point in enumerate(points):
-        tree.insert(point, index)
-    tree.balance()
-    tolerance = MIRROR_TOLERANCE * diagonal(points)
-    found = [tree.find(point) for point in points * MIRROR.diagonal()[:3]]
-    return np.array([index if distance <= tolerance else -1 for _, index, distance in found])
-
-
-def mirrored_shape(shape: np.ndarray, partners: np.ndarray) -> np.ndarray:
-    """A displacement (V, 3) mirrored about x; zero at vertices without a partner."""
-    return shape[partners] * MIRROR.diagonal()[:3] * (partners >= 0)[:, None]
 
 
 # The armature ------------------------------------------------------------------------------------------------------
@@ -373,15 +330,16 @@ def sculpted_key(obj):
     return block
 
 
-def capture(operator, obj, target, pose):
+def capture(obj, target, pose) -> list[Message]:
     """Store a pose as returned by `rig_motion.current_pose`. The target is placed by those bones that are turned away
-    from the neutral pose and bend the sculpt.
+    from the neutral pose and bend the sculpt. Returns warnings.
     """
     skeleton, local, rig_world = pose
     target.set_pose(skeleton, local, rig_world)
     if target == obj.dynamorph.targets[0]:
-        return
+        return []
     choose_bones(obj, target, skeleton)
-    if not target.bones:
-        text = rpt_("'{name}': no bone is turned away from the neutral pose. Pose it, then Capture Pose")
-        operator.report({"WARNING"}, text.format(name=target.name))
+    if target.bones:
+        return []
+    text = "'{name}': no bone is turned away from the neutral pose. Pose it, then Capture Pose"
+    return [Message(text, name=target.name)]
