@@ -15,18 +15,21 @@ from .settings import SimulationSettings
 class Amounts:
     """Scales the motion about the targets' shapes when it is shown. The simulation does not depend on it.
 
-    amount: of all motion; gains (dofs,) of the modes; motion_amounts (J,) of the targets; all may be set at any time.
-    shapes (J, dofs): the targets' shapes in coordinates, of width zero for static morph targets.
+    amount: of all motion; gains (dofs,) of the modes; motion_amounts (J,) of the targets. shapes (J, dofs): the
+    targets' shapes in coordinates, of width zero for static morph targets.
     """
 
     def __init__(self, model: Model, character: Character, shapes: np.ndarray, settings: SimulationSettings):
         self._model = model
         self._sizes = [len(target_set.targets) for target_set in character.target_sets]
         self._shapes = shapes
-        self.amount = settings.amount
-        self.motion_amounts = np.array([target.motion_amount for target in character.targets])
-        self.gains = np.ones(shapes.shape[1])
-        if model.settings.solver == "REDUCED":
+        self.follow(settings, np.array([target.motion_amount for target in character.targets]))
+
+    def follow(self, settings: SimulationSettings, motion_amounts: np.ndarray) -> None:
+        """Show the motion by these settings and amounts from now on."""
+        self.amount, self.motion_amounts = settings.amount, motion_amounts
+        self.gains = np.ones(self._shapes.shape[1])
+        if self._model.settings.solver == "REDUCED":
             known = min(len(settings.gains), len(self.gains))
             self.gains[:known] = settings.gains[:known]
 

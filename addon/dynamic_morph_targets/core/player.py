@@ -199,11 +199,16 @@ class Player:
         with the same time step.
         """
         other = Player(self.model, character, settings or self.settings, keep_going=self._keep_going)
-        other.amounts.gains, other.number, other.passes = self.amounts.gains, self.number, self.passes
+        other.number, other.passes = self.number, self.passes
         if self._first is not None:
             other._balance_targets(self._first)
             other.state = self.state
         return other
+
+    def follow(self, settings: SimulationSettings, motion_amounts: np.ndarray) -> None:
+        """Go on with settings of the same physics; motion_amounts (J,): those of the targets from now on."""
+        self.settings = settings
+        self.amounts.follow(settings, motion_amounts)
 
     def static(self, weights: np.ndarray) -> np.ndarray:
         """Coordinates (..., dofs) of the targets' shapes blended by the weights (..., J): the static part."""

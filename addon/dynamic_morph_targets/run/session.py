@@ -78,6 +78,11 @@ class Tissue:
             residual_shapes = carrying.residual_shapes_of(model, follower)
             self.followers.append(LiveMesh(handle, follower.points, move, residual_shapes))
 
+    def exchange(self, character: Character, settings: SimulationSettings) -> None:
+        """Go on with the materials, poses and blending of `character`; settings: others with the same time step."""
+        self.character = character
+        self.player = self.player.exchange(character, settings)
+
     def _move(self, count: int, nodes: np.ndarray, weights: np.ndarray, from_body: np.ndarray | None = None) -> Move:
         """What displaces `count` points that the nodes (V, 4) carry by these weights (V, 4); from_body (3, 3): from
         the body's local space to theirs.
@@ -252,24 +257,20 @@ class Session:
                     expected=count,
                 )
         placing, materials, sampled = _placing(obj), _materials(obj), _sampling(obj)
-        player = self.tissue.player
         changed = (placing, materials) != (self._placing, self._material)
-        if changed or _physics(settings) != _physics(player.settings):
+        if changed or _physics(settings) != _physics(self.tissue.player.settings):
             self._rewind()
             if placing != self._placing:
-                _, self.tissue.character = model_store.live_model(obj)
+                _, character = model_store.live_model(obj)
             else:
-                self.tissue.character = _with_materials(self.tissue.character, materials)
+                character = _with_materials(self.tissue.character, materials)
             self._placing, self._material = placing, materials
-            player = player.exchange(self.tissue.character, settings)
+            self.tissue.exchange(character, settings)
         if sampled != self._sampled:
             self._sampled = sampled
             self.rig_changed()
-        player.settings, player.amounts.amount = settings, settings.amount
-        if self.tissue.modes:
-            player.amounts.gains = _gains(obj, self.tissue.modes)
-        player.amounts.motion_amounts = _motion_amounts(obj, player.character)
-        self.tissue.player = player
+        player = self.tissue.player
+        player.follow(settings, _motion_amounts(obj, player.character))
 
     def _simulate_to(self, obj: bpy.types.Object, number: int, arrives: bool) -> None:
         """Simulate up to a frame: from the last one on, or starting at the frame itself if playback cannot have come
@@ -333,8 +334,8 @@ class Session:
 
 
 def simulation_settings(obj: bpy.types.Object, scene: bpy.types.Scene) -> SimulationSettings:
-    """`run_settings.simulation_settings` without samples between frames."""
-    return replace(run_settings.simulation_settings(obj, scene), samples=1)
+    """`run_settings.simulation_settings` without samples between frames, and with the solo modes alone."""
+    return replace(run_settings.simulation_settings(obj, scene), samples=1, gains=_gains(obj))
 
 
 def _sampling(obj: bpy.types.Object) -> tuple[bool, int, int, float]:
@@ -348,13 +349,11 @@ def _physics(settings: SimulationSettings) -> SimulationSettings:
     return replace(settings, start=0, end=0, gains=(), amount=1.0)
 
 
-def _gains(obj: bpy.types.Object, count: int) -> np.ndarray:
-    """Factors (count,) on the modes' motion; of solo modes, if there are any, only theirs is not zero."""
-    modes = obj.dynamorph.modes[:count]
+def _gains(obj: bpy.types.Object) -> tuple[float, ...]:
+    """Factors on the modes' motion; of solo modes, if there are any, only theirs is not zero."""
+    modes = obj.dynamorph.modes
     solo = any(mode.solo for mode in modes)
-    gains = np.ones(count)
-    gains[: len(modes)] = [mode.gain * (mode.solo or not solo) for mode in modes]
-    return gains
+    return tuple(mode.gain * (mode.solo or not solo) for mode in modes)
 
 
 def _motion_amounts(obj: bpy.types.Object, character: Character) -> np.ndarray:
