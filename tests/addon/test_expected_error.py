@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""After a build in a window the panel shows how far the reduced motion of a hop is from Final quality."""
+"""After a build in a window the panel shows how far the reduced motion of a hop is from Full Quality."""
 
 from dataclasses import replace
 

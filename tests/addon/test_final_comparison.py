@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Final quality bakes every node with the model that there is, and a reduced bake is compared with it."""
+"""Full Quality bakes every node with the model that there is, and a reduced bake is compared with it."""
 
 import json
 from dataclasses import replace
@@ -27,7 +27,7 @@ def about_mean(bake):
     return motion - motion.mean(axis=0)
 
 
-# Final quality -----------------------------------------------------------------------------------------------------
+# Full Quality -----------------------------------------------------------------------------------------------------
 
 
 def test_final_quality_needs_no_other_build(coarse):
@@ -104,10 +104,10 @@ def compared(obj) -> float:
 
 def test_the_panel_says_how_far_a_bake_is_from_final_quality(coarse):
     digest = bake(coarse).target().dynamorph.bake.digest
-    assert "dynamorph.compare_final" in drawn(coarse) and "off Final" not in " ".join(drawn(coarse))
+    assert "dynamorph.compare_final" in drawn(coarse) and "off Full Quality" not in " ".join(drawn(coarse))
     distance = compared(coarse)
     assert 0.01 < distance < 1.0
-    assert f"Reduced motion: {100 * distance:.1f} % off Final" in " ".join(drawn(coarse))
+    assert f"Reduced motion: {100 * distance:.1f} % off Full Quality" in " ".join(drawn(coarse))
     assert coarse.dynamorph.bake.digest == digest  # the bake stays as it was
 
 
@@ -147,7 +147,7 @@ def test_another_bake_was_not_compared(coarse, forget):
     bake(coarse)
     compared(coarse)
     forget(coarse)
-    assert coarse.dynamorph.bake.off_final < 0 and "off Final" not in " ".join(drawn(coarse))
+    assert coarse.dynamorph.bake.off_final < 0 and "off Full Quality" not in " ".join(drawn(coarse))
 
 
 def test_what_cannot_be_compared(coarse):
@@ -182,6 +182,6 @@ def test_the_command_line_compares_too(coarse, tmp_path, capfd):
     command = ["bake", str(file), "--object", "Arm", "--frames", "1", "8", "--report", str(report), "--in-place"]
     assert run([*command, "--compare-final"], opens_file=True) == 0
     off_final = json.loads(report.read_text())["characters"][0]["bake"]["off_final"]
-    assert f"off Final{100 * off_final:>18.1f} %"[-8:] in capfd.readouterr().out
+    assert f"off Full Quality{100 * off_final:>18.1f} %"[-8:] in capfd.readouterr().out
     assert bpy.data.objects["Arm"].dynamorph.bake.off_final == pytest.approx(off_final)
     assert run([*command, "--compare-final", "--solver", "full"], opens_file=True) == 2

@@ -355,7 +355,7 @@ def test_a_motion_amount_that_is_not_a_number_is_refused(playing):
     play(playing, range(1, 4))
     playing.dynamorph.targets["flexed"].influence = float("nan")
     stopped(playing, "reset the gains")
-    with pytest.raises(part("errors").SceneError, match="Motion Amount of target 'flexed' is nan, but must be"):
+    with pytest.raises(part("errors").SceneError, match="Amount of target 'flexed' is nan, but must be"):
         baked(playing)
 
 
@@ -645,7 +645,7 @@ def test_a_model_out_of_date_is_refused(live_arm):
     assert fingerprint(live_arm) == before
 
 
-# Final quality -----------------------------------------------------------------------------------------------------
+# Full Quality -----------------------------------------------------------------------------------------------------
 
 
 def test_final_quality_plays_what_it_bakes_without_another_build(live_arm):

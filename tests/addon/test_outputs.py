@@ -225,7 +225,7 @@ def test_a_driver_of_the_influence_that_goes_is_named(soft_arm, tmp_path):
     new.add()
     new.show()
     (messages,) = new.remove_old()
-    assert "The driver of Bake Influence of 'Arm' was removed" in messages
+    assert "'Arm': the driver of its Influence was removed" in messages
 
 
 def test_a_curve_of_an_earlier_cache_does_not_move_the_influence_of_the_next(scene, soft_arm, tmp_path):

@@ -7,6 +7,7 @@ import bpy
 import pytest
 from builders import activate, hand_made_bake, part, rig_of
 from layout import Layout, controls, drawn, region
+from settings_shown import settings_shown
 
 SIDEBAR, PHYSICS, DATA = "DYNAMORPH_PT_sidebar", "DYNAMORPH_PT_physics", "DYNAMORPH_PT_object_data"
 BUTTONS = ["dynamorph.live", "Live", "dynamorph.build", "dynamorph.bake", "Bake", "dynamorph.free_bake"]
@@ -140,6 +141,36 @@ def test_a_new_soft_skin_shows_twelve_controls_at_most(arm, stand_in):
     assert names == ["amount", "bounce", "settle_time", "weight", "DYNAMORPH_PT_material_presets"]
     assert len(shown) <= 12
     assert controls(arm, PHYSICS, unfolded=False) == [*TOP, "DYNAMORPH_PT_setup_presets"]
+
+
+# Settings of a new soft skin that stay in sight, section by section; Advanced and Material have the others.
+IN_SIGHT = {
+    "feel": ["amount", "bounce", "settle_time", "weight"],
+    "firmness": ["firmness_group"],
+    "targets": ["influence"],
+    "pieces": ["hold_head"],
+    "bake": ["solver", "max_displacement", "use_scene_range", "start", "end", "keep_outside", "loop", "sink", "keys"],
+}
+ADVICE = "Raise", "Lower", "Turn", "Choose", "Change", "Paint", "Set", "suit", "where", "sets"  # it says when
+
+
+def test_few_settings_are_in_sight(arm, stand_in):
+    bpy.ops.dynamorph.add_soft_skin()
+    shown = settings_shown(arm)
+    rest = {section.name for section in part("panels").PHYSICS_SECTIONS if section.parent == "advanced"} | {"material"}
+    in_sight = {name: [each.split(".")[1] for each in found] for name, found in shown.items() if name not in rest}
+    print({name: len(found) for name, found in shown.items()})
+    assert in_sight == IN_SIGHT
+
+
+def test_every_setting_says_when_to_change_it(soft_arm, stand_in):
+    soft_arm.dynamorph.active_target_index = 1
+    groups, silent = {group.__name__: group for group in part("properties").CLASSES}, []
+    for group, name in (each.split(".") for found in settings_shown(soft_arm).values() for each in found):
+        tooltip = groups[group].bl_rna.properties[name].description
+        if not any(word in tooltip for word in ADVICE):
+            silent.append(f"{group}.{name}: {tooltip}")
+    assert silent == []
 
 
 def test_nothing_but_state_live_and_bake_is_in_both_places(soft_arm, stand_in):

@@ -54,8 +54,10 @@ def problem():
 
 @step("Build Cage")
 def build_cage():
-    yield from physics("advanced", "cage")
+    yield from physics("advanced", "rare")
     yield from properties.choose_other("model.hold")
+    yield from close("rare")
+    yield from physics("cage")
     yield from properties.look_into("model.cage_object")
     yield from properties.enter("model.cage_nodes", "800")
     yield from properties.press("dynamorph.build_cage")

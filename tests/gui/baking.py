@@ -46,7 +46,7 @@ def bake_again():
     assert baked() and swings > 1e-4, f"{baked()} swing by {1e3 * swings:.3f} mm"
 
 
-@step("Bake Influence")
+@step("Influence")
 def influence():
     """A value of 0.5 leaves half the motion."""
     whole, strip = shown_at(limb.FLEXED + 1), addon("write.bake_influence").influence_strip(skin())
@@ -186,9 +186,12 @@ def at(*fractions: float):
 
 @step("Esc while it reads the rig")
 def cancel_reading():
-    yield from physics("advanced", "solver")
-    for name in ("scheme", "begin", "preroll_pose"):
+    yield from physics("advanced", "rare")
+    for name in ("scheme", "preroll_pose"):
         yield from properties.choose_other(f"simulation.{name}")
+    yield from close("rare")
+    yield from physics("solver")
+    yield from properties.choose_other("simulation.begin")
     yield from properties.enter("simulation.substeps", "20")
     yield from close("solver", "advanced")
     assert settings().simulation.substeps == 20

@@ -63,8 +63,13 @@ def bounce():
 def model():
     yield from sidebar.fold("DYNAMORPH_PT_targets")
     yield from physics("advanced", "detail")
-    for name in ("method", "law", "blending", "basis"):
+    yield from properties.choose_other("model.method")
+    yield from close("detail")
+    yield from physics("rare")
+    for name in ("law", "blending", "basis"):
         yield from properties.choose_other(f"model.{name}")
+    yield from close("rare")
+    yield from physics("detail")
     assert not addon("scene.staleness").model_age(skin())
 
 

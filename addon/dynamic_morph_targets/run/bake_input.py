@@ -206,7 +206,7 @@ def _read_limits(given: BakeInput, chosen: bpy.types.PropertyGroup, request: Req
     """How far the skin may move, and whether this bake rehearses the shot; chosen: the settings.
 
     There is no rehearsal where others must agree with the result: for a part of a shot, a worker of a farm, or values
-    that the artist has set by hand; nor in Final quality, in which each try would take as long as the bake.
+    that the artist has set by hand; nor in Full Quality, in which each try would take as long as the bake.
     """
     given.limits = judge.Limits(chosen.max_displacement, chosen.max_thickness)
     model, neutral = given.character.settings, given.character.targets[0]

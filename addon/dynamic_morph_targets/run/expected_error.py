@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far the reduced motion of a new model is from Final quality, found in the background after a build or bake.
+"""How far the reduced motion of a new model is from Full Quality, found in the background after a build or bake.
 
 The motion is the same for every character: the Shake Test's hop, in the pose that shows. For a whole body the error is
 near that of its worst clip (docs/user_guide.md, Model). What was found is kept by what it depends on, so that neither

@@ -109,7 +109,7 @@ class ActionsExport(batch.Batch):
             )
         if obj.dynamorph.model.solver == "FULL" and obj.dynamorph.model.method != "STATIC":
             raise ExportError(
-                "'{name}': clips share their shape keys, and Final quality makes others for each: set Quality to "
+                "'{name}': clips share their shape keys, and Full Quality makes others for each: set Quality to "
                 "Reduced",
                 name=obj.name,
             )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far the reduced motion of a bake, which Live shows too, is from the same shot in Final quality."""
+"""How far the reduced motion of a bake, which Live shows too, is from the same shot in Full Quality."""
 
 from __future__ import annotations
 
@@ -78,11 +78,11 @@ def disabled_reason(obj: bpy.types.Object) -> str:
     if settings.model.method == "STATIC":
         return "With the Method Static nothing moves by itself: there is no motion to compare"
     if settings.model.solver == "FULL":
-        return "This is Final quality: set Quality to Reduced and bake to compare"
+        return "This is Full Quality: set Quality to Reduced and bake to compare"
     return ""
 
 
 def summary(obj: bpy.types.Object) -> str:
     """What was found, as a sentence; '' before the bake was compared."""
     distance = obj.dynamorph.bake.off_final
-    return Message("Reduced motion: {percent:.1f} % off Final", percent=100 * distance) if distance >= 0 else ""
+    return Message("Reduced motion: {percent:.1f} % off Full Quality", percent=100 * distance) if distance >= 0 else ""

@@ -216,7 +216,7 @@ class Session:
             values += fraction * (self.tissue.values(self._frames[before + 1]) - values)
         if not np.isfinite(values).all():  # Python and drivers can set any value as a gain
             raise errors.SelfCheckError(
-                "'{name}': its motion is not numbers: reset the gains of its modes, or the targets' Motion Amount",
+                "'{name}': its motion is not numbers: reset the gains of its modes, or the targets' Amount",
                 name=obj.name,
             )
         return values

@@ -60,10 +60,20 @@ class DynamorphSimulation(PropertyGroup):
     """How a shot is simulated."""
 
     use_scene_range: BoolProperty(
-        name="Scene Range", description="Bake the frame range of the scene", default=True, override=OVERRIDE
+        name="Scene Range",
+        description="Bake the frame range of the scene. Turn it off to bake a part of the shot",
+        default=True,
+        override=OVERRIDE,
     )
-    start: IntProperty(name="Frame Start", description="First frame of the bake", default=1, override=OVERRIDE)
-    end: IntProperty(name="Frame End", description="Last frame of the bake", default=250, override=OVERRIDE)
+    start: IntProperty(
+        name="Frame Start",
+        description="First frame of the bake, where Scene Range is off",
+        default=1,
+        override=OVERRIDE,
+    )
+    end: IntProperty(
+        name="Frame End", description="Last frame of the bake, where Scene Range is off", default=250, override=OVERRIDE
+    )
     substeps: IntProperty(
         name="Substeps Per Frame",
         description="How many time steps the simulation takes per frame. 0 takes as many as keep a step below 1/120 s. "
@@ -78,7 +88,7 @@ class DynamorphSimulation(PropertyGroup):
     )  # fmt: skip
     scheme: EnumProperty(
         name="Integrator",
-        description="How the simulation steps through time",
+        description="How the simulation steps through time. Change it only to compare with other programs",
         items=(
             ("BDF2", "BDF2", "Second order. It keeps the bounce", 0),
             ("EULER", "Implicit Euler", "First order. It damps the motion strongly", 1),
@@ -88,29 +98,32 @@ class DynamorphSimulation(PropertyGroup):
     gravity: FloatProperty(
         name="Gravity",
         description="Multiplies the scene's gravity. The sculpted shapes do not sag: in a target's own pose and "
-        "orientation, gravity is in balance",
+        "orientation, gravity is in balance. Lower it for bodies under water or in space",
         default=1.0, min=-10.0, max=10.0, soft_min=0.0, soft_max=1.0, override=OVERRIDE,
     )  # fmt: skip
     fields: FloatProperty(
         name="Force Fields",
-        description="Multiplies the scene's Wind and Force fields. Their strength is newtons per square meter of skin",
+        description="Multiplies the scene's Wind and Force fields. Their strength is newtons per square meter of skin. "
+        "Lower it where wind blows too strongly for the skin",
         default=1.0, min=0.0, soft_max=1.0, override=OVERRIDE,
     )  # fmt: skip
     amount: FloatProperty(
         name="Amount",
-        description="How much of the motion shows, in Live and in the next bake. 0 shows none, 1 shows it as simulated",
+        description="How much of the motion shows, in Live and in the next bake. 0 shows none, 1 shows it as "
+        "simulated. Change it for a quick exaggeration, and Bounce for softer tissue",
         default=1.0, min=0.0, max=4.0, soft_max=2.0, subtype="FACTOR", override=OVERRIDE, update=shown_changed,
     )  # fmt: skip
     max_displacement: FloatProperty(
         name="Max Displacement",
         description="How far the skin may move away from the animation, as a fraction of the body's size. The first "
-        "bake of a shot rehearses it and raises Bounce until the skin stays within the limit. 0 is no limit",
+        "bake of a shot rehearses it and raises Bounce until the skin stays within the limit. Raise it "
+        "for cartoons. 0 is no limit",
         default=0.0, min=0.0, max=1.0, soft_max=0.2, precision=3, subtype="FACTOR", override=OVERRIDE,
     )  # fmt: skip
     max_thickness: FloatProperty(
         name="Of Thickness",
         description="How far the skin may move away from the animation, as a fraction of the body's thickness at that "
-        "place. 0 is no limit",
+        "place. Lower it where thin parts stretch too far. 0 is no limit",
         default=0.0, min=0.0, max=10.0, soft_max=1.0, precision=2, subtype="FACTOR", override=OVERRIDE,
     )  # fmt: skip
     rehearsed: StringProperty(
@@ -118,7 +131,8 @@ class DynamorphSimulation(PropertyGroup):
     )
     begin: EnumProperty(
         name="Initial State",
-        description="The state of the soft tissue at the first frame",
+        description="The state of the soft tissue at the first frame. Choose Rest Shape where a shot begins with a "
+        "blow",
         items=(
             ("REST", "Rest Shape", "It starts in the targets' shape without motion, so the first motion hits it", 0),
             (
@@ -130,12 +144,14 @@ class DynamorphSimulation(PropertyGroup):
         default="SETTLE", override=OVERRIDE,
     )  # fmt: skip
     preroll: IntProperty(
-        name="Pre-Roll", description="How many frames are simulated before the first frame",
+        name="Pre-Roll",
+        description="How many frames are simulated before the first frame. Raise it where a shot begins in motion",
         default=0, min=0, max=10_000, soft_max=100, override=OVERRIDE,
     )  # fmt: skip
     preroll_pose: EnumProperty(
         name="Pre-Roll Pose",
-        description="What the rig does in the pre-roll frames. A loop needs no animated pre-roll",
+        description="What the rig does in the pre-roll frames. Choose Animated where the animation begins before the "
+        "shot. A loop needs none",
         items=(
             ("HELD", "First Pose", "It stands still in the pose of the first frame", 0),
             ("ANIMATED", "Animated", "It plays its animation before the first frame, keyframed or extrapolated", 1),
@@ -149,7 +165,9 @@ class DynamorphSimulation(PropertyGroup):
         override=OVERRIDE,
     )  # fmt: skip
     loop: BoolProperty(
-        name="Loop", description="Make the range a cycle, whose last frame continues with its first without a jump",
+        name="Loop",
+        description="Make the range a cycle, whose last frame continues with its first without a jump. Turn it on for "
+        "walks and other cycles",
         override=OVERRIDE,
     )  # fmt: skip
 
@@ -166,7 +184,8 @@ class DynamorphOutput(PropertyGroup):
     """What a bake becomes."""
 
     sink: EnumProperty(
-        name="Bake To", description="What stores the motion and plays it in Blender",
+        name="Format",
+        description="What stores the motion and plays it in Blender. Shape Keys suit most shots and game engines",
         items=(
             (
                 "MODES", "Shape Keys",
@@ -181,19 +200,19 @@ class DynamorphOutput(PropertyGroup):
     )  # fmt: skip
     keys: IntProperty(
         name="Key Limit",
-        description="How many shape keys the motion may take. The bake finds the best ones for this shot. 0 is no "
-        "limit: it makes one per mode",
+        description="How many shape keys the motion may take. The bake finds the best ones for this shot. Lower it "
+        "for game engines. 0 is no limit: it makes one per mode",
         default=OutputSettings.keys, min=0, soft_max=32, override=OVERRIDE,
     )  # fmt: skip
     every: IntProperty(
         name="Frame Step",
-        description="How many frames there are from one key to the next", default=OutputSettings.every,
-        min=1, soft_max=10, override=OVERRIDE,
+        description="How many frames there are from one key to the next. Raise it for fewer keys",
+        default=OutputSettings.every, min=1, soft_max=10, override=OVERRIDE,
     )  # fmt: skip
     tolerance: FloatProperty(
         name="Tolerance",
-        description="How far the surface may be off between keys. Keys are then placed where they are needed. 0 "
-        "places them at regular frames",
+        description="How far the surface may be off between keys. Keys are then placed where they are needed. "
+        "Raise it for fewer keys. 0 places them at regular frames",
         default=OutputSettings.tolerance, min=0.0, soft_max=0.01, precision=4, subtype="DISTANCE", override=OVERRIDE,
     )  # fmt: skip
 
@@ -221,7 +240,7 @@ class DynamorphBake(PropertyGroup):
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
     off_final: FloatProperty(
         name="Off Final",
-        description="How far the reduced motion is from that of Final quality, as a fraction of it; negative before "
+        description="How far the reduced motion is from that of Full Quality, as a fraction of it; negative before "
         "they were compared",
         default=-1.0,
     )  # fmt: skip

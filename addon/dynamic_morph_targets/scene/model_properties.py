@@ -71,13 +71,13 @@ class DynamorphModel(PropertyGroup):
 
     method: EnumProperty(
         name="Method",
-        description="What the targets do to the soft tissue",
+        description="What the targets do to the soft tissue. Change it only to see what one of their effects does",
         items=tuple((method, *texts, number) for number, (method, texts) in enumerate(METHODS.items())),
         default=ModelSettings.method, override=OVERRIDE,
     )  # fmt: skip
     law: EnumProperty(
         name="Material Model",
-        description="How the soft tissue resists deformation",
+        description="How the soft tissue resists deformation. Stable suits every body; the others are for comparisons",
         items=(
             ("LINEAR", "Linear", "Fastest. Good for small jiggle, but it swells when it rotates far", 0),
             (
@@ -92,11 +92,12 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     solver: EnumProperty(
         name="Quality",
-        description="How accurately the motion is simulated, in bakes and in Live",
+        description="How accurately the motion is simulated, in bakes and in Live. Choose Full for the last bake of a "
+        "shot whose ripples matter",
         items=(
             ("REDUCED", "Reduced", "Simulates a few characteristic modes, which is fast", 0),
             (
-                "FULL", "Final",
+                "FULL", "Full",
                 "Simulates every node of the cage, with all ripples. It takes much longer and needs no other build",
                 1,
             ),
@@ -105,7 +106,8 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     blending: EnumProperty(
         name="Between Targets",
-        description="How the skin looks halfway between two targets",
+        description="How the skin looks halfway between two targets. Choose Stiffer Wins where a hard muscle must "
+        "keep its shape",
         items=(
             ("FORCES", "Stiffer Wins", "The forces are blended, so the stiffer target's shape dominates", 0),
             ("EVEN", "Halfway Shape", "Halfway in pose is halfway in shape, whatever the stiffness", 1),
@@ -114,15 +116,15 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     modes: IntProperty(
         name="Detail (Modes)",
-        description="How many displacement modes Reduced quality simulates, and how many keys a bake of Final "
-        "quality has at most. With bone responses 120 suit a whole body. Without them 20 suit a limb, and more than "
+        description="How many displacement modes Reduced quality simulates, and how many keys a bake of Full "
+        "Quality has at most. With bone responses 120 suit a whole body. Without them 20 suit a limb, and more than "
         "40 are slow",
         default=ModelSettings.modes, min=1, max=400, soft_min=5, soft_max=240,
         override=OVERRIDE,
     )  # fmt: skip
     basis: EnumProperty(
         name="Modes From",
-        description="Which modes the reduced solver uses",
+        description="Which modes Reduced quality uses. Choose Vibration for a single limb",
         items=(
             (
                 "MODES", "Vibration",
@@ -148,14 +150,14 @@ class DynamorphModel(PropertyGroup):
     cage_nodes: IntProperty(
         name="Cage Nodes",
         description="Approximate number of nodes of the simulated cage of tetrahedra. More nodes follow the body more "
-        "closely and take longer to build",
+        "closely and take longer to build. Raise it for slim parts and small sculpts",
         default=ModelSettings.cage_nodes, min=50, max=200_000, soft_max=20_000,
         override=OVERRIDE,
     )  # fmt: skip
     cage_thickness: FloatProperty(
         name="Cage Thickness",
         description="Smallest distance from the skin to the cage. Without it the cage is about a tenth of the size of "
-        "its tetrahedra away",
+        "its tetrahedra away. Raise it where the skin leaves the cage",
         default=ModelSettings.cage_thickness, min=0.0, soft_max=0.1, subtype="DISTANCE", override=OVERRIDE,
     )  # fmt: skip
     cage_grading: FloatProperty(
@@ -167,25 +169,25 @@ class DynamorphModel(PropertyGroup):
     cage_object: PointerProperty(
         name="Cage Object",
         description="Closed mesh around the skin in rest pose, as it is when the scene starts. It is filled with "
-        "tetrahedra and replaces the automatic cage",
+        "tetrahedra and replaces the automatic cage. Choose one where that encloses the wrong parts",
         type=bpy.types.Object, poll=_is_other_mesh, update=_cage_chosen, override=OVERRIDE,
     )  # fmt: skip
     pin_radius: FloatProperty(
         name="Bone Pinning",
         description="How far the hold of a bone reaches on the way from the bone to the skin. 0 holds the soft tissue "
-        "only at the bone",
+        "only at the bone. Raise it where the body wobbles too much",
         default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR",
         override=OVERRIDE,
     )  # fmt: skip
     separate: BoolProperty(
         name="Split Touching Parts",
         description="Cut the cage where it joins parts of the skin that merely touch, such as an arm and the side it "
-        "hangs at, so that each moves on its own",
+        "hangs at, so that each moves on its own. Turn it off where it cuts parts that belong together",
         default=ModelSettings.separate, override=OVERRIDE,
     )  # fmt: skip
     hold: EnumProperty(
         name="Hold", translation_context=CONTEXT,
-        description="What holds the soft tissue against the skeleton",
+        description="What holds the soft tissue against the skeleton. Thickness suits every body",
         items=(
             ("BONES", "Bones", "What is near a bone is fixed to it, as far as Bone Pinning says", 0),
             ("THICKNESS", "Thickness", "The core of the body and its thin parts are held, wherever its bones are", 1),
@@ -195,7 +197,7 @@ class DynamorphModel(PropertyGroup):
     one_cage: BoolProperty(
         name="One Cage",
         description="Simulate the meshes that are With Body together with this one, in one cage around all of them, so "
-        "that their seams stay closed",
+        "that their seams stay closed. Turn it off for clothes that are far from the skin",
         default=ModelSettings.one_cage, override=OVERRIDE,
     )  # fmt: skip
     hold_head: BoolProperty(
@@ -213,7 +215,7 @@ class DynamorphModel(PropertyGroup):
     warnings: StringProperty(name="Warnings", description="Warnings of the last build, one per line")
     expected_error: FloatProperty(
         name="Expected Error",
-        description="How far the reduced motion of a hop is from that of Final quality, as a fraction of it",
+        description="How far the reduced motion of a hop is from that of Full Quality, as a fraction of it",
     )  # fmt: skip
     expected_from: StringProperty(name="Error Of", description="Hash of what the expected error was measured with")
     stale: StringProperty(name="Out of Date", description="Why a change of the mesh requires another build")
@@ -227,8 +229,9 @@ class DynamorphMode(PropertyGroup):
     """One displacement mode of the built model, as the artist wants to see it."""
 
     gain: FloatProperty(
-        name="Gain",
-        description="Multiplies this mode's motion about the targets' shapes, in Live and in the next bake",
+        name="Amount",
+        description="How much of this mode's motion about the targets' shapes shows, in Live and in the next bake. "
+        "Lower it to calm one ripple",
         default=1.0, min=0.0, max=10.0, soft_max=2.0, override=OVERRIDE, update=shown_changed,
     )  # fmt: skip
     solo: BoolProperty(

@@ -128,12 +128,13 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     poisson: FloatProperty(
         name="Poisson's Ratio",
         description="How well the soft tissue keeps its volume. 0 is not at all, near 0.5 is entirely. Values over "
-        "0.4 make coarse cages too stiff",
+        "0.4 make coarse cages too stiff. Lower it for foam",
         default=Material.poisson, min=0.0, max=0.49, soft_max=0.45, override=OVERRIDE,
     )  # fmt: skip
     density: FloatProperty(
         name="Density",
-        description="Mass per volume at this target in kg/m³. Water has 1000",
+        description="Mass per volume at this target in kg/m³. Water has 1000. Raise it for tissue that swings more "
+        "slowly",
         default=Material.density, min=1.0, max=1e5, soft_min=500.0, soft_max=2000.0, step=1000, precision=0,
         override=OVERRIDE,
     )  # fmt: skip
@@ -150,18 +151,19 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     radius: FloatProperty(
         name="Fade-Out Angle",
         description="Distance from its pose, over all its bones, at which the target has faded out. 0 is no limit: it "
-        "reaches until another target is nearer",
+        "reaches until another target is nearer. Set it where the target shows in poses that it is not for",
         default=0.0, min=0.0, soft_max=np.pi, subtype="ANGLE", override=OVERRIDE,
     )  # fmt: skip
     influence: FloatProperty(  # its name in files; elsewhere `motion_amount`
-        name="Motion Amount",
-        description="How much of the motion shows in this target's pose and region. 0 shows the sculpted shape alone",
+        name="Amount",
+        description="How much of the motion shows in this target's pose and region. Lower it where a pose must hold "
+        "still; 0 shows the sculpted shape alone",
         default=1.0, min=0.0, max=1.0, subtype="FACTOR", override=OVERRIDE, update=shown_changed,
     )  # fmt: skip
     region: StringProperty(
         name="Region",
         description="Vertex group that the target is limited to. The targets of a region form a set with the neutral "
-        "target: they do not compete with the targets of the rest of the body",
+        "target: they do not compete with the targets of the rest of the body. Choose one for a target of one limb",
         override=OVERRIDE, update=_region_chosen,
     )  # fmt: skip
     auto_region: BoolProperty(

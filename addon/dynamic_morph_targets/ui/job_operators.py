@@ -171,7 +171,7 @@ class DYNAMORPH_OT_build(JobOperator, Operator):
 
 
 class DYNAMORPH_OT_bake(JobOperator, Operator):
-    """Simulate the frame range and write the motion in the form that Bake To says. An outdated model is built first"""
+    """Simulate the frame range and write the motion in the chosen Format. An outdated model is built first"""
 
     bl_idname = "dynamorph.bake"
     bl_label = "Bake Soft Skin"
@@ -203,10 +203,10 @@ def _own_skins(scene) -> list:
 
 
 class DYNAMORPH_OT_compare_final(JobOperator, Operator):
-    """Simulate the shot of the bake in Final quality too, and say how far the reduced motion is from that"""
+    """Simulate the shot of the bake in Full Quality too, and say how far the reduced motion is from that"""
 
     bl_idname = "dynamorph.compare_final"
-    bl_label = "Compare with Final"
+    bl_label = "Compare with Full Quality"
     goal = "COMPARE_FINAL"
 
     @classmethod

@@ -303,7 +303,7 @@ class DYNAMORPH_OT_reset_gains(SoftSkinOperator, Operator):
     """Set the gain of all modes to 1, and turn solo off"""
 
     bl_idname = "dynamorph.reset_gains"
-    bl_label = "Reset Gains"
+    bl_label = "Reset Amounts"
 
     def apply(self, obj):
         for mode in obj.dynamorph.modes:

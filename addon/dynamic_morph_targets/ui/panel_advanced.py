@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sections below Advanced: the cage, the detail of the model, its modes, and how it is stepped through time."""
+"""The sections below Advanced: the cage, the detail of the model, its modes, how it is stepped through time, and what
+is rarely needed.
+"""
 
 from __future__ import annotations
 
@@ -25,15 +27,6 @@ def draw_cage(layout, context, obj):
     column.enabled = batch.running is None
     column.prop(model, "cage_nodes")
     column.prop(model, "cage_object")
-    thickness = column.row()
-    thickness.active = model.cage_object is None
-    thickness.prop(model, "cage_thickness")
-    column.prop(model, "cage_grading")
-    column.prop(model, "hold")
-    pinning = column.row()
-    pinning.active = model.hold == "BONES"
-    pinning.prop(model, "pin_radius")
-    column.prop(model, "separate")
     column.prop(model, "one_cage")
     layout.operator("dynamorph.build_cage", icon="MESH_ICOSPHERE")
     shown = layout.row()
@@ -48,12 +41,7 @@ def draw_detail(layout, _context, obj):
     column = layout.column()
     column.enabled = batch.running is None
     column.prop(model, "modes")
-    column.prop(model, "basis")
-    fitting = column.row()
-    fitting.active = model.basis == "MODES"
-    fitting.prop(model, "fit_to_shot")
-    for name in ("method", "law", "blending"):
-        column.prop(model, name)
+    column.prop(model, "method")
     layout.operator("dynamorph.check_targets", icon="CHECKMARK")
     for line in filter(None, obj.dynamorph.live.checks.split("\n")):
         draw_message(layout, line, icon="DOT")
@@ -78,5 +66,30 @@ def draw_modes(layout, _context, obj):
 
 def draw_solver(layout, _context, obj):
     layout.enabled = batch.running is None
-    for name in ("substeps", "samples", "scheme", "gravity", "fields", "begin", "preroll", "preroll_pose"):
+    for name in ("substeps", "samples", "gravity", "fields", "begin"):
         layout.prop(obj.dynamorph.simulation, name)
+
+
+def draw_rare(layout, _context, obj):
+    """What hardly any body needs: the defaults suit it."""
+    model, simulation = obj.dynamorph.model, obj.dynamorph.simulation
+    layout.enabled = batch.running is None
+    column = layout.column()
+    thickness = column.row()
+    thickness.active = model.cage_object is None
+    thickness.prop(model, "cage_thickness")
+    for name in ("cage_grading", "separate", "hold"):
+        column.prop(model, name)
+    pinning = column.row()
+    pinning.active = model.hold == "BONES"
+    pinning.prop(model, "pin_radius")
+    column = layout.column()
+    column.prop(model, "basis")
+    fitting = column.row()
+    fitting.active = model.basis == "MODES"
+    fitting.prop(model, "fit_to_shot")
+    for name in ("law", "blending"):
+        column.prop(model, name)
+    column = layout.column()
+    for name in ("max_thickness", "scheme", "preroll", "preroll_pose"):
+        column.prop(simulation, name)

@@ -62,7 +62,7 @@ def draw_verdict(layout, obj):
 
 
 def draw_details(layout, context, obj):
-    """Where the bake looks worst, what was measured, and how far it is from Final quality."""
+    """Where the bake looks worst, what was measured, and how far it is from Full Quality."""
     found = verdict.parsed(obj.dynamorph.bake.verdict)
     row = layout.row(align=True)
     row.use_property_split = False
@@ -81,7 +81,7 @@ def draw_details(layout, context, obj):
 
 
 def draw_off_final(layout, obj):
-    """How far the bake's reduced motion, which Live shows too, is from Final quality, and the button that finds out."""
+    """How far the bake's reduced motion, which Live shows too, is from Full Quality, and the button that finds out."""
     if not final_comparison.disabled_reason(obj):
         layout.operator("dynamorph.compare_final")
     if final_comparison.summary(obj):
@@ -95,9 +95,7 @@ def draw_bake(layout, _context, obj):
     layout.enabled = batch.running is None
     layout.prop(settings.model, "solver")
     draw_unrehearsed(layout, settings)
-    column = layout.column(align=True)
-    column.prop(simulation, "max_displacement")
-    column.prop(simulation, "max_thickness")
+    layout.prop(simulation, "max_displacement")
     layout.prop(simulation, "use_scene_range")
     column = layout.column(align=True)
     column.enabled = not simulation.use_scene_range
@@ -118,12 +116,12 @@ def draw_bake(layout, _context, obj):
 
 
 def draw_unrehearsed(layout, settings):
-    """Final quality keeps no limits by itself."""
+    """Full Quality keeps no limits by itself."""
     simulation, neutral = settings.simulation, settings.targets[0]
     limited = simulation.max_displacement or simulation.max_thickness
     adjustable = neutral.frequency > 0.0 and not neutral.by_hand
     if settings.model.solver == "FULL" and limited and adjustable and not simulation.rehearsed:
-        draw_message(layout, "Final quality is not rehearsed: bake in Reduced first to keep Max Displacement", "INFO")
+        draw_message(layout, "Full Quality is not rehearsed: bake in Reduced first to keep Max Displacement", "INFO")
 
 
 # To and from files ---------------------------------------------------------------------------------------------------

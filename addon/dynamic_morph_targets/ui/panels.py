@@ -14,7 +14,7 @@ from ..core.time_left import clock
 from ..run import batch, preview
 from ..scene import skin
 from ..scene.registration import of_classes
-from .panel_advanced import DYNAMORPH_UL_modes, draw_cage, draw_detail, draw_modes, draw_solver, has_modes
+from .panel_advanced import DYNAMORPH_UL_modes, draw_cage, draw_detail, draw_modes, draw_rare, draw_solver, has_modes
 from .panel_attachments import DYNAMORPH_UL_pieces, draw_pieces, pieces_title
 from .panel_bake import draw_bake, draw_details, draw_export, draw_result, draw_setup, draw_trying, is_baked
 from .panel_feel import draw_feel, draw_firmness, draw_material
@@ -112,6 +112,7 @@ PHYSICS_SECTIONS = (
     Section("detail", "Detail", "advanced", draw_detail),
     Section("modes", "Modes", "advanced", draw_modes, needed=has_modes),
     Section("solver", "Solver", "advanced", draw_solver),
+    Section("rare", "Rarely Needed", "advanced", draw_rare),
     Section("physics_messages", "Messages", "physics", draw_messages, closed=False),
 )
 

@@ -262,11 +262,11 @@ class NewBake:
         messages = []
         if not carry_influence(obj, old, new):
             messages.append(
-                Message("The animation of Bake Influence of '{name}' could not be carried along", name=obj.name)
+                Message("'{name}': the animation of its Influence could not be carried along", name=obj.name)
             )
         drivers = obj.animation_data.drivers if obj.animation_data and self._old_cache else ()
         if any(driver.data_path == old.path_from_id("factor") for driver in drivers):
-            text = "The driver of Bake Influence of '{name}' was removed: only that of a point cache can have one"
+            text = "'{name}': the driver of its Influence was removed: only that of a point cache can have one"
             messages.append(Message(text, name=obj.name))
         return messages
 
