@@ -203,6 +203,9 @@ def test_what_is_held_by_itself_is_red_too(soft_arm):
     paint(soft_arm, "Firmness", np.ones(len(held)))
     bpy.context.view_layer.update()
     assert (part("heat").firmness(soft_arm)[soft_arm.session_uid] == 1.0).all()
+    paint(soft_arm, "Firmness", 0.25 + 0.0 * held)
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(part("heat").firmness(soft_arm)[soft_arm.session_uid], held - 0.25, atol=1e-6)
 
 
 def test_legends_have_values(soft_arm, monkeypatch):

@@ -112,7 +112,7 @@ def firmness(obj: bpy.types.Object) -> dict[int, np.ndarray]:
         return painted
     if len(built[obj.session_uid]) != len(obj.data.vertices):
         raise SceneError("'{name}' has other vertices than its model: press Build Model", name=obj.name)
-    return {uid: np.maximum(held, painted.get(uid, 0.0)) for uid, held in built.items()}
+    return {uid: (painted.get(uid, NEUTRAL) + held - NEUTRAL).clip(0.0, 1.0) for uid, held in built.items()}
 
 
 @lru_cache(maxsize=4)
@@ -130,6 +130,7 @@ def _holds(session_uid: int, _content_id: str) -> dict[int, np.ndarray] | str:
         return errors.sentence(error)
     at_nodes = model.hold if len(model.hold) else model.pinned.astype(float)
     on_skin = np.einsum("va,va->v", model.embedding_weights, at_nodes[model.embedding_nodes]).clip(0.0, 1.0)
+    on_skin[~model.embedding_weights.any(axis=1)] = 1.0  # what only bones move
     if len(on_skin) != len(character.vertices):
         return Message("'{name}' has other vertices than its model: press Build Model", name=obj.name)
     weights = NEUTRAL + (1.0 - NEUTRAL) * on_skin
