@@ -143,6 +143,21 @@ def preferences():
     yield from driver.drawn()
 
 
+@step("The interface at a scale of 1.5")
+def scaled():
+    """Pictures of the sidebar and of the Physics tab, for the eye: a cut-off label has three dots."""
+    preferences = bpy.context.preferences.view
+    yield from physics()
+    preferences.ui_scale = 1.5
+    try:
+        yield from driver.drawn(passes=8)
+        for name, region in (("sidebar", sidebar), ("physics", properties)):
+            driver.photograph(f"scale_1.5_{name}", region.box)
+    finally:
+        preferences.ui_scale = 1.0
+    yield from driver.drawn(passes=8)
+
+
 @step("The interface in German")
 def german():
     preferences = bpy.context.preferences.view
