@@ -275,7 +275,7 @@ def _with_tissue(
         embedding_weights=tissue.embedding.weights,
         displacements=np.zeros((len(character.targets), len(tissue.mesh.nodes), 3)),
         residual_shapes=np.zeros((len(character.targets), len(character.vertices), 3)),
-        summary=tissue.summary,
+        summary=asdict(tissue.summary),
     )
     return model, tissue.embedding
 

@@ -8,14 +8,15 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from . import firmness as paint
+from . import pins
 from .character import Character
 from .engine import dynamorph
-from .geometry import connected_parts, diagonal, triangle_areas
+from .geometry import diagonal, triangle_areas
 from .hold import Depths, Hold, depths, hold
 
 ProgressFn = Callable[[float, str], bool]  # of a build: how much is done, and what is at hand
@@ -25,8 +26,6 @@ GRID = (
     2.0**-13
 )  # body sizes; with a finer grid, the last digits of coordinates, which a scale changes, would change the mesh
 MOSTLY = 0.5  # fraction of the vertices; with more of them outside, a cage does not belong to this body
-PINNED = 0.95  # nodes that are rigid, or painted to be held, by more than this are pinned
-ON_A_LINE = 1e-6  # of the cage's size; pins across which a body is no wider are on a line
 KEPT = 2  # bodies whose depths are remembered
 FEWEST_NODES = 50  # of an attachment's own cage
 
@@ -37,7 +36,7 @@ class Cage:
 
     embedding: of the V surface vertices; fill (m,) filled fraction; stiffness (m,) factor by thickness; firmness (n,)
     weights of the Firmness map; region_weights (m, S); pinned (n,) bool; node_weights (n, B + 1); hold: by thickness,
-    or None; summary: facts for the report.
+    or None.
     """
 
     mesh: dynamorph.TetMesh
@@ -49,7 +48,26 @@ class Cage:
     pinned: np.ndarray
     node_weights: np.ndarray
     hold: Hold | None
-    summary: dict
+    summary: CageSummary
+
+
+@dataclass(frozen=True)
+class CageSummary:
+    """Facts for the report, stored with the model under these names.
+
+    pinned: number of nodes; held: mean of the hold, or fraction of the nodes that are pinned; defects: of the skin;
+    held_parts: number of loose parts that are pinned.
+    """
+
+    nodes: int
+    tets: int
+    pinned: int
+    held: float
+    defects: dict[str, int]
+    quality: dict[str, float]
+    glued: dict[str, int]
+    held_parts: int
+    warnings: list[str]
 
 
 def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages) -> Cage:
@@ -57,50 +75,44 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
     advice when the skin cannot be filled or nothing holds it.
     """
     surface = (character.vertices @ character.to_bind.T)[character.coincident]
-    cages = _cages(character, surface)
+    contents = _cages(character, surface)
     with stages("Meshing", 0.30) as report:
         defects = dynamorph.closed_surface(surface, character.triangles)[2]
-        if mesh is None or len(cages) > 1:
-            meshes = [_tetrahedra(cage, surface, turn) for cage, turn in _in_turn(cages.values(), report)]
+        if mesh is None or len(contents) > 1:
+            meshes = [_tetrahedra(each, surface, turn) for each, turn in _in_turn(contents.values(), report)]
         else:
             meshes = [_whole(mesh)]
     with stages("Embedding", 0.05) as report:
-        filled = [
-            _filled(*each, surface, turn) for each, turn in _in_turn(zip(cages.values(), meshes, strict=True), report)
-        ]
-        mesh, embedding = _together(character.pieces, list(cages), filled)
+        each_filled = _in_turn(zip(contents.values(), meshes, strict=True), report)
+        cages = [_filled(*each, surface, turn) for each, turn in each_filled]
+        mesh, embedding = _together(character.pieces, list(contents), cages)
         embedding = _alike(embedding, character.coincident)
-        firmness, weights, rigidity, region_weights = _inherited(character, mesh, embedding)
-        fill = np.concatenate([cage.fill for cage in filled])
-        of_thickness, stiffness = None, np.ones(len(mesh.tets))
-        pinned, adrift = np.zeros(len(mesh.nodes), bool), []
+        fill = np.concatenate([cage.fill for cage in cages])
+        inherited = _inherited(character, mesh, embedding)
         if character.settings.hold == "BONES":
-            held = np.maximum(rigidity, (firmness - paint.NEUTRAL) / (1.0 - paint.NEUTRAL))
-            pinned = np.concatenate([cage.pinned for cage in filled]) | (held > PINNED)
-            adrift = _adrift(mesh, pinned)
+            painted = (inherited.firmness - paint.NEUTRAL) / (1.0 - paint.NEUTRAL)
+            firm = np.maximum(inherited.rigidity, painted)
+            by_bones = np.concatenate([cage.pinned for cage in cages])
+            pinned, warned = pins.all_pinned(character, mesh, embedding, inherited.weights, by_bones, firm)
+            of_thickness = None
         else:
-            of_thickness = held_by_thickness(character, mesh, firmness, rigidity, fill)
-            stiffness = of_thickness.stiffness
-    if len(adrift) and np.concatenate(adrift).size == len(mesh.nodes):
-        raise dynamorph.Error(
-            f"'{character.name}': {_cause(character, weights[pinned])}: raise Bone Pinning, set Hold to Thickness, or "
-            "paint Firmness with 1 where it is attached"
-        )
-    warned = [_adrift_warning(character, embedding, nodes, pinned) for nodes in adrift]
-    for nodes in adrift:
-        pinned[nodes] = True
-    glued = {name: sum(cage.glued[name] for cage in filled) for name in filled[0].glued}
-    summary = {
-        "nodes": len(mesh.nodes),
-        "tets": len(mesh.tets),
-        "pinned": int(pinned.sum()),
-        "held": float(of_thickness.phi.mean()) if of_thickness else float(pinned.mean()),
-        "defects": defects,
-        "quality": dynamorph.tet_quality(mesh),
-        "glued": glued,
-        "held_parts": len(adrift),  # loose parts that are pinned
-        "warnings": [text for cage in filled for text in cage.warnings] + _glued_warnings(character, glued) + warned,
-    }
+            pinned, warned = np.zeros(len(mesh.nodes), bool), []
+            of_thickness = held_by_thickness(character, mesh, inherited.firmness, inherited.rigidity, fill)
+    glued = {name: sum(cage.glued[name] for cage in cages) for name in cages[0].glued}
+    warnings = [*(text for cage in cages for text in cage.warnings), *_glued_warnings(character, glued), *warned]
+    summary = CageSummary(
+        nodes=len(mesh.nodes),
+        tets=len(mesh.tets),
+        pinned=int(pinned.sum()),
+        held=float(of_thickness.phi.mean() if of_thickness else pinned.mean()),
+        defects=defects,
+        quality=dynamorph.tet_quality(mesh),
+        glued=glued,
+        held_parts=len(warned),
+        warnings=warnings,
+    )
+    stiffness = of_thickness.stiffness if of_thickness else np.ones(len(mesh.tets))
+    firmness, weights, _, region_weights = inherited
     return Cage(mesh, embedding, fill, stiffness, firmness, region_weights, pinned, weights, of_thickness, summary)
 
 
@@ -180,7 +192,7 @@ def _filled(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray, repor
     mesh, embedding, glued = _parted(cage, mesh, surface)
     fill = dynamorph.fill_fractions(mesh, surface, cage.triangles, progress=report)
     by_bones = cage.settings.hold == "BONES"
-    pinned = _pinned(cage, mesh, surface) if by_bones else np.zeros(len(mesh.nodes), bool)
+    pinned = pins.pinned(cage, mesh, surface) if by_bones else np.zeros(len(mesh.nodes), bool)
     return _Filled(mesh, embedding, fill, pinned, glued, warnings)
 
 
@@ -289,45 +301,7 @@ def _glued_warnings(character: Character, glued: dict[str, int]) -> list[str]:
     ]
 
 
-# What nothing holds --------------------------------------------------------------------------------------------------
-
-
-def _adrift(mesh: dynamorph.TetMesh, pinned: np.ndarray) -> list[np.ndarray]:
-    """The nodes of each part of the mesh that could move or turn without resistance, because its pins are at a point or
-    on a line, or there are none.
-    """
-    part = connected_parts(mesh.tets, len(mesh.nodes))
-    near = ON_A_LINE * diagonal(mesh.nodes)
-    return [
-        np.flatnonzero(part == root) for root in np.unique(part) if _width(mesh.nodes[pinned & (part == root)]) <= near
-    ]
-
-
-def _width(points: np.ndarray) -> float:
-    """Of points (k, 3) across the line that fits them best; 0 for fewer than three."""
-    return float(np.linalg.svd(points - points.mean(axis=0))[1][1]) if len(points) > 2 else 0.0
-
-
-def _cause(character: Character, pins: np.ndarray) -> str:
-    """Why the whole cage could move. pins (k, B + 1): weights of the pinned nodes."""
-    if not len(pins):
-        return "no part of the cage is pinned to a bone"
-    bone = [*character.skeleton.names, "the object"][pins.sum(axis=0).argmax()]
-    return f"the cage is pinned to '{bone}' only along a line, about which it could turn"
-
-
-def _adrift_warning(character: Character, embedding: dynamorph.Embedding, nodes: np.ndarray, pinned: np.ndarray) -> str:
-    on_it = np.isin(embedding.nodes[:, 0], nodes) & embedding.weights.any(axis=1)
-    bone = [*character.skeleton.names, "the object"][character.weights[on_it].sum(axis=0).argmax()]
-    how = "is pinned only along a line" if pinned[nodes].any() else "is pinned to no bone"
-    return (
-        f"A part of {int(on_it.sum())} vertices at '{bone}' {how}, so it moves rigidly with its bones: paint the "
-        "Firmness with 1 where it is attached"
-    )
-
-
-# What the cage inherits from the skin
-# ---------------------------------------------------------------------------------------------
+# What the cage inherits from the skin --------------------------------------------------------------------------------
 
 
 def painted(
@@ -338,12 +312,18 @@ def painted(
     return firmness, rigidity
 
 
-def _inherited(
-    character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.Embedding
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The values that the cage inherits from the skin: weights of the Firmness map (n,), of the bones (n, B + 1),
-    rigidity (n,), and region weights (m, S) of the tets.
+class _Inherited(NamedTuple):
+    """What the cage inherits from the skin: firmness (n,) of the Firmness map, weights (n, B + 1) of the bones,
+    rigidity (n,), region_weights (m, S) of the tets.
     """
+
+    firmness: np.ndarray
+    weights: np.ndarray
+    rigidity: np.ndarray
+    region_weights: np.ndarray
+
+
+def _inherited(character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.Embedding) -> _Inherited:
     # Exactly neutral where nothing is painted, and never beyond what is.
     painted = character.firmness - paint.NEUTRAL
     parts = [target_set.region_weights for target_set in character.target_sets]
@@ -355,13 +335,7 @@ def _inherited(
     region_weights = region_weights[mesh.tets].mean(axis=1)
     weights /= weights.sum(axis=1, keepdims=True)
     region_weights /= region_weights.sum(axis=1, keepdims=True)
-    return firmness, weights, rigidity[:, 0].clip(max=1.0), region_weights
-
-
-def _pinned(character: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> np.ndarray:
-    """The nodes (n,) that the bones pin."""
-    heads, tails = character.bone_segments[:, 0], character.bone_segments[:, 1]
-    return dynamorph.pinned(mesh, surface, character.triangles, heads, tails, character.settings.pin_radius)
+    return _Inherited(firmness, weights, rigidity[:, 0].clip(max=1.0), region_weights)
 
 
 class Stages:
