@@ -146,7 +146,7 @@ def add_soft_skin(obj: bpy.types.Object, neutral: dict, targets: dict[str, tuple
     obj.select_set(True)
     bpy.ops.dynamorph.add_soft_skin()
     settings = obj.dynamorph
-    settings.model.hold, settings.model.one_cage = "BONES", False  # as the thesis pins its tissue
+    settings.model.hold = "BONES"  # as the thesis pins its tissue
     settings.model.hold_head = False
     while settings.pieces:
         bpy.ops.dynamorph.remove_piece()

@@ -2,7 +2,7 @@
 """Targets for random input: a few examples, the same each time, in `make test`; as many as time allows in `make fuzz`.
 
 What fails there is tried first the next time (build/fuzz). Once fixed it becomes an `@example`, or a file of
-tests/fuzz/corpus, which are all tried each time.
+tests/fuzz/corpus, which are all tried each time. The model is that of tests/golden.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from hypothesis.database import DirectoryBasedExampleDatabase
 
 ROOT = Path(__file__).resolve().parents[1]
 CORPUS = ROOT / "tests" / "fuzz" / "corpus"
+GOLDEN = ROOT / "tests" / "golden" / "model.dynamorph"
 FOUND = ROOT / "build" / "fuzz"
 MINUTES = float(os.environ.get("DYNAMORPH_FUZZ_MINUTES", 0))  # for all targets together
 EXAMPLES = int(os.environ.get("DYNAMORPH_FUZZ", 0))  # for each; 0: as the target says
@@ -107,6 +108,6 @@ def edited(content: bytes, edits) -> bytes:
 
 def corpus(kind: str) -> list[Path]:
     """The kept files of a kind; there is at least one."""
-    found = sorted((CORPUS / kind).iterdir())
+    found = [GOLDEN] if kind == "model" else sorted((CORPUS / kind).iterdir())
     assert found
     return found

@@ -84,7 +84,7 @@ def open_shot(shot: Shot):
         target.frequency, target.stiffness = 0.0, shot.stiffness
     model, simulation = body.dynamorph.model, body.dynamorph.simulation
     model.cage_nodes, model.method = NODES, "DYNAMIC" if shot.keys else "SINGLE"
-    model.hold, model.one_cage, model.hold_head = "BONES", False, False
+    model.hold, model.hold_head = "BONES", False
     simulation.max_displacement = simulation.max_thickness = 0.0
     scene.frame_set(scene.frame_start)
     return body

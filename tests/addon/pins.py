@@ -7,7 +7,7 @@ MATERIAL = ("stiffness", "poisson", "density", "mass_damping", "stiffness_dampin
 def with_pins(obj):
     """Give these settings to the soft skin `obj` by its properties alone, without the add-on's modules."""
     settings = obj.dynamorph
-    settings.model.hold, settings.model.one_cage, settings.model.hold_head = "BONES", False, False
+    settings.model.hold, settings.model.hold_head = "BONES", False
     settings.model.property_unset("basis")
     settings.model.property_unset("modes")
     for piece in settings.pieces:

@@ -86,7 +86,7 @@ def assert_closed(found, frames=range(1, 15), moves=0.01):
 
 def test_add_soft_skin_finds_what_belongs_to_the_body(figure):
     body = figure["Body"]
-    assert body.dynamorph.model.one_cage and body.dynamorph.model.hold_head
+    assert body.dynamorph.model.hold_head
     assert attachments(body) == [("Top", "", "WITH_BODY"), ("Cap", "", "HELD"), ("Eye", "", "RIGID")]
     assert [piece.reason for piece in body.dynamorph.pieces] == [
         "It is skinned by the same armature",

@@ -96,7 +96,7 @@ def test_a_new_soft_skin_feels_natural(arm):
     OPS.add_soft_skin()
     settings = arm.dynamorph
     assert part("feel").active(settings.targets[0], settings.simulation) == "NATURAL"
-    assert settings.model.hold == "THICKNESS" and settings.model.one_cage
+    assert settings.model.hold == "THICKNESS"
     assert settings.simulation.amount == 1.0
     assert pressed(arm) == ["Natural"]
 

@@ -85,20 +85,21 @@ def test_a_sleeve_shows_what_the_tissue_around_it_does(dressed):
     stiff = motion(sleeve)
     job = bake(arm)
     assert sleeve.dynamorph.follows == arm and len(sleeve.dynamorph.bake.keys) == len(arm.dynamorph.bake.keys)
-    (follower,) = job.input.followers
+    character = job.input.character
+    members = character.parts[0].members
+    vertices = character.vertices[members] @ character.to_bind.T
     modes = np.moveaxis(job.outcome.bake.node_modes, 0, 1)
     engine = pytest.importorskip("dynamorph")
-    embedding = engine.embed(engine.TetMesh(job.outcome.model.nodes, job.outcome.model.tets), follower.vertices)
-    bind = embedding.interpolate(modes.reshape(len(modes), -1)).reshape(len(follower.vertices), -1, 3)
-    character = part("extract").character(arm)
+    model = job.outcome.model
+    embedding = engine.embed(engine.TetMesh(model.nodes, model.tets), vertices)
+    bind = embedding.interpolate(modes.reshape(len(modes), -1)).reshape(len(vertices), -1, 3)
     weights = scenes.two_bone_weights(scenes.tube()[0])
     weights = np.hstack([weights, 1.0 - weights.sum(axis=1, keepdims=True)])
-    corners, inside = follower.skin.corners, follower.skin.weights
     for frame, shown, before in zip((1, 9, 20), motion(sleeve), stiff, strict=True):
         moved = np.einsum("k,pkc->pc", job.outcome.bake.coordinates[frame - 1], bind)
-        residual = np.tensordot(job.outcome.bake.weights[frame - 1], job.outcome.bake.residual_shapes, 1)
-        moved += np.einsum("pc,pcx->px", inside, residual[corners]) @ character.to_bind.T
-        local = (follower.vertices + moved) @ np.linalg.inv(character.to_bind).T
+        residual = np.tensordot(job.outcome.bake.weights[frame - 1], job.outcome.bake.residual_shapes[:, members], 1)
+        moved += residual @ character.to_bind.T
+        local = (vertices + moved) @ np.linalg.inv(character.to_bind).T
         worn = part("character").Character(**{**vars(character), "vertices": local, "weights": weights})
         expected = skinned(worn, job.computation.rig[(frame - 1) * job.input.settings.substeps :][:1])[0]
         assert np.abs(shown - expected).max() < 1e-5
@@ -260,6 +261,9 @@ def test_what_cannot_follow_is_refused_by_name(dressed, spoil, words):
     refused(OPS.bake, words)
     assert not arm.dynamorph.bake.keys
     arm.dynamorph.pieces[0].choice = "RIGID"
+    if spoil in (edited, endless):  # seams with what the bones alone move are looked for too
+        refused(OPS.bake, words)
+        return
     OPS.bake()
     assert arm.dynamorph.bake.keys and not sleeve.dynamorph.bake.keys
 
@@ -270,9 +274,11 @@ def test_the_bake_says_which_pieces_it_lacks(dressed):
     bake(arm)
     assert staleness.outdated(arm) == []
     add_piece(arm, make_sleeve(arm, "Cuff"))
-    assert staleness.outdated(arm) == ['attachment "Cuff" is new']
+    assert staleness.outdated(arm) == ["Attachments changed", 'attachment "Cuff" is new']
     arm.dynamorph.pieces[0].choice = "RIGID"
-    assert staleness.outdated(arm) == ['attachment "Cuff" is new', 'attachment "Sleeve" is not with the body any more']
+    assert staleness.outdated(arm) == [
+        "Attachments changed", 'attachment "Cuff" is new', 'attachment "Sleeve" is not with the body any more'
+    ]  # fmt: skip
     bake(arm)
     assert staleness.outdated(arm) == [] and not sleeve.dynamorph.bake.keys and keys_of(sleeve) is None
 
@@ -305,13 +311,6 @@ def test_a_piece_alone_is_freed_when_its_body_is_gone(dressed):
     assert keys_of(sleeve).key_blocks.keys() == ["Basis"] and not OPS.free_bake.poll()
 
 
-def test_what_is_far_from_the_skin_is_reported(dressed):
-    arm, sleeve = dressed
-    sleeve.data.vertices[0].co.x += 3.0
-    job = bake(arm)
-    assert any(text.startswith("'Sleeve' is up to") for text in job.warnings)
-
-
 def test_a_duplicate_of_the_character_has_pieces_of_its_own(dressed):
     arm, sleeve = dressed
     bake(arm)
@@ -336,22 +335,20 @@ def test_pieces_survive_saving(dressed, tmp_path):
 
 
 def test_a_sleeve_does_not_follow_a_cage_in_its_way(soft_arm):
-    """A buckle with a cage of its own, in the same place as the sleeve: the sleeve stays with the arm."""
-    twin = make_sleeve(coarse(soft_arm), away=1.0)
-    add_piece(soft_arm, twin)
+    """A buckle with a cage of its own, in the sleeve: the sleeve stays with the arm."""
+    add_piece(soft_arm, make_sleeve(coarse(soft_arm)))
     with_buckle = soft_arm.dynamorph.pieces.add()
     group = soft_arm.vertex_groups.new(name="Buckle")
     upper = [v.index for v in soft_arm.data.vertices if v.co.z > 1.5]
     group.add(upper, 1.0, "REPLACE")
     with_buckle.group, with_buckle.choice = "Buckle", "OWN_CAGE"
     job = bake(soft_arm)
-    parts = part("geometry").connected_parts(job.outcome.model.tets, len(job.outcome.model.nodes))
-    body = parts[job.outcome.model.embedding_nodes[job.outcome.character.pieces == 0, 0]]
-    assert len(np.unique(parts)) > len(np.unique(body))
-    (follower,) = job.input.followers
-    other = np.isin(parts, np.setdiff1d(parts, body))
-    modes, _ = part("followers").carried(job.outcome.model, job.outcome.bake.node_modes * other[:, None], follower)
-    assert not modes.any()
+    model, character = job.outcome.model, job.outcome.character
+    parts = part("geometry").connected_parts(model.tets, len(model.nodes))
+    cages = parts[model.embedding_nodes[:, 0]]
+    own, sleeve = character.own_vertices, character.parts[0].members
+    buckle = character.pieces[own] > 0
+    assert not np.isin(cages[sleeve], cages[own][buckle]).any() and np.isin(cages[sleeve], cages[own][~buckle]).all()
 
 
 # What Find Attachments finds -----------------------------------------------------------------------------------
@@ -368,11 +365,9 @@ def test_other_meshes_are_found(soft_arm):
     bpy.data.objects.new("Elsewhere", eye.data).modifiers.new("Armature", "ARMATURE").object = rig_of(soft_arm)
     activate(soft_arm)
     OPS.find_pieces()
-    assert [(piece.object.name, piece.choice) for piece in soft_arm.dynamorph.pieces] == [
-        ("Sleeve", "WITH_BODY"),
-        ("Eye", "RIGID"),
-        ("Glove", "OWN_CAGE"),
-    ]
+    assert {piece.object.name: piece.choice for piece in soft_arm.dynamorph.pieces} == {
+        "Sleeve": "WITH_BODY", "Eye": "RIGID", "Glove": "OWN_CAGE"
+    }  # fmt: skip
     assert OPS.find_pieces() == {"CANCELLED"} and len(soft_arm.dynamorph.pieces) == 3
 
 
@@ -404,7 +399,7 @@ def test_few_loose_parts_are_a_piece_each(scene):
     arm = make_arm_with(((0, 0, 1.9), 0.1, 1.0, 0), ((0.4, 0, 0.3), 0.2, 0.5, 1))
     OPS.find_pieces()
     found = [(piece.group, piece.choice) for piece in arm.dynamorph.pieces]
-    assert found == [("Dynamorph Piece Hair", "WITH_BODY"), ("Dynamorph Piece Part", "RIGID")]
+    assert found == [("Dynamorph Piece Hair", "RIGID"), ("Dynamorph Piece Skin", "RIGID")]
     groups = part("mesh_data").group_weights(arm, [group for group, _ in found])
     body = len(scenes.tube()[0])
     assert (
@@ -419,7 +414,7 @@ def test_many_loose_parts_are_grouped_by_material(scene):
     arm = make_arm_with(*hair, *teeth, ((0.6, 0, 1.9), 0.3, 1.0, 0))
     OPS.find_pieces()
     found = [(piece.group.removeprefix("Dynamorph Piece "), piece.choice) for piece in arm.dynamorph.pieces]
-    assert found == [("Part", "RIGID"), ("Hair", "RIGID"), ("Small Parts", "WITH_BODY")]
+    assert found == [("Skin", "RIGID"), ("Hair", "RIGID"), ("Skin.001", "RIGID")]
     counts = [int(part("attachments").members(arm, piece.group).sum()) for piece in arm.dynamorph.pieces]
     assert counts == [8, 160, 80]
 
@@ -448,15 +443,18 @@ def test_a_long_chain_is_one_part():
 
 def test_the_choice_of_parts_goes_into_the_character(scene):
     arm = make_arm_with(*(((0.4, 0, 0.2 + 0.2 * k), 0.1, 0.5, 1) for k in range(4)))
-    OPS.find_pieces()
-    for piece, choice in zip(arm.dynamorph.pieces, ("OWN_CAGE", "RIGID", "OWN_CAGE", "WITH_BODY"), strict=True):
-        piece.choice = choice
     body = len(scenes.tube()[0])
+    for k, choice in enumerate(("OWN_CAGE", "RIGID", "OWN_CAGE", "WITH_BODY")):
+        group = arm.vertex_groups.new(name=f"Box {k}")
+        group.add(range(body + 8 * k, body + 8 * k + 8), 1.0, "REPLACE")
+        piece = arm.dynamorph.pieces.add()
+        piece.group, piece.choice = group.name, choice
+    part("reconcile").reconcile(arm)
     character = part("extract").character(arm, without_targets=True)
     assert not character.pieces[:body].any() and sorted(character.pieces[body::8]) == [-1, 0, 1, 2]
     build = part("build")
     other = part("character").Character(**{**vars(character), "pieces": None})
-    assert "pieces" in build.dependencies(character) and "pieces" not in build.dependencies(other)
+    assert build.dependencies(character)["pieces"] != build.dependencies(other)["pieces"]
     arm.vertex_groups[arm.dynamorph.pieces[0].group].name = "Buckle"
     part("reconcile").reconcile(arm)
     assert arm.dynamorph.pieces[0].group == "Buckle"

@@ -136,8 +136,8 @@ class Character:
     there is one. rigidity (V,): 1 where the skin belongs to something hard (a head, a helmet that touches soft skin), 0
     elsewhere; the cage is held there. firmness (V,): weights of the Firmness map, see core/firmness.
 
-    With one_cage the arrays cover the vertices of several meshes: first those of the soft skin's own mesh (`own`), then
-    those of `parts`. coincident (V,): the first vertex at the same place as each, which moves alike.
+    The arrays cover the vertices of all meshes in its cage: first those of the soft skin's own mesh (`own_vertices`),
+    then those of `parts`. coincident (V,): the first vertex at the same place as each, which moves alike.
     """
 
     name: str
@@ -170,8 +170,7 @@ class Character:
     @property
     def own_vertices(self) -> slice:
         """The vertices of the soft skin's own mesh."""
-        first = self.parts[0].members if self.parts else None
-        return slice(0, first.start if first else len(self.vertices))
+        return slice(0, self.parts[0].members.start if self.parts else len(self.vertices))
 
     @property
     def targets(self) -> list[Target]:
@@ -228,16 +227,12 @@ class SurfaceMap:
 class Follower:
     """Another mesh, of P vertices, that moves with a character's soft tissue: clothes, for example.
 
-    session_uid: of its object. points (P, 3): its vertices at rest, local space; vertices (P, 3): the same in the
-    character's bind space; from_body (3, 3) maps displacements in the character's local space to the mesh's own. It is
-    moved either by `skin`, the points of the character's surface nearest to the vertices, or by the character's cage,
-    of whose vertices it is the `members`.
+    session_uid: of its object. points (P, 3): its vertices at rest, local space; from_body (3, 3) maps displacements
+    in the character's local space to the mesh's own; members: its vertices among those of the character.
     """
 
     name: str
     session_uid: int
     points: np.ndarray
-    vertices: np.ndarray
     from_body: np.ndarray
-    skin: SurfaceMap | None = None
-    members: slice | None = None
+    members: slice

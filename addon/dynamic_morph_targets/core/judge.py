@@ -154,7 +154,7 @@ class _Skin:
         lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
         kept = lengths > SPLINTER * self.size
         self.edges, self.lengths = edges[kept], lengths[kept]
-        begins = [0, *(part.members.start for part in character.parts if part.members)]
+        begins = [0, *(part.members.start for part in character.parts)]
         mesh = np.searchsorted(begins, self.edges[:, 0], side="right")
         self.meshes = [np.flatnonzero(mesh == number) for number in np.unique(mesh)]  # small patches are visible too
         self.thickness = 2.0 * thickness if len(thickness) else np.zeros(0)

@@ -20,7 +20,7 @@ from .settings import Material, ModelSettings
 # The tetrahedra of a model depend on these, named as in `Model.dependencies`.
 MESH_DEPENDENCIES = (
     "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage grading", "how far targets move",
-    "cage object", "pin radius", "pieces", "engine", "hold", "one cage",
+    "cage object", "pin radius", "pieces", "engine", "hold",
 )  # fmt: skip
 # The tetrahedra together with what holds them depend on these.
 CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Firmness", "what is rigid")

@@ -67,8 +67,7 @@ class ModelSettings:
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin within which the bone holds nodes
     separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
     hold: str = "BONES"  # what holds the body: pins near the bones, or its THICKNESS, by a continuous energy
-    one_cage: bool = False  # the meshes that are With Body share one cage with it, instead of being carried by its own
-    hold_head: bool = False  # the skin of the head is held as if it were rigid; with one_cage
+    hold_head: bool = False  # the skin of the head is held as if it were rigid
     basis: str = "MODES"  # of a reduced model: tabulated MODES, or few of them and many linear RESPONSES
 
     @property

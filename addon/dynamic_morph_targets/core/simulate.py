@@ -182,10 +182,10 @@ def bake(
 
 def part_of(bake: Bake, members: slice, from_body: np.ndarray | None = None) -> Bake:
     """The same shot for some of its vertices; from_body (3, 3): maps displacements to the space of these vertices."""
-    turn = np.eye(3) if from_body is None else from_body
-    return replace(
-        bake, modes=bake.modes[:, members] @ turn.T, residual_shapes=bake.residual_shapes[:, members] @ turn.T
-    )
+    modes, residual_shapes = bake.modes[:, members], bake.residual_shapes[:, members]
+    if from_body is not None:
+        modes, residual_shapes = modes @ from_body.T, residual_shapes @ from_body.T
+    return replace(bake, modes=modes, residual_shapes=residual_shapes)
 
 
 def _report(frames: np.ndarray, steps: np.ndarray) -> dict:

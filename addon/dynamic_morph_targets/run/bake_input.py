@@ -79,11 +79,9 @@ def read(request: Request) -> BakeInput:
     given = BakeInput(request.name, request.goal, character, cache_files=dict(request.cache_files))
     if given.is_bake:
         check(obj)
-        given.followers = extract.followers(source, character)
-        for follower in handles(given.followers):
-            check(follower.find(), obj)
+        for part in handles(character.parts):
+            check(part.find(), obj)
     given.notes = extract.warnings(source)
-    given.warnings = extract.far_followers(character, given.followers)
     if given.is_bake and request.stored:
         _read_output(given, obj, request.folder)
     fits = _read_model(given, obj, request)
@@ -115,9 +113,9 @@ def _chunk(given: BakeInput) -> int:
     return SHORT_CHUNK_FRAMES if given.kept or given.character.probed else CHUNK_FRAMES
 
 
-def handles(followers: Sequence[Follower]) -> list[ObjectHandle]:
-    """The handles of the other meshes that the soft tissue carries along."""
-    return [ObjectHandle(follower.session_uid, follower.name) for follower in followers]
+def handles(parts: Sequence[Follower]) -> list[ObjectHandle]:
+    """The handles of the other meshes of a body."""
+    return [ObjectHandle(part.session_uid, part.name) for part in parts]
 
 
 def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -> None:
@@ -129,7 +127,7 @@ def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -
     check_cache(obj, caches)
     assert caches is not None  # that would have been refused
     given.caches = caches
-    for mesh in (obj, *(handle.find() for handle in handles(given.followers))):
+    for mesh in (obj, *(handle.find() for handle in handles(given.character.parts))):
         lost = ", ".join(f"'{name}'" for name in overwritten_keys(mesh))
         if lost:
             given.warnings.append(
@@ -142,7 +140,7 @@ def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -
 def _try_caches(given: BakeInput) -> None:
     """Find out whether the point caches can be written. Raises OSError."""
     surfaces = {given.name: given.character.vertices[given.character.own_vertices]}
-    surfaces |= {follower.name: follower.vertices for follower in given.followers}
+    surfaces |= {part.name: part.points for part in given.character.parts}
     sizes: Counter[Path] = Counter()
     for name, vertices in surfaces.items():
         file = given.cache_files.get(name)
@@ -220,12 +218,11 @@ def _read_limits(given: BakeInput, chosen: bpy.types.PropertyGroup, request: Req
 
 def _read_kept(given: BakeInput, obj: bpy.types.Object) -> None:
     """The bake into which the frames go, and the run-up to them. Raises SceneError, SinkError."""
-    meshes = (obj, *(handle.find() for handle in handles(given.followers)))
-    given.before = [read_back(mesh, given.settings.samples) for mesh in meshes]
-    if given.character.parts:
-        to_body = [np.eye(3), *(np.linalg.inv(follower.from_body) for follower in given.followers)]
-        given.before = [united(given.before, to_body)]
-    settings, (first, last) = given.settings, given.before[0].frames[[0, -1]].astype(int).tolist()
+    parts = given.character.parts
+    meshes = (obj, *(handle.find() for handle in handles(parts)))
+    to_body = [np.eye(3), *(np.linalg.inv(part.from_body) for part in parts)]
+    given.before = united([read_back(mesh, given.settings.samples) for mesh in meshes], to_body)
+    settings, (first, last) = given.settings, given.before.frames[[0, -1]].astype(int).tolist()
     if settings.start > last + 1 or settings.end < first - 1:
         raise SceneError(
             "'{name}': frames {start} to {end} are not next to those of the last bake, {first} to {last}: choose "

@@ -53,7 +53,7 @@ def target(request: Request, given: BakeInput) -> bpy.types.Object:
     points = given.character.vertices[given.character.own_vertices]
     meshes = [
         (request.target, points),
-        *zip(handles(given.followers), (f.vertices for f in given.followers), strict=True),
+        *zip(handles(given.character.parts), (part.points for part in given.character.parts), strict=True),
     ]
     for handle, vertices in meshes:
         obj = handle.find()
@@ -192,7 +192,7 @@ class Writer:
             disk.discard(file)
 
     def _pieces(self) -> list[bpy.types.Object]:
-        return [handle.find() for handle in handles(self.given.followers)]
+        return [handle.find() for handle in handles(self.given.character.parts)]
 
     def _left_behind(self) -> list[bpy.types.Object]:
         """The meshes that follow the old bake or Live, but not the new bake."""

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..core import baked, build, calibration, errors, followers, judge, rig_samples, simulate
+from ..core import baked, build, calibration, errors, judge, rig_samples, simulate
 from ..core.baked import Bake
 from ..core.character import Character
 from ..core.errors import SceneError, SelfCheckError
@@ -241,17 +241,15 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
     """Make the result from the simulated shot, and the messages about it. Raises SceneError, SelfCheckError,
     OSError.
     """
-    outside = [] if given.character.parts else given.followers
-    outcome.carried = [followers.follow(outcome.model, outcome.bake, follower) for follower in outside]
     for name in ("coordinates", "weights", "modes", "residual_shapes", "static"):
-        if not all(np.isfinite(getattr(bake, name)).all() for bake in (outcome.bake, *outcome.carried)):
+        if not np.isfinite(getattr(outcome.bake, name)).all():
             raise SelfCheckError(
                 "'{name}': the engine's {result} are not numbers: nothing was written", name=given.name, result=name
             )
     progress.message = "Making keys"
     with progress.stage("make keys"):
         if given.before:
-            _splice(given, outcome)
+            outcome.bake, outcome.report["seam"] = splice(given.before, outcome.bake, FADE, given.character.to_bind)
         if given.output:
             _make_keys(given, outcome, given.output)
             outcome.content_id = _content_id(given, outcome)
@@ -270,53 +268,28 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
         )
 
 
-def of_meshes(given: BakeInput, model: Model, bake: Bake) -> list[Bake]:
-    """A bake of the whole body divided into one per mesh, if they are in one cage; otherwise it is of one mesh
-    already.
-    """
-    character = given.character
-    if not character.parts:
-        return [bake]
-    carried = (followers.follow(model, bake, follower) for follower in given.followers)
-    return [simulate.part_of(bake, character.own_vertices), *carried]
-
-
-def _splice(given: BakeInput, outcome: Outcome) -> None:
-    """Make the results parts of the existing bakes."""
-    parts = zip(given.before, (outcome.bake, *outcome.carried), _to_meters(given, outcome), strict=True)
-    spliced = [splice(before, part, FADE, to_meters) for before, part, to_meters in parts]
-    outcome.bake, *outcome.carried = (bake for bake, _ in spliced)
-    outcome.report["seam"] = max(seam for _, seam in spliced)
-
-
-def _to_meters(given: BakeInput, outcome: Outcome) -> list[np.ndarray]:
-    """Local to metric space (3, 3) of the body, and of what follows it outside of its cage."""
-    to_bind, outside = given.character.to_bind, given.followers[: len(outcome.carried)]
-    return [to_bind, *(to_bind @ np.linalg.inv(follower.from_body) for follower in outside)]
+def of_meshes(character: Character, bake: Bake) -> list[Bake]:
+    """A bake of the whole body divided into one per mesh."""
+    parts = (simulate.part_of(bake, part.members, part.from_body) for part in character.parts)
+    return [simulate.part_of(bake, character.own_vertices), *parts]
 
 
 def _make_keys(given: BakeInput, outcome: Outcome, output: OutputSettings) -> None:
     """The form of the results apart from Blender: shape keys, and the files of point caches."""
     character = given.character
-    names = character.name, *(follower.name for follower in given.followers)
-    points_of = character.vertices[character.own_vertices], *(follower.points for follower in given.followers)
-    off, all_keys, bakes = 0.0, [], []
-    wholes = (outcome.bake, *outcome.carried)
-    for name, whole, to_meters in zip(names, wholes, _to_meters(given, outcome), strict=False):
-        try:
-            keys, error = as_keys(whole, output, to_meters)
-        except errors.KeysError as refusal:
-            raise SceneError("'{name}': {refusal}", name=name, refusal=refusal) from refusal
-        off = max(off, error)
-        all_keys += of_meshes(given, outcome.model, keys)
-        bakes += of_meshes(given, outcome.model, whole)
+    names = character.name, *(part.name for part in character.parts)
+    points_of = character.vertices[character.own_vertices], *(part.points for part in character.parts)
+    try:
+        whole, outcome.report["keys_error"] = as_keys(outcome.bake, output, character.to_bind)
+    except errors.KeysError as refusal:
+        raise SceneError("'{name}': {refusal}", name=character.name, refusal=refusal) from refusal
+    bakes, all_keys = of_meshes(character, outcome.bake), of_meshes(character, whole)
     for name, points, bake, keys in zip(names, points_of, bakes, all_keys, strict=True):
         file = None
         if output.sink in point_cache.CACHES:
             file = _point_cache(given, outcome, output.sink, name, points, bake)
         outcome.written.append((keys, file))
     outcome.report["keys"] = len(outcome.written[0][0].modes) + len(outcome.written[0][0].residual_shapes)
-    outcome.report["keys_error"] = off
 
 
 def _point_cache(given: BakeInput, outcome: Outcome, sink: str, name: str, points: np.ndarray, bake: Bake) -> Path:
@@ -334,5 +307,6 @@ def _point_cache(given: BakeInput, outcome: Outcome, sink: str, name: str, point
 
 
 def _content_id(given: BakeInput, outcome: Outcome) -> str:
-    made_from = [outcome.inputs, build.dependencies(outcome.character), *map(baked.digest, given.before)]
+    before = [baked.digest(given.before)] if given.before else []
+    made_from = [outcome.inputs, build.dependencies(outcome.character), *before]
     return hashlib.sha256(json.dumps(made_from, sort_keys=True).encode()).hexdigest()

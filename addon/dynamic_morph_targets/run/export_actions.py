@@ -133,12 +133,10 @@ class ActionsExport(batch.Batch):
 
     def _write_clips(self) -> None:
         obj, job = self.jobs[0].target(), self.jobs[0]
-        pieces = [handle.find() for handle in handles(job.input.followers)]
+        pieces = [handle.find() for handle in handles(job.input.character.parts)]
         outcomes = [job.outcome for job in self.jobs]
-        wholes = [joined(each) for each in zip(*([o.bake, *o.carried] for o in outcomes), strict=True)]
-        budget = obj.dynamorph.output.keys
-        wholes = [keys.with_fewer_keys(bake, budget) if budget else bake for bake in wholes]
-        bakes = [bake for whole in wholes for bake in of_meshes(job.input, job.outcome.model, whole)]
+        whole, budget = joined([outcome.bake for outcome in outcomes]), obj.dynamorph.output.keys
+        bakes = of_meshes(job.input.character, keys.with_fewer_keys(whole, budget) if budget else whole)
         with ExitStack() as stack:
             stack.enter_context(frames_kept())
             stack.enter_context(actions.laid_out(rig_of(obj), self.clips))

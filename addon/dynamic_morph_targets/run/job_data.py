@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..core.baked import Bake
-from ..core.character import Character, Follower
+from ..core.character import Character
 from ..core.judge import Limits, Verdict
 from ..core.model import Model
 from ..core.rig_samples import RigSamples
@@ -59,15 +59,14 @@ class Progress:
 class BakeInput:
     """Everything that is read of Blender for a job, except the moving rig.
 
-    name: of the job, for messages. goal: BUILD, BUILD_CAGE or BAKE. followers: the other meshes that the soft tissue
-    carries along. inputs: the settings that the bake depends on. before: the bakes into which these frames go. notes:
-    warnings that panels find by themselves, so that they are reported and not stored.
+    name: of the job, for messages. goal: BUILD, BUILD_CAGE or BAKE. inputs: the settings that the bake depends on.
+    before: the bake into which these frames go. notes: warnings that panels find by themselves, so that they are
+    reported and not stored.
     """
 
     name: str
     goal: str
     character: Character
-    followers: list[Follower] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     # The model.
@@ -86,7 +85,7 @@ class BakeInput:
     limits: Limits = Limits()  # noqa: RUF009
     can_rehearse: bool = False  # whether a bake of the whole shot could
     rehearsed_from: float = 0.0  # the frequency in Hz that a rehearsal begins with; 0: there is none
-    before: list[Bake] = field(default_factory=list)
+    before: Bake | None = None
     kept: Path | None = None  # the file that keeps it for other processes while it is unfinished
     resumed: dict = field(default_factory=dict)  # what another process stored there
     first: RigSamples | None = None  # the rig at the first frame, if that was resumed
@@ -113,8 +112,8 @@ class BakeInput:
 class Outcome:
     """What was computed for a job: for a build the model, for a bake everything.
 
-    character: with the materials that a build or a rehearsal has found. bake: of the body. carried: of the followers
-    that are not in its cage. written: for each mesh its shape keys, and the file of its point cache or None.
+    character: with the materials that a build or a rehearsal has found. bake: of the whole body. written: for
+    each mesh its shape keys, and the file of its point cache or None.
     """
 
     character: Character
@@ -124,7 +123,6 @@ class Outcome:
     warnings: list[str] = field(default_factory=list)
     inputs: dict = field(default_factory=dict)
     bake: Bake = field(init=False)
-    carried: list[Bake] = field(default_factory=list)
     report: dict = field(default_factory=dict)  # of the simulation
     verdict: Verdict = field(init=False)
     rehearsed: str = ""  # what the rehearsal has changed, in a sentence

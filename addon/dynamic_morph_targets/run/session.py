@@ -12,7 +12,6 @@ import bpy
 import numpy as np
 
 from ..core import errors, rig_samples, simulate
-from ..core import followers as carrying
 from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
 from ..core.firmness import NEUTRAL
@@ -21,20 +20,7 @@ from ..core.message import joined
 from ..core.player import Frame, Player, State
 from ..core.rig_samples import RigSamples
 from ..core.settings import Material, SimulationSettings
-from ..scene import (
-    checks,
-    extract,
-    mesh_data,
-    model_store,
-    probe,
-    references,
-    rig_motion,
-    run_settings,
-    skin,
-    skinning,
-    source,
-    staleness,
-)
+from ..scene import mesh_data, model_store, probe, references, rig_motion, run_settings, skin, skinning, staleness
 from ..write import comparison, live_key
 from ..write.reconcile import reconcile
 from .live_surface import LiveMesh, Move, by_modes, by_nodes
@@ -60,38 +46,30 @@ class Tissue:
         self.dofs = len(self.player.amounts.gains)
         self.modes = self.dofs if self.model.settings.solver == "REDUCED" else 0  # that can be shown one by one
         self.target_names = [target.name for target in self.character.by_method().targets]
-        model, own_vertices = self.model, self.character.own_vertices
-        move = self._move(
-            len(self.character.vertices[own_vertices]),
-            model.embedding_nodes[own_vertices],
-            model.embedding_weights[own_vertices],
-        )
-        handle, residual_shapes = skin.ObjectHandle.of(obj), model.residual_shapes[:, own_vertices]
-        self.skin = LiveMesh(handle, self.character.vertices[own_vertices], move, residual_shapes)
-        self.followers: list[LiveMesh] = []
-        for follower in extract.followers(source.Source.of(checks.skinned(obj)), self.character):
-            nodes, weights = model.embedding_nodes, model.embedding_weights
-            if len(model.tets):
-                nodes, weights = carrying.embedded(model, follower)
-            move = self._move(len(follower.points), nodes, weights, follower.from_body)
-            handle = skin.ObjectHandle(follower.session_uid, follower.name)
-            residual_shapes = carrying.residual_shapes_of(model, follower)
-            self.followers.append(LiveMesh(handle, follower.points, move, residual_shapes))
+        character, own_vertices = self.character, self.character.own_vertices
+        self.skin = self._mesh(skin.ObjectHandle.of(obj), character.vertices[own_vertices], own_vertices, np.eye(3))
+        self.followers = [
+            self._mesh(skin.ObjectHandle(part.session_uid, part.name), part.points, part.members, part.from_body)
+            for part in character.parts
+        ]
 
     def exchange(self, character: Character, settings: SimulationSettings) -> None:
         """Go on with the materials, poses and blending of `character`; settings: others with the same time step."""
         self.character = character
         self.player = self.player.exchange(character, settings)
 
-    def _move(self, count: int, nodes: np.ndarray, weights: np.ndarray, from_body: np.ndarray | None = None) -> Move:
-        """What displaces `count` points that the nodes (V, 4) carry by these weights (V, 4); from_body (3, 3): from
-        the body's local space to theirs.
-        """
+    def _mesh(self, handle: skin.ObjectHandle, points: np.ndarray, members: slice, from_body: np.ndarray) -> LiveMesh:
+        """A mesh of the body. points (P, 3): its local space; from_body (3, 3): from the body's local space to it."""
+        residual_shapes = self.model.residual_shapes[:, members] @ from_body.T
+        return LiveMesh(handle, points, self._move(members, from_body), residual_shapes)
+
+    def _move(self, members: slice, from_body: np.ndarray) -> Move:
+        """What displaces these vertices of the character; from_body: as for `_mesh`."""
         model = self.model
         if not len(model.tets):  # static morph targets
-            return by_modes(np.zeros((0, count, 3)))
-        from_bind = np.linalg.inv(model.to_bind)
-        turn = from_bind if from_body is None else from_body @ from_bind
+            return by_modes(np.zeros((0, members.stop - members.start, 3)))
+        nodes, weights = model.embedding_nodes[members], model.embedding_weights[members]
+        turn = from_body @ np.linalg.inv(model.to_bind)
         if model.settings.solver == "FULL":
             return by_nodes(model.free, nodes, weights, turn)
         return by_modes(interpolated(self._node_modes, nodes, weights) @ turn.T)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Several meshes as one body: the soft skin's own mesh, and those that are With Body or Held, in one cage.
 
-`extract.character` calls this for soft skins with One Cage. Reads only.
+`extract.character` calls this for every soft skin. Reads only.
 """
 
 from __future__ import annotations
@@ -56,8 +56,7 @@ def joined(source: Source, single: Character) -> Character:
     joint_bones = dict.fromkeys(bone for each in (source, *meshes) for bone in each.skinning.bones(source.rig))
     parts = [
         Follower(
-            mesh.obj.name, mesh.obj.session_uid, mesh.points, bind[members], inverse(mesh.to_body[:3, :3]),
-            members=members,
+            mesh.obj.name, mesh.obj.session_uid, mesh.points, inverse(mesh.to_body[:3, :3]), members
         )
         for mesh, members in zip(meshes, slices[1:], strict=True)
     ]  # fmt: skip

@@ -11,16 +11,15 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ..core.character import Character, Follower, OwnCage, Target, TargetSet
+from ..core.character import Character, OwnCage, Target, TargetSet
 from ..core.errors import SceneError, sentence
-from ..core.geometry import diagonal, inverse
+from ..core.geometry import inverse
 from ..core.settings import ModelSettings
 from . import bodies, body_checks, checks, data_checks
 from .checks import refuse, skinned
 from .mesh_data import carried, firmness, mesh_triangles, pieces_of, target_shape
-from .nearest import nearest
 from .rig_motion import at_rest, rig_scene
-from .skin import clothes_in, parts_in, unit_scale
+from .skin import parts_in, unit_scale
 from .skinning import Skinning
 from .source import Source
 
@@ -65,54 +64,13 @@ def read(source: Source, without_targets=False) -> Character:
         cage=_own_cage(source),
         firmness=firmness(obj, source.groups, obj.dynamorph.firmness_group),
     )
-    return bodies.joined(source, single) if single.settings.one_cage else single
+    return bodies.joined(source, single)
 
 
 def model_settings(obj) -> ModelSettings:
     """The build settings of `obj`, with lengths in meters; the panels' lengths are in Blender units."""
     chosen = obj.dynamorph.model.settings()
     return replace(chosen, cage_thickness=unit_scale() * chosen.cage_thickness)
-
-
-def followers(source: Source, character: Character) -> list[Follower]:
-    """The other meshes that the soft skin carries along; character: what was read of the source. Raises SceneError."""
-    if character.settings.one_cage:
-        return list(character.parts)
-    pieces = clothes_in(source.obj)
-    if not pieces:
-        return []
-    skin = character.vertices @ character.to_bind.T
-    of_body = (character.pieces[character.triangles] == 0).all(axis=1)
-    if not of_body.any():
-        raise SceneError(
-            "'{name}' has no body to carry its attachments: choose With Body for a part of it", name=source.obj.name
-        )
-    found = []
-    for piece in (source.attachment(Skinning.of(each)) for each in pieces):
-        refuse(checks.follower(source.skinning, piece.skinning))
-        vertices = (piece.points @ piece.to_body[:3, :3].T + piece.to_body[:3, 3]) @ character.to_bind.T
-        found.append(
-            Follower(
-                piece.obj.name,
-                piece.obj.session_uid,
-                piece.points,
-                vertices,
-                inverse(piece.to_body[:3, :3]),
-                nearest(vertices, skin, character.triangles[of_body]),
-            )
-        )
-    return found
-
-
-def far_followers(character: Character, found: list[Follower]) -> list[str]:
-    """Warnings about meshes that are too far from the skin to move with it."""
-    far = FAR * diagonal(character.vertices @ character.to_bind.T)
-    return [
-        f"'{follower.name}' is up to {follower.skin.distances.max():.2g} m from the skin of '{character.name}': if it "
-        "moves oddly, choose Own Cage or Rigid for it"
-        for follower in found
-        if follower.skin and follower.skin.distances.max() > far
-    ]
 
 
 def warnings(source: Source) -> list[str]:

@@ -29,6 +29,8 @@ def rest_points(obj) -> np.ndarray:
     points = np.empty((len(obj.data.vertices), 3), np.float32)
     if obj.data.shape_keys:
         points = key_points(obj.data.shape_keys.reference_key)
+    elif obj.data.is_editmode:  # which hides the attribute
+        raise SceneError("'{name}' is in Edit Mode: leave it first", name=obj.name)
     else:
         obj.data.attributes["position"].data.foreach_get("vector", points.ravel())
     if not np.isfinite(points).all():

@@ -49,7 +49,7 @@ class DynamorphPiece(PropertyGroup):
         name="Attached By",
         description="What moves the attachment",
         items=(
-            ("WITH_BODY", "With Body", "The soft tissue that it is in, or nearest to, carries it along", 0),
+            ("WITH_BODY", "With Body", "It is in one cage with the body, so that their seam stays closed", 0),
             ("OWN_CAGE", "Own Cage", "It is simulated by itself, in a cage of its own", 1),
             ("RIGID", "Rigid", "Only its bones move it", 2),
             (
@@ -193,12 +193,6 @@ class DynamorphModel(PropertyGroup):
             ("THICKNESS", "Thickness", "The core of the body and its thin parts are held, wherever its bones are", 1),
         ),
         default=ModelSettings.hold, override=OVERRIDE,
-    )  # fmt: skip
-    one_cage: BoolProperty(
-        name="One Cage",
-        description="Simulate the meshes that are With Body together with this one, in one cage around all of them, so "
-        "that their seams stay closed. Turn it off for clothes that are far from the skin",
-        default=ModelSettings.one_cage, override=OVERRIDE,
     )  # fmt: skip
     hold_head: BoolProperty(
         name="Hold Head",

@@ -110,8 +110,8 @@ def parts_of(obj, mesh) -> list:
 
 
 def clothes_in(obj) -> list:
-    """The other meshes that a soft skin should carry along, without deleted ones."""
-    choices = {"WITH_BODY", "HELD"} if obj.dynamorph.model.one_cage else {"WITH_BODY"}
+    """The other meshes in the cage of a soft skin, without deleted ones."""
+    choices = {"WITH_BODY", "HELD"}
     pieces = [piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice in choices]
     return [piece for piece in dict.fromkeys(pieces) if piece and piece.users_scene]
 

@@ -135,10 +135,9 @@ def model_inputs(obj) -> dict:
     settings = obj.dynamorph
     groups: dict = {"firmness_group": settings.firmness_group}
     groups["pieces"] = [[part.group, part.choice] for part in parts_in(obj) if part.choice != "WITH_BODY"]
-    if settings.model.one_cage:
-        groups["attachments"] = [
-            [piece.choice, piece.group] for piece in settings.pieces if piece.object and piece.object.users_scene
-        ]
+    groups["attachments"] = [
+        [piece.choice, piece.group] for piece in settings.pieces if piece.object and piece.object.users_scene
+    ]
     model = {name: value for name, value in asdict(settings.model.settings()).items() if name not in FREE_SETTINGS}
     targets = {
         name: {"mute": target.mute, "region": target.region, SCULPT: target.key_hash if name else ""}

@@ -27,7 +27,6 @@ def draw_cage(layout, context, obj):
     column.enabled = batch.running is None
     column.prop(model, "cage_nodes")
     column.prop(model, "cage_object")
-    column.prop(model, "one_cage")
     layout.operator("dynamorph.build_cage", icon="MESH_ICOSPHERE")
     shown = layout.row()
     shown.enabled = bool(model.cage)

@@ -45,8 +45,7 @@ def draw_pieces(layout, _context, obj):
     column.operator("dynamorph.remove_piece", text="", icon="REMOVE")
     column.operator("dynamorph.select_piece", text="", icon="RESTRICT_SELECT_OFF")
     layout.operator("dynamorph.find_pieces", icon="VIEWZOOM")
-    if settings.model.one_cage:
-        draw_head(layout, settings.model)
+    draw_head(layout, settings.model)
     if settings.active_piece:
         draw_piece(layout, obj, settings.active_piece)
     alone = list(attachments.left_alone(obj))

@@ -56,7 +56,7 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         target = obj.dynamorph.targets.add()
         target.name = target_properties.NEUTRAL
         target.set_pose(skeleton, np.tile(np.eye(4), (len(skeleton.names), 1, 1)), rig_world)
-        obj.dynamorph.model.hold, obj.dynamorph.model.basis = "THICKNESS", "RESPONSES"  # unlike in files from before
+        obj.dynamorph.model.hold, obj.dynamorph.model.basis = "THICKNESS", "RESPONSES"
         obj.dynamorph.model.modes = DETAIL
         feel_operators.give_feel(obj, FEELS["NATURAL"])
         in_the_way += [text for text in _find_attachments(obj) if text not in in_the_way]
@@ -96,7 +96,7 @@ def _body_meant(obj):
 
 def _find_attachments(obj) -> list[str]:
     """List what belongs to the body of `obj`, in one cage with it. Returns the problems with that."""
-    obj.dynamorph.model.one_cage = obj.dynamorph.model.hold_head = True
+    obj.dynamorph.model.hold_head = True
     problem = next(checks.problems(Skinning.of(obj)), None)
     if problem:  # which is reported already
         return []

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
 
@@ -16,14 +15,13 @@ from ..core.geometry import diagonal, inverse, loose_parts, triangle_areas, vert
 from ..core.message import Message
 from ..scene import checks, mesh_data, references
 from ..scene.references import rig_of
-from ..scene.skin import parts_in, parts_of
+from ..scene.skin import parts_of
 from ..scene.skinning import Skinning, armature_modifiers, meshes_on
 from . import bake
 
 PREFIX = "Dynamorph Piece "  # prefix of the vertex groups for loose parts
 FEW = 8  # up to so many loose parts are separate attachments
 LARGE = 0.02  # fraction of the body's area; larger loose parts are separate attachments
-RIGID = 0.99  # of its weight; a vertex that has more from one bone follows it rigidly
 ACCESSORY = 0.05  # of the soft area of a character's softest mesh; a mesh with less is not the intended soft skin
 FEW_BONES = 3  # names listed in a reason
 FEWEST_BONES = 3  # bones that carry the parts of a wholly hard character
@@ -33,13 +31,36 @@ FEWEST_BONES = 3  # bones that carry the parts of a wholly hard character
 
 
 def find(obj) -> list[str]:
-    """Add the attachments of the soft skin `obj` that are not in its list yet; returns their names. Raises
-    SceneError.
+    """Add the attachments of the soft skin `obj` that are not in its list yet: every other mesh on its armature and
+    every rigid part, each with a reason. Returns their names. Raises SceneError.
     """
-    if obj.dynamorph.model.one_cage:
-        return _find_in_body(obj)
-    objects, parts = [(other, _choice(other)) for other in _siblings(obj)], _parts(obj)
-    return [_add_object(obj, *found) for found in objects] + [_add_part(obj, part) for part in parts]
+    checks.check_mesh(obj)
+    rig = checks.armature_modifier(obj).object
+    world, _ = mesh_data.worlds_at_start(obj, rig)
+    to_bind, names = mesh_data.stretch(world), references.rest_skeleton(rig.data).names
+    listed = {piece.object: piece.choice for piece in obj.dynamorph.pieces if piece.object and not piece.group}
+    found, added = [_look_at(obj, obj, rig, world, to_bind)], []
+    for other in [*_siblings(obj), *(each for each, choice in listed.items() if choice in {"WITH_BODY", "HELD"})]:
+        try:
+            refusal = _refusal(obj, other)
+            found += [] if refusal else [_look_at(obj, other, rig, world, to_bind)]
+        except errors.SceneError as error:
+            refusal = str(error)
+        if refusal and other not in listed:
+            choice = "OWN_CAGE" if other.dynamorph.targets else "RIGID"
+            added.append(_add(obj, other, "", choice, refusal))
+    _leave_something_soft(found)
+    for each, touches in zip(found, _touching(found), strict=True):
+        whole = each.obj != obj and each.hard.all() and len(set(each.bones.tolist())) == 1
+        if each.obj != obj and each.obj not in listed:
+            added.append(_add_mesh(obj, each, whole, touches, names))
+        if not whole:
+            added += _add_parts(obj, each, touches, names)
+    skinned = _all_together(found)
+    obj.dynamorph.model.head = ", ".join(
+        names[bone] for bone in rigid.heads(references.rest_skeleton(rig.data), *skinned)
+    )
+    return added
 
 
 def remove(obj, index: int):
@@ -115,34 +136,7 @@ def _siblings(obj) -> list:
     ]
 
 
-def _choice(other) -> str:
-    """The likely choice for another mesh. Eyes and helmets follow one bone."""
-    if other.dynamorph.targets:
-        return "OWN_CAGE"
-    if other.library or other.override_library:
-        return "RIGID"
-    with suppress(errors.SceneError):
-        if rigid_parts(np.zeros(len(other.data.vertices), np.int64), mesh_data.skin_weights(other))[0]:
-            return "RIGID"
-    return "WITH_BODY"
-
-
-def _add_object(obj, other, choice: str) -> str:
-    piece = obj.dynamorph.pieces.add()
-    piece.object, piece.name, piece.choice = other, other.name, choice
-    return other.name
-
-
-def _add_part(obj, part: Part) -> str:
-    group = obj.vertex_groups.new(name=PREFIX + part.name)
-    group.add(np.flatnonzero(part.members).tolist(), 1.0, "REPLACE")
-    piece = obj.dynamorph.pieces.add()
-    piece.group = piece.name = group.name
-    piece.choice = "RIGID" if part.rigid else "WITH_BODY"
-    return group.name
-
-
-# Of a body in one cage -----------------------------------------------------------------------------------------------
+# Its body -----------------------------------------------------------------------------------------------------------
 
 
 def body_for(obj):
@@ -197,37 +191,6 @@ class _Found:
     weights: np.ndarray
     hard: np.ndarray
     bones: np.ndarray
-
-
-def _find_in_body(obj) -> list[str]:
-    """`find` for a soft skin with One Cage: every other mesh and every rigid part, each with a reason."""
-    checks.check_mesh(obj)
-    rig = checks.armature_modifier(obj).object
-    world, _ = mesh_data.worlds_at_start(obj, rig)
-    to_bind, names = mesh_data.stretch(world), references.rest_skeleton(rig.data).names
-    listed = {piece.object: piece.choice for piece in obj.dynamorph.pieces if piece.object and not piece.group}
-    found, added = [_look_at(obj, obj, rig, world, to_bind)], []
-    for other in [*_siblings(obj), *(each for each, choice in listed.items() if choice in {"WITH_BODY", "HELD"})]:
-        try:
-            refusal = _refusal(obj, other)
-            found += [] if refusal else [_look_at(obj, other, rig, world, to_bind)]
-        except errors.SceneError as error:
-            refusal = str(error)
-        if refusal and other not in listed:
-            choice = "OWN_CAGE" if other.dynamorph.targets else "RIGID"
-            added.append(_add(obj, other, "", choice, refusal))
-    _leave_something_soft(found)
-    for each, touches in zip(found, _touching(found), strict=True):
-        whole = each.obj != obj and each.hard.all() and len(set(each.bones.tolist())) == 1
-        if each.obj != obj and each.obj not in listed:
-            added.append(_add_mesh(obj, each, whole, touches, names))
-        if not whole:
-            added += _add_parts(obj, each, touches, names)
-    skinned = _all_together(found)
-    obj.dynamorph.model.head = ", ".join(
-        names[bone] for bone in rigid.heads(references.rest_skeleton(rig.data), *skinned)
-    )
-    return added
 
 
 def _refusal(obj, other) -> str:
@@ -314,7 +277,7 @@ def _add_parts(obj, each: _Found, touches: np.ndarray, names) -> list[str]:
         kinds, kind = np.unique(alike, axis=0, return_inverse=True)
         of_kinds = np.zeros((len(kinds), areas.shape[1]))
         np.add.at(of_kinds, kind.ravel(), areas[chosen])
-        for together in grouped(of_kinds, np.zeros(len(kinds), bool), body=False):
+        for together in grouped(of_kinds):
             group = chosen[np.isin(kind.ravel(), together)]
             material = mesh.materials[areas[group].sum(axis=0).argmax()] if mesh.materials else None
             made = each.obj.vertex_groups.new(name=PREFIX + (material.name if material else "Part"))
@@ -336,58 +299,15 @@ def _add(obj, other, group: str, choice: str, reason: str) -> str:
     return piece.name
 
 
-# Loose parts of the mesh -------------------------------------------------------------------------------------------
+def grouped(areas: np.ndarray) -> list[np.ndarray]:
+    """The loose parts that form one attachment: lists of part numbers.
 
-
-@dataclass(frozen=True)
-class Part:
-    """Loose parts of a mesh that form one attachment. members (V,) bool; rigid: each follows one bone."""
-
-    name: str
-    members: np.ndarray
-    rigid: bool
-
-
-def _parts(obj) -> list[Part]:
-    """The parts of the mesh of `obj` besides its body and the existing attachments. Raises SceneError."""
-    checks.check_mesh(obj)
-    mesh, points = obj.data, mesh_data.rest_points(obj)
-    edges = np.empty((len(mesh.edges), 2), np.int32)
-    mesh.edges.foreach_get("vertices", edges.ravel())
-    labels = loose_parts(points, edges)
-    if not labels.any():
-        return []
-    triangles = mesh_data.mesh_triangles(mesh)
-    slots = np.empty(len(triangles), np.int32)
-    mesh.loop_triangles.foreach_get("material_index", slots)
-    areas = np.zeros((labels.max() + 1, max(len(mesh.materials), 1)))
-    slots = slots.clip(0, areas.shape[1] - 1)  # faces may refer to more materials than exist
-    np.add.at(areas, (labels[triangles[:, 0]], slots), triangle_areas(points, triangles))
-    follows_one = rigid_parts(labels, mesh_data.skin_weights(obj))
-    known = [piece.group for piece in parts_in(obj)]
-    taken = (mesh_data.group_weights(obj, known) >= mesh_data.MEMBER).any(axis=1)
-    covered = np.bincount(labels, taken) > 0.5 * np.bincount(labels)
-    body = areas.sum(axis=1).argmax()
-    out = []
-    for group in grouped(areas, skip=covered):
-        material = mesh.materials[areas[group].sum(axis=0).argmax()] if mesh.materials else None
-        same = areas[group].sum(axis=0).argmax() == areas[body].argmax()
-        name = "Part" if len(group) == 1 else "Small Parts"
-        out.append(
-            Part(material.name if material and not same else name, np.isin(labels, group), follows_one[group].all())
-        )
-    return out
-
-
-def grouped(areas: np.ndarray, skip: np.ndarray, body=True) -> list[np.ndarray]:
-    """The loose parts that form one attachment: lists of part numbers; body: without the largest, which is the body.
-
-    areas (P, M): of P loose parts by material slot; skip (P,) bool: parts that are left out. If there are more than a
-    few, small ones of the same material are together.
+    areas (P, M): of P loose parts by material slot. If there are more than a few, small ones of the same material are
+    together.
     """
     whole = areas.sum(axis=1)
-    order = np.argsort(-whole, kind="stable")  # the body first
-    others = [p for p in order[int(body) :] if whole[p] > 0.0 and not skip[p]]
+    order = np.argsort(-whole, kind="stable")  # the largest first
+    others = [p for p in order if whole[p] > 0.0]
     if len(others) <= FEW:
         return [np.array([p]) for p in others]
     large = [p for p in others[:FEW] if whole[p] > LARGE * whole[order[0]]]
@@ -395,13 +315,3 @@ def grouped(areas: np.ndarray, skip: np.ndarray, body=True) -> list[np.ndarray]:
     for p in others[len(large) :]:
         small.setdefault(int(areas[p].argmax()), []).append(p)
     return [np.array([p]) for p in large] + [np.array(parts) for parts in small.values()]
-
-
-def rigid_parts(labels: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Whether (P,) each part follows one bone rigidly; labels (V,) its number, weights (V, B + 1) the skin's."""
-    bone, count = weights.argmax(axis=1), labels.max() + 1
-    first, last = np.full(count, weights.shape[1]), np.full(count, -1)
-    np.minimum.at(first, labels, bone)
-    np.maximum.at(last, labels, bone)
-    loose = np.bincount(labels, weights.max(axis=1) <= RIGID, count) > 0
-    return (first == last) & ~loose
