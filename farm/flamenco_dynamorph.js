@@ -17,7 +17,7 @@ const JOB_TYPE = {
             description: "TARGET.PROPERTY=VALUE, separated by commas. Each gets a bake. If empty, the file is baked as it is",
         },
         {
-            key: "sink", type: "string", default: "",
+            key: "format", type: "string", default: "",
             description: "modes, frames, pc2, mdd, gltf, fbx, alembic, usd or raw. If empty, each object uses its own setting",
         },
         {
@@ -68,17 +68,17 @@ function authorBake(settings, shot, character, wedge, reports) {
     const name = joined(shot, character, wedge);
     return authorTask(`bake ${name}`, [
         "bake", ...(character ? ["--object", character] : ["--all"]), ...(wedge ? ["--set", wedge] : []),
-        ...sinkOf(settings, shot, wedge), ...settings.options.split(/\s+/).filter(Boolean), "--cache-dir", settings.cache_dir,
+        ...formatOf(settings, shot, wedge), ...settings.options.split(/\s+/).filter(Boolean), "--cache-dir", settings.cache_dir,
         "-o", `${settings.output}/${name}.blend`, "--report", `${reports}/${name}.json`,
     ], settings.blendfile);
 }
 
 // A file is beside the baked .blend. Dynamorph replaces {object} with a mesh's name: each piece of clothing has its own point cache.
-function sinkOf(settings, shot, wedge) {
-    if (!settings.sink) return [];
-    const ending = ENDINGS[settings.sink];
+function formatOf(settings, shot, wedge) {
+    if (!settings.format) return [];
+    const ending = ENDINGS[settings.format];
     const file = ending ? ["--output-file", `${settings.output}/${joined(shot, "{object}", wedge)}.${ending}`] : [];
-    return ["--format", settings.sink, ...file];
+    return ["--format", settings.format, ...file];
 }
 
 // With "exec" and not "blender-render": nothing is rendered, and everything after -c belongs to Dynamorph.

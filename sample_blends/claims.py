@@ -164,7 +164,7 @@ def waist(vertices: np.ndarray, patch: str) -> np.ndarray:
 
 def shaken(shot: Shot, frame: int) -> Shot:
     """The pose of a frame, shaken along the way the trunk faces; the same in every pose."""
-    settings = replace(shot.settings, start=1, end=WATCHED)
+    settings = replace(shot.settings, frame_start=1, frame_end=WATCHED)
     time = np.arange((WATCHED - 1) * settings.substeps + 1) * settings.step
     trunk = shot.character.skeleton.names.index(TRUNK)
     faces = shot.bones[shot.index(frame), trunk, :, :3] @ FORWARD

@@ -98,7 +98,7 @@ def row(name: str, about: str, draft: bool, job: job.Job | None = None) -> Row:
 def weights_at(job: job.Job | None, frame: int) -> str:
     if job is None:
         return ""
-    weights = job.outcome.bake.weights[frame - job.input.settings.start]
+    weights = job.outcome.bake.weights[frame - job.input.settings.frame_start]
     return ", ".join(
         f"{name} {w:.2f}" for name, w in zip(job.outcome.bake.target_names, weights, strict=True) if w > 0.005
     )
@@ -107,7 +107,7 @@ def weights_at(job: job.Job | None, frame: int) -> str:
 def swing(job: job.Job, first: int, last: int) -> float:
     """How far the skin leaves the pose's own static shape between two frames, at most; meters."""
     apart = 0.0
-    for k in range(first - job.input.settings.start, last - job.input.settings.start + 1):
+    for k in range(first - job.input.settings.frame_start, last - job.input.settings.frame_start + 1):
         static = static_shapes(job.outcome.character, job.outcome.bake.weights[k])
         apart = max(apart, np.linalg.norm(job.outcome.bake.displacement(k) - static, axis=1).max())
     return float(apart)

@@ -41,7 +41,7 @@ MODES = (4, 8, 12, 16, 20, 30, 40, 60)
 FITTED_MODES = (8, 16, 20, 30)  # and the scene's own number
 FULL = "DMT full"
 SHOWN_MODES = 40  # shape keys of a full bake that is rendered: what they lose is not seen
-TABLE = {name: changes for name, changes in VARIANTS.items() if changes.get("law") in LAWS.values()}
+TABLE = {name: changes for name, changes in VARIANTS.items() if changes.get("material_model") in LAWS.values()}
 ABOUT = {
     claims.PLAIN: "no simulation",
     "static morphs": "geometric morph targets: the shape follows the pose, nothing moves by itself",
@@ -108,7 +108,7 @@ def accuracy(work: Work) -> dict:
     shot = work.measured
     for name, run in compare.runs(shot.character, shot.rig, shot.settings, sweep(shot)):
         label, _, modes = name.rpartition(" ")
-        error = asdict(compare.motion_error(run.motion, *compared[run.character.settings.law]))
+        error = asdict(compare.motion_error(run.motion, *compared[run.character.settings.material_model]))
         errors.setdefault(label, {})[modes] = error | {"steps_per_second": run.report["steps_per_second"]}
     between = compare.motion_error(compared["LINEAR"][0], *compared["STVK"])
     best = best_possible(full["STVK"], shot, errors)
@@ -138,7 +138,12 @@ def shapes(shot: Shot) -> int:
 
 def own_error(shot: Shot) -> compare.MotionError:
     """Of the scene's own reduced StVK model against the unreduced one."""
-    runs = shot.runs({"full": {"law": "STVK", "solver": "FULL"}, "reduced": {"law": "STVK", "solver": "REDUCED"}})
+    runs = shot.runs(
+        {
+            "full": {"material_model": "STVK", "solver": "FULL"},
+            "reduced": {"material_model": "STVK", "solver": "REDUCED"},
+        }
+    )
     return compare.motion_error(runs["reduced"].motion, runs["full"].motion, runs["full"].static)
 
 
@@ -146,7 +151,7 @@ def sweep(shot: Shot) -> dict[str, dict]:
     """Reduced variants by number of modes, which must be more than the sculpted shapes."""
     return {
         f"{law}{', fitted' if fitted else ''} {modes}": {
-            "law": key, "solver": "REDUCED", "fit_to_shot": fitted, "modes": modes
+            "material_model": key, "solver": "REDUCED", "fit_to_shot": fitted, "modes": modes
         }
         for law, key in LAWS.items()
         for fitted in ((False, True) if law == "StVK" else (False,))
@@ -162,7 +167,7 @@ def tracked(work: Work) -> dict:
     shot = work.shot.part(before, last).every_step()
     free = slice((first - before) * work.shot.settings.substeps, None)
     vertex, direction = subject.tracked(shot.rest), np.array(subject.direction)
-    variants = {f"{law} {solver}": {"law": key, "solver": solver.upper()}
+    variants = {f"{law} {solver}": {"material_model": key, "solver": solver.upper()}
                 for law, key in LAWS.items() for solver in ("full", "reduced")}  # fmt: skip
     found = {}
     for name, run in shot.runs(variants).items():
@@ -190,7 +195,9 @@ def sheets(work: Work, folder: Path) -> dict[str, str]:
         for shot, run in parts:
             wear(work, run)
             for sheet in work.subject.sheets:
-                seen = [frame for frame in sheet.frames if shot.settings.start <= frame <= shot.settings.end]
+                seen = [
+                    frame for frame in sheet.frames if shot.settings.frame_start <= frame <= shot.settings.frame_end
+                ]
                 pictures[name] |= {frame: colored(work, sheet, frame, far(work, sheet, shot, run, frame, name == FULL))
                                    for frame in seen}  # fmt: skip
     files = {}

@@ -67,7 +67,7 @@ STIFF = {"stiffness": 180e3, "mass_damping": 2.0, "stiffness_damping": 0.002}
 # source's blending, and here look the same as even: the targets lie along one bend.
 MODEL = {
     "basis": "MODES",
-    "law": "STABLE_STVK",
+    "material_model": "STABLE_STVK",
     "solver": "REDUCED",
     "blending": "FORCES",
     "modes": 12,

@@ -148,8 +148,8 @@ def add_soft_skin(obj: bpy.types.Object, neutral: dict, targets: dict[str, tuple
     settings = obj.dynamorph
     settings.model.hold = "BONES"  # as the thesis pins its tissue
     settings.model.hold_head = False
-    while settings.pieces:
-        bpy.ops.dynamorph.remove_piece()
+    while settings.attachments:
+        bpy.ops.dynamorph.remove_attachment()
     settings.simulation.max_displacement = settings.simulation.max_thickness = 0.0
     for name, (frame, properties) in targets.items():
         bpy.context.scene.frame_set(frame)

@@ -186,7 +186,7 @@ class Shot:
 
     def index(self, frame: int) -> int:
         """Of a frame in arrays (F, ...)."""
-        return frame - self.settings.start
+        return frame - self.settings.frame_start
 
     def world(self, displacement: np.ndarray, frame: int) -> np.ndarray:
         """Where the skin is (V, 3), world space, displaced by (V, 3) in local space before the bones move it."""
@@ -201,12 +201,12 @@ class Shot:
         """The frames from first to last."""
         steps = self.settings.substeps
         rig = self.rig[self.index(first) * steps : self.index(last) * steps + 1]
-        return Shot(self.subject, self.character, rig, replace(self.settings, start=first, end=last))
+        return Shot(self.subject, self.character, rig, replace(self.settings, frame_start=first, frame_end=last))
 
     def every_step(self) -> Shot:
         """The same with each step as a frame, so that a motion shows what happens between the frames."""
         rate = self.settings.fps * self.settings.substeps
-        settings = replace(self.settings, start=0, end=len(self.rig) - 1, fps=rate, substeps=1)
+        settings = replace(self.settings, frame_start=0, frame_end=len(self.rig) - 1, fps=rate, substeps=1)
         return Shot(self.subject, self.character, self.rig, settings)
 
     def runs(self, variants: dict[str, dict]) -> dict[str, compare.Run]:
@@ -219,5 +219,5 @@ def open_shot(subject: Subject) -> Shot:
         bpy.ops.wm.open_mainfile(filepath=str(subject.path))
         obj = bpy.data.objects[subject.object]
         settings = run_settings.simulation_settings(obj, bpy.context.scene)
-        rig = rig_motion.sample_rig(obj, settings.start, settings.end, settings.substeps)
+        rig = rig_motion.sample_rig(obj, settings.frame_start, settings.frame_end, settings.substeps)
         return Shot(subject, extract.character(obj), rig, settings)

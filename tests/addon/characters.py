@@ -74,7 +74,7 @@ def open_shot(shot: Shot):
     if body.data.shape_keys and body.data.shape_keys.animation_data:
         body.data.shape_keys.animation_data.action = None  # it moves keys that are not targets
     bpy.ops.dynamorph.add_soft_skin()
-    bpy.ops.dynamorph.find_pieces()
+    bpy.ops.dynamorph.find_attachments()
     for key in body.data.shape_keys.key_blocks:
         key.mute = key.name not in shot.keys and key != body.data.shape_keys.reference_key  # it would show on top
     for key, frame in shot.keys.items():

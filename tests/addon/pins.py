@@ -10,11 +10,11 @@ def with_pins(obj):
     settings.model.hold, settings.model.hold_head = "BONES", False
     settings.model.property_unset("basis")
     settings.model.property_unset("modes")
-    for piece in settings.pieces:
+    for piece in settings.attachments:
         group = obj.vertex_groups.get(piece.group) if piece.group else None
         if group:
             obj.vertex_groups.remove(group)
-    settings.pieces.clear()
+    settings.attachments.clear()
     settings.simulation.max_displacement = settings.simulation.max_thickness = 0.0
     for target in settings.targets:
         for name in (*MATERIAL, "frequency", "by_hand"):  # these come last: setting a stiffness marks it as set by hand

@@ -195,7 +195,7 @@ def preset_saved(obj):
 def piece_listed(obj):
     """Another mesh on the armature, which is a piece."""
     other_mesh_selected(obj)
-    piece = obj.dynamorph.pieces.add()
+    piece = obj.dynamorph.attachments.add()
     piece.object, piece.name = bpy.data.objects["Sleeve"], "Sleeve"
 
 
@@ -215,7 +215,7 @@ SETUP, PRESET = str(FOLDER / "setup.json"), FOLDER / "preset.py"
 
 
 CALLS = {  # what a button needs beforehand, and its arguments
-    "add_piece": (other_mesh_selected, {}),
+    "add_attachment": (other_mesh_selected, {}),
     "add_soft_skin": (no_soft_skin, {}),
     "add_target": (posed, {"key": "smile"}),
     "apply_feel": (target_selected, {"feel": "CARTOON"}),
@@ -232,13 +232,13 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "copy_slot": (target_selected, {}),
     "copy_to_selected": (other_mesh_selected, {}),
     "duplicate_target": (target_selected, {}),
-    "find_pieces": (other_mesh_selected, {}),
+    "find_attachments": (other_mesh_selected, {}),
     "finish_sculpt": (sculpting, {}),
-    "fit_bounce": (built, {"frequency": 5.0, "settle": 0.5}),
-    "fit_material": (built, {"frequency": 5.0, "settle": 0.5}),
+    "fit_bounce": (built, {"frequency": 5.0, "settle_time": 0.5}),
+    "fit_material": (built, {"frequency": 5.0, "settle_time": 0.5}),
     "fix": (enveloped, {"problem": "ENVELOPES"}),
     "first_look": (target_selected, {}),
-    "free_bake": (baked, {}),
+    "delete_bake": (baked, {}),
     "go_to_pose": (target_selected, {}),
     "hold_bones": (bones_selected, {}),
     "live": (built, {}),
@@ -252,18 +252,18 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "rehearse": (target_selected, {}),
     "region_from_sculpt": (target_selected, {}),
     "remove_bone": (target_selected, {"bone": "lower"}),
-    "remove_piece": (piece_listed, {}),
+    "remove_attachment": (piece_listed, {}),
     "remove_soft_skin": (target_selected, {}),
     "remove_target": (target_selected, {}),
     "reset_gains": (gained, {}),
     "sculpt_target": (target_selected, {}),
     "select_key": (target_selected, {}),
     "select_target": (built, {}),
-    "select_piece": (piece_listed, {}),
+    "select_attachment": (piece_listed, {}),
     "show_plain": (baked, {}),
     "show_worst": (judged, {}),
     "stiffen": (judged, {}),
-    "suggest_pose": (captured_on_the_way, {}),
+    "find_uncovered_pose": (captured_on_the_way, {}),
     "suggest_targets": (driven, {}),
     "swap_slot": (two_slots, {}),
     "use_selected_bones": (bones_selected, {}),
@@ -278,5 +278,5 @@ CHANGING_NOTHING = {  # nothing that is saved or undone
     "save_setup": (target_selected, {"filepath": SETUP}),
     "setup_preset": (target_selected, {"name": "Test"}),
     "shake_test": (built, {"kind": "TWIST"}),
-    "update_influence": (target_selected, {}),
+    "update_target_weights": (target_selected, {}),
 }

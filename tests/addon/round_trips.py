@@ -322,13 +322,13 @@ def farthest(seen: np.ndarray, exact: np.ndarray, same_order=True) -> float:
 
 @dataclass(frozen=True)
 class Form:
-    """What a bake becomes. sink, keys: of its output; key: of exports.FORMATS, or none; read: None if Blender shows it;
-    reader: the name of what reads it. local: before skinning.
+    """What a bake becomes. format, keys: of its output; key: of exports.FORMATS, or none; read: None if Blender shows
+    it; reader: the name of what reads it. local: before skinning.
     """
 
     name: str
     reader: str
-    sink: str = "MODES"
+    format: str = "MODES"
     key: str = ""
     read: Callable | None = None
     keys: int = 0
@@ -340,11 +340,11 @@ FBX, ALEMBIC = by_import("import_scene.fbx", anim_offset=0.0), by_import("wm.ale
 FORMS = (
     Form("Shape Keys", "Blender"),
     Form("Shape Keys, 8", "Blender", keys=8),
-    Form("Shape Key Per Frame", "Blender", sink="FRAMES"),
-    Form("Point Cache (PC2)", "Blender", sink="PC2"),
-    Form("PC2, the file", "NumPy", sink="PC2", read=point_cache, local=True),
-    Form("Point Cache (MDD)", "Blender", sink="MDD"),
-    Form("MDD, the file", "NumPy", sink="MDD", read=motion_designer, local=True),
+    Form("Shape Key Per Frame", "Blender", format="FRAMES"),
+    Form("Point Cache (PC2)", "Blender", format="PC2"),
+    Form("PC2, the file", "NumPy", format="PC2", read=point_cache, local=True),
+    Form("Point Cache (MDD)", "Blender", format="MDD"),
+    Form("MDD, the file", "NumPy", format="MDD", read=motion_designer, local=True),
     Form("glTF", "pygltflib", key="GLTF", read=by_pygltflib, same_order=False),
     Form("glTF, 8 keys", "pygltflib", key="GLTF", read=by_pygltflib, keys=8, same_order=False),
     Form("FBX", "Blender, imported", key="FBX", read=FBX),
@@ -381,7 +381,7 @@ def exact(job) -> Exact:
     character, bake, settings = job.outcome.character, job.outcome.bake, job.input.settings
     whole = np.flatnonzero(bake.frames % 1 == 0)
     moved = np.array([bake.displacement(k) for k in whole])
-    samples = job.computation.rig[(settings.start - settings.first) * settings.substeps :: settings.substeps]
+    samples = job.computation.rig[(settings.frame_start - settings.first) * settings.substeps :: settings.substeps]
     world = np.array([skinned(character, samples[k : k + 1], moved[k])[0] for k in range(len(whole))])
     size = float(np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0)))
     return Exact(character.vertices + moved, world, size)
@@ -397,18 +397,18 @@ def measure(obj, folder: Path, forms=FORMS, frames: tuple[int, int] | None = Non
     exports, actions = module_of(obj, "write.exports"), module_of(obj, "run.export_actions")
     name, found, unread = obj.name, [], []
     for k, form in enumerate(forms):
-        obj.dynamorph.output.sink, obj.dynamorph.output.keys = form.sink, form.keys
+        obj.dynamorph.output.format, obj.dynamorph.output.keys = form.format, form.keys
         job = jobs.Job(obj, "BAKE", frames, folder=folder)
         batch.run(job)
         ours = exact(job)
         row = {"form": form.name, "reader": form.reader, "error": None, "bytes": job.outcome.size}
         row["seconds"] = job.progress.seconds["make keys"] + job.progress.seconds["write keys"]
-        numbers = range(job.input.settings.start, job.input.settings.end + 1)
+        numbers = range(job.input.settings.frame_start, job.input.settings.frame_end + 1)
         path = job.outcome.written[0][1]
         if form.key:
             path = folder / f"{k}{exports.FORMATS[form.key].suffix}"
             began = time.perf_counter()
-            actions.export(obj, form.key, path, (job.input.settings.start, job.input.settings.end))
+            actions.export(obj, form.key, path, (job.input.settings.frame_start, job.input.settings.frame_end))
             row["seconds"] = time.perf_counter() - began
         if path:
             row["bytes"] = path.stat().st_size

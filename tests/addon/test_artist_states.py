@@ -8,7 +8,7 @@ import round_trips
 from builders import activate, add_key, hand_made_bake, keys_of, make_arm, make_soft, part, refused, rig_of, skinning_of
 from robustness import OPS, coarse
 from test_exports import CLOSE, EVERY, off, posed, written
-from test_pieces import add_piece, make_sleeve
+from test_pieces import add_attachment, make_sleeve
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -89,7 +89,7 @@ def test_a_point_cache_comes_first_also_where_a_modifier_is_last_for_good(built,
     smooth.use_pin_to_last = True
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
     obj = bpy.data.objects["Arm"]
-    obj.dynamorph.output.sink = "PC2"
+    obj.dynamorph.output.format = "PC2"
     OPS.bake()
     assert [modifier.type for modifier in obj.modifiers] == ["MESH_CACHE", "ARMATURE", "NODES"]
 
@@ -127,14 +127,14 @@ def test_a_mesh_that_two_soft_skins_carry_along_is_refused(built):
     sleeve, second = make_sleeve(built), coarse(make_soft(make_arm(bpy.context.scene, "Second")))
     second.modifiers["Armature"].object = rig_of(built)
     for obj in (built, second):
-        add_piece(obj, sleeve)
+        add_attachment(obj, sleeve)
     refused(OPS.bake_all, "'Sleeve' is attached to 'Arm' and to 'Second'")
     assert sleeve.data.shape_keys is None and not built.dynamorph.bake.exists
 
 
 def test_an_animated_mute_of_an_attachment_s_key_is_refused(built):
     sleeve = make_sleeve(built)
-    add_piece(built, sleeve)
+    add_attachment(built, sleeve)
     sleeve.shape_key_add(name="Basis")
     sleeve.shape_key_add(name="flexed").keyframe_insert("mute", frame=1)
     refused(OPS.bake, "'Sleeve': .*mute is animated")
@@ -146,13 +146,13 @@ def test_influence_that_strips_animate_is_reported(built, tmp_path):
     """It cannot be carried from a point cache to shape keys."""
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
     obj = bpy.data.objects["Arm"]
-    obj.dynamorph.output.sink = "PC2"
+    obj.dynamorph.output.format = "PC2"
     OPS.bake()
     obj.modifiers["Dynamorph"].keyframe_insert("factor", frame=1)
     data = obj.animation_data
     data.nla_tracks.new().strips.new("Fade", 1, data.action).action_slot = data.action_slot
     data.action = None
-    obj.dynamorph.output.sink = "MODES"
+    obj.dynamorph.output.format = "MODES"
     OPS.bake()
     assert "could not be carried along" in obj.dynamorph.bake.warnings
 
@@ -208,7 +208,7 @@ def test_an_export_of_a_rig_that_shows_no_pose_is_refused(soft_arm, tmp_path, st
 
 def test_a_deleted_attachment_does_not_stop_an_export(built, tmp_path):
     sleeve = make_sleeve(built)
-    add_piece(built, sleeve)
+    add_attachment(built, sleeve)
     OPS.bake()
     bpy.context.scene.collection.objects.unlink(sleeve)
     assert written(built, "GLTF", tmp_path).stat().st_size

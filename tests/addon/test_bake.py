@@ -37,7 +37,7 @@ def played(player, shot, frames):
     substeps = shot.input.settings.substeps
     out = []
     for frame in frames:
-        first = 1 + (frame - shot.input.settings.start - 1) * substeps
+        first = 1 + (frame - shot.input.settings.frame_start - 1) * substeps
         out.append(player.advance(shot.computation.rig[first : first + substeps], frame).coordinates)
     return np.array(out)
 
@@ -147,20 +147,23 @@ def standing(shot, frames=20):
 
 
 def test_settle_begins_in_balance(shot):
-    settled = simulated(shot, standing(shot), begin="SETTLE")
+    settled = simulated(shot, standing(shot), initial_state="SETTLED")
     assert np.abs(settled - settled[0]).max() < 1e-6 * np.abs(settled[0]).max()
 
 
 def test_rest_begins_with_the_targets_shapes_and_then_sags(shot):
     player = part("player").Player(
-        shot.outcome.model, shot.outcome.character, replace(shot.input.settings, begin="REST")
+        shot.outcome.model, shot.outcome.character, replace(shot.input.settings, initial_state="REST_SHAPE")
     )
     begun = player.begin(standing(shot))
     assert np.array_equal(begun.coordinates, player.static(begun.weights))
-    free, settled = simulated(shot, standing(shot), begin="REST"), simulated(shot, standing(shot), begin="SETTLE")
+    free, settled = (
+        simulated(shot, standing(shot), initial_state="REST_SHAPE"),
+        simulated(shot, standing(shot), initial_state="SETTLED"),
+    )
     assert np.array_equal(free[0], begun.coordinates)
     assert np.abs(free[-1] - free[0]).max() > 0.1 * np.abs(settled[0] - free[0]).max() > 0
-    calmed = simulated(shot, standing(shot), begin="REST", preroll=200)
+    calmed = simulated(shot, standing(shot), initial_state="REST_SHAPE", preroll=200)
     assert calmed[0] == pytest.approx(settled[0], abs=1e-3 * np.abs(settled[0] - free[0]).max())
 
 
@@ -170,7 +173,7 @@ def test_rest_knows_no_motion_before_the_start(shot):
     world = np.array(rig.rig_world)
     world[:, 0, 3] += 3.0 * np.arange(len(world)) * shot.input.settings.step  # 3 m/s along x
     moving = replace(standing(shot), rig_world=world, object_world=world)
-    rest, settled = (simulated(shot, moving, begin=begin, **still) for begin in ("REST", "SETTLE"))
+    rest, settled = (simulated(shot, moving, initial_state=state, **still) for state in ("REST_SHAPE", "SETTLED"))
     assert np.abs(settled - settled[0]).max() < 1e-6
     assert np.abs(rest - rest[0]).max() > 100 * np.abs(settled - settled[0]).max() + 1e-4
 
@@ -259,7 +262,7 @@ def test_a_pre_roll_follows_extrapolated_curves(shot, soft_arm):
         curve.extrapolation = "LINEAR"
         for point in curve.keyframe_points:
             point.interpolation = "LINEAR"
-    soft_arm.dynamorph.simulation.begin, soft_arm.dynamorph.simulation.gravity = "REST", 0.0
+    soft_arm.dynamorph.simulation.initial_state, soft_arm.dynamorph.simulation.gravity = "REST_SHAPE", 0.0
     running, hit = baked(soft_arm, (1, 20), preroll=80), baked(soft_arm, (1, 20), preroll=80, pose="HELD")
     traveled = running.computation.rig.object_world[:, 0, 3]
     assert traveled == pytest.approx(np.linspace(-10.0, traveled[-1], len(traveled)), abs=1e-5)
@@ -391,7 +394,9 @@ def cyclic(shot, frames=12, travel=0.0, closed=True):
 
 def looped(shot, rig, **settings):
     frames = (len(rig) - 1) // shot.input.settings.substeps + 1
-    settings = replace(shot.input.settings, end=shot.input.settings.start + frames - 1, loop=True, **settings)
+    settings = replace(
+        shot.input.settings, frame_end=shot.input.settings.frame_start + frames - 1, loop=True, **settings
+    )
     return part("simulate").bake(shot.outcome.model, shot.outcome.character, rig, settings)
 
 
@@ -408,7 +413,7 @@ def test_a_loop_closes(shot, travel):
     ).max()
     assert apart <= report["gap"] * (1 + 1e-6) and report["gap"] <= 1e-6 * size(shot)
     assert report["warnings"] == [] and report["steps"] == 11 * shot.input.settings.substeps
-    once = replace(shot.input.settings, end=shot.input.settings.start + 11)
+    once = replace(shot.input.settings, frame_end=shot.input.settings.frame_start + 11)
     single, _ = part("simulate").bake(shot.outcome.model, shot.outcome.character, rig, once)
     assert np.abs(single.displacement(11) - single.displacement(0)).max() > 10 * report["gap"]
 
@@ -416,7 +421,7 @@ def test_a_loop_closes(shot, travel):
 def test_newtons_method_finds_the_same_loop(shot, monkeypatch):
     """The fallback for tissue that is too soft for accelerated passes."""
     loops = part("loops")
-    rig, settings = cyclic(shot), replace(shot.input.settings, end=12, loop=True)
+    rig, settings = cyclic(shot), replace(shot.input.settings, frame_end=12, loop=True)
     found = []
     monkeypatch.setattr(loops, "PLAIN", 1)  # more would find it
     for passes in (40, 0):
@@ -435,7 +440,7 @@ def test_a_loop_closes_in_velocity_too(shot):
     springy = {"stiffness": 1e6, "mass_damping": 0.0, "stiffness_damping": 0.0}
     targets = tuple(replace(t, material=replace(t.material, **springy)) for t in sets.targets)
     character = replace(shot.outcome.character, target_sets=(replace(sets, targets=targets),))
-    settings = replace(shot.input.settings, end=12, loop=True)
+    settings = replace(shot.input.settings, frame_end=12, loop=True)
 
     player = part("player").Player(shot.outcome.model, character, settings)
     frames, gap = part("loops").cycle(player, rig)
@@ -491,7 +496,7 @@ def test_newtons_method_finds_fixed_points(factor):
 def test_static_morph_targets_loop_too(shot, frames):
     build, simulate = part("build"), part("simulate")
     character = shot.outcome.character.with_settings(method="STATIC")
-    settings = replace(shot.input.settings, end=frames, loop=True)
+    settings = replace(shot.input.settings, frame_end=frames, loop=True)
     rig = cyclic(shot, closed=False)[: 1 + (frames - 1) * settings.substeps]
     bake, report = simulate.bake(build.build(character), character, rig, settings)
     assert len(bake.weights) == frames and len(report["warnings"]) == (frames > 1)
@@ -507,7 +512,7 @@ def test_a_loop_is_what_many_cycles_approach(shot):
         : 1 + 11 * cycles * shot.input.settings.substeps
     ]
     long = long[: 1 + (11 * cycles - 1) * shot.input.settings.substeps]
-    motion = simulated(shot, long, end=shot.input.settings.start + 11 * cycles - 1)
+    motion = simulated(shot, long, frame_end=shot.input.settings.frame_start + 11 * cycles - 1)
     assert bake.coordinates[:-1] == pytest.approx(motion[-11:], abs=1e-4 * np.abs(motion).max())
 
 
@@ -516,7 +521,10 @@ def test_a_loop_closes_whatever_its_targets_hide(shot):
     sets = shot.outcome.character.target_sets[0]
     hidden = tuple(replace(t, motion_amount=k) for k, t in enumerate(sets.targets))
     character = replace(shot.outcome.character, target_sets=(replace(sets, targets=hidden),))
-    rig, settings = cyclic(shot), replace(shot.input.settings, end=shot.input.settings.start + 11, loop=True)
+    rig, settings = (
+        cyclic(shot),
+        replace(shot.input.settings, frame_end=shot.input.settings.frame_start + 11, loop=True),
+    )
     (bake, report), (open_, before) = (
         part("simulate").bake(shot.outcome.model, each, rig, settings) for each in (character, shot.outcome.character)
     )
@@ -539,7 +547,7 @@ def test_a_loop_reports_its_passes_and_can_be_canceled(shot):
         seen.append((fraction, message))
         return "pass 3" not in message
 
-    settings = replace(shot.input.settings, end=12, loop=True)
+    settings = replace(shot.input.settings, frame_end=12, loop=True)
     with pytest.raises(dynamorph.Cancelled):
         part("simulate").bake(shot.outcome.model, shot.outcome.character, cyclic(shot), settings, progress)
     fractions = [fraction for fraction, _ in seen]
@@ -598,7 +606,7 @@ def rebaked(obj, start, end, **more):
     """The job that bakes these frames into the rest."""
     simulation = obj.dynamorph.simulation
     simulation.use_scene_range, simulation.keep_outside = False, True
-    simulation.start, simulation.end = start, end
+    simulation.frame_start, simulation.frame_end = start, end
     job = part("job").Job(obj, goal="BAKE", **more)
     part("batch").run(job)
     return job
@@ -622,7 +630,7 @@ def test_a_range_is_baked_into_the_rest(scene, shot, soft_arm):
     mixed = shown_at(soft_arm, range(1, 21))
     assert [float(frame) for frame in part("bake_reading").read_back(soft_arm).frames] == list(range(1, 21))
     soft_arm.dynamorph.simulation.keep_outside = False
-    soft_arm.dynamorph.simulation.start = 1
+    soft_arm.dynamorph.simulation.frame_start = 1
     part("batch").run(part("job").Job(soft_arm, goal="BAKE"))
     whole = shown_at(soft_arm, range(1, 21))
     assert np.abs(mixed - whole)[10:].max() < 1e-5
@@ -642,7 +650,7 @@ def test_a_bake_is_made_longer(shot, soft_arm):
     part("batch").run(part("job").Job(soft_arm, goal="BAKE"))
     assert len(rebaked(soft_arm, 21, 24).outcome.bake.frames) == 24
     longer = shown_at(soft_arm, range(1, 25))
-    soft_arm.dynamorph.simulation.start, soft_arm.dynamorph.simulation.keep_outside = 1, False
+    soft_arm.dynamorph.simulation.frame_start, soft_arm.dynamorph.simulation.keep_outside = 1, False
     part("batch").run(part("job").Job(soft_arm, goal="BAKE"))
     assert np.abs(longer - shown_at(soft_arm, range(1, 25))).max() < 1e-5
 
@@ -655,7 +663,7 @@ def test_a_range_is_baked_into_other_sinks(shot, soft_arm, tmp_path, sink):
     part("bake_influence").show_influence(soft_arm)
     still = shown_at(soft_arm, range(1, 21))
     strip.influence = 1.0
-    soft_arm.dynamorph.output.sink = sink
+    soft_arm.dynamorph.output.format = sink
     rebaked(soft_arm, 8, 15, folder=tmp_path)
     assert soft_arm.data.shape_keys.key_blocks["flexed"].mute
     assert np.abs(shown_at(soft_arm, range(1, 21)) - before).max() < 1e-5
@@ -677,7 +685,7 @@ def test_values_that_are_not_numbers_are_refused_before_keys_are_made(shot, soft
     monkeypatch.setattr(simulate.Shot, "bake", spoiled)
     before = fingerprint(soft_arm)
     for sink in ("MODES", "FRAMES", "PC2"):
-        soft_arm.dynamorph.output.sink, soft_arm.dynamorph.output.keys = sink, 4
+        soft_arm.dynamorph.output.format, soft_arm.dynamorph.output.keys = sink, 4
         with pytest.raises(errors.SelfCheckError, match="'Arm': the engine's coordinates are not numbers"):
             batch.run(job.Job(soft_arm, goal="BAKE", folder=tmp_path))
     assert fingerprint(soft_arm) == before
@@ -696,7 +704,7 @@ def test_a_loop_without_finite_numbers_ends(bad):
 @pytest.mark.fault("K05")
 def test_too_many_keys_are_refused_by_name(shot, soft_arm, monkeypatch):
     monkeypatch.setattr(part("keys"), "MOST_KEYS", 10)
-    soft_arm.dynamorph.output.sink = "FRAMES"
+    soft_arm.dynamorph.output.format = "FRAMES"
     words = "'Arm': 20 shape keys are too many, 10 are the most: raise Frame Step"
     with pytest.raises(part("errors").SceneError, match=words):
         part("batch").run(part("job").Job(soft_arm, goal="BAKE"))
@@ -720,7 +728,7 @@ def test_a_patch_keeps_samples_alike(shot, soft_arm):
 
 
 def test_delete_bake_forgets_a_cache_whose_modifier_was_removed(shot, soft_arm, tmp_path):
-    soft_arm.dynamorph.output.sink = "PC2"
+    soft_arm.dynamorph.output.format = "PC2"
     part("batch").run(part("job").Job(soft_arm, goal="BAKE", folder=tmp_path))
     soft_arm.modifiers.remove(soft_arm.modifiers[0])
     part("bake").free(soft_arm)
@@ -728,7 +736,7 @@ def test_delete_bake_forgets_a_cache_whose_modifier_was_removed(shot, soft_arm, 
 
 
 def test_a_point_cache_cannot_be_baked_in_parts(shot, soft_arm, tmp_path):
-    soft_arm.dynamorph.output.sink = "PC2"
+    soft_arm.dynamorph.output.format = "PC2"
     part("batch").run(part("job").Job(soft_arm, goal="BAKE", folder=tmp_path))
     with pytest.raises(part("errors").SinkError, match="bake to shape keys first"):
         rebaked(soft_arm, 8, 15, folder=tmp_path)
@@ -738,7 +746,7 @@ def test_a_point_cache_cannot_be_baked_in_parts(shot, soft_arm, tmp_path):
 def test_a_point_cache_is_baked_again(shot, soft_arm, tmp_path, preserve_volume):
     """The bake does not depend on the cache that it plays."""
     soft_arm.modifiers["Armature"].use_deform_preserve_volume = preserve_volume
-    soft_arm.dynamorph.output.sink = "PC2"
+    soft_arm.dynamorph.output.format = "PC2"
     baked = [part("job").Job(soft_arm, goal="BAKE", folder=tmp_path) for _ in range(2)]
     for job in baked:
         part("batch").run(job)

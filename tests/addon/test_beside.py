@@ -8,7 +8,7 @@ from builders import evaluated_points, fingerprint, hand_made_bake, part, refuse
 from layout import drawn
 from test_nla import smile
 from test_outputs import written
-from test_pieces import add_piece, make_sleeve
+from test_pieces import add_attachment, make_sleeve
 
 OPS = bpy.ops.dynamorph
 FRAMES = (1, 9, 20)
@@ -98,7 +98,7 @@ def test_the_bake_of_the_other_settings_stays_beside(baked, stand_in):
     assert far(shown_beside(baked), first) < 1e-5 < far(shown(baked), first)
     second = shown(baked)
     OPS.swap_slot()
-    OPS.free_bake()
+    OPS.delete_bake()
     assert names(baked) == ("Bones Only", "Bake B") and far(shown_beside(baked), second) < 1e-5
     assert OPS.compare_beside.poll() and "dynamorph.compare_beside" in drawn(baked)
     OPS.compare_beside()
@@ -107,19 +107,19 @@ def test_the_bake_of_the_other_settings_stays_beside(baked, stand_in):
 
 
 def test_a_point_cache_stays_beside(soft_arm, tmp_path):
-    written(soft_arm, hand_made_bake(soft_arm), tmp_path, sink="PC2")
+    written(soft_arm, hand_made_bake(soft_arm), tmp_path, format="PC2")
     first = shown(soft_arm)
     OPS.show_plain()
     OPS.compare_beside()
     OPS.swap_slot()
-    OPS.free_bake()
+    OPS.delete_bake()
     assert names(soft_arm) == ("Bones Only", "Bake A")
     assert far(shown_beside(soft_arm), first) < 1e-5 < far(shown(soft_arm), first)
 
 
 def test_what_follows_stands_beside_too(soft_arm):
     sleeve = make_sleeve(soft_arm)
-    add_piece(soft_arm, sleeve)
+    add_attachment(soft_arm, sleeve)
     plain = shown(sleeve)
     part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
     part("bake").write_keys(sleeve, hand_made_bake(sleeve), skin=soft_arm)
@@ -185,7 +185,7 @@ def test_what_is_deleted_while_it_stands_there_is_not_taken_for_a_copy(baked, tm
     right.name = "Right"
     bpy.context.scene.collection.objects.link(right)
     for eye in (left, right):
-        add_piece(baked, eye, "RIGID")
+        add_attachment(baked, eye, "RIGID")
     OPS.compare_beside()
     bpy.context.scene.collection.objects.unlink(left)
     if saved:

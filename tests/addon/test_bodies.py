@@ -44,7 +44,10 @@ def prepare(body):
 
 
 def attachments(obj):
-    return [(piece.object.name if piece.object else "", piece.group, piece.choice) for piece in obj.dynamorph.pieces]
+    return [
+        (piece.object.name if piece.object else "", piece.group, piece.attached_by)
+        for piece in obj.dynamorph.attachments
+    ]
 
 
 def rest(obj):
@@ -88,7 +91,7 @@ def test_add_soft_skin_finds_what_belongs_to_the_body(figure):
     body = figure["Body"]
     assert body.dynamorph.model.hold_head
     assert attachments(body) == [("Top", "", "WITH_BODY"), ("Cap", "", "HELD"), ("Eye", "", "RIGID")]
-    assert [piece.reason for piece in body.dynamorph.pieces] == [
+    assert [piece.reason for piece in body.dynamorph.attachments] == [
         "It is skinned by the same armature",
         "Bone 'hand' alone moves it, and it shares points with soft skin",
         "Bone 'hand' alone moves it",
@@ -122,17 +125,17 @@ def test_a_mesh_that_cannot_be_used_is_listed_with_the_reason(scene):
     found["Top"].modifiers.move(found["Top"].modifiers.find(mirror.name), 0)
     activate(found["Body"])
     OPS.add_soft_skin()
-    by_name = {piece.object.name: piece for piece in found["Body"].dynamorph.pieces}
-    assert by_name["Cap"].choice == "RIGID" and "is shared by 2 objects" in by_name["Cap"].reason
-    assert by_name["Eye"].choice == "RIGID" and "absolute shape keys" in by_name["Eye"].reason
-    assert by_name["Top"].choice == "RIGID" and "'Mirror' comes before the Armature" in by_name["Top"].reason
+    by_name = {piece.object.name: piece for piece in found["Body"].dynamorph.attachments}
+    assert by_name["Cap"].attached_by == "RIGID" and "is shared by 2 objects" in by_name["Cap"].reason
+    assert by_name["Eye"].attached_by == "RIGID" and "absolute shape keys" in by_name["Eye"].reason
+    assert by_name["Top"].attached_by == "RIGID" and "'Mirror' comes before the Armature" in by_name["Top"].reason
 
 
 def test_a_choice_of_the_artist_has_no_reason(figure):
-    piece = figure["Body"].dynamorph.pieces[2]
-    piece.choice = "WITH_BODY"
+    piece = figure["Body"].dynamorph.attachments[2]
+    piece.attached_by = "WITH_BODY"
     assert piece.reason == ""
-    OPS.find_pieces()
+    OPS.find_attachments()
     assert attachments(figure["Body"])[2] == ("Eye", "", "WITH_BODY")
 
 
@@ -144,7 +147,7 @@ def test_a_soft_skin_goes_on_the_body(scene):
     assert not found["Eye"].dynamorph.targets and bpy.context.object.dynamorph.targets
     soft = bpy.context.object
     soft.dynamorph.targets.clear()
-    soft.dynamorph.pieces.clear()
+    soft.dynamorph.attachments.clear()
     activate(found["Figure Rig"])
     OPS.add_soft_skin()
     assert soft.dynamorph.targets and bpy.context.object == found["Figure Rig"]
@@ -172,18 +175,18 @@ def test_seams_stay_closed_in_a_bake(figure, hold):
     assert_closed(figure, moves=0.002)
     assert figure["Top"].dynamorph.follows == body and figure["Cap"].dynamorph.follows == body
     assert keys_of(figure["Eye"]) is None
-    OPS.free_bake()
+    OPS.delete_bake()
     assert fingerprint(body) == before and keys_of(figure["Top"]) is None and keys_of(figure["Cap"]) is None
 
 
 @pytest.mark.parametrize(
     "sink, options",
-    [("MODES", {"keys": 3}), ("FRAMES", {"every": 3}), ("FRAMES", {"tolerance": 0.005}), ("PC2", {}), ("MDD", {})],
+    [("MODES", {"keys": 3}), ("FRAMES", {"frame_step": 3}), ("FRAMES", {"tolerance": 0.005}), ("PC2", {}), ("MDD", {})],
 )
 def test_seams_stay_closed_whatever_the_bake_becomes(figure, tmp_path, sink, options):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "figure.blend"))
     body = figure["Body"]
-    body.dynamorph.output.sink = sink
+    body.dynamorph.output.format = sink
     for name, value in options.items():
         setattr(body.dynamorph.output, name, value)
     bake(body)
@@ -200,7 +203,7 @@ def test_seams_stay_closed_in_a_part_that_is_baked_again(figure):
     bake(body)
     simulation = body.dynamorph.simulation
     simulation.use_scene_range, simulation.keep_outside = False, True
-    simulation.start, simulation.end = 6, 10
+    simulation.frame_start, simulation.frame_end = 6, 10
     body.dynamorph.targets[0].stiffness *= 0.7
     bake(body)
     assert_closed(figure)
@@ -259,7 +262,7 @@ def test_a_build_notices_what_has_changed_in_any_mesh(figure):
     figure["Top"].data.vertices[20].co.x += 0.01
     assert model_store.stale_reasons(body, part("extract").character(body)) == ["mesh changed"]
     figure["Top"].data.vertices[20].co.x -= 0.01
-    body.dynamorph.pieces[1].choice = "RIGID"
+    body.dynamorph.attachments[1].attached_by = "RIGID"
     assert part("staleness").model_changes(body)
 
 
@@ -366,14 +369,14 @@ def test_firmness_of_the_other_meshes_counts(figure):
 def test_a_setup_keeps_the_attachments_of_other_meshes(figure, tmp_path):
     body, path = figure["Body"], str(tmp_path / "figure.json")
     figure["Top"].vertex_groups.new(name="Belt").add(range(8), 1.0, "REPLACE")
-    piece = body.dynamorph.pieces.add()
-    piece.object, piece.group, piece.choice = figure["Top"], "Belt", "HELD"
-    before = attachments(body), [piece.reason for piece in body.dynamorph.pieces]
+    piece = body.dynamorph.attachments.add()
+    piece.object, piece.group, piece.attached_by = figure["Top"], "Belt", "HELD"
+    before = attachments(body), [piece.reason for piece in body.dynamorph.attachments]
     assert (part("extract").character(body).rigidity[part("extract").character(body).parts[0].members][:8] == 1.0).all()
     OPS.save_setup(filepath=path)
-    body.dynamorph.pieces.clear()
+    body.dynamorph.attachments.clear()
     OPS.load_setup(filepath=path)
-    assert (attachments(body), [piece.reason for piece in body.dynamorph.pieces]) == before
+    assert (attachments(body), [piece.reason for piece in body.dynamorph.attachments]) == before
 
 
 # Rigid parts ---------------------------------------------------------------------------------------------------------
@@ -410,7 +413,9 @@ def test_loose_parts_on_one_bone_are_rigid(scene):
     # The points of the ring coincide with those of the tube, so the two are welded.
     assert attachments(obj) == [("", "Dynamorph Piece Part", "RIGID")]
     character = part("extract").character(obj, without_targets=True)
-    assert (character.pieces == -1).sum() == len(horn[0]) and obj.dynamorph.pieces[0].reason.startswith("This loose")
+    assert (character.pieces == -1).sum() == len(horn[0]) and obj.dynamorph.attachments[0].reason.startswith(
+        "This loose"
+    )
 
 
 def hard_robot(scene):
@@ -440,9 +445,9 @@ def test_the_artist_can_make_something_hard_soft(scene, way):
     if way == "paint":
         obj.vertex_groups.new(name="Firm").add(range(len(obj.data.vertices)), 0.0, "REPLACE")
         obj.dynamorph.firmness_group = "Firm"
-        obj.dynamorph.pieces.clear()
+        obj.dynamorph.attachments.clear()
     else:
-        obj.dynamorph.pieces[0].choice = "WITH_BODY"
+        obj.dynamorph.attachments[0].attached_by = "WITH_BODY"
     bake(obj)
     assert obj.dynamorph.bake.exists
 

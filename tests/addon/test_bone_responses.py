@@ -103,7 +103,7 @@ def test_a_bake_of_what_hardly_moves_has_the_targets_shapes(baked, changes):
     character = baked.outcome.character.with_settings(**changes)
     model = baked.outcome.model.with_settings(character.settings)
     held = baked.computation.rig[-1:].moved(np.tile(np.eye(4), (1 + 5 * baked.input.settings.substeps, 1, 1)))
-    settings = replace(baked.input.settings, end=6)
+    settings = replace(baked.input.settings, frame_end=6)
     engine = model.engine(character)
     frames = list(part("simulate").simulate(model, character, held, settings))
     whole = np.array([model.surface(engine.displacement(frame.coordinates)) for frame in frames])

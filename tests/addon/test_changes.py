@@ -33,16 +33,16 @@ def with_modes(obj):
 SETTINGS = [
     ("targets[1].stiffness", 5e5, 'Stiffness of "flexed" changed'),
     ("targets[0].mass_damping", 3.0, 'Mass Damping of "Neutral" changed'),
-    ("targets[1].radius", 0.5, 'Fade-Out Angle of "flexed" changed'),
+    ("targets[1].fade_out_angle", 0.5, 'Fade-Out Angle of "flexed" changed'),
     ("targets[1].region", "lower", 'Region of "flexed" changed'),
     ("model.modes", 7, "Detail (Modes) changed"),
     ("model.blending", "FORCES", "Between Targets changed"),
     ("firmness_group", "lower", "Firmness changed"),
     ("simulation.substeps", 9, "Substeps Per Frame changed"),
-    ("simulation.scheme", "EULER", "Integrator changed"),
+    ("simulation.integrator", "EULER", "Integrator changed"),
     ("simulation.gravity", 0.5, "Gravity changed"),
     ("simulation.fields", 0.5, "Force Fields changed"),
-    ("simulation.begin", "REST", "Initial State changed"),
+    ("simulation.initial_state", "REST_SHAPE", "Initial State changed"),
     ("simulation.amount", 0.5, "Amount changed"),
     ("simulation.preroll", 9, "Pre-Roll changed"),
     ("simulation.loop", True, "Loop changed"),
@@ -138,7 +138,7 @@ def test_a_sculpt_makes_both_old(baked):
     assert outdated(baked) == [] and not baked.dynamorph.model.stale
 
 
-@pytest.mark.parametrize("name, value", [("modes", 7), ("law", "LINEAR"), ("cage_nodes", 900)])
+@pytest.mark.parametrize("name, value", [("modes", 7), ("material_model", "LINEAR"), ("cage_nodes", 900)])
 def test_the_model_s_settings_are_named_until_they_are_reset(baked, name, value):
     model = baked.dynamorph.model
     before = getattr(model, name)
@@ -321,7 +321,7 @@ def test_the_badge_names_three(baked):
     baked.dynamorph.targets[1].stiffness = 5e5
     assert 'Out of date: Stiffness of "flexed" changed' in " ".join(drawn(baked))
     simulation = baked.dynamorph.simulation
-    simulation.substeps, simulation.scheme, simulation.gravity, simulation.loop = 9, "EULER", 0.5, True
+    simulation.substeps, simulation.integrator, simulation.gravity, simulation.loop = 9, "EULER", 0.5, True
     assert "Substeps Per Frame changed, Integrator changed, and 2 more" in " ".join(drawn(baked))
 
 
@@ -337,7 +337,7 @@ def test_delete_bake_and_older_bakes_say_nothing(baked):
     assert outdated(baked) == []
     bpy.ops.dynamorph.bake()
     baked.dynamorph.targets[1].stiffness = 5e5
-    bpy.ops.dynamorph.free_bake()
+    bpy.ops.dynamorph.delete_bake()
     assert outdated(baked) == []
 
 
@@ -388,7 +388,7 @@ def test_a_range_within_the_baked_one_is_no_change(scene, baked):
     scene.frame_start, scene.frame_end = 0, 15
     assert outdated(baked) == ["Frame Start changed"]
     simulation = baked.dynamorph.simulation
-    simulation.use_scene_range, simulation.start, simulation.end = False, 3, 4
+    simulation.use_scene_range, simulation.frame_start, simulation.frame_end = False, 3, 4
     assert outdated(baked) == []
 
 
@@ -464,14 +464,14 @@ def test_a_set_of_settings_with_unknown_fields_is_put_without_them(baked):
     assert other["version"] == 1
     other["materials"]["flexed"] |= {"stiffness": 7e4, "warmth": 3.0, "density": "heavy"}
     del other["materials"]["flexed"]["poisson"]
-    other["simulation"] |= {"substeps": 9, "speed": 1, "scheme": "RK4", "amount": [1]}
+    other["simulation"] |= {"substeps": 9, "speed": 1, "integrator": "RK4", "amount": [1]}
     settings.live.other = json.dumps(other)
     before = settings.targets[1].material()
     bpy.ops.dynamorph.swap_slot()
     after = settings.targets[1].material()
     assert after.stiffness == 7e4 and (after.density, after.poisson) == (before.density, before.poisson)
     simulation = settings.simulation
-    assert (simulation.substeps, simulation.scheme, simulation.amount) == (9, "BDF2", 1.0)
+    assert (simulation.substeps, simulation.integrator, simulation.amount) == (9, "BDF2", 1.0)
 
 
 @pytest.mark.parametrize(

@@ -62,12 +62,29 @@ def test_bake_writes_another_file(shot, run, stand_in):
 
 def test_model_settings_by_the_names_of_the_panel(shot, run, stand_in):
     output = shot.parent / "baked.blend"
-    settings = ("--method", "shape", "--law", "stable_stvk", "--solver", "full", "--modes", 7, "--pin-radius", 0.25)
+    settings = (
+        "--method",
+        "shape",
+        "--material-model",
+        "stable_stvk",
+        "--solver",
+        "full",
+        "--modes",
+        7,
+        "--pin-radius",
+        0.25,
+    )
     code, _, _ = run("bake", shot, "--object", "Arm", *settings, "-o", output)
     assert code == 0
     bpy.ops.wm.open_mainfile(filepath=str(output))
     arm, leg = (bpy.data.objects[name].dynamorph.model.settings() for name in ("Arm", "Leg"))
-    assert (arm.method, arm.law, arm.solver, arm.modes, arm.pin_radius) == ("SHAPE", "STABLE_STVK", "FULL", 7, 0.25)
+    assert (arm.method, arm.material_model, arm.solver, arm.modes, arm.pin_radius) == (
+        "SHAPE",
+        "STABLE_STVK",
+        "FULL",
+        7,
+        0.25,
+    )
     assert (leg.method, leg.solver, leg.modes) == ("DYNAMIC", "REDUCED", 20)
     code, _, errors = run("build", shot, "--object", "Arm", "--modes", 0, "-o", output)
     assert code == 2 and "--modes: 0 is not between 1 and 400" in errors
@@ -76,13 +93,13 @@ def test_model_settings_by_the_names_of_the_panel(shot, run, stand_in):
 def test_loops_and_what_is_out_of_date(shot, run, stand_in):
     output = shot.parent / "baked.blend"
     code, out, _ = run(
-        "bake", shot, "--object", "Arm", "--loop", "--initial-state", "rest", "--preroll", 3, "-o", output
+        "bake", shot, "--object", "Arm", "--loop", "--initial-state", "rest_shape", "--preroll", 3, "-o", output
     )
     assert code == 0 and "loop gap" in out and "0.03 mm" in out
     bpy.ops.wm.open_mainfile(filepath=str(output))
     arm = bpy.data.objects["Arm"]
     assert "loop gap 0.03 mm" in arm.dynamorph.bake.summary
-    assert (arm.dynamorph.simulation.begin, arm.dynamorph.simulation.preroll) == ("REST", 3)
+    assert (arm.dynamorph.simulation.initial_state, arm.dynamorph.simulation.preroll) == ("REST_SHAPE", 3)
     assert "bake state: up to date" in run("info", output, "--object", "Arm")[1]
     assert "files beside the .blend: none" in run("info", output, "--object", "Arm")[1]
     bpy.data.objects["Arm"].dynamorph.targets[1].stiffness = 5e5
@@ -549,10 +566,11 @@ def test_python_of_the_current_folder_is_not_imported(tmp_path):
 
 
 STORED = [  # group, property and a value that no button sets
-    ("model", "modes", -1), ("model", "law", 99), ("model", "cage_nodes", 0), ("model", "cage_grading", float("nan")),
+    ("model", "modes", -1), ("model", "material_model", 99), ("model", "cage_nodes", 0),
+    ("model", "cage_adaptivity", float("nan")),
     ("simulation", "preroll", 2**31 - 1), ("simulation", "samples", 0), ("simulation", "substeps", -1),
-    ("simulation", "scheme", -1), ("simulation", "gravity", float("inf")), ("output", "every", 0),
-    ("target", "stiffness", -1.0), ("target", "poisson", 0.5), ("target", "radius", float("nan")),
+    ("simulation", "integrator", -1), ("simulation", "gravity", float("inf")), ("output", "frame_step", 0),
+    ("target", "stiffness", -1.0), ("target", "poisson", 0.5), ("target", "fade_out_angle", float("nan")),
 ]  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import pytest
 from builders import evaluated_points, fingerprint, hand_made_bake, part, refused
 from layout import drawn
 from test_outputs import written
-from test_pieces import add_piece, make_sleeve
+from test_pieces import add_attachment, make_sleeve
 
 OPS = bpy.ops.dynamorph
 SAYS = "Plain skinning is shown:"
@@ -33,7 +33,7 @@ def mutes(obj) -> dict[str, bool]:
 def test_a_bake_is_hidden_and_comes_back(soft_arm, tmp_path, sink):
     soft_arm.data.shape_keys.key_blocks["smile"].value = 0.5
     plain = shown(soft_arm)
-    written(soft_arm, hand_made_bake(soft_arm), tmp_path, sink=sink)
+    written(soft_arm, hand_made_bake(soft_arm), tmp_path, format=sink)
     soft, before = shown(soft_arm), fingerprint(soft_arm)
     assert not says_plain(soft_arm) and np.abs(soft - plain).max() > 1e-3
     assert OPS.show_plain() == {"FINISHED"}
@@ -54,7 +54,7 @@ def test_the_targets_own_keys_count_again(soft_arm):
     OPS.show_plain()
     assert flexed.mute
     OPS.show_plain()
-    OPS.free_bake()
+    OPS.delete_bake()
     assert not flexed.mute and np.abs(shown(soft_arm) - plain).max() < 1e-6
 
 
@@ -67,7 +67,7 @@ def test_a_key_that_was_muted_stays_so(soft_arm):
 
 
 def test_a_render_that_left_the_cache_out_still_does(soft_arm, tmp_path):
-    written(soft_arm, hand_made_bake(soft_arm), tmp_path, sink="PC2")
+    written(soft_arm, hand_made_bake(soft_arm), tmp_path, format="PC2")
     modifier = part("skin").cache_modifier(soft_arm)
     for rendered in (True, False):
         modifier.show_render = rendered
@@ -79,7 +79,7 @@ def test_a_render_that_left_the_cache_out_still_does(soft_arm, tmp_path):
 
 def test_what_follows_is_hidden_too(soft_arm):
     sleeve = make_sleeve(soft_arm)
-    add_piece(soft_arm, sleeve)
+    add_attachment(soft_arm, sleeve)
     plain = shown(sleeve)
     part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
     part("bake").write_keys(sleeve, hand_made_bake(sleeve), skin=soft_arm)
@@ -115,7 +115,7 @@ def test_undo(soft_arm):
 @pytest.mark.parametrize("sink", ["MODES", "PC2"])
 def test_another_bake_is_shown_soft(soft_arm, stand_in, tmp_path, sink):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
-    soft_arm.dynamorph.output.sink = sink
+    soft_arm.dynamorph.output.format = sink
     OPS.bake()
     soft = shown(soft_arm)
     OPS.show_plain()

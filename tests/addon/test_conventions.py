@@ -95,7 +95,7 @@ def test_operators_that_change_data_are_undone(operators):
         "dynamorph.shake_test",
         "dynamorph.material_preset",
         "dynamorph.setup_preset",
-        "dynamorph.update_influence",
+        "dynamorph.update_target_weights",
     }
 
 

@@ -106,7 +106,7 @@ def test_a_bake_measures_what_it_built(coarse):
     "change",
     [
         lambda obj: setattr(obj.dynamorph.targets[0], "stiffness", 5e4),
-        lambda obj: setattr(obj.dynamorph.simulation, "scheme", "EULER"),
+        lambda obj: setattr(obj.dynamorph.simulation, "integrator", "EULER"),
         lambda obj: setattr(obj.dynamorph.model, "solver", "FULL"),
         lambda obj: part("storage").forget_model(obj),
     ],
@@ -120,8 +120,8 @@ def test_it_is_that_of_the_present_settings(coarse, change):
 
 def test_the_shot_and_what_is_shown_of_it_do_not_matter(coarse):
     error = measured(coarse)
-    coarse.dynamorph.simulation.end, coarse.dynamorph.simulation.amount = 99, 0.3
-    coarse.dynamorph.simulation.fields, coarse.dynamorph.output.sink = 0.0, "FRAMES"
+    coarse.dynamorph.simulation.frame_end, coarse.dynamorph.simulation.amount = 99, 0.3
+    coarse.dynamorph.simulation.fields, coarse.dynamorph.output.format = 0.0, "FRAMES"
     assert part("expected_error").known(coarse) == error
 
 

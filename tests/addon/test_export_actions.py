@@ -38,7 +38,7 @@ def game_arm(scene):
     obj = coarse(make_soft(make_arm(scene)))
     rig = rig_of(obj)
     add_sleeve(scene, obj)
-    piece = obj.dynamorph.pieces.add()
+    piece = obj.dynamorph.attachments.add()
     piece.object, piece.name = bpy.data.objects["Sleeve"], "Sleeve"
     animation = rig.animation_data
     bpy.data.actions.remove(animation.action)

@@ -267,7 +267,7 @@ def bake(sample):
     limb = bpy.data.objects["Limb"]
     bpy.context.view_layer.objects.active = limb
     limb.dynamorph.simulation.use_scene_range = False
-    limb.dynamorph.simulation.end = 5
+    limb.dynamorph.simulation.frame_end = 5
     assert bpy.ops.dynamorph.bake() == {"FINISHED"}
     modes = [key.name for key in limb.data.shape_keys.key_blocks if key.name.startswith("Dynamorph Mode")]
     assert len(modes) == limb.dynamorph.model.modes, modes

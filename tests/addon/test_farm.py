@@ -202,7 +202,7 @@ def test_the_template_knows_every_format(addon, run_template, tmp_path):
     formats = {sink.lower() for sink in part("commands").bake_formats()} | set(files)
     assert set(known.split("[")[1].split("]")[0].split(", ")) == formats | {'""'}
     for sink in formats:
-        _, bake = run_template(Characters=["Arm"], Sink=sink, Options=["--keys", "8"])[2]
+        _, bake = run_template(Characters=["Arm"], Format=sink, Options=["--keys", "8"])[2]
         assert (bake.format, bake.keys) == (sink, 8)
         assert bake.output_file == (tmp_path / f"out/walk {{object}}{files[sink]}" if sink in files else None)
 
@@ -276,8 +276,8 @@ def test_flamenco_collects_the_reports_of_the_job_alone(addon, compiled):
 
 
 def test_flamenco_bakes_to_files(addon, compiled):
-    bake = flamenco_asks(compiled(sink="alembic", options="--frames 1  20")["bake walk"])
+    bake = flamenco_asks(compiled(format="alembic", options="--frames 1  20")["bake walk"])
     assert bake.all and bake.frames == [1, 20]
     assert (bake.format, bake.output_file) == ("alembic", Path("/out/walk {object}.abc"))
-    bake = flamenco_asks(compiled(characters="Arm", sink="modes")["bake walk Arm"])
+    bake = flamenco_asks(compiled(characters="Arm", format="modes")["bake walk Arm"])
     assert (bake.format, bake.output_file) == ("modes", None)

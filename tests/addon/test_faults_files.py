@@ -97,12 +97,12 @@ def test_delete_bake_deletes_no_files(shot, tmp_path):
     theirs = tmp_path / "theirs.pc2"
     theirs.write_bytes(b"precious")
     obj = bpy.data.objects["Arm"]
-    obj.dynamorph.output.sink = "PC2"
+    obj.dynamorph.output.format = "PC2"
     bake(obj, folder=tmp_path)
     caches = list(tmp_path.rglob("*-*.pc2"))
     obj.modifiers[0].filepath = "//../../" + theirs.name
     obj.dynamorph.bake.cache = f"../../{theirs}"
-    OPS.free_bake()
+    OPS.delete_bake()
     assert theirs.read_bytes() == b"precious" and len(caches) == 1 and caches[0].is_file()
 
 

@@ -104,7 +104,7 @@ def test_key_values_that_no_slider_has(soft_arm, driver):
     """Blender shows them, without a bake and of keys that are not the bake's: what is driven, within the slider."""
     coarse(soft_arm)
     calm = bake(soft_arm).outcome.bake
-    OPS.free_bake()
+    OPS.delete_bake()
     for name in ("flexed", "smile"):
         keys_of(soft_arm).key_blocks[name].driver_add("value").driver.expression = driver
     job = bake(soft_arm)

@@ -123,7 +123,7 @@ def test_a_material_is_set_by_hand(built_arm, change):
     if change == "material":
         OPS.apply_material(preset="FAT")
     else:
-        OPS.fit_material(frequency=4.0, settle=0.75)
+        OPS.fit_material(frequency=4.0, settle_time=0.75)
     assert target.frequency == 0.0 and target.by_hand
 
 

@@ -62,7 +62,7 @@ def test_keys_that_lack_some_of_the_motion_say_so(coarse):
 
 def test_a_point_cache_holds_all_of_the_motion(coarse, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
-    coarse.dynamorph.model.solver, coarse.dynamorph.output.sink = "FULL", "PC2"
+    coarse.dynamorph.model.solver, coarse.dynamorph.output.format = "FULL", "PC2"
     job = bake(coarse)
     assert len(job.outcome.bake.modes) > 4 and "off by" not in job.summary()
     assert job.outcome.report["compression_error"] < 1e-5
@@ -142,7 +142,7 @@ def test_the_amount_of_motion_that_shows_does_not_count(coarse):
     assert compared(coarse) == pytest.approx(distance)
 
 
-@pytest.mark.parametrize("forget", [bake, lambda _obj: bpy.ops.dynamorph.free_bake()])
+@pytest.mark.parametrize("forget", [bake, lambda _obj: bpy.ops.dynamorph.delete_bake()])
 def test_another_bake_was_not_compared(coarse, forget):
     bake(coarse)
     compared(coarse)

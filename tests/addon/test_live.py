@@ -76,10 +76,10 @@ def baked(obj, **settings):
 def begun_at(obj, frame, **settings):
     """The surface (V, 3) with which a bake begins that starts at this frame."""
     simulation = obj.dynamorph.simulation
-    whole = simulation.use_scene_range, simulation.start, simulation.end
-    simulation.use_scene_range, simulation.start, simulation.end = False, frame, frame + 1
+    whole = simulation.use_scene_range, simulation.frame_start, simulation.frame_end
+    simulation.use_scene_range, simulation.frame_start, simulation.frame_end = False, frame, frame + 1
     first = baked(obj, **settings)[0]
-    simulation.use_scene_range, simulation.start, simulation.end = whole
+    simulation.use_scene_range, simulation.frame_start, simulation.frame_end = whole
     return first
 
 
@@ -117,7 +117,7 @@ def test_playback_is_the_bake(live_arm, change):
 def test_playback_has_the_pre_roll_of_the_bake(live_arm):
     simulation = live_arm.dynamorph.simulation
     simulation.preroll, simulation.preroll_pose = 12, "ANIMATED"
-    simulation.use_scene_range, simulation.start, simulation.end = False, 10, 20
+    simulation.use_scene_range, simulation.frame_start, simulation.frame_end = False, 10, 20
     bpy.ops.dynamorph.live()
     shown, begun = play(live_arm, range(10, 21)), baked(live_arm)
     assert apart(shown, begun) < 1e-6
@@ -509,7 +509,7 @@ def test_a_bake_replaces_live(playing):
     assert bpy.ops.dynamorph.bake() == {"FINISHED"}
     keys = playing.data.shape_keys.key_blocks
     assert "Dynamorph Live" not in keys and keys["flexed"].mute and not part("live").is_on(playing)
-    bpy.ops.dynamorph.free_bake()
+    bpy.ops.dynamorph.delete_bake()
     assert not keys["flexed"].mute
     assert bpy.ops.dynamorph.live() == {"FINISHED"}
 
@@ -521,7 +521,7 @@ def test_a_bake_replaces_live(playing):
 def over_a_bake(live_arm, tmp_path, request):
     """The arm, baked, and what Blender shows of the bake at frame 9."""
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
-    live_arm.dynamorph.output.sink = request.param
+    live_arm.dynamorph.output.format = request.param
     bpy.ops.dynamorph.bake()
     bpy.context.scene.frame_set(9)
     return live_arm, evaluated_points(live_arm)
@@ -567,7 +567,7 @@ def test_a_bake_that_is_deleted_under_live(over_a_bake):
     arm, _ = over_a_bake
     bpy.ops.dynamorph.live()
     play(arm, range(2, 5))
-    assert bpy.ops.dynamorph.free_bake() == {"FINISHED"}
+    assert bpy.ops.dynamorph.delete_bake() == {"FINISHED"}
     keys = arm.data.shape_keys.key_blocks
     assert part("live").is_on(arm) and keys["flexed"].mute and not keys["Dynamorph Live"].mute
     bpy.ops.dynamorph.live()
@@ -579,7 +579,7 @@ def test_another_bake_under_live(over_a_bake):
     bpy.ops.dynamorph.live()
     bpy.ops.dynamorph.bake()
     assert not part("live").is_on(arm) and apart(at_nine(arm), shown) < 1e-4
-    bpy.ops.dynamorph.free_bake()
+    bpy.ops.dynamorph.delete_bake()
     assert not arm.data.shape_keys.key_blocks["flexed"].mute
 
 

@@ -11,7 +11,7 @@ pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
 FULL = {"solver": "FULL"}
 METHODS = [{"method": method} for method in ("DYNAMIC", "SHAPE", "SINGLE", "STATIC")]
-LAWS = [{"law": law, **solver} for law in ("LINEAR", "STVK", "STABLE_STVK") for solver in ({}, FULL)]
+LAWS = [{"material_model": law, **solver} for law in ("LINEAR", "STVK", "STABLE_STVK") for solver in ({}, FULL)]
 
 
 @pytest.fixture

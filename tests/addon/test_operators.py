@@ -40,7 +40,7 @@ def test_from_mesh_to_bake_and_back(scene, arm, stand_in):
     assert bpy.ops.dynamorph.bake() == {"FINISHED"}
     assert stand_in.built == 1 and len(arm.dynamorph.bake.keys) == 3
     assert arm.data.shape_keys.key_blocks["flexed"].mute
-    assert bpy.ops.dynamorph.free_bake() == {"FINISHED"}
+    assert bpy.ops.dynamorph.delete_bake() == {"FINISHED"}
     assert fingerprint(arm) == before
     arm.dynamorph.active_target_index = 0
     assert bpy.ops.dynamorph.remove_target() == {"FINISHED"}
@@ -539,12 +539,12 @@ def test_undo_of_a_bake(soft_arm, stand_in):
 
 def test_the_range_is_checked(scene, soft_arm, stand_in):
     soft_arm.dynamorph.simulation.use_scene_range = False
-    soft_arm.dynamorph.simulation.start, soft_arm.dynamorph.simulation.end = 5, 4
+    soft_arm.dynamorph.simulation.frame_start, soft_arm.dynamorph.simulation.frame_end = 5, 4
     refused(bpy.ops.dynamorph.bake, "last frame 4 comes before the first 5")
-    soft_arm.dynamorph.simulation.start, soft_arm.dynamorph.simulation.end = -3, 2
+    soft_arm.dynamorph.simulation.frame_start, soft_arm.dynamorph.simulation.frame_end = -3, 2
     bpy.ops.dynamorph.bake()
     settings = part("run_settings").simulation_settings(soft_arm, scene)
-    assert (settings.start, settings.end, settings.fps, settings.substeps) == (-3, 2, 24.0, 5)
+    assert (settings.frame_start, settings.frame_end, settings.fps, settings.substeps) == (-3, 2, 24.0, 5)
     assert settings.gravity == pytest.approx((0.0, 0.0, -9.81))
     soft_arm.dynamorph.simulation.gravity = 0.0
     assert part("run_settings").simulation_settings(soft_arm, scene).gravity == (0.0, 0.0, 0.0)

@@ -35,11 +35,11 @@ def written(obj, bake, folder, skin=None, to_bind=None, **output):
     chosen = part("settings").OutputSettings(**output)
     keys, off = part("keys").as_keys(bake, chosen, np.eye(3) if to_bind is None else to_bind)
     cache = None
-    if chosen.sink in point_cache.CACHES:
-        cache = paths.cache_path(folder, obj.name, baked.digest(bake), chosen.sink)
+    if chosen.format in point_cache.CACHES:
+        cache = paths.cache_path(folder, obj.name, baked.digest(bake), chosen.format)
         cache.parent.mkdir(exist_ok=True)
         points = part("mesh_data").rest_points(obj)
-        cache.write_bytes(b"".join(point_cache.CACHES[chosen.sink](bake, points, 24.0)))
+        cache.write_bytes(b"".join(point_cache.CACHES[chosen.format](bake, points, 24.0)))
     part("bake").write_keys(obj, keys, skin, cache)
     return off
 
@@ -48,7 +48,7 @@ def written(obj, bake, folder, skin=None, to_bind=None, **output):
 def test_blender_shows_the_surface_with_and_without_the_motion(scene, soft_arm, tmp_path, sink):
     bake = smooth_bake(soft_arm)
     before = fingerprint(soft_arm)
-    assert written(soft_arm, bake, tmp_path, sink=sink) < 1e-6
+    assert written(soft_arm, bake, tmp_path, format=sink) < 1e-6
     assert_shows(soft_arm, bake)
     bake_influence = part("bake_influence")
     owner, name = bake_influence.influence(soft_arm)
@@ -67,9 +67,9 @@ def test_blender_shows_the_surface_with_and_without_the_motion(scene, soft_arm, 
 @pytest.mark.parametrize("first", SINKS)
 def test_one_takes_the_place_of_another(soft_arm, tmp_path, first, second):
     before = fingerprint(soft_arm)
-    written(soft_arm, smooth_bake(soft_arm, seed=1), tmp_path, sink=first)
+    written(soft_arm, smooth_bake(soft_arm, seed=1), tmp_path, format=first)
     bake = smooth_bake(soft_arm, seed=2)
-    written(soft_arm, bake, tmp_path, sink=second)
+    written(soft_arm, bake, tmp_path, format=second)
     assert_shows(soft_arm, bake)
     part("bake").free(soft_arm)
     assert fingerprint(soft_arm) == before
@@ -93,7 +93,7 @@ def test_fewer_keys_are_as_far_off_as_is_said(soft_arm, tmp_path, keys):
 
 def test_frames_between_keys_are_blended(soft_arm, tmp_path):
     bake = smooth_bake(soft_arm)
-    off = written(soft_arm, bake, tmp_path, sink="FRAMES", every=4)
+    off = written(soft_arm, bake, tmp_path, format="FRAMES", frame_step=4)
     names = [key.name for key in soft_arm.dynamorph.bake.keys]
     assert names == [*(f"Dynamorph Frame {n}" for n in (1, 5, 9, 13, 17, 20)), "Dynamorph Target Neutral",
                      "Dynamorph Target flexed"]  # fmt: skip
@@ -116,7 +116,7 @@ def test_keys_are_where_they_are_needed(soft_arm, tmp_path):
     bake = smooth_bake(soft_arm, frames=range(1, 61))
     counts = []
     for tolerance in (0.05, 0.01, 0.002):
-        off = written(soft_arm, bake, tmp_path, sink="FRAMES", tolerance=tolerance)
+        off = written(soft_arm, bake, tmp_path, format="FRAMES", tolerance=tolerance)
         assert 0.0 < off <= tolerance
         counts.append(len(soft_arm.dynamorph.bake.keys))
     assert counts == sorted(counts)
@@ -130,7 +130,7 @@ def test_point_caches_have_sub_frames(scene, soft_arm, tmp_path, sink, remapped)
         scene.render.frame_map_old, scene.render.frame_map_new = 100, 200
     frames = np.arange(10.0, 20.25, 0.25)
     bake = smooth_bake(soft_arm, frames)
-    written(soft_arm, bake, tmp_path, sink=sink)
+    written(soft_arm, bake, tmp_path, format=sink)
     basis = part("mesh_data").rest_points(soft_arm)
     soft_arm.modifiers["Armature"].show_viewport = False
     for row in (0, 1, 6, 23, 40):
@@ -139,11 +139,11 @@ def test_point_caches_have_sub_frames(scene, soft_arm, tmp_path, sink, remapped)
 
 
 def test_a_cache_goes_before_all_modifiers_and_stays_where_it_is_moved(soft_arm, tmp_path):
-    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink="PC2")
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, format="PC2")
     modifier = soft_arm.modifiers[0]
     assert modifier.type == "MESH_CACHE"
     modifier.name, modifier.factor = "Mine", 0.25
-    written(soft_arm, smooth_bake(soft_arm, seed=5), tmp_path, sink="PC2")
+    written(soft_arm, smooth_bake(soft_arm, seed=5), tmp_path, format="PC2")
     assert [each.type for each in soft_arm.modifiers] == ["MESH_CACHE", "ARMATURE"]
     assert soft_arm.modifiers["Mine"].factor == 0.25
     assert len(list((tmp_path / "dynamorph_caches").iterdir())) == 2  # another file may play the first
@@ -151,9 +151,9 @@ def test_a_cache_goes_before_all_modifiers_and_stays_where_it_is_moved(soft_arm,
 
 def test_what_follows_takes_the_influence_of_the_cache(scene, soft_arm, tmp_path):
     shirt = make_mesh(scene, "Shirt", part("mesh_data").rest_points(soft_arm) * 1.1, [])
-    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink="PC2")
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, format="PC2")
     bake = smooth_bake(soft_arm, seed=3)
-    written(shirt, bake, tmp_path, skin=soft_arm, sink="PC2")
+    written(shirt, bake, tmp_path, skin=soft_arm, format="PC2")
     for factor in (0.0, 1.0):
         soft_arm.modifiers[0].factor = factor
         soft_arm.modifiers[0].keyframe_insert("factor", frame=int(1 + 19 * factor))
@@ -187,7 +187,7 @@ def test_a_cache_needs_a_saved_file(soft_arm):
 @pytest.mark.parametrize("sink", ["MODES", "FRAMES"])
 def test_a_bake_is_read_back_as_it_was_written(soft_arm, tmp_path, sink):
     bake = smooth_bake(soft_arm)
-    written(soft_arm, bake, tmp_path, sink=sink)
+    written(soft_arm, bake, tmp_path, format=sink)
     found = part("bake_reading").read_back(soft_arm)
     np.testing.assert_array_equal(found.frames, bake.frames)
     for row in range(len(bake.frames)):
@@ -199,17 +199,17 @@ def test_a_bake_is_read_back_as_it_was_written(soft_arm, tmp_path, sink):
 def test_the_influence_goes_along(scene, soft_arm, tmp_path, first, second):
     """From shape keys to a point cache and back: set, and keyed."""
     bake_influence = part("bake_influence")
-    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink=first)
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, format=first)
     owner, name = bake_influence.influence(soft_arm)
     setattr(owner, name, 0.25)
-    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink=second)
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, format=second)
     owner, name = bake_influence.influence(soft_arm)
     assert getattr(owner, name) == 0.25
     for frame, influence in ((1, 0.0), (11, 1.0)):
         setattr(owner, name, influence)
         owner.keyframe_insert(name, frame=frame)
     for sink in (first, second):
-        written(soft_arm, smooth_bake(soft_arm), tmp_path, sink=sink)
+        written(soft_arm, smooth_bake(soft_arm), tmp_path, format=sink)
         for frame, influence in ((1, 0.0), (6, 0.5), (11, 1.0), (15, 1.0)):
             scene.frame_set(frame)
             owner, name = bake_influence.influence(soft_arm)
@@ -217,9 +217,9 @@ def test_the_influence_goes_along(scene, soft_arm, tmp_path, first, second):
 
 
 def test_a_driver_of_the_influence_that_goes_is_named(soft_arm, tmp_path):
-    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink="PC2")
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, format="PC2")
     part("skin").cache_modifier(soft_arm).driver_add("factor").driver.expression = "0.5"
-    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink="MDD")
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, format="MDD")
     assert soft_arm.animation_data.drivers
     new = part("bake").NewBake(soft_arm, smooth_bake(soft_arm))
     new.add()
@@ -230,16 +230,16 @@ def test_a_driver_of_the_influence_that_goes_is_named(soft_arm, tmp_path):
 
 def test_a_curve_of_an_earlier_cache_does_not_move_the_influence_of_the_next(scene, soft_arm, tmp_path):
     bake_influence = part("bake_influence")
-    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink="PC2")
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, format="PC2")
     modifier, name = bake_influence.influence(soft_arm)
     for frame, influence in ((1, 0.0), (11, 1.0)):
         setattr(modifier, name, influence)
         modifier.keyframe_insert(name, frame=frame)
-    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink="MODES")
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, format="MODES")
     strip, name = bake_influence.influence(soft_arm)
     strip.fcurves.find(name).keyframe_points.clear()
     strip.influence = 0.25
-    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink="PC2")
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, format="PC2")
     for frame in (1, 11):
         scene.frame_set(frame)
         assert bake_influence.influence(soft_arm)[0].factor == 0.25

@@ -10,7 +10,7 @@ from layout import Layout, controls, drawn, region
 from settings_shown import settings_shown
 
 SIDEBAR, PHYSICS, DATA = "DYNAMORPH_PT_sidebar", "DYNAMORPH_PT_physics", "DYNAMORPH_PT_object_data"
-BUTTONS = ["dynamorph.live", "Live", "dynamorph.build", "dynamorph.bake", "Bake", "dynamorph.free_bake"]
+BUTTONS = ["dynamorph.live", "Live", "dynamorph.build", "dynamorph.bake", "Bake", "dynamorph.delete_bake"]
 
 
 def test_through_the_workflow(arm, stand_in):
@@ -19,9 +19,9 @@ def test_through_the_workflow(arm, stand_in):
     bpy.context.scene.frame_set(20)
     bpy.ops.dynamorph.add_target(key="flexed")
     assert {"Neutral", "flexed", "lower", "stiffness"} <= set(drawn(arm))
-    assert not bpy.ops.dynamorph.free_bake.poll() and "dynamorph.show_worst" not in drawn(arm)
+    assert not bpy.ops.dynamorph.delete_bake.poll() and "dynamorph.show_worst" not in drawn(arm)
     bpy.ops.dynamorph.bake()
-    assert bpy.ops.dynamorph.free_bake.poll() and "dynamorph.export" in drawn(arm)
+    assert bpy.ops.dynamorph.delete_bake.poll() and "dynamorph.export" in drawn(arm)
     assert arm.dynamorph.model.summary[:40] in " ".join(drawn(arm, PHYSICS))
     arm.dynamorph.model.modes = 5
     for panel in (SIDEBAR, PHYSICS):
@@ -109,7 +109,7 @@ def test_the_stages_of_a_build_are_in_an_artists_words(soft_arm):
 
 def next_step(obj) -> str:
     texts = drawn(obj)
-    return texts[texts.index("dynamorph.free_bake") + 1]
+    return texts[texts.index("dynamorph.delete_bake") + 1]
 
 
 def test_progress_takes_the_row_of_the_state(soft_arm, stand_in):
@@ -128,7 +128,7 @@ def test_progress_takes_the_row_of_the_state(soft_arm, stand_in):
 # Where things are ----------------------------------------------------------------------------------------------------
 
 
-TOP = ["dynamorph.live", "dynamorph.build", "dynamorph.bake", "dynamorph.free_bake"]
+TOP = ["dynamorph.live", "dynamorph.build", "dynamorph.bake", "dynamorph.delete_bake"]
 
 
 def test_a_new_soft_skin_shows_twelve_controls_at_most(arm, stand_in):
@@ -138,18 +138,28 @@ def test_a_new_soft_skin_shows_twelve_controls_at_most(arm, stand_in):
     shown = controls(arm, unfolded=False)
     assert shown[:4] == TOP and shown[4:7] == ["dynamorph.apply_feel"] * 3
     names = [name.rpartition(".")[2] for name in shown[7:]]
-    assert names == ["amount", "bounce", "settle_time", "weight", "DYNAMORPH_PT_material_presets"]
+    assert names == ["amount", "bounce", "settle_time", "mass", "DYNAMORPH_PT_material_presets"]
     assert len(shown) <= 12
     assert controls(arm, PHYSICS, unfolded=False) == [*TOP, "DYNAMORPH_PT_setup_presets"]
 
 
 # Settings of a new soft skin that stay in sight, section by section; Advanced and Material have the others.
 IN_SIGHT = {
-    "feel": ["amount", "bounce", "settle_time", "weight"],
+    "feel": ["amount", "bounce", "settle_time", "mass"],
     "firmness": ["firmness_group"],
     "targets": ["influence"],
-    "pieces": ["hold_head"],
-    "bake": ["solver", "max_displacement", "use_scene_range", "start", "end", "keep_outside", "loop", "sink", "keys"],
+    "attachments": ["hold_head"],
+    "bake": [
+        "solver",
+        "max_displacement",
+        "use_scene_range",
+        "frame_start",
+        "frame_end",
+        "keep_outside",
+        "loop",
+        "format",
+        "keys",
+    ],
 }
 ADVICE = "Raise", "Lower", "Turn", "Choose", "Change", "Paint", "Set", "suit", "where", "sets"  # it says when
 
@@ -195,7 +205,7 @@ def test_the_shape_keys_panel_is_about_the_active_key(soft_arm, stand_in):
     bpy.ops.dynamorph.select_target()
     assert settings.active_target_index == 1
     shown = drawn(soft_arm, DATA)
-    assert {"dynamorph.capture_pose", "region", "radius", "stiffness", "flexed"} <= set(shown)
+    assert {"dynamorph.capture_pose", "region", "fade_out_angle", "stiffness", "flexed"} <= set(shown)
     assert not {"dynamorph.live", "dynamorph.bake", "dynamorph.apply_feel", "Neutral"} & set(shown)
     soft_arm.active_shape_key_index = keys.find("smile")
     assert drawn(soft_arm, DATA) == ["dynamorph.add_target"]
@@ -288,4 +298,4 @@ def test_a_target_without_its_key_is_marked(soft_arm):
     soft_arm.shape_key_clear()
     assert "flexed" in drawn(soft_arm)
     part("bake").free(soft_arm)
-    assert not bpy.ops.dynamorph.free_bake.poll() and "A problem: see Messages" in drawn(soft_arm)
+    assert not bpy.ops.dynamorph.delete_bake.poll() and "A problem: see Messages" in drawn(soft_arm)

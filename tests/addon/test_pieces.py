@@ -53,9 +53,9 @@ def make_sleeve(arm, name="Sleeve", away=1.1):
     return sleeve
 
 
-def add_piece(obj, piece, choice="WITH_BODY"):
-    item = obj.dynamorph.pieces.add()
-    item.object, item.name, item.choice = piece, piece.name, choice
+def add_attachment(obj, piece, choice="WITH_BODY"):
+    item = obj.dynamorph.attachments.add()
+    item.object, item.name, item.attached_by = piece, piece.name, choice
     return item
 
 
@@ -63,7 +63,7 @@ def add_piece(obj, piece, choice="WITH_BODY"):
 def dressed(soft_arm):
     """The soft arm and its sleeve, which is a piece of it."""
     sleeve = make_sleeve(coarse(soft_arm))
-    add_piece(soft_arm, sleeve)
+    add_attachment(soft_arm, sleeve)
     activate(soft_arm)
     return soft_arm, sleeve
 
@@ -109,7 +109,7 @@ def test_a_sleeve_shows_what_the_tissue_around_it_does(dressed):
 def test_a_piece_that_is_the_skin_itself_stays_on_it(soft_arm):
     """The same surface as a separate object: the residual shapes of a coarse cage are there, too."""
     twin = make_sleeve(coarse(soft_arm), away=1.0)
-    add_piece(soft_arm, twin)
+    add_attachment(soft_arm, twin)
     bake(soft_arm)
     assert np.abs(motion(twin) - motion(soft_arm)).max() < 1e-5
 
@@ -117,7 +117,7 @@ def test_a_piece_that_is_the_skin_itself_stays_on_it(soft_arm):
 @pytest.mark.parametrize("change", [{"solver": "FULL", "modes": 3}, {"method": "STATIC"}])
 def test_with_other_methods(soft_arm, change):
     twin = make_sleeve(coarse(soft_arm), away=1.0)
-    add_piece(soft_arm, twin)
+    add_attachment(soft_arm, twin)
     for name, value in change.items():
         setattr(soft_arm.dynamorph.model, name, value)
     bake(soft_arm)
@@ -149,7 +149,7 @@ def test_a_bake_of_two_is_undone_and_freed_as_one(dressed):
     bake(arm)
     assert worn.mute and fingerprint(sleeve) != before[1]
     bake(arm)
-    OPS.free_bake()
+    OPS.delete_bake()
     assert (fingerprint(arm), fingerprint(sleeve)) == before and sleeve.dynamorph.follows is None
 
 
@@ -170,7 +170,7 @@ def test_a_basis_that_the_bake_made_goes_with_it(dressed):
     arm, sleeve = dressed
     bake(arm)
     assert keys_of(sleeve)
-    OPS.free_bake()
+    OPS.delete_bake()
     assert keys_of(sleeve) is None
 
 
@@ -260,7 +260,7 @@ def test_what_cannot_follow_is_refused_by_name(dressed, spoil, words):
     spoil(arm, sleeve)
     refused(OPS.bake, words)
     assert not arm.dynamorph.bake.keys
-    arm.dynamorph.pieces[0].choice = "RIGID"
+    arm.dynamorph.attachments[0].attached_by = "RIGID"
     if spoil in (edited, endless):  # seams with what the bones alone move are looked for too
         refused(OPS.bake, words)
         return
@@ -273,9 +273,9 @@ def test_the_bake_says_which_pieces_it_lacks(dressed):
     staleness = part("staleness")
     bake(arm)
     assert staleness.outdated(arm) == []
-    add_piece(arm, make_sleeve(arm, "Cuff"))
+    add_attachment(arm, make_sleeve(arm, "Cuff"))
     assert staleness.outdated(arm) == ["Attachments changed", 'attachment "Cuff" is new']
-    arm.dynamorph.pieces[0].choice = "RIGID"
+    arm.dynamorph.attachments[0].attached_by = "RIGID"
     assert staleness.outdated(arm) == [
         "Attachments changed", 'attachment "Cuff" is new', 'attachment "Sleeve" is not with the body any more'
     ]  # fmt: skip
@@ -286,9 +286,9 @@ def test_the_bake_says_which_pieces_it_lacks(dressed):
 def test_a_removed_piece_has_no_bake_any_more(dressed):
     arm, sleeve = dressed
     bake(arm)
-    OPS.remove_piece()
-    assert keys_of(sleeve) is None and not arm.dynamorph.pieces and arm.dynamorph.bake.keys
-    assert not OPS.remove_piece.poll()
+    OPS.remove_attachment()
+    assert keys_of(sleeve) is None and not arm.dynamorph.attachments and arm.dynamorph.bake.keys
+    assert not OPS.remove_attachment.poll()
 
 
 @pytest.mark.fault("P04")
@@ -306,9 +306,9 @@ def test_a_piece_alone_is_freed_when_its_body_is_gone(dressed):
     bake(arm)
     bpy.data.objects.remove(arm)
     activate(sleeve)
-    assert "dynamorph.free_bake" in drawn(sleeve)
-    OPS.free_bake()
-    assert keys_of(sleeve).key_blocks.keys() == ["Basis"] and not OPS.free_bake.poll()
+    assert "dynamorph.delete_bake" in drawn(sleeve)
+    OPS.delete_bake()
+    assert keys_of(sleeve).key_blocks.keys() == ["Basis"] and not OPS.delete_bake.poll()
 
 
 def test_a_duplicate_of_the_character_has_pieces_of_its_own(dressed):
@@ -318,7 +318,7 @@ def test_a_duplicate_of_the_character_has_pieces_of_its_own(dressed):
         obj.select_set(True)
     bpy.ops.object.duplicate()
     other, worn = bpy.data.objects["Arm.001"], bpy.data.objects["Sleeve.001"]
-    assert other.dynamorph.pieces[0].object == worn and worn.dynamorph.follows == other
+    assert other.dynamorph.attachments[0].object == worn and worn.dynamorph.follows == other
     part("bake").free(other)
     assert keys_of(worn) is None and sleeve.dynamorph.bake.keys
 
@@ -328,7 +328,7 @@ def test_pieces_survive_saving(dressed, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "arm.blend"))
     arm, sleeve = bpy.data.objects["Arm"], bpy.data.objects["Sleeve"]
-    assert arm.dynamorph.pieces[0].object == sleeve and sleeve.dynamorph.follows == arm
+    assert arm.dynamorph.attachments[0].object == sleeve and sleeve.dynamorph.follows == arm
     sleeve.name = "Renamed"
     assert "Renamed" in drawn(arm, "DYNAMORPH_PT_physics") and part("staleness").outdated(arm) == []
     assert "'Renamed' moves with 'Arm'" in " ".join(drawn(sleeve))
@@ -336,12 +336,12 @@ def test_pieces_survive_saving(dressed, tmp_path):
 
 def test_a_sleeve_does_not_follow_a_cage_in_its_way(soft_arm):
     """A buckle with a cage of its own, in the sleeve: the sleeve stays with the arm."""
-    add_piece(soft_arm, make_sleeve(coarse(soft_arm)))
-    with_buckle = soft_arm.dynamorph.pieces.add()
+    add_attachment(soft_arm, make_sleeve(coarse(soft_arm)))
+    with_buckle = soft_arm.dynamorph.attachments.add()
     group = soft_arm.vertex_groups.new(name="Buckle")
     upper = [v.index for v in soft_arm.data.vertices if v.co.z > 1.5]
     group.add(upper, 1.0, "REPLACE")
-    with_buckle.group, with_buckle.choice = "Buckle", "OWN_CAGE"
+    with_buckle.group, with_buckle.attached_by = "Buckle", "OWN_CAGE"
     job = bake(soft_arm)
     model, character = job.outcome.model, job.outcome.character
     parts = part("geometry").connected_parts(model.tets, len(model.nodes))
@@ -364,11 +364,11 @@ def test_other_meshes_are_found(soft_arm):
     OPS.add_soft_skin()
     bpy.data.objects.new("Elsewhere", eye.data).modifiers.new("Armature", "ARMATURE").object = rig_of(soft_arm)
     activate(soft_arm)
-    OPS.find_pieces()
-    assert {piece.object.name: piece.choice for piece in soft_arm.dynamorph.pieces} == {
+    OPS.find_attachments()
+    assert {piece.object.name: piece.attached_by for piece in soft_arm.dynamorph.attachments} == {
         "Sleeve": "WITH_BODY", "Eye": "RIGID", "Glove": "OWN_CAGE"
     }  # fmt: skip
-    assert OPS.find_pieces() == {"CANCELLED"} and len(soft_arm.dynamorph.pieces) == 3
+    assert OPS.find_attachments() == {"CANCELLED"} and len(soft_arm.dynamorph.attachments) == 3
 
 
 def make_arm_with(*blobs):
@@ -397,25 +397,25 @@ def make_arm_with(*blobs):
 
 def test_few_loose_parts_are_a_piece_each(scene):
     arm = make_arm_with(((0, 0, 1.9), 0.1, 1.0, 0), ((0.4, 0, 0.3), 0.2, 0.5, 1))
-    OPS.find_pieces()
-    found = [(piece.group, piece.choice) for piece in arm.dynamorph.pieces]
+    OPS.find_attachments()
+    found = [(piece.group, piece.attached_by) for piece in arm.dynamorph.attachments]
     assert found == [("Dynamorph Piece Hair", "RIGID"), ("Dynamorph Piece Skin", "RIGID")]
     groups = part("mesh_data").group_weights(arm, [group for group, _ in found])
     body = len(scenes.tube()[0])
     assert (
         groups[:body].sum() == 0 and (groups[body : body + 8] == [0, 1]).all() and (groups[body + 8 :] == [1, 0]).all()
     )
-    assert OPS.find_pieces() == {"CANCELLED"}
+    assert OPS.find_attachments() == {"CANCELLED"}
 
 
 def test_many_loose_parts_are_grouped_by_material(scene):
     hair = [((0.05 * k, 0.5, 1.5), 0.02, 1.0, 1) for k in range(20)]
     teeth = [((0.05 * k, -0.5, 1.5), 0.02, 0.5, 0) for k in range(10)]
     arm = make_arm_with(*hair, *teeth, ((0.6, 0, 1.9), 0.3, 1.0, 0))
-    OPS.find_pieces()
-    found = [(piece.group.removeprefix("Dynamorph Piece "), piece.choice) for piece in arm.dynamorph.pieces]
+    OPS.find_attachments()
+    found = [(piece.group.removeprefix("Dynamorph Piece "), piece.attached_by) for piece in arm.dynamorph.attachments]
     assert found == [("Skin", "RIGID"), ("Hair", "RIGID"), ("Skin.001", "RIGID")]
-    counts = [int(part("attachments").members(arm, piece.group).sum()) for piece in arm.dynamorph.pieces]
+    counts = [int(part("attachments").members(arm, piece.group).sum()) for piece in arm.dynamorph.attachments]
     assert counts == [8, 160, 80]
 
 
@@ -447,17 +447,17 @@ def test_the_choice_of_parts_goes_into_the_character(scene):
     for k, choice in enumerate(("OWN_CAGE", "RIGID", "OWN_CAGE", "WITH_BODY")):
         group = arm.vertex_groups.new(name=f"Box {k}")
         group.add(range(body + 8 * k, body + 8 * k + 8), 1.0, "REPLACE")
-        piece = arm.dynamorph.pieces.add()
-        piece.group, piece.choice = group.name, choice
+        piece = arm.dynamorph.attachments.add()
+        piece.group, piece.attached_by = group.name, choice
     part("reconcile").reconcile(arm)
     character = part("extract").character(arm, without_targets=True)
     assert not character.pieces[:body].any() and sorted(character.pieces[body::8]) == [-1, 0, 1, 2]
     build = part("build")
     other = part("character").Character(**{**vars(character), "pieces": None})
     assert build.dependencies(character)["pieces"] != build.dependencies(other)["pieces"]
-    arm.vertex_groups[arm.dynamorph.pieces[0].group].name = "Buckle"
+    arm.vertex_groups[arm.dynamorph.attachments[0].group].name = "Buckle"
     part("reconcile").reconcile(arm)
-    assert arm.dynamorph.pieces[0].group == "Buckle"
+    assert arm.dynamorph.attachments[0].group == "Buckle"
     arm.vertex_groups.remove(arm.vertex_groups["Buckle"])
     assert "The vertex group 'Buckle' is gone" in " ".join(drawn(arm, "DYNAMORPH_PT_physics"))
     refused(OPS.build_cage, "the vertex group 'Buckle' of an attachment is gone")
@@ -465,13 +465,13 @@ def test_the_choice_of_parts_goes_into_the_character(scene):
 
 def test_a_part_is_selected_in_edit_mode(scene):
     arm = make_arm_with(((0.4, 0, 0.3), 0.2, 0.5, 1))
-    OPS.find_pieces()
-    OPS.select_piece()
+    OPS.find_attachments()
+    OPS.select_attachment()
     bpy.ops.object.mode_set(mode="OBJECT")
     selected = [vertex.select for vertex in arm.data.vertices]
     assert sum(selected) == 8 and all(selected[-8:])
-    OPS.remove_piece()
-    assert not arm.dynamorph.pieces and "Dynamorph Piece Hair" not in arm.vertex_groups
+    OPS.remove_attachment()
+    assert not arm.dynamorph.attachments and "Dynamorph Piece Hair" not in arm.vertex_groups
 
 
 def test_what_is_left_alone_is_said(soft_arm):
@@ -496,14 +496,14 @@ def test_setups_have_the_pieces(dressed, tmp_path):
     arm, sleeve = dressed
     path = str(tmp_path / "arm.json")
     arm.vertex_groups.new(name="Dynamorph Piece Hair")
-    hair = arm.dynamorph.pieces.add()
-    hair.group, hair.choice = "Dynamorph Piece Hair", "OWN_CAGE"
-    add_piece(arm, make_sleeve(arm, "Cuff"), "RIGID")
+    hair = arm.dynamorph.attachments.add()
+    hair.group, hair.attached_by = "Dynamorph Piece Hair", "OWN_CAGE"
+    add_attachment(arm, make_sleeve(arm, "Cuff"), "RIGID")
     OPS.save_setup(filepath=path)
-    arm.dynamorph.pieces.clear()
+    arm.dynamorph.attachments.clear()
     bpy.data.objects["Cuff"].name = "Other"
     OPS.load_setup(filepath=path)
-    found = [(piece.object, piece.group, piece.choice) for piece in arm.dynamorph.pieces]
+    found = [(piece.object, piece.group, piece.attached_by) for piece in arm.dynamorph.attachments]
     assert found == [(sleeve, "", "WITH_BODY"), (None, "Dynamorph Piece Hair", "OWN_CAGE")]
 
 
@@ -512,7 +512,7 @@ def test_setups_have_the_pieces(dressed, tmp_path):
 )
 def test_a_setup_with_wrong_pieces_changes_nothing(dressed, piece):
     setups, errors = part("setups"), part("errors")
-    setup = setups.of_object(dressed[0]) | {"pieces": [piece]}
+    setup = setups.of_object(dressed[0]) | {"attachments": [piece]}
     with pytest.raises(errors.SetupError, match="Piece 1"):
         setups.check(setup)
 
@@ -521,10 +521,10 @@ def test_a_copy_leaves_the_clothes_where_they_are(dressed):
     """An object can follow only one soft skin."""
     arm, sleeve = dressed
     arm.vertex_groups.new(name="Dynamorph Piece Hair").add(range(100), 1.0, "REPLACE")
-    arm.dynamorph.pieces.add().group = "Dynamorph Piece Hair"
+    arm.dynamorph.attachments.add().group = "Dynamorph Piece Hair"
     other = make_sleeve(arm, "Other", away=1.0)
     arm.select_set(True)
     other.select_set(True)
     OPS.copy_to_selected()
-    assert [piece.group for piece in other.dynamorph.pieces] == ["Dynamorph Piece Hair"]
+    assert [piece.group for piece in other.dynamorph.attachments] == ["Dynamorph Piece Hair"]
     assert part("attachments").members(other, "Dynamorph Piece Hair").sum() == 100

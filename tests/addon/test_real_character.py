@@ -100,7 +100,7 @@ def test_a_target_s_pose_shows_the_sculpted_shape(baked):
     rig = replace(job.computation.rig[:1], pose=pose)
     assert any(job.input.settings.gravity)
     for gravity in (job.input.settings.gravity, (0.0, 0.0, 0.0)):
-        settings = replace(job.input.settings, start=1, end=1, gravity=gravity)
+        settings = replace(job.input.settings, frame_start=1, frame_end=1, gravity=gravity)
         still, _ = simulate.bake(job.outcome.model, job.outcome.character, rig, settings)
         assert still.weights[0] == pytest.approx(np.eye(len(targets))[1], abs=1e-9)
         assert np.abs(still.displacement(0) - targets[1].shape).max() < 1e-6 * height(job)

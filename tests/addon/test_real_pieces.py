@@ -35,13 +35,13 @@ def test_the_swimsuit_stays_on_the_body(addon):
     suit = bpy.data.objects["Swimsuit"]
     suit.data.shape_keys.animation_data.action = None
     as_authored = depths(suit, body)
-    OPS.find_pieces()
-    choices = {piece.object.name: piece for piece in body.dynamorph.pieces}
-    assert {name: piece.choice for name, piece in choices.items()} == {"Eyes": "RIGID", "Swimsuit": "WITH_BODY"}
-    choices["Swimsuit"].choice = "RIGID"
+    OPS.find_attachments()
+    choices = {piece.object.name: piece for piece in body.dynamorph.attachments}
+    assert {name: piece.attached_by for name, piece in choices.items()} == {"Eyes": "RIGID", "Swimsuit": "WITH_BODY"}
+    choices["Swimsuit"].attached_by = "RIGID"
     bake(body, frames=(1, 45), substeps=2)
     skinned = depths(suit, body)
-    choices["Swimsuit"].choice = "WITH_BODY"
+    choices["Swimsuit"].attached_by = "WITH_BODY"
     bake(body, frames=(1, 45), substeps=2)
     carried = depths(suit, body)
     assert skinned.max() > 0.010 > 0.008 > carried.max()

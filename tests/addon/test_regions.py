@@ -126,7 +126,7 @@ def motion(obj):
     OPS.bake()
     bake = part("bake_reading").read_back(obj)
     moved = np.tensordot(bake.coordinates - bake.static, bake.modes, 1)
-    OPS.free_bake()
+    OPS.delete_bake()
     return moved
 
 
@@ -142,7 +142,7 @@ def test_the_neutral_target_alone_is_a_soft_body(bar, method):
     bake = job.outcome.bake
     assert np.abs(np.tensordot(bake.coordinates, bake.modes, 1)).max() > MOVES
     assert_shows(bar, bake)
-    OPS.free_bake()
+    OPS.delete_bake()
     OPS.live()
     shown = []
     for frame in range(1, 8):
@@ -542,7 +542,7 @@ def test_a_sculpt_shows_in_its_pose_until_something_else_does(bar):
     OPS.bake()
     OPS.go_to_pose()
     assert value(bar, "other") == 0.0 and bar.data.shape_keys.key_blocks["other"].mute
-    OPS.free_bake()
+    OPS.delete_bake()
     OPS.go_to_pose()
     OPS.remove_target()
     assert value(bar, "other") == 0.0

@@ -201,7 +201,7 @@ def test_what_others_have_to_agree_with_is_not_rehearsed(new_arm, how, tmp_path)
         options["cache_dir"] = part("cache_dir").CacheDir(tmp_path)
     elif how == "patch":
         settings.simulation.use_scene_range, settings.simulation.keep_outside = False, True
-        settings.simulation.start, settings.simulation.end = 1, 12
+        settings.simulation.frame_start, settings.simulation.frame_end = 1, 12
     before = settings.targets[0].material()
     job = bake(new_arm, **options)
     assert settings.targets[0].material() == before

@@ -137,11 +137,11 @@ def file(tmp_path):
 @pytest.mark.parametrize("first, second", [("MODES", "PC2"), ("PC2", "MODES")])
 def test_keys_and_point_caches(soft_arm, file, monkeypatch, first, second):
     soft_arm.data.shape_keys.key_blocks["flexed"].value = 0.5
-    written(soft_arm, hand_made_bake(soft_arm), file.parent, sink=first)
+    written(soft_arm, hand_made_bake(soft_arm), file.parent, format=first)
 
     def write():
         arm = bpy.data.objects["Arm"]
-        written(arm, hand_made_bake(arm, seed=2), file.parent, sink=second)
+        written(arm, hand_made_bake(arm, seed=2), file.parent, format=second)
 
     assert_one_of_both_plays(write, KEYS, file, monkeypatch)
 
@@ -149,11 +149,11 @@ def test_keys_and_point_caches(soft_arm, file, monkeypatch, first, second):
 def test_a_mesh_that_follows(soft_arm, file, monkeypatch):
     sleeve = make_sleeve(soft_arm)
     for obj, skin in ((soft_arm, None), (sleeve, soft_arm)):
-        written(obj, hand_made_bake(obj), file.parent, skin, sink="PC2")
+        written(obj, hand_made_bake(obj), file.parent, skin, format="PC2")
 
     def write():
         body, piece = bpy.data.objects["Arm"], bpy.data.objects["Sleeve"]
-        written(piece, hand_made_bake(piece, seed=2), file.parent, body, sink="PC2")
+        written(piece, hand_made_bake(piece, seed=2), file.parent, body, format="PC2")
 
     assert_one_of_both_plays(write, KEYS, file, monkeypatch)
 
@@ -179,7 +179,7 @@ def prepared(folder, kind):
     make_soft(make_arm(bpy.context.scene, "Leg"))
     arm.data.shape_keys.key_blocks["flexed"].points[3].co.z += 0.1  # the model is out of date
     for obj, skin in ((arm, None), (sleeve, arm)):  # the sleeve is no attachment any more
-        written(obj, hand_made_bake(obj), folder, skin, sink="PC2")
+        written(obj, hand_made_bake(obj), folder, skin, format="PC2")
     part("comparison").show(arm, True)
 
 

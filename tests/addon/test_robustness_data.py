@@ -68,7 +68,7 @@ def test_everything_is_renamed_after_a_bake(skin):
     job = bake(skin)
     assert job.input.reasons == []
     np.testing.assert_array_equal(job.outcome.bake.coordinates, first.coordinates)
-    assert OPS.free_bake() == {"FINISHED"}
+    assert OPS.delete_bake() == {"FINISHED"}
     assert names(skin) == [f"key of {name}" for name in before]
     assert not any(block.mute for block in keys_of(skin).key_blocks)
     assert keys_of(skin).animation_data is None
@@ -108,7 +108,7 @@ def test_names_as_long_as_blender_allows(skin, name):
     for _ in range(2):
         assert_shows(skin, bake(skin).outcome.bake)
     bpy.context.scene.frame_set(1)
-    assert OPS.free_bake() == {"FINISHED"}
+    assert OPS.delete_bake() == {"FINISHED"}
     assert fingerprint(skin) == before
 
 
@@ -145,7 +145,7 @@ def test_alt_d(skin, when):
         activate(obj)
         refused(OPS.bake, "'Arm' is shared by 2 objects.*single-user")
         if when == "after the bake":
-            refused(OPS.free_bake, "'Arm' is shared by 2 objects.*single-user")
+            refused(OPS.delete_bake, "'Arm' is shared by 2 objects.*single-user")
             obj.dynamorph.active_target_index = 0
             refused(OPS.remove_target, "'Arm' is shared by 2 objects.*single-user")
     assert fingerprint(skin)["keys"] == keys
@@ -192,7 +192,7 @@ def test_a_full_copy_of_the_scene(skin):
     copy = next(obj for obj in bpy.context.scene.objects if obj.type == "MESH")
     assert_shows(copy, job.outcome.bake)
     activate(copy)
-    assert OPS.free_bake() == {"FINISHED"}
+    assert OPS.delete_bake() == {"FINISHED"}
     assert len(names(copy)) == 3 and len(names(skin)) == 10
     assert bake(copy).input.reasons == []
     assert_shows(copy, job.outcome.bake)
@@ -200,7 +200,7 @@ def test_a_full_copy_of_the_scene(skin):
 
 def test_a_fake_user_is_no_second_object(skin):
     skin.data.use_fake_user = True
-    assert OPS.bake() == OPS.free_bake() == {"FINISHED"}
+    assert OPS.bake() == OPS.delete_bake() == {"FINISHED"}
 
 
 def test_two_characters_on_one_armature(scene, skin):
@@ -220,7 +220,7 @@ def test_two_characters_on_one_armature(scene, skin):
     for obj, result in results.items():
         assert_shows(obj, result)
     activate(skin)
-    assert OPS.free_bake() == {"FINISHED"}
+    assert OPS.delete_bake() == {"FINISHED"}
     assert_shows(other, results[other])
     part("bake").free(other)
     bpy.context.scene.frame_set(1)
@@ -293,7 +293,7 @@ def test_mesh_edited_after_the_bake(skin, change):
     job = bake(skin)
     assert job.input.reasons == [stale] or vertices == 272
     assert_shows(skin, job.outcome.bake)
-    assert OPS.free_bake() == {"FINISHED"}
+    assert OPS.delete_bake() == {"FINISHED"}
     assert names(skin) == ["Basis", "flexed", "smile"]
     assert not any(block.mute for block in keys_of(skin).key_blocks)
 
@@ -302,7 +302,7 @@ def test_mesh_edited_after_the_bake(skin, change):
 def test_delete_bake_after_an_edit(skin, change):
     bake(skin)
     change(skin)
-    assert OPS.free_bake() == {"FINISHED"}
+    assert OPS.delete_bake() == {"FINISHED"}
     assert names(skin) == ["Basis", "flexed", "smile"]
     assert keys_of(skin).animation_data is None
 
@@ -326,7 +326,7 @@ def test_parts_separated_and_joined_after_the_bake(skin):
     skin.select_set(True)
     assert bpy.ops.object.join() == {"FINISHED"} and len(skin.data.vertices) == 288
     assert np.isfinite(motion(skin)).all()
-    assert OPS.free_bake() == {"FINISHED"}
+    assert OPS.delete_bake() == {"FINISHED"}
     assert names(skin) == ["Basis", "flexed", "smile"]
 
 
@@ -354,7 +354,7 @@ def test_shape_keys_reordered(skin):
     again = bake(skin)
     assert again.input.reasons == []
     np.testing.assert_array_equal(again.outcome.bake.coordinates, first.outcome.bake.coordinates)
-    assert OPS.free_bake() == {"FINISHED"}
+    assert OPS.delete_bake() == {"FINISHED"}
     assert names(skin) == ["Basis", "smile", "flexed"]
 
 
@@ -363,7 +363,7 @@ def test_all_shape_keys_deleted(skin):
     skin.shape_key_clear()
     bpy.context.view_layer.update()
     refused(OPS.bake, "'Arm' has no shape keys")
-    assert OPS.free_bake() == {"FINISHED"}
+    assert OPS.delete_bake() == {"FINISHED"}
     assert not skin.dynamorph.bake.keys and len(skin.dynamorph.targets) == 2
 
 
@@ -421,6 +421,6 @@ def test_driver_nla_and_action_on_the_keys(scene, skin):
         assert np.abs(evaluated_points(skin) - expected).max() < 2e-5
     assert keys_of(skin).key_blocks["flexed"].value == pytest.approx(1.0)  # still driven, but muted
     scene.frame_set(1)
-    assert OPS.free_bake() == {"FINISHED"}
+    assert OPS.delete_bake() == {"FINISHED"}
     assert fingerprint(skin) == before
     np.testing.assert_array_equal(motion(skin), shown)

@@ -66,7 +66,7 @@ def test_many_steps_undone_and_redone(skin):
     """
     bpy.ops.ed.undo_push(message="start")
     steps = [state()]
-    for name, arguments in (("apply_material", {"preset": "SKIN"}), ("build", {}), ("bake", {}), ("free_bake", {})):
+    for name, arguments in (("apply_material", {"preset": "SKIN"}), ("build", {}), ("bake", {}), ("delete_bake", {})):
         getattr(OPS, name)("EXEC_DEFAULT", True, **arguments)
         steps.append(state())
     for expected in steps[-2::-1]:
@@ -148,7 +148,7 @@ def test_an_appended_character_plays_and_is_freed(asset, tmp_path):
     obj = bpy.data.objects["Arm"]
     np.testing.assert_allclose(motion(obj), saved.shown, atol=1e-6)
     bpy.context.scene.frame_set(1)
-    OPS.free_bake()
+    OPS.delete_bake()
     assert {**fingerprint(obj), "scenes": 0} == {**saved.before, "scenes": 0}
 
 
@@ -304,7 +304,7 @@ def test_add_on_off_and_on_again_with_a_bake(scene, skin, tmp_path):
     assert bake(obj).input.reasons == []
     assert_shows(obj, job.outcome.bake)
     bpy.context.scene.frame_set(1)
-    assert bpy.ops.dynamorph.free_bake() == {"FINISHED"}
+    assert bpy.ops.dynamorph.delete_bake() == {"FINISHED"}
     assert fingerprint(obj) == before
 
 

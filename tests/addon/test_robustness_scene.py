@@ -161,7 +161,7 @@ def test_other_skinning_is_refused_and_nothing_changes(scene, skin, change, word
     part("storage").show_stale(skin)
     assert words in skin.dynamorph.model.stale
     assert np.isfinite(motion(skin)).all()  # the bake still plays
-    assert OPS.free_bake() == {"FINISHED"}
+    assert OPS.delete_bake() == {"FINISHED"}
 
 
 # Modifiers after the armature --------------------------------------------------------------------------------------
@@ -236,7 +236,7 @@ def test_remapped_time(scene, skin, old, new):
     job = bake(skin, frames=(-2, 20))
     assert np.abs(np.diff(job.outcome.bake.coordinates, axis=0)).max() > 0
     assert_shows(skin, job.outcome.bake)
-    assert OPS.free_bake() == {"FINISHED"}
+    assert OPS.delete_bake() == {"FINISHED"}
     assert fingerprint(skin) == before
 
 
@@ -245,7 +245,7 @@ def test_live_in_remapped_time_is_the_bake(scene, skin):
     frames = range(1, 21)
     bake(skin)
     baked = motion(skin, frames)
-    OPS.free_bake()
+    OPS.delete_bake()
     scene.frame_set(1)
     OPS.live()
     assert np.abs(motion(skin, frames) - baked).max() < 1e-5
@@ -274,7 +274,7 @@ def test_a_range_that_ends_before_it_begins(skin):
     bake(skin)
     keys = fingerprint(skin)["keys"]
     skin.dynamorph.simulation.use_scene_range = False
-    skin.dynamorph.simulation.start, skin.dynamorph.simulation.end = -1, -2
+    skin.dynamorph.simulation.frame_start, skin.dynamorph.simulation.frame_end = -1, -2
     refused(OPS.bake, "last frame -2 comes before the first -1")
     assert fingerprint(skin)["keys"] == keys
 

@@ -123,12 +123,12 @@ def mesh_in_weight_paint():
 
 
 def target_in_sculpt_mode():
-    OPS.free_bake()
+    OPS.delete_bake()
     OPS.sculpt_target(mode="SCULPT")
 
 
 def target_in_edit_mode():
-    OPS.free_bake()
+    OPS.delete_bake()
     OPS.sculpt_target(mode="EDIT")
 
 
@@ -137,7 +137,7 @@ def painting_firmness():
 
 
 def live():
-    OPS.free_bake()
+    OPS.delete_bake()
     OPS.live()
     bpy.context.scene.frame_set(2)
 
@@ -233,7 +233,7 @@ def test_every_button_and_panel_in_every_state(baked_file, state):
     if state in NOBODY:
         assert {answers[name] for name in CALLS if name != "bake_all"} == {"gray"}
     if state in WORKING:
-        assert answers["bake"] == answers["build"] == answers["free_bake"] == "done"
+        assert answers["bake"] == answers["build"] == answers["delete_bake"] == "done"
 
 
 @pytest.mark.fault("G07")
@@ -285,7 +285,7 @@ def test_armature_deleted_while_its_bake_plays(scene, stand_in):
     obj.modifiers["Armature"].object = bpy.data.objects["Other Rig"]
     bpy.data.objects.remove(other)
     activate(obj)
-    assert press("bake") == press("free_bake") == "done"
+    assert press("bake") == press("delete_bake") == "done"
 
 
 def test_panels_refuse_what_does_not_exist(addon):

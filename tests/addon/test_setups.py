@@ -39,10 +39,10 @@ def rich(soft_arm):
     for name, weights in (("belly", height / height.max()), ("loose", 1.0 - height / height.max())):
         add_group(soft_arm, name, weights)
     smile = settings.targets["smile"]
-    smile.mute, smile.radius, smile.region, smile.stiffness, smile.density = True, 0.7, "belly", 54_321.0, 900.1
+    smile.mute, smile.fade_out_angle, smile.region, smile.stiffness, smile.density = True, 0.7, "belly", 54_321.0, 900.1
     settings.firmness_group = "loose"
-    settings.model.law, settings.model.modes, settings.model.pin_radius = "STVK", 7, 0.31
-    settings.simulation.scheme, settings.simulation.gravity, settings.simulation.substeps = "EULER", 0.3, 4
+    settings.model.material_model, settings.model.modes, settings.model.pin_radius = "STVK", 7, 0.31
+    settings.simulation.integrator, settings.simulation.gravity, settings.simulation.substeps = "EULER", 0.3, 4
     settings.modes.add().gain = 0.4
     settings.modes.add().solo = True
     return soft_arm
@@ -273,14 +273,17 @@ FLAT = [0.0] * 16
         (changed("targets", 1, "pose", "lower", to=3), "must have properties by name"),
         (dropped("targets", 1, "pose", "lower", "rest"), "rest and local are needed"),
         (changed("targets", 0, "rig_world", to=FLAT), "'Neutral': rig_world is a transform that flattens"),
-        (changed("model", "law", to="JELLY"), "law is 'JELLY', but must be one of LINEAR, STVK, STABLE_STVK"),
-        (changed("model", "law", to=["STVK"]), "law is"),
-        (changed("model", "law", to="\ud800"), "law is"),
-        (changed("model", "law", to="\0"), "law is"),
+        (
+            changed("model", "material_model", to="JELLY"),
+            "material_model is 'JELLY', but must be one of LINEAR, STVK, STABLE_STVK",
+        ),
+        (changed("model", "material_model", to=["STVK"]), "material_model is"),
+        (changed("model", "material_model", to="\ud800"), "material_model is"),
+        (changed("model", "material_model", to="\0"), "material_model is"),
         (changed("model", "modes", to=2.5), "modes is 2.5, but must be a whole number from 1 to 400"),
         (changed("model", "content_id", to="0" * 32), "'content_id' that this add-on does not know"),
         (changed("model", to=[]), "Model must have properties by name"),
-        (changed("simulation", "end", to=2**40), "end is"),
+        (changed("simulation", "frame_end", to=2**40), "frame_end is"),
         (changed("skin", "targets", to=[]), "'targets' that this add-on does not know"),
         (changed("modes", to=3), "no list of targets"),
         (changed("modes", 0, "gain", to=-3), "Mode 1: gain is -3"),
@@ -336,7 +339,7 @@ def test_what_a_file_leaves_out_stays(rich, tmp_path):
     path.write_text(json.dumps(small))
     OPS.load_setup(filepath=str(path))
     settings = rich.dynamorph
-    assert (settings.model.modes, settings.simulation.scheme, settings.firmness_group) == (7, "EULER", "loose")
+    assert (settings.model.modes, settings.simulation.integrator, settings.firmness_group) == (7, "EULER", "loose")
     assert settings.targets[1].stiffness == part("settings").Material().stiffness
     assert len(settings.targets[1].pose) == 0  # every bone at rest
 
@@ -379,11 +382,11 @@ def test_a_whole_setup_as_preset(rich):
     for group in clear_settings:
         for name in part("setups").authored(group):
             group.property_unset(name)
-    settings.simulation.start, settings.simulation.end = 40, 50
+    settings.simulation.frame_start, settings.simulation.frame_end = 40, 50
     assert use("setup", "Jelly") == {"FINISHED"}
     after = setup_of(rich)
     assert after["model"] == before["model"] and after["targets"] == before["targets"]
-    frames = {"use_scene_range": True, "start": 40, "end": 50}  # of the shot, not of the character
+    frames = {"use_scene_range": True, "frame_start": 40, "frame_end": 50}  # of the shot, not of the character
     assert after["simulation"] == before["simulation"] | frames
     assert OPS.setup_preset(name="Jelly", remove_name=True) == {"FINISHED"}
     assert not preset_file("setup", "Jelly").exists()

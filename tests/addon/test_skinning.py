@@ -335,7 +335,7 @@ def test_modifiers_before_the_armature_stay_with_a_note(scene, small_arm, change
     scene.frame_set(12)
     with_both = evaluated_points(small_arm)
     baked = part("references").key_points(small_arm.data.shape_keys.reference_key) + job.outcome.bake.displacement(11)
-    bpy.ops.dynamorph.free_bake()
+    bpy.ops.dynamorph.delete_bake()
     displace(small_arm, baked - job.outcome.character.vertices)
     assert np.abs(evaluated_points(small_arm) - with_both).max() < 1e-5
     small_arm.modifiers["Lattice"].show_viewport = False
@@ -358,7 +358,7 @@ def test_the_nodes_move_with_the_skin(scene, small_arm):
 @pytest.mark.parametrize("solver", ["REDUCED", "FULL"])
 def test_on_plain_bones_both_ways_are_one(small_arm, monkeypatch, solver):
     small_arm.dynamorph.model.solver = solver
-    small_arm.dynamorph.simulation.end = 8
+    small_arm.dynamorph.simulation.frame_end = 8
     small_arm.dynamorph.simulation.use_scene_range = False
     monkeypatch.setattr(part("skinning").Skinning, "beyond_bones", "a test")
     dense = run(small_arm)
@@ -377,7 +377,7 @@ def test_a_target_is_balanced_against_gravity_in_its_own_pose(small_arm):
     bpy.ops.dynamorph.capture_pose()
     job = run(small_arm)
     assert any(job.input.settings.gravity)
-    still = replace(job.input.settings, start=20, end=20)
+    still = replace(job.input.settings, frame_start=20, frame_end=20)
     balanced, _ = part("simulate").bake(job.outcome.model, job.outcome.character, job.computation.rig[-1:], still)
     shape = job.outcome.character.targets[1].shape
     assert np.abs(balanced.displacement(0) - shape).max() < 1e-5
@@ -485,8 +485,8 @@ def test_a_body_in_two_cages(small_arm):
     """The nodes that were read are those of the model, although several cages are rebuilt."""
     twisting(small_arm)
     small_arm.vertex_groups.new(name="End").add(list(range(170, 272)), 1.0, "REPLACE")
-    piece = small_arm.dynamorph.pieces.add()
-    piece.group, piece.choice = "End", "OWN_CAGE"
+    piece = small_arm.dynamorph.attachments.add()
+    piece.group, piece.attached_by = "End", "OWN_CAGE"
     job = run(small_arm)
     assert (
         len(job.computation.rig.nodes.rest) == job.outcome.model.free.sum()
@@ -525,7 +525,7 @@ def test_modes_are_fitted_to_a_shot(small_arm):
 def test_playback_is_the_bake(scene, small_arm):
     both(twisting, bendy)(small_arm)
     job = run(small_arm)
-    bpy.ops.dynamorph.free_bake()
+    bpy.ops.dynamorph.delete_bake()
     scene.frame_set(1)
     bpy.ops.dynamorph.live()
     block = small_arm.data.shape_keys.key_blocks["Dynamorph Live"]

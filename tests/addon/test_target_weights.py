@@ -52,9 +52,9 @@ def test_what_an_artist_changes_shows_at_once(scene, soft_arm):
     scene.frame_set(12)
     between = now(soft_arm).weights[0, 1]
     assert 0.3 < between < 0.9
-    flexed.radius = radians(10.0)
+    flexed.fade_out_angle = radians(10.0)
     assert now(soft_arm).weights[0, 1] == 0.0
-    flexed.radius = 0.0
+    flexed.fade_out_angle = 0.0
     assert now(soft_arm).weights[0, 1] == between
     soft_arm.dynamorph.active_target_index = 1
     OPS.capture_pose()
@@ -72,7 +72,7 @@ def test_it_is_what_a_bake_uses(scene, soft_arm):
     scene.frame_set(10)
     OPS.add_target(key="smile")
     soft_arm.dynamorph.targets[2].region = "upper"
-    soft_arm.dynamorph.targets[1].radius = radians(60.0)
+    soft_arm.dynamorph.targets[1].fade_out_angle = radians(60.0)
     extract, rig_motion, posing = part("extract"), part("rig_motion"), part("posing")
     character = extract.character(soft_arm)
     pose = rig_motion.sample_rig(soft_arm, 1, 20, 1).pose
@@ -116,7 +116,7 @@ def test_what_is_drawn_follows_poses_without_looking_at_the_frames_again(soft_ar
     monkeypatch.setattr(rig_motion, "RigSampling", None)
     shot, shown = weight_curves.drawn(soft_arm)
     assert shown is first and (shot.start, shot.end) == (1, 20)
-    soft_arm.dynamorph.targets[1].radius = radians(30.0)
+    soft_arm.dynamorph.targets[1].fade_out_angle = radians(30.0)
     assert not np.array_equal(weight_curves.drawn(soft_arm)[1].weights, first.weights)
     rig = rig_of(soft_arm)
     activate(rig)
@@ -195,7 +195,7 @@ def test_without_a_graph_a_button_reads_the_frames(soft_arm, later, read):
     bend(soft_arm, pi / 2, 10)
     later()
     assert read == []
-    assert OPS.update_influence() == {"FINISHED"} and read == [(1, 20)]
+    assert OPS.update_target_weights() == {"FINISHED"} and read == [(1, 20)]
     assert part("weight_curves").drawn(soft_arm)[1].weights[9, 1] == pytest.approx(1.0, abs=1e-5)
 
 
@@ -234,21 +234,21 @@ def test_frames_outside_and_the_pose_to_add(scene, soft_arm, capfd):
     expected = [bend_of(f) - captured > 0.55 * captured for f in range(1, 21)]
     assert found.outside[:, 0].tolist() == expected and 3 < sum(expected) < 15
     assert found.worst() == (19, 0)
-    assert OPS.suggest_pose() == {"FINISHED"}
+    assert OPS.find_uncovered_pose() == {"FINISHED"}
     assert scene.frame_current == 20
     away = degrees(pi / 2 - captured)
     text = f"Frame 20: {away:.0f} degrees from any target of Arm. New from Pose adds one here"
     assert text in capfd.readouterr().out
     assert any(text.startswith(f"Uncovered: {away:.0f}°") for text in drawn(soft_arm))
     OPS.capture_pose()
-    assert OPS.suggest_pose() == {"FINISHED"}
+    assert OPS.find_uncovered_pose() == {"FINISHED"}
     assert "no pose is uncovered" in capfd.readouterr().out
     assert not any(text.startswith("Uncovered") for text in drawn(soft_arm))
 
 
 def test_a_pose_is_suggested_where_there_is_a_target(arm):
     OPS.add_soft_skin()
-    assert not OPS.suggest_pose.poll() and OPS.update_influence.poll()
+    assert not OPS.find_uncovered_pose.poll() and OPS.update_target_weights.poll()
 
 
 def test_bones_scaled_to_zero_do_not_spoil_the_curves(soft_arm):
@@ -265,14 +265,14 @@ def test_bones_scaled_to_zero_do_not_spoil_the_curves(soft_arm):
 
 def test_bars_in_the_panel(scene, soft_arm):
     scene.frame_set(20)
-    assert {"Neutral  0.00", "flexed  1.00", "target_weights", "dynamorph.suggest_pose"} <= set(drawn(soft_arm))
+    assert {"Neutral  0.00", "flexed  1.00", "target_weights", "dynamorph.find_uncovered_pose"} <= set(drawn(soft_arm))
     scene.frame_set(10)
     OPS.add_target(key="smile")
     soft_arm.dynamorph.targets[2].region = "lower"
     texts = drawn(soft_arm)
     assert {"Arm", "lower", "smile  1.00"} <= set(texts)
     soft_arm.dynamorph.targets.clear()
-    assert "dynamorph.suggest_pose" not in drawn(soft_arm)
+    assert "dynamorph.find_uncovered_pose" not in drawn(soft_arm)
 
 
 def test_the_sidebar_is_drawn_again_at_the_next_frame_only_where_bars_are(scene, soft_arm, monkeypatch):
@@ -596,10 +596,10 @@ def test_mass_is_density_times_volume(scene, soft_arm):
     soft_arm.dynamorph.model.modes = 8
     OPS.build()
     neutral, flexed = soft_arm.dynamorph.targets
-    assert neutral.weight == pytest.approx(1000.0 * volume_of(soft_arm), rel=0.05)
-    assert 0.3 * neutral.weight < flexed.weight < 0.7 * neutral.weight
+    assert neutral.mass == pytest.approx(1000.0 * volume_of(soft_arm), rel=0.05)
+    assert 0.3 * neutral.mass < flexed.mass < 0.7 * neutral.mass
     stiffness, before = flexed.stiffness, flexed.bounce
-    flexed.weight = 4 * flexed.weight
+    flexed.mass = 4 * flexed.mass
     assert flexed.density == pytest.approx(4000.0, rel=1e-5) and flexed.stiffness == stiffness
     flexed.mass_damping = flexed.stiffness_damping = 0.0
     assert flexed.bounce < 0.55 * before
@@ -609,12 +609,12 @@ def test_mass_is_density_times_volume(scene, soft_arm):
 def test_mass_is_in_the_unit_that_blender_shows(scene, built_arm):
     """Blender multiplies what it shows by the cube of the unit scale."""
     target = built_arm.dynamorph.targets[0]
-    kilograms = target.weight
+    kilograms = target.mass
     scene.unit_settings.scale_length = 0.01
-    assert 0.01**3 * target.weight == pytest.approx(kilograms, rel=1e-5)
-    target.weight = 2.0 * target.weight
+    assert 0.01**3 * target.mass == pytest.approx(kilograms, rel=1e-5)
+    target.mass = 2.0 * target.mass
     scene.unit_settings.scale_length = 1.0
-    assert target.weight == pytest.approx(2.0 * kilograms, rel=1e-5)
+    assert target.mass == pytest.approx(2.0 * kilograms, rel=1e-5)
 
 
 def volume_of(obj):
@@ -626,9 +626,9 @@ def volume_of(obj):
 
 def test_before_a_build_settle_time_and_mass_are_grayed(soft_arm):
     target = soft_arm.dynamorph.targets[1]
-    assert not target.is_measured and (target.settle_time, target.weight) == (0.0, 0.0)
+    assert not target.is_measured and (target.settle_time, target.mass) == (0.0, 0.0)
     material = target.material()
-    target.settle_time, target.weight = 20.0, 1.0
+    target.settle_time, target.mass = 20.0, 1.0
     assert target.material() == material
     assert "Measured by the next build" in drawn(soft_arm)
 
@@ -680,7 +680,7 @@ def test_they_are_kept_in_the_file_but_not_in_setups(built_arm, tmp_path):
     assert "stiffness" in names and not names & {
         "bounce",
         "settle_time",
-        "weight",
+        "mass",
         "bounce_reference",
         "volume",
     }

@@ -533,7 +533,7 @@ def test_duplicating_a_target(scene, soft_arm, capfd):
     OPS.add_target(key="smile")
     settings, keys = soft_arm.dynamorph, soft_arm.data.shape_keys
     settings.active_target_index = 1
-    settings.targets[1].stiffness, settings.targets[1].radius = 3e5, 0.4
+    settings.targets[1].stiffness, settings.targets[1].fade_out_angle = 3e5, 0.4
     keys.key_blocks["flexed"].relative_key = keys.key_blocks["smile"]
     keys.key_blocks["flexed"].vertex_group = "lower"
     OPS.duplicate_target()

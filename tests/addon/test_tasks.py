@@ -25,7 +25,7 @@ def test_weights_are_read_a_few_frames_at_a_time(soft_arm, slow):
     seen = []
     pressed = Pressed(
         soft_arm,
-        operator="DYNAMORPH_OT_update_influence",
+        operator="DYNAMORPH_OT_update_target_weights",
         before_tick=lambda task: seen.append((task.fraction, task.message)),
     )
     assert pressed.result == {"FINISHED"}
@@ -33,7 +33,7 @@ def test_weights_are_read_a_few_frames_at_a_time(soft_arm, slow):
     assert len(part("weight_curves").drawn(soft_arm)[1].weights) == 20
 
 
-@pytest.mark.parametrize("name", ["update_influence", "suggest_pose"])
+@pytest.mark.parametrize("name", ["update_target_weights", "find_uncovered_pose"])
 def test_esc_while_frames_are_read(soft_arm, slow, name):
     part("weight_curves").shots.clear()
     frame = bpy.context.scene.frame_current
@@ -47,7 +47,7 @@ def test_undo_while_frames_are_read(soft_arm, slow):
     def undone(task):
         task.undone = task.fraction > 0.0
 
-    pressed = Pressed(soft_arm, operator="DYNAMORPH_OT_suggest_pose", before_tick=undone)
+    pressed = Pressed(soft_arm, operator="DYNAMORPH_OT_find_uncovered_pose", before_tick=undone)
     assert pressed.result == {"CANCELLED"} and "The scene was undone while 'Arm' was read" in pressed.reports[0][1]
 
 
@@ -56,7 +56,7 @@ def test_a_deleted_object_ends_it(soft_arm, slow):
         if task.fraction:
             bpy.data.objects.remove(bpy.data.objects["Arm"])
 
-    pressed = Pressed(soft_arm, operator="DYNAMORPH_OT_update_influence", before_tick=delete)
+    pressed = Pressed(soft_arm, operator="DYNAMORPH_OT_update_target_weights", before_tick=delete)
     assert pressed.result == {"CANCELLED"} and "was deleted" in pressed.reports[0][1]
 
 
@@ -167,6 +167,6 @@ def test_soft_skins_of_other_scenes_stay_theirs(soft_arm, slow):
         bpy.context.window.scene = other
 
     scene = bpy.context.scene
-    pressed = Pressed(soft_arm, operator="DYNAMORPH_OT_update_influence", before_tick=switch)
+    pressed = Pressed(soft_arm, operator="DYNAMORPH_OT_update_target_weights", before_tick=switch)
     bpy.context.window.scene = scene
     assert pressed.result == {"FINISHED"} and len(part("weight_curves").drawn(soft_arm)[1].weights) == 20

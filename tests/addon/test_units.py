@@ -46,7 +46,7 @@ def shot(obj, original: Shot | None = None, moved=STILL) -> Shot:
     part("reconcile").reconcile(obj)
     character = extract.character(obj)
     settings = run_settings.simulation_settings(obj, bpy.context.scene, substeps=SUBSTEPS)
-    rig = rig_motion.sample_rig(obj, settings.start, settings.end, SUBSTEPS)
+    rig = rig_motion.sample_rig(obj, settings.frame_start, settings.frame_end, SUBSTEPS)
     world = rig.object_world[0] @ np.linalg.inv(affine(character.to_bind))
     previous = original and carried(original, np.linalg.inv(world) @ moved @ original.world, character)
     model = build.build(character, previous=previous)

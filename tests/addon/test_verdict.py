@@ -71,7 +71,7 @@ def test_what_is_no_verdict_is_a_sentence(baked, text):
         assert baked.dynamorph.bake.verdict == "" and part("verdict").parsed("\0").text
         return
     assert part("verdict").UNREADABLE in text_of(baked)
-    assert "dynamorph.free_bake" in drawn(baked)
+    assert "dynamorph.delete_bake" in drawn(baked)
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_what_is_no_verdict_is_a_sentence(baked, text):
 )  # fmt: skip
 def test_a_wrong_part_leaves_the_rest(baked, wrong):
     baked.dynamorph.bake.verdict = said(**wrong)
-    assert "The skin moves by up to 9.0%" in text_of(baked) and "dynamorph.free_bake" in drawn(baked)
+    assert "The skin moves by up to 9.0%" in text_of(baked) and "dynamorph.delete_bake" in drawn(baked)
     found = part("verdict").parsed(baked.dynamorph.bake.verdict)
     assert not found.ok and found.factor > 1.0 and all(type(v) is int and v >= 0 for v in found.vertices)
 
@@ -156,14 +156,14 @@ def test_what_the_verdict_says_is_said_once(baked):
 
 def test_a_deleted_bake_takes_its_verdict_along(baked):
     assert "The skin moves by up to 9.0%" in text_of(baked)
-    OPS.free_bake()
+    OPS.delete_bake()
     assert baked.dynamorph.bake.verdict == ""
     refused(OPS.show_worst, "no verdict: press Bake first")
 
 
 def test_a_bake_without_a_verdict_says_nothing(baked):
     baked.dynamorph.bake.verdict = ""
-    assert "dynamorph.show_worst" not in drawn(baked) and "dynamorph.free_bake" in drawn(baked)
+    assert "dynamorph.show_worst" not in drawn(baked) and "dynamorph.delete_bake" in drawn(baked)
 
 
 # Buttons -----------------------------------------------------------------------------------------------------------

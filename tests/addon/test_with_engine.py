@@ -60,7 +60,7 @@ def test_blender_shows_what_the_engine_computed(small_arm, change):
 def test_playing_never_makes_a_model_old(scene, small_arm, change):
     change(small_arm)
     small_arm.dynamorph.simulation.use_scene_range = False
-    small_arm.dynamorph.simulation.end = 2
+    small_arm.dynamorph.simulation.frame_end = 2
     run(small_arm, goal="BUILD")
     model_store, extract = part("model_store"), part("extract")
     for frame in range(1, 21):
@@ -128,7 +128,7 @@ def test_a_cage_that_targets_grade_is_made_again_for_other_targets(small_arm):
         part("extract"),
         part("build"),
     )
-    small_arm.dynamorph.model.cage_grading = 0.5
+    small_arm.dynamorph.model.cage_adaptivity = 0.5
     batch.run(job.Job(small_arm, goal="BUILD"))
     model = model_store.load_model(small_arm)
     assert build.has_cage(model, extract.character(small_arm))
@@ -136,7 +136,7 @@ def test_a_cage_that_targets_grade_is_made_again_for_other_targets(small_arm):
     sculpted = extract.character(small_arm)
     assert "how far targets move changed" in build.stale_reasons(model, sculpted)
     assert not build.has_cage(model, sculpted)
-    assert "how far targets move" not in build.dependencies(sculpted.with_settings(cage_grading=0.0))
+    assert "how far targets move" not in build.dependencies(sculpted.with_settings(cage_adaptivity=0.0))
 
 
 def test_canceling_the_engine(small_arm):

@@ -91,7 +91,7 @@ def test_none_is_written_when_the_second_write_fails(soft_arm, leg, stand_in, mo
 
 def test_a_point_cache_that_nothing_plays_is_removed(soft_arm, leg, stand_in, tmp_path):
     for obj in (soft_arm, leg):
-        obj.dynamorph.output.sink = "PC2"
+        obj.dynamorph.output.format = "PC2"
     with pytest.raises(part("errors").SinkError):
         when_computed(baking(soft_arm, leg, folder=tmp_path), stand_in, lambda: refuse(leg))
     assert not list(tmp_path.rglob("*.pc2"))
@@ -103,7 +103,7 @@ def test_point_caches_go_where_the_blend_was_saved_meanwhile(soft_arm, stand_in,
     for folder in folders:
         folder.mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(folders[0] / "shot.blend"))
-    soft_arm.dynamorph.output.sink = "PC2"
+    soft_arm.dynamorph.output.format = "PC2"
     save = partial(bpy.ops.wm.save_as_mainfile, filepath=str(folders[1] / "shot.blend"))
     when_computed(baking(soft_arm), stand_in, save)
     (cache,) = tmp_path.rglob("*.pc2")
@@ -185,7 +185,7 @@ def test_a_job_stays_in_the_scene_that_it_began_in(scene, soft_arm, other, stand
     list(batch.write())
     assert bpy.context.scene == other
     settings = batch.jobs[0].input.settings
-    assert (settings.start, settings.end, settings.fps) == (1, 20, 24.0)
+    assert (settings.frame_start, settings.frame_end, settings.fps) == (1, 20, 24.0)
     assert times(soft_arm) == [1.0, 20.0]
     bpy.context.window.scene = scene
     assert part("staleness").outdated(soft_arm) == []
@@ -222,7 +222,7 @@ class MainThreadOnly:
 def test_a_job_s_thread_never_asks_blender(soft_arm, tmp_path, monkeypatch, sink):
     pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
     settings = soft_arm.dynamorph
-    settings.model.cage_nodes, settings.model.modes, settings.output.sink = 200, 8, sink
+    settings.model.cage_nodes, settings.model.modes, settings.output.format = 200, 8, sink
     for name in ("context", "data", "path", "ops", "app"):
         monkeypatch.setattr(bpy, name, MainThreadOnly(getattr(bpy, name)))
     part("batch").run_all(baking(soft_arm, folder=tmp_path))

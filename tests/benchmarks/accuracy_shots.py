@@ -78,7 +78,7 @@ def one_click_shots(subject: Subject) -> list[Shot]:
     bpy.context.view_layer.objects.active = body
     bpy.ops.dynamorph.add_soft_skin()
     bpy.ops.dynamorph.bake()  # which rehearses, and so sets the frequency
-    bpy.ops.dynamorph.free_bake()
+    bpy.ops.dynamorph.delete_bake()
     if not subject.clips:
         return [read_shot(body, liveliest.rpartition("|")[2])]
     shots = []
@@ -164,7 +164,7 @@ class Timed:
         self.simulation = model.stepper(
             engine,
             settings.step,
-            scheme=dynamorph.Scheme.__members__[settings.scheme],
+            scheme=dynamorph.Scheme.__members__[settings.integrator],
             gravity=settings.gravity,
             teleport=TELEPORT * engine.body.size * settings.step,
         )
@@ -199,7 +199,7 @@ def measure(subject: Subject, shots: Sequence[Shot], rows: Sequence[tuple[str, i
         full = [solve(unreduced, unreduced.engine(shot.character, shot.character.probed), shot) for shot in shots]
         found = {
             "title": subject.title,
-            "law": own.law,
+            "law": own.material_model,
             "frequency": character.targets[0].frequency,
             "targets": len(character.by_method().targets),
             "default": [basis, own.modes],
@@ -235,7 +235,7 @@ def of_clip(full: Solved, mass: np.ndarray, regions: dict[str, np.ndarray], size
     """What the unreduced model does: its motion in body sizes, and its steps."""
     settings, moves = full.shot.settings, motion_error.moves
     return {
-        "frames": [settings.start, settings.end],
+        "frames": [settings.frame_start, settings.frame_end],
         "substeps": settings.substeps,
         "moves": moves(full.dynamic, mass) / size,
         "largest": float(np.linalg.norm(full.dynamic, axis=2).max()) / size,

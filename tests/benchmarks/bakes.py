@@ -91,7 +91,7 @@ def round_trips(folder: Path) -> dict:
 
     body = soft_arm()
     budgets = [baked(body, keys=keys) for keys in BUDGETS]
-    size, shape = budgets[0]["size"], {"sink": "FRAMES", "keys": 0}
+    size, shape = budgets[0]["size"], {"format": "FRAMES", "keys": 0}
     frames = [baked(body, **shape)]
     frames += [baked(body, **shape, tolerance=tolerance * size) | {"asked": tolerance} for tolerance in TOLERANCES]
     vertices = len(body.data.vertices)
@@ -216,7 +216,7 @@ def times(_folder: Path) -> dict:
     scale = np.abs(exact).max()
     errors = [
         {
-            "scheme": scheme,
+            "integrator": scheme,
             "fps": fps,
             "errors": [float(np.abs(at(fps, n, scheme) - exact).max() / scale) for n in SUBSTEPS],
         }
@@ -245,7 +245,7 @@ def draw_errors(rows: list[dict]):
         points = [
             (1000.0 / (row["fps"] * n), error)
             for row in rows
-            if row["scheme"] == scheme
+            if row["integrator"] == scheme
             for n, error in zip(SUBSTEPS, row["errors"], strict=True)
         ]
         curves[f"{scheme}, order {order}"] = tuple(zip(*sorted(points), strict=True))

@@ -75,7 +75,7 @@ def shot() -> job.Job:
         bpy.context.view_layer.objects.active = body
         bpy.ops.dynamorph.add_soft_skin()
         bpy.ops.dynamorph.bake()  # which rehearses, and so sets the frequency
-        bpy.ops.dynamorph.free_bake()
+        bpy.ops.dynamorph.delete_bake()
         job = Job(body, "BAKE", whole=True, stored=False)
         batch.read_rig(job)
     return job

@@ -85,7 +85,7 @@ def scene_panes(loop: Loop) -> tuple[Panes, dict]:
         with quiet():
             job = Job(obj, "BAKE")
             batch.run(job, lambda *_: True)
-        motion = dynamic(job)[first - job.input.settings.start :][: last + 1 - first]
+        motion = dynamic(job)[first - job.input.settings.frame_start :][: last + 1 - first]
         panes[title] = list(film([Soft(obj, motion)], range(first, last + 1), loop.red, zoom=subject.zoom))
         farthest[title] = float(motion.max())
     return panes, {"farthest": farthest, "frames": [first, last], "red": f"{1000 * loop.red:.3g} mm"}

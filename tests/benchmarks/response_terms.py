@@ -36,7 +36,7 @@ def main() -> int:
         shot = shots.one_click_shots(subject)[0]
     table = {}
     for law in ("STABLE_STVK", "LINEAR"):
-        character = shot.character.with_settings(law=law)
+        character = shot.character.with_settings(material_model=law)
         full, reduced = solve(shot, character)
         mass = np.asarray(full.model.soft_body(character.probed).volumes).sum(axis=1)
         table[f"error, {law}"] = errors(reduced.motion, full.motion, mass, {}, full.dynamic)["error"]

@@ -40,7 +40,7 @@ def registered():
 
 def open_body(subdivided: bool = False):
     body = real_character.open_character("cmu_131_03_hop")
-    body.dynamorph.model.law = "STVK"
+    body.dynamorph.model.material_model = "STVK"
     if subdivided:
         bpy.ops.object.mode_set(mode="EDIT")
         bpy.ops.mesh.select_all(action="SELECT")

@@ -126,7 +126,7 @@ def bake(body, path, loop: bool) -> Baked:
     body.dynamorph.simulation.loop = loop
     job = Job(body, "BAKE")
     batch.run(job)
-    ends, surfaces = (job.input.settings.start, job.input.settings.end), []
+    ends, surfaces = (job.input.settings.frame_start, job.input.settings.frame_end), []
     for frame in ends:
         bpy.context.scene.frame_set(frame)
         back = np.array(path.matrix_world.inverted())
@@ -195,7 +195,7 @@ def overlaid(first: Image.Image, last: Image.Image) -> Image.Image:
 
 
 def draw_seam(without: Baked, closed: Baked):
-    ends = without.job.input.settings.start, without.job.input.settings.end
+    ends = without.job.input.settings.frame_start, without.job.input.settings.frame_end
     rows = [
         Row(name, f"{1000 * baked.apart:.3g} mm apart", [*baked.pictures, overlaid(*baked.pictures)],
             [""] * 3)

@@ -36,7 +36,9 @@ def bar(firmness=0.5, material=TISSUE, **settings):
         bone_segments=np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.05]]]),
         skeleton=Skeleton(("root",), np.array([-1]), at_rest),
         target_sets=(TargetSet("Bar", (neutral,), every),),
-        settings=ModelSettings(**{"law": "LINEAR", "solver": "FULL", "cage_nodes": 900, "modes": 8, **settings}),
+        settings=ModelSettings(
+            **{"material_model": "LINEAR", "solver": "FULL", "cage_nodes": 900, "modes": 8, **settings}
+        ),
     )
 
 

@@ -51,7 +51,7 @@ def muscle():
         poisson = lame_lambda / (2 * (lame_lambda + lame_mu))
         return Material(young, poisson, 1000.0, mass_damping=0.0, stiffness_damping=0.005)
 
-    plain = bar(solver="REDUCED", law="STABLE_STVK", cage_nodes=300)
+    plain = bar(solver="REDUCED", material_model="STABLE_STVK", cage_nodes=300)
     (one,) = plain.target_sets
     (neutral,) = one.targets
     bulge = scenes.bulge(plain.vertices, center=0.4, width=0.15, amount=0.02)

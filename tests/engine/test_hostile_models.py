@@ -30,7 +30,7 @@ KINDS = {
     "responses": {"basis": "RESPONSES", "modes": 12},
     "full": {"solver": "FULL"},
     "thickness": {"hold": "THICKNESS"},
-    "linear": {"law": "LINEAR"},
+    "linear": {"material_model": "LINEAR"},
     "static": {"method": "STATIC"},
     "cage": {},
 }

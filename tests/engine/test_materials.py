@@ -130,7 +130,7 @@ def limb(law="STABLE_STVK", solver="REDUCED", regions=False):
         bone_segments=np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.015]]]),
         skeleton=Skeleton(("root",), np.array([-1]), AT_REST),
         target_sets=sets,
-        settings=ModelSettings(law=law, solver=solver, modes=16, cage_nodes=250, pin_radius=0.1),
+        settings=ModelSettings(material_model=law, solver=solver, modes=16, cage_nodes=250, pin_radius=0.1),
     )
     return build(character), character
 

@@ -53,7 +53,7 @@ def measured(what: str) -> None:
         character = character.with_settings(solver="FULL")
         model = build(character)
         rig, settings = shot(character, 2.0)
-        settings = replace(settings, end=300)
+        settings = replace(settings, frame_end=300)
         pose = np.resize(rig.pose, (1 + 299 * settings.substeps, *rig.pose.shape[1:]))
         worlds = np.resize(rig.rig_world, (len(pose), 4, 4))
         rig = replace(rig, pose=pose, rig_world=worlds, object_world=worlds)
@@ -100,7 +100,7 @@ def test_it_grows_with_everything_that_takes_memory():
         memory.bake_bytes(SIZE, replace(settings, modes=80), SHOT, None, 1000),
         memory.bake_bytes(SIZE, replace(settings, solver="FULL"), SHOT, None, 1000),
         memory.bake_bytes(SIZE, settings, replace(SHOT, substeps=50), None, 1000),
-        memory.bake_bytes(SIZE, settings, SHOT, OutputSettings(sink="FRAMES"), 1000),
+        memory.bake_bytes(SIZE, settings, SHOT, OutputSettings(format="FRAMES"), 1000),
     ):
         assert total(more) > 1.1 * bake
 
@@ -110,7 +110,7 @@ def test_it_grows_with_everything_that_takes_memory():
 @pytest.mark.parametrize("law", ["LINEAR", "STVK", "STABLE_STVK"])
 @pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
 def test_it_is_a_number_for_all_settings(modes, basis, law, solver):
-    settings = ModelSettings(modes=modes, basis=basis, law=law, solver=solver)
+    settings = ModelSettings(modes=modes, basis=basis, material_model=law, solver=solver)
     for method in ("DYNAMIC", "STATIC"):
         chosen = replace(settings, method=method)
         needs = memory.build_bytes(SIZE, chosen, 1) | memory.bake_bytes(SIZE, chosen, SHOT, None, 100)

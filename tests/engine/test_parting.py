@@ -78,7 +78,9 @@ def character(skin, soft, pieces=None, **settings):
         bone_segments=np.full((1, 2, 3), 50.0),
         skeleton=Skeleton(("root",), np.array([-1]), at_rest),
         target_sets=(TargetSet("Fork", (neutral,), every),),
-        settings=ModelSettings(**{"law": "LINEAR", "solver": "FULL", "cage_nodes": 500, "modes": 8, **settings}),
+        settings=ModelSettings(
+            **{"material_model": "LINEAR", "solver": "FULL", "cage_nodes": 500, "modes": 8, **settings}
+        ),
         pieces=pieces,
     )
 

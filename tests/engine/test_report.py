@@ -51,7 +51,7 @@ def character():
 
 @pytest.fixture(scope="module")
 def rig():
-    angles = np.linspace(0, np.pi / 2, 1 + (SHOT.end - SHOT.start) * SHOT.substeps)
+    angles = np.linspace(0, np.pi / 2, 1 + (SHOT.frame_end - SHOT.frame_start) * SHOT.substeps)
     still = np.tile(np.eye(4), (len(angles), 1, 1))
     return RigSamples(SKELETON.pose(np.array([bent(angle) for angle in angles])), still, still)
 

@@ -17,7 +17,7 @@ TISSUE = Material(stiffness=3e4, poisson=0.3, mass_damping=2.0, stiffness_dampin
 
 def swaying_bar(blending="EVEN"):
     """A reduced bar of stable StVK, and what it does when its foot sways: coordinates (F, r) at the frames."""
-    settings = replace(bar().settings, law="STABLE_STVK", solver="REDUCED", blending=blending)
+    settings = replace(bar().settings, material_model="STABLE_STVK", solver="REDUCED", blending=blending)
     character = replace(bar(material=TISSUE), settings=settings)
     model = build(character)
 
@@ -30,7 +30,7 @@ def swaying_bar(blending="EVEN"):
         world[:, 0, 2], world[:, 2, 0] = np.sin(turn), -np.sin(turn)
         rig = RigSamples(np.tile(np.eye(4), (len(times), 1, 1, 1)), world, world)
         end = round(SECONDS * fps)
-        settings = SimulationSettings(0, end, fps, substeps, scheme, (0.0, 0.0, -9.81), begin="REST")
+        settings = SimulationSettings(0, end, fps, substeps, scheme, (0.0, 0.0, -9.81), initial_state="REST_SHAPE")
         return np.array([frame.coordinates for frame in simulate.simulate(model, character, rig, settings)])
 
     return run

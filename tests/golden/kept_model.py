@@ -26,7 +26,7 @@ def bar() -> Character:
     every = np.ones(len(vertices))
     rest = np.tile(np.eye(4), (2, 1, 1))
     rest[1, 2, 3] = JOINT
-    shapes = {"Neutral": 0 * vertices, "Bulge": scenes.bulge(vertices, center=0.6, width=0.1, amount=0.02)}
+    shapes = {"Neutral": 0 * vertices, "Bulge": scenes.bulge(vertices, center=0.6, width=0.1, amount=0.02).round(6)}
     targets = tuple(
         Target(name, shape, ("lower", "upper") if shape.any() else (), rest, np.eye(4), Material())
         for name, shape in shapes.items()

@@ -138,22 +138,22 @@ def firmer():
 @step("Attachments: find another mesh, and remove it from the list")
 def attachments():
     cuff = add_a_cuff()  # not by hand
-    yield from physics("pieces")
-    yield from properties.press("dynamorph.find_pieces")
-    listed = lambda: [piece.object for piece in settings().pieces]  # noqa: E731
+    yield from physics("attachments")
+    yield from properties.press("dynamorph.find_attachments")
+    listed = lambda: [piece.object for piece in settings().attachments]  # noqa: E731
     yield from until(lambda: cuff in listed(), "the cuff in the list")
-    settings().active_piece_index = listed().index(cuff)
+    settings().active_attachment_index = listed().index(cuff)
     yield from driver.keep("attachments", properties)
-    yield from properties.choose_other("pieces[0].choice")
-    yield from properties.look_into("pieces[0].object")
-    yield from properties.press("dynamorph.remove_piece")
+    yield from properties.choose_other("attachments[0].attached_by")
+    yield from properties.look_into("attachments[0].object")
+    yield from properties.press("dynamorph.remove_attachment")
     yield from until(lambda: cuff not in listed(), "the cuff to be out of the list")
-    yield from properties.press("dynamorph.add_piece")
+    yield from properties.press("dynamorph.add_attachment")
     yield from until(lambda: listed() == [None], "an attachment without an object")
-    yield from properties.look_into("pieces[0].group")
-    yield from properties.press("dynamorph.remove_piece")
+    yield from properties.look_into("attachments[0].group")
+    yield from properties.press("dynamorph.remove_attachment")
     yield from until(lambda: not listed(), "an empty list")
-    yield from close("pieces")
+    yield from close("attachments")
     bpy.data.objects.remove(cuff)
 
 
@@ -178,15 +178,15 @@ def target_weights():
     yield from sidebar.press("dynamorph.target_weights")
     yield from until(lambda: addon("run.weight_curves").drawn(skin()), "the graph")
     known, graph = addon("run.weight_curves").drawn(skin())
-    assert (known.start, known.end) == (1, limb.LAST)
+    assert (known.frame_start, known.frame_end) == (1, limb.LAST)
     # The flexed target is the last: its region forms a set of its own, after the body's.
     assert graph.weights[limb.FLEXED - 1, -1] > 0.99 and graph.outside[limb.TURNED - 1].any()
     bpy.context.scene.frame_set((limb.FIRST + limb.FLEXED) // 2)
 
 
 @step("Find Uncovered Pose")
-def suggest_pose():
-    yield from sidebar.press("dynamorph.suggest_pose")
+def find_uncovered_pose():
+    yield from sidebar.press("dynamorph.find_uncovered_pose")
     yield from until(lambda: bpy.context.scene.frame_current == limb.TURNED, "the frame that is furthest from targets")
     yield from sidebar.press("dynamorph.target_weights")
     yield from sidebar.fold("DYNAMORPH_PT_target_weights")

@@ -64,10 +64,10 @@ def other_keys():
     """A key a frame, then a budget of keys, show the same motion."""
     whole, output = shown_at(limb.FLEXED + 1), settings().output
     yield from physics("bake")
-    for name in ("output.sink", "model.solver"):
+    for name in ("output.format", "model.solver"):
         yield from properties.choose_other(name)
-    for sink, name, value in (("FRAMES", "output.every", "1"), ("MODES", "output.keys", "16")):
-        output.sink = sink
+    for sink, name, value in (("FRAMES", "output.frame_step", "1"), ("MODES", "output.keys", "16")):
+        output.format = sink
         yield from driver.drawn()
         yield from properties.enter(name, value)
         yield from sidebar.press("dynamorph.bake")
@@ -116,7 +116,7 @@ def bake_and_render():
     yield from viewport.key("F12")
     yield from until(lambda: rendered, "the rendered frame", 60.0)
     bpy.app.handlers.render_complete.pop()
-    yield from sidebar.press("dynamorph.free_bake")
+    yield from sidebar.press("dynamorph.delete_bake")
     yield from until(lambda: not baked(), "the bake to be deleted")
     yield from sidebar.press("dynamorph.bake")
     yield from job_done()
@@ -187,11 +187,11 @@ def at(*fractions: float):
 @step("Esc while it reads the rig")
 def cancel_reading():
     yield from physics("advanced", "rare")
-    for name in ("scheme", "preroll_pose"):
+    for name in ("integrator", "preroll_pose"):
         yield from properties.choose_other(f"simulation.{name}")
     yield from close("rare")
     yield from physics("solver")
-    yield from properties.choose_other("simulation.begin")
+    yield from properties.choose_other("simulation.initial_state")
     yield from properties.enter("simulation.substeps", "20")
     yield from close("solver", "advanced")
     assert settings().simulation.substeps == 20

@@ -407,7 +407,7 @@ class Region:
         if (panel in before) == wanted:
             return
         actions += 1
-        _, top = yield from self.find("dynamorph.free_bake")
+        _, top = yield from self.find("dynamorph.delete_bake")
         height = top - ROW
         while True:
             while height > self.box[1] + ROW // 2:

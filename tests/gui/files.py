@@ -133,7 +133,7 @@ def export_check():
 
 @step("Save Setup")
 def save_setup():
-    yield from sidebar.press("dynamorph.free_bake")
+    yield from sidebar.press("dynamorph.delete_bake")
     yield from until(lambda: not baked(), "the bake to be freed")
     yield from physics("setup")
     SETUP.unlink(missing_ok=True)

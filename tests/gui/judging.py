@@ -192,7 +192,7 @@ def amount():
 
 
 @step("Delete Bake")
-def free_bake():
-    yield from sidebar.press("dynamorph.free_bake")
+def delete_bake():
+    yield from sidebar.press("dynamorph.delete_bake")
     yield from until(lambda: not baked(), "the bake to be freed")
     assert keys() == ["Basis", "flexed"] and wobble() == 0.0

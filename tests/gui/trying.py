@@ -66,7 +66,7 @@ def model():
     yield from properties.choose_other("model.method")
     yield from close("detail")
     yield from physics("rare")
-    for name in ("law", "blending", "basis"):
+    for name in ("material_model", "blending", "basis"):
         yield from properties.choose_other(f"model.{name}")
     yield from close("rare")
     yield from physics("detail")

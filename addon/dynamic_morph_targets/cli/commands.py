@@ -30,12 +30,12 @@ from ..write.reconcile import reconcile
 from . import signals
 from .record import Done, ProgressPrinter, print_table
 
-SETTABLE = (*(field.name for field in fields(Material)), "radius", "influence")  # properties of a target
+SETTABLE = (*(field.name for field in fields(Material)), "fade_out_angle", "influence")  # properties of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
 SIMULATION_SETTINGS = (
-    "samples", "scheme", "gravity", "fields", "begin", "preroll", "preroll_pose", "loop", "keep_outside",
+    "samples", "integrator", "gravity", "fields", "initial_state", "preroll", "preroll_pose", "loop", "keep_outside",
 )  # fmt: skip
-OUTPUT_SETTINGS = ("keys", "every", "tolerance")
+OUTPUT_SETTINGS = ("keys", "frame_step", "tolerance")
 SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output": OUTPUT_SETTINGS}
 
 
@@ -129,7 +129,7 @@ def apply_settings(args: argparse.Namespace, obj: bpy.types.Object) -> None:
             if (value := getattr(args, name, None)) is not None:
                 setattr(getattr(obj.dynamorph, group), name, value.upper() if isinstance(value, str) else value)
     if args.format:  # files for other programs are made from the modes
-        obj.dynamorph.output.sink = "MODES" if format_of(args) in exports.FORMATS else format_of(args)
+        obj.dynamorph.output.format = "MODES" if format_of(args) in exports.FORMATS else format_of(args)
 
 
 def format_of(args: argparse.Namespace) -> str:
@@ -139,7 +139,7 @@ def format_of(args: argparse.Namespace) -> str:
 def bake_formats() -> list[str]:
     """The forms in which Blender itself can play a bake."""
     output = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties["output"].fixed_type
-    return [item.identifier for item in output.properties["sink"].enum_items]
+    return [item.identifier for item in output.properties["format"].enum_items]
 
 
 def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], folder: Path) -> dict[str, Path]:

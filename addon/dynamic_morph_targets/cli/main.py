@@ -54,7 +54,6 @@ from .commands import (
 from .record import record
 
 COLLECT = "make one page from many reports; fails if one of them is missing or reports a failure"
-OPTION_NAMES = {"every": "frame-step", "begin": "initial-state"}  # settings whose options have other names
 # 70 and 75 as EX_SOFTWARE and EX_TEMPFAIL of sysexits.h.
 DONE, BAD_INPUT, SELF_CHECK_FAILED, FAULT, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 70, 75, 130
 
@@ -279,7 +278,7 @@ def add_settings(sub: argparse.ArgumentParser, part: str, names: Sequence[str]) 
     settings = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties[part].fixed_type.properties
     for name in names:
         setting = settings[name]
-        option, text = f"--{OPTION_NAMES.get(name, name).replace('_', '-')}", setting.description.replace("%", "%%")
+        option, text = f"--{name.replace('_', '-')}", setting.description.replace("%", "%%")
         if setting.type == "BOOLEAN":
             sub.add_argument(option, action=argparse.BooleanOptionalAction, help=text, dest=name)
         elif setting.type == "ENUM":

@@ -61,7 +61,7 @@ def character_record(done: Done) -> dict:
         found["bake"] = {
             "made_from": job.outcome.content_id,
             "hash": baked.digest(job.outcome.bake),
-            "frames": [job.input.settings.start, job.input.settings.end],
+            "frames": [job.input.settings.frame_start, job.input.settings.frame_end],
             "fps": job.input.settings.fps,
             "substeps": job.input.settings.substeps,
             "resumed": len(job.input.resumed.get("coordinates", ())),
@@ -109,7 +109,7 @@ def print_table(job: Job, save_seconds: float) -> None:
         rows.append(
             (
                 "frames x substeps",
-                f"{job.input.settings.end - job.input.settings.start + 1} x {job.input.settings.substeps}",
+                f"{job.input.settings.frame_end - job.input.settings.frame_start + 1} x {job.input.settings.substeps}",
             )
         )
         rows.append(("steps per second", f"{report['steps_per_second']:.0f}"))

@@ -51,7 +51,7 @@ def build(
     with stages("Target shapes", 0.10):
         _shape_targets(model, body, embedding, character.targets)
     targets = morph_targets(character, model.displacements)
-    law = dynamorph.Law.__members__[character.settings.law]
+    law = dynamorph.Law.__members__[character.settings.material_model]
     full = dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN)
     basis: Basis
     if character.settings.solver == "REDUCED":
@@ -220,7 +220,7 @@ def repainted(model: Model, character: Character) -> Model:
     )
     if not model.basis.size:
         return model
-    law = dynamorph.Law.__members__[model.settings.law]
+    law = dynamorph.Law.__members__[model.settings.material_model]
     full = dynamorph.FullModel(
         model.soft_body(), morph_targets(character, model.displacements), law, dynamorph.Blending.EVEN
     )
@@ -331,7 +331,7 @@ def dependencies(character: Character) -> dict[str, str]:
         parts[f"shape {j}"] = (target.shape,)
     if character.cage:
         parts["cage object"] = character.cage[1:]
-    if settings.cage_grading:
+    if settings.cage_adaptivity:
         parts["how far targets move"] = (cage.moved(character.by_method()),)
     for name, value in asdict(settings).items():
         if name not in FREE_SETTINGS:

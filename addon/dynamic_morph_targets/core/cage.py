@@ -232,7 +232,7 @@ def _tetrahedra(character: Character, surface: np.ndarray, report: Report) -> dy
             settings.cage_nodes,
             cage=cage and cage[1:],
             thickness=settings.cage_thickness,
-            grading=settings.cage_grading,
+            grading=settings.cage_adaptivity,
             moved=moved(character),
             bones=bones if settings.hold == "BONES" else None,
             pin_radius=settings.pin_radius,

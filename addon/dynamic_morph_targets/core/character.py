@@ -70,11 +70,11 @@ class Target:
 
     name: the shape key's name (or "Neutral"). shape (V, 3): displacement of the vertices, local space, zero for the
     neutral. bones: names of the bones whose rotations place it in pose space. local (B, 4, 4): the captured pose of
-    the whole skeleton as `Skeleton.local_transforms`; rig_world (4, 4): where the armature stood then. radius: joint
-    angle from its pose, radians, at which the target has faded out; 0 for never. motion_amount: how much of the
-    tissue's motion shows in its pose, 0 to 1. frequency: Hz that a build gives its stiffness, 0 where the material says
-    it; by_hand: whether the artist has set it, so that no rehearsal changes it and it does not follow the neutral
-    target.
+    the whole skeleton as `Skeleton.local_transforms`; rig_world (4, 4): where the armature stood then.
+    fade_out_angle: joint angle from its pose, radians, at which the target has faded out; 0 for never. motion_amount:
+    how much of the tissue's motion shows in its pose, 0 to 1. frequency: Hz that a build gives its stiffness, 0 where
+    the material says it; by_hand: whether the artist has set it, so that no rehearsal changes it and it does not follow
+    the neutral target.
     """
 
     name: str
@@ -83,7 +83,7 @@ class Target:
     local: np.ndarray
     rig_world: np.ndarray
     material: Material
-    radius: float = 0.0
+    fade_out_angle: float = 0.0
     motion_amount: float = 1.0
     frequency: float = 0.0
     by_hand: bool = False

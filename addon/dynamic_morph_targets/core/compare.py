@@ -145,7 +145,7 @@ def compare(
             rows[name]["error"] = vars(motion_error(run.motion, full.motion, full.static))
     return {
         "machine": machine(),
-        "frames": [settings.start, settings.end],
+        "frames": [settings.frame_start, settings.frame_end],
         "substeps": settings.substeps,
         "variants": rows,
     }

@@ -29,8 +29,8 @@ def as_keys(bake: Bake, output: OutputSettings, to_bind: np.ndarray) -> tuple[Ba
     `baked.largest_displacement`. A point cache has keys only for what shows without it. Raises KeysError when there
     would be too many.
     """
-    if output.sink == "FRAMES":
-        kept = key_frames(bake, output.tolerance, to_bind) if output.tolerance else every_nth(bake, output.every)
+    if output.format == "FRAMES":
+        kept = key_frames(bake, output.tolerance, to_bind) if output.tolerance else every_nth(bake, output.frame_step)
         if len(kept) > MOST_KEYS:
             raise KeysError(
                 "{count} shape keys are too many, {most} are the most: raise Frame Step or Tolerance, or choose a "
@@ -39,7 +39,7 @@ def as_keys(bake: Bake, output: OutputSettings, to_bind: np.ndarray) -> tuple[Ba
                 most=MOST_KEYS,
             )
         return by_frames(bake, kept), off_between(bake, kept, to_bind)
-    if output.sink in POINT_CACHES:
+    if output.format in POINT_CACHES:
         return targets_alone(bake), 0.0
     if not output.keys:
         return bake, 0.0

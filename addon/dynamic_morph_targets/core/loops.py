@@ -56,7 +56,7 @@ class Loop:
     def __call__(self, began: np.ndarray) -> np.ndarray:
         player, rig, settings = self._player, self._rig, self._player.settings
         numbers = settings.simulated[1:]
-        player.state, player.number = self._start, settings.start
+        player.state, player.number = self._start, settings.frame_start
         player.past = began
         first = replace(self._first, coordinates=began[0]) if player.passes else self._first
         frames = [first, *player.play(rig[1:], numbers)]
@@ -155,7 +155,7 @@ def _newton_step(loop: Loop, began: np.ndarray, ended: np.ndarray) -> np.ndarray
 
 
 def loop_warnings(player: Player, rig: RigSamples, gap: float) -> list[str]:
-    first, last = player.settings.start, player.settings.end
+    first, last = player.settings.frame_start, player.settings.frame_end
     off = player.pose_gap(rig)
     if off > SAME_POSE * player.size:
         return [

@@ -282,7 +282,9 @@ def _with_stiffness(character: Character, target: int, stiffness: float) -> Char
 
 
 def unreduced(model: Model, law: str | None = None) -> Model:
-    return replace(model, settings=replace(model.settings, solver="FULL", law=law or model.settings.law))
+    return replace(
+        model, settings=replace(model.settings, solver="FULL", material_model=law or model.settings.material_model)
+    )
 
 
 def full_engine(model: Model, character: Character) -> FullModel:

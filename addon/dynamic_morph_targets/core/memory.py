@@ -79,12 +79,12 @@ def bake_bytes(
             found["frames"] = 72.0 * frames * free
         else:
             pairs = comb(settings.tabulated + 1, 2)
-            folded = 0.0 if settings.law == "LINEAR" else pairs**2 / 2
+            folded = 0.0 if settings.material_model == "LINEAR" else pairs**2 / 2
             found["modes"] = (12.0 + 4.0 * size.targets) * folded + 24.0 * free * settings.modes
             found["frames"] = 24.0 * frames * settings.modes
     found["skin"] = 120.0 * size.vertices * kept
-    if output and output.sink == "FRAMES" and not output.tolerance:
-        found["keys"] = 48.0 * size.vertices * frames / output.every
+    if output and output.format == "FRAMES" and not output.tolerance:
+        found["keys"] = 48.0 * size.vertices * frames / output.frame_step
     return found
 
 
@@ -107,11 +107,11 @@ def inertia_bytes(node_weights: np.ndarray, modes: int, sets: int) -> float:
 def _tables(size: Size, settings: ModelSettings) -> tuple[float, float, float]:
     """Bytes of all targets' energy tables, of the sums that one target's are made of, and of the stored model."""
     r, h = settings.tabulated, settings.modes - settings.tabulated
-    pairs, linear = comb(r + 1, 2), settings.law == "LINEAR"
+    pairs, linear = comb(r + 1, 2), settings.material_model == "LINEAR"
     distinct = pairs if linear else pairs + comb(r + 2, 3) + comb(r + 3, 4)
     coupling = h * (1 if linear else pairs)
     tables = 2.0 * size.targets * (8 * distinct + 4 * coupling)
-    sums = 4.0 * r**2 if linear else 4.0 * (r + pairs) ** 2 * (2 if settings.law == "STVK" else 1)
+    sums = 4.0 * r**2 if linear else 4.0 * (r + pairs) ** 2 * (2 if settings.material_model == "STVK" else 1)
     modes = 24.0 * size.nodes * settings.modes
     shapes = 24.0 * size.targets * (size.nodes + size.vertices)
     return tables, sums, tables + modes + shapes + 400.0 * size.nodes

@@ -19,7 +19,7 @@ from .settings import Material, ModelSettings
 
 # The tetrahedra of a model depend on these, named as in `Model.dependencies`.
 MESH_DEPENDENCIES = (
-    "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage grading", "how far targets move",
+    "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage adaptivity", "how far targets move",
     "cage object", "pin radius", "pieces", "engine", "hold",
 )  # fmt: skip
 # The tetrahedra together with what holds them depend on these.
@@ -175,7 +175,7 @@ class Model:
         targets = morph_targets(character, self.displacements)
         blending = dynamorph.Blending.__members__[character.settings.blending]
         if self.settings.solver == "FULL":
-            law = dynamorph.Law.__members__[self.settings.law]
+            law = dynamorph.Law.__members__[self.settings.material_model]
             return dynamorph.FullModel(self.soft_body(probed), targets, law, blending)
         return dynamorph.ReducedModel(self.soft_body(probed), targets, self._tables(), blending)
 
@@ -183,7 +183,8 @@ class Model:
         lame_lambda = np.hstack([self.response_lambda, self.coupling_lambda])
         lame_mu = np.hstack([self.response_mu, self.coupling_mu])
         return dynamorph.ReducedTables(
-            dynamorph.Law.__members__[self.settings.law], self.basis, list(self.table_lambda), list(self.table_mu),
+            dynamorph.Law.__members__[self.settings.material_model],
+            self.basis, list(self.table_lambda), list(self.table_mu),
             self.responses, list(lame_lambda), list(lame_mu), list(self.relaxation),
         )  # fmt: skip
 

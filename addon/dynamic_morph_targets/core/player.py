@@ -115,7 +115,7 @@ class Player:
         """The frame settings.first. rig: its sample and those that follow it; only the first is used."""
         self._balance_targets(rig[:1])
         bones, weights = self.posing.posed(rig[:2])  # or of the nodes, if they are probed
-        if self.settings.begin == "REST":
+        if self.settings.initial_state == "REST_SHAPE":
             self.state = [self.static(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4
             begun = NO_STEPS
         else:
@@ -144,7 +144,7 @@ class Player:
         for past in moved:
             past[:, :, 3] += shift
         self.state = coordinates, [past.reshape(-1, 12) for past in moved]
-        self.number, self.passes = self.settings.start, self.passes + 1
+        self.number, self.passes = self.settings.frame_start, self.passes + 1
         return Frame(self.number, frame.coordinates, self.posing.posed(rig[:1])[1][0], NO_STEPS)
 
     def pose_gap(self, rig: RigSamples) -> float:
@@ -232,7 +232,7 @@ class Player:
         return self.model.stepper(
             engine,
             settings.step,
-            scheme=dynamorph.Scheme.__members__[settings.scheme],
+            scheme=dynamorph.Scheme.__members__[settings.integrator],
             gravity=settings.gravity,
             teleport=TELEPORT * engine.body.size * settings.step,
             keep_going=self._keep_going if full else None,  # a reduced step takes less time than asking

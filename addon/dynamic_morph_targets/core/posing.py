@@ -60,7 +60,7 @@ def pose_space(character: WithTargets) -> dynamorph.PoseSpace:
                 [names.index(bone) for bone in named],
                 [next(labels) for _ in target_set.targets],
                 [target.local for target in target_set.targets],
-                radii=[target.radius for target in target_set.targets],
+                radii=[target.fade_out_angle for target in target_set.targets],
             )
         )
     return dynamorph.PoseSpace(sets)

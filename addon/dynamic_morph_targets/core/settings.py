@@ -37,7 +37,11 @@ VARIANTS: dict[str, dict[str, str]] = {
     "static morphs": {"method": "STATIC"},
     "pose-dependent shape": {"method": "SHAPE"},
     **{
-        f"{material} {law} {solver}": {"method": method, "law": law.replace(" ", "_").upper(), "solver": solver.upper()}
+        f"{material} {law} {solver}": {
+            "method": method,
+            "material_model": law.replace(" ", "_").upper(),
+            "solver": solver.upper(),
+        }
         for law in ("linear", "StVK", "stable StVK")
         for solver in ("full", "reduced")
         for material, method in (("single", "SINGLE"), ("DMT", "DYNAMIC"))
@@ -56,14 +60,14 @@ class ModelSettings:
     """Everything that a built model depends on, apart from the character itself. method: see METHODS."""
 
     method: str = "DYNAMIC"
-    law: str = "STABLE_STVK"
+    material_model: str = "STABLE_STVK"
     solver: str = "REDUCED"
     blending: str = "EVEN"
     modes: int = 20
     fit_to_shot: bool = False  # choose the MODES of `basis` from the motion of the shot
     cage_nodes: int = 2000
     cage_thickness: float = 0.0  # smallest distance from the skin to the cage, meters
-    cage_grading: float = 0.0  # 0 for tets of one size .. 1 for much finer tets where targets move the skin
+    cage_adaptivity: float = 0.0  # 0 for tets of one size .. 1 for much finer tets where targets move the skin
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin within which the bone holds nodes
     separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
     hold: str = "BONES"  # what holds the body: pins near the bones, or its THICKNESS, by a continuous energy
@@ -96,25 +100,25 @@ class ModelSettings:
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """One run: frames start..end at `fps`, each in `substeps` steps; gravity (3,) world, m/s^2.
+    """One run: frames frame_start..frame_end at `fps`, each in `substeps` steps; gravity (3,) world, m/s^2.
 
-    samples: states per frame that are kept; `substeps` is a multiple of it. begin: REST has the targets' shapes without
-    motion at the first frame, SETTLE is in balance and moves with the rig. preroll: frames before `start`;
-    preroll_pose: there the rig stands still in its first pose (HELD), or moves as it is animated (ANIMATED). loop: the
-    range is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for further modes; amount: on all
-    of it.
+    samples: states per frame that are kept; `substeps` is a multiple of it. initial_state: REST_SHAPE has the targets'
+    shapes without motion at the first frame, SETTLED is in balance and moves with the rig. preroll: frames before
+    `frame_start`; preroll_pose: there the rig stands still in its first pose (HELD), or moves as it is animated
+    (ANIMATED). loop: the range is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for further
+    modes; amount: on all of it.
     """
 
-    start: int = 1
-    end: int = 250
+    frame_start: int = 1
+    frame_end: int = 250
     fps: float = 24.0
     substeps: int = 5
-    scheme: str = "BDF2"
+    integrator: str = "BDF2"
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     samples: int = 1
     preroll: int = 0
     preroll_pose: str = "HELD"
-    begin: str = "SETTLE"
+    initial_state: str = "SETTLED"
     loop: bool = False
     gains: tuple[float, ...] = ()
     amount: float = 1.0
@@ -130,7 +134,7 @@ class SimulationSettings:
 
     @property
     def run_up(self) -> int:
-        """Frames that are simulated before `start` and dropped. A cycle needs none: it finds what came before."""
+        """Frames that are simulated before `frame_start` and dropped. A cycle needs none: it finds what came before."""
         return self.preroll if self.preroll_pose == "ANIMATED" and not self.loop else 0
 
     @property
@@ -141,19 +145,19 @@ class SimulationSettings:
     @property
     def first(self) -> int:
         """The frame that the simulation begins with."""
-        return self.start - self.run_up
+        return self.frame_start - self.run_up
 
     @property
     def simulated(self) -> np.ndarray:
         """The whole frames, including those that are dropped."""
-        return np.arange(self.first, self.end + 1)
+        return np.arange(self.first, self.frame_end + 1)
 
     @property
     def times(self) -> np.ndarray:
         """The times of all states, like `frames`, including those that are dropped."""
         if self.samples == 1:
             return self.simulated
-        return self.first + np.arange((self.end - self.first) * self.samples + 1) / self.samples
+        return self.first + np.arange((self.frame_end - self.first) * self.samples + 1) / self.samples
 
     def reached(self, states: int) -> int:
         """The frame that is finished after so many states; without any, the first."""
@@ -167,11 +171,11 @@ class SimulationSettings:
 
 @dataclass(frozen=True)
 class OutputSettings:
-    """The form of a bake in Blender. sink: MODES, FRAMES, PC2 or MDD."""
+    """The form of a bake in Blender. format: MODES, FRAMES, PC2 or MDD."""
 
-    sink: str = "MODES"
+    format: str = "MODES"
     keys: int = 0  # largest number of keys for MODES; 0: no limit
-    every: int = 1  # for FRAMES: a key at every n-th frame,
+    frame_step: int = 1  # for FRAMES: a key at every n-th frame,
     tolerance: float = (
         0.0  # or, if this is not 0, only where the surface would otherwise be off by more than this, meters
     )

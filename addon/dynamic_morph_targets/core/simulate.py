@@ -75,7 +75,7 @@ def build_for(
 
     model = build(character, progress, previous, simulate_shot)
     if "rehearsal" in model.summary["seconds"]:
-        model.summary["fitted"] = [settings.start, settings.end]
+        model.summary["fitted"] = [settings.frame_start, settings.frame_end]
     return model
 
 

@@ -87,7 +87,7 @@ def read(request: Request) -> BakeInput:
     fits = _read_model(given, obj, request)
     if given.is_bake or (fits and not given.only_cage):
         _read_shot(given, source.skinning, request, fits)
-    if given.output and given.output.sink in point_cache.CACHES:
+    if given.output and given.output.format in point_cache.CACHES:
         _try_caches(given)
     _check_memory(given)
     return given
@@ -109,7 +109,7 @@ def _check_memory(given: BakeInput) -> None:
 def _chunk(given: BakeInput) -> int:
     """How many frames of the rig are read at once."""
     if given.whole:
-        return given.settings.end - given.settings.first
+        return given.settings.frame_end - given.settings.first
     return SHORT_CHUNK_FRAMES if given.kept or given.character.probed else CHUNK_FRAMES
 
 
@@ -121,7 +121,7 @@ def handles(parts: Sequence[Follower]) -> list[ObjectHandle]:
 def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -> None:
     """The form of the bake in Blender. Raises SinkError."""
     given.output = run_settings.output_settings(obj)
-    if given.output.sink not in point_cache.CACHES:
+    if given.output.format not in point_cache.CACHES:
         return
     caches = folder or blend_folder()
     check_cache(obj, caches)
@@ -223,19 +223,19 @@ def _read_kept(given: BakeInput, obj: bpy.types.Object) -> None:
     to_body = [np.eye(3), *(np.linalg.inv(part.from_body) for part in parts)]
     given.before = united([read_back(mesh, given.settings.samples) for mesh in meshes], to_body)
     settings, (first, last) = given.settings, given.before.frames[[0, -1]].astype(int).tolist()
-    if settings.start > last + 1 or settings.end < first - 1:
+    if settings.frame_start > last + 1 or settings.frame_end < first - 1:
         raise SceneError(
             "'{name}': frames {start} to {end} are not next to those of the last bake, {first} to {last}: choose "
             "others, or turn Keep Other Frames off",
             name=given.name,
-            start=settings.start,
-            end=settings.end,
+            start=settings.frame_start,
+            end=settings.frame_end,
             first=first,
             last=last,
         )
-    whole = {"start": min(settings.start, first), "end": max(settings.end, last)}
+    whole = {"frame_start": min(settings.frame_start, first), "frame_end": max(settings.frame_end, last)}
     given.inputs["simulation"] |= whole
-    run_up = min(settings.start - whole["start"], max(settings.preroll, round(settings.fps)))
+    run_up = min(settings.frame_start - whole["frame_start"], max(settings.preroll, round(settings.fps)))
     changes = staleness.outdated(obj)
     if changes:
         given.warnings.append(Message("Since the other frames were baked: {changes}", changes=joined(", ", changes)))
@@ -264,7 +264,7 @@ class RigReader:
             return
         settings = given.settings
         first = settings.reached(done)
-        end = min(first + _chunk(given), settings.end)
+        end = min(first + _chunk(given), settings.frame_end)
         self.sampling = rig_motion.RigSampling(self._object.find(), first, end, settings.substeps)
         self.sampling.probe = self._probe
 

@@ -265,11 +265,11 @@ def summary(given: BakeInput, outcome: Outcome, seconds: dict[str, float]) -> st
     if not given.is_bake:
         return model_summary(given, outcome.model)
     report = outcome.report
-    frames = given.settings.end - given.settings.start + 1
+    frames = given.settings.frame_end - given.settings.frame_start + 1
     took = sum(value for stage, value in seconds.items() if stage != "build")
     gap = f", loop gap {1000 * report['gap']:.3g} mm" if "gap" in report else ""
     off = report.get("keys_error", 0.0)
-    if given.output and given.output.sink == "MODES":  # others hold all of an unreduced motion
+    if given.output and given.output.format == "MODES":  # others hold all of an unreduced motion
         off += report.get("compression_error", 0.0)
     error = f", {report['keys']} keys off by at most {1000 * off:.2g} mm" if off else ""
     seam = f", {1000 * report['seam']:.3g} mm from the other frames" if "seam" in report else ""

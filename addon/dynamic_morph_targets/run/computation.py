@@ -195,7 +195,7 @@ class Computation:
             yield shot.done
             self._play(shot)
         with self.progress.stage("simulate"):
-            bake, report = shot.bake(exact=given.output is None or given.output.sink != "MODES")
+            bake, report = shot.bake(exact=given.output is None or given.output.format != "MODES")
         with self.progress.stage("judge"):
             verdict = judge.judge(outcome.model, outcome.character, bake)
         report["inverted_volume"] = verdict.inverted
@@ -205,7 +205,7 @@ class Computation:
     def _has_whole_rig(self) -> bool:
         """Whether the shot came in one chunk, so that it can begin again without reading the rig again."""
         settings = self.given.settings
-        return self.rig is not None and len(self.rig) == 1 + (settings.end - settings.first) * settings.substeps
+        return self.rig is not None and len(self.rig) == 1 + (settings.frame_end - settings.first) * settings.substeps
 
     def _play(self, shot: Shot) -> None:
         """Simulate the shot to the end of the rig that was read."""
@@ -255,9 +255,9 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
             outcome.content_id = _content_id(given, outcome)
     outcome.warnings += outcome.report["warnings"]
     settings = given.settings
-    first, last = outcome.model.summary.get("fitted", (settings.start, settings.end))
+    first, last = outcome.model.summary.get("fitted", (settings.frame_start, settings.frame_end))
     uses_modes = outcome.model.settings.solver == "REDUCED"
-    if uses_modes and (settings.start < first or settings.end > last):
+    if uses_modes and (settings.frame_start < first or settings.frame_end > last):
         outcome.warnings.append(
             Message("The modes were fitted to frames {first} to {last}: press Build Model", first=first, last=last)
         )
@@ -286,23 +286,23 @@ def _make_keys(given: BakeInput, outcome: Outcome, output: OutputSettings) -> No
     bakes, all_keys = of_meshes(character, outcome.bake), of_meshes(character, whole)
     for name, points, bake, keys in zip(names, points_of, bakes, all_keys, strict=True):
         file = None
-        if output.sink in point_cache.CACHES:
-            file = _point_cache(given, outcome, output.sink, name, points, bake)
+        if output.format in point_cache.CACHES:
+            file = _point_cache(given, outcome, output.format, name, points, bake)
         outcome.written.append((keys, file))
     outcome.report["keys"] = len(outcome.written[0][0].modes) + len(outcome.written[0][0].residual_shapes)
 
 
-def _point_cache(given: BakeInput, outcome: Outcome, sink: str, name: str, points: np.ndarray, bake: Bake) -> Path:
+def _point_cache(given: BakeInput, outcome: Outcome, form: str, name: str, points: np.ndarray, bake: Bake) -> Path:
     """Write the file that plays the bake of the mesh `name`."""
     fps = given.settings.fps
-    default = paths.cache_path(given.caches, name, baked.digest(bake, points, fps), sink)
+    default = paths.cache_path(given.caches, name, baked.digest(bake, points, fps), form)
     file = written = given.cache_files.get(name, default)
     if name in given.cache_files:  # the earlier file plays until the .blend is saved
         outputs.remove_abandoned(file)
         written = outcome.beside[file] = outputs.partial_of(file)
     if not written.exists():
         outcome.new_files.append(written)
-    disk.save(written, point_cache.CACHES[sink](bake, points, fps))
+    disk.save(written, point_cache.CACHES[form](bake, points, fps))
     return file
 
 

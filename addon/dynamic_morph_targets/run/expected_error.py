@@ -182,7 +182,7 @@ def _concerns(record: bpy.types.PropertyGroup) -> bool:
 
 def _settings(obj: bpy.types.Object) -> SimulationSettings:
     chosen = run_settings.simulation_settings(obj, bpy.context.scene, (0, FRAMES), SUBSTEPS)
-    return SimulationSettings(0, FRAMES, FPS, SUBSTEPS, chosen.scheme, chosen.gravity)
+    return SimulationSettings(0, FRAMES, FPS, SUBSTEPS, chosen.integrator, chosen.gravity)
 
 
 def _key(obj: bpy.types.Object) -> str:

@@ -53,7 +53,7 @@ class FinalComparison(Batch):
         if why:
             raise SceneError("'{name}': {why}", name=obj.name, why=why)
         simulated = records.bake_inputs(obj.dynamorph.bake.inputs)["simulation"]
-        frames = simulated["start"], simulated["end"]
+        frames = simulated["frame_start"], simulated["frame_end"]
         super().__init__([ShotJob(obj, solver, frames) for solver in ("REDUCED", "FULL")], "COMPARE_FINAL")
 
     @property

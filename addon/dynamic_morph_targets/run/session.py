@@ -163,7 +163,7 @@ class Session:
         moving = len(self.tissue.probe.rest) if self.tissue.probe else 1
         self._kept = min(KEPT, max(1, STATE_BYTES // (4 * (96 * moving + 8 * self.tissue.dofs))))
         self._shown = max(KEPT, FRAME_BYTES // (8 * max(self.tissue.dofs, 1)))  # latest frames
-        self.rig = Rig(settings.start, settings.substeps, self.tissue.character.skeleton, self.tissue.probe)
+        self.rig = Rig(settings.frame_start, settings.substeps, self.tissue.character.skeleton, self.tissue.probe)
 
     def fits(self, obj: bpy.types.Object, settings: SimulationSettings) -> bool:
         """Whether this is still a session of the object's model, with the same time step."""
@@ -255,9 +255,14 @@ class Session:
         from there.
         """
         settings = self.tissue.player.settings
-        starts = arrives and number == settings.start
-        if starts and settings.loop and self._frames and settings.end - CATCH_UP <= self.last <= settings.end:
-            while self.last < settings.end:
+        starts = arrives and number == settings.frame_start
+        if (
+            starts
+            and settings.loop
+            and self._frames
+            and settings.frame_end - CATCH_UP <= self.last <= settings.frame_end
+        ):
+            while self.last < settings.frame_end:
                 self._advance(obj)
             self._begin_again(obj)
         elif starts or not self._frames or not self.first <= number <= self.last + CATCH_UP:
@@ -277,9 +282,9 @@ class Session:
     def _begin_again(self, obj: bpy.types.Object) -> None:
         """Go from the end of a cycle to its start, without a jump."""
         settings = self.tissue.player.settings
-        first, last = (self.rig.after(obj, frame)[:1] for frame in (settings.start, settings.end))
+        first, last = (self.rig.after(obj, frame)[:1] for frame in (settings.frame_start, settings.frame_end))
         cycle = first.concatenate(last)
-        self._start(settings.start, self.tissue.player.begin_again(cycle, self._frames[settings.end]))
+        self._start(settings.frame_start, self.tissue.player.begin_again(cycle, self._frames[settings.frame_end]))
 
     def _start(self, number: int, frame: Frame) -> None:
         self._frames, self._states = {}, {}
@@ -324,7 +329,7 @@ def _sampling(obj: bpy.types.Object) -> tuple[bool, int, int, float]:
 
 def _physics(settings: SimulationSettings) -> SimulationSettings:
     """What a step depends on."""
-    return replace(settings, start=0, end=0, gains=(), amount=1.0)
+    return replace(settings, frame_start=0, frame_end=0, gains=(), amount=1.0)
 
 
 def _gains(obj: bpy.types.Object) -> tuple[float, ...]:

@@ -57,7 +57,9 @@ def _space(session_uid: int, _authored: tuple) -> Space:
 
     def placed(target: bpy.types.PropertyGroup) -> Target:
         local = target.local(skeleton)
-        return Target(target.name, np.zeros((0, 3)), target.bone_names(), local, np.eye(4), Material(), target.radius)
+        return Target(
+            target.name, np.zeros((0, 3)), target.bone_names(), local, np.eye(4), Material(), target.fade_out_angle
+        )
 
     regions = dict.fromkeys(["", *(target.region for target in others)])
     sets = tuple(

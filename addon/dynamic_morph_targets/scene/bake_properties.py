@@ -65,13 +65,13 @@ class DynamorphSimulation(PropertyGroup):
         default=True,
         override=OVERRIDE,
     )
-    start: IntProperty(
+    frame_start: IntProperty(
         name="Frame Start",
         description="First frame of the bake, where Scene Range is off",
         default=1,
         override=OVERRIDE,
     )
-    end: IntProperty(
+    frame_end: IntProperty(
         name="Frame End", description="Last frame of the bake, where Scene Range is off", default=250, override=OVERRIDE
     )
     substeps: IntProperty(
@@ -86,7 +86,7 @@ class DynamorphSimulation(PropertyGroup):
         "between two frames. The substeps are rounded up to a multiple",
         default=1, min=1, max=32, soft_max=8, override=OVERRIDE,
     )  # fmt: skip
-    scheme: EnumProperty(
+    integrator: EnumProperty(
         name="Integrator",
         description="How the simulation steps through time. Change it only to compare with other programs",
         items=(
@@ -129,19 +129,23 @@ class DynamorphSimulation(PropertyGroup):
     rehearsed: StringProperty(
         name="Rehearsed", description="What the rehearsal of the shot has changed", override=OVERRIDE
     )
-    begin: EnumProperty(
+    initial_state: EnumProperty(
         name="Initial State",
         description="The state of the soft tissue at the first frame. Choose Rest Shape where a shot begins with a "
         "blow",
         items=(
-            ("REST", "Rest Shape", "It starts in the targets' shape without motion, so the first motion hits it", 0),
             (
-                "SETTLE", "Settled",
+                "REST_SHAPE", "Rest Shape",
+                "It starts in the targets' shape without motion, so the first motion hits it",
+                0,
+            ),
+            (
+                "SETTLED", "Settled",
                 "It is in balance with gravity and moves with the rig as if the rig had always moved",
                 1,
             ),
         ),
-        default="SETTLE", override=OVERRIDE,
+        default="SETTLED", override=OVERRIDE,
     )  # fmt: skip
     preroll: IntProperty(
         name="Pre-Roll",
@@ -183,7 +187,7 @@ class DynamorphSimulation(PropertyGroup):
 class DynamorphOutput(PropertyGroup):
     """What a bake becomes."""
 
-    sink: EnumProperty(
+    format: EnumProperty(
         name="Format",
         description="What stores the motion and plays it in Blender. Shape Keys suit most shots and game engines",
         items=(
@@ -196,7 +200,7 @@ class DynamorphOutput(PropertyGroup):
             ("PC2", "Point Cache (PC2)", "A file with the surface at every frame, played by a Mesh Cache modifier", 2),
             ("MDD", "Point Cache (MDD)", "The same as PC2, for programs that read only MDD", 3),
         ),
-        default=OutputSettings.sink, override=OVERRIDE,
+        default=OutputSettings.format, override=OVERRIDE,
     )  # fmt: skip
     keys: IntProperty(
         name="Key Limit",
@@ -204,10 +208,10 @@ class DynamorphOutput(PropertyGroup):
         "for game engines. 0 is no limit: it makes one per mode",
         default=OutputSettings.keys, min=0, soft_max=32, override=OVERRIDE,
     )  # fmt: skip
-    every: IntProperty(
+    frame_step: IntProperty(
         name="Frame Step",
         description="How many frames there are from one key to the next. Raise it for fewer keys",
-        default=OutputSettings.every, min=1, soft_max=10, override=OVERRIDE,
+        default=OutputSettings.frame_step, min=1, soft_max=10, override=OVERRIDE,
     )  # fmt: skip
     tolerance: FloatProperty(
         name="Tolerance",

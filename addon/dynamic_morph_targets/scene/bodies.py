@@ -138,7 +138,7 @@ def _attached(source: Source, single: Character, meshes: list[Source]) -> tuple[
     """
     obj = source.obj
     pieces, held = [single.pieces.copy()], [_held(parts_in(obj), source.groups, len(single.vertices))]
-    wholly = {piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice == "HELD"}
+    wholly = {piece.object for piece in obj.dynamorph.attachments if not piece.group and piece.attached_by == "HELD"}
     for mesh in meshes:
         parts = parts_of(obj, mesh.obj)
         next_cage = 1 + max(int(each.max(initial=0)) for each in pieces)
@@ -152,7 +152,7 @@ def _attached(source: Source, single: Character, meshes: list[Source]) -> tuple[
 def _held(parts, groups, count: int) -> np.ndarray:
     found = np.zeros(count, bool)
     for part, members in mesh_data.members_of(parts, groups):
-        if part.choice == "HELD":
+        if part.attached_by == "HELD":
             found |= members
     return found
 
@@ -185,7 +185,7 @@ def _refuse_hard(obj, whole: _Whole, pieces, rigidity, beside):
     points and triangles of what only its bones move. Raises SceneError.
     """
     settings = obj.dynamorph
-    if settings.firmness_group or any(not piece.reason for piece in settings.pieces):
+    if settings.firmness_group or any(not piece.reason for piece in settings.attachments):
         return
     bind, soft = whole.vertices @ whole.single.to_bind.T, (pieces >= 0) & (rigidity < 1.0)
     labels, volumes = rigid.part_volumes(bind, whole.triangles)
@@ -205,7 +205,7 @@ def beside_body(source: Source, meshes) -> list[tuple[np.ndarray, np.ndarray]]:
     meshes: the other objects that belong to the body. Raises SceneError.
     """
     obj = source.obj
-    soft = {obj, *meshes, *(piece.object for piece in obj.dynamorph.pieces if piece.choice == "OWN_CAGE")}
+    soft = {obj, *meshes, *(piece.object for piece in obj.dynamorph.attachments if piece.attached_by == "OWN_CAGE")}
     found, to_body = [], inverse(source.world)
     for other in meshes_on(source.rig):
         if other not in soft and not other.dynamorph.targets and len(other.data.vertices):

@@ -132,8 +132,8 @@ def pieces_of(parts, mesh, groups: VertexGroups, first: int = 1) -> np.ndarray:
         )
     pieces, cages = np.zeros(len(mesh.data.vertices), np.int32), itertools.count(first)
     for part, members in members_of(parts, groups):
-        if part.choice != "WITH_BODY" and members.any():
-            pieces[members] = next(cages) if part.choice == "OWN_CAGE" else -1
+        if part.attached_by != "WITH_BODY" and members.any():
+            pieces[members] = next(cages) if part.attached_by == "OWN_CAGE" else -1
     return pieces
 
 

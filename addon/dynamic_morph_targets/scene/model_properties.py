@@ -31,7 +31,7 @@ def _choice_made(piece, _context):
         piece.reason = ""
 
 
-class DynamorphPiece(PropertyGroup):
+class DynamorphAttachment(PropertyGroup):
     """Eyes, teeth or clothes: another mesh object, or a part of this mesh or of the other one. `name` is the name it
     had when it was found.
     """
@@ -45,7 +45,7 @@ class DynamorphPiece(PropertyGroup):
         description="Limits the attachment to the vertices that have a weight of 0.5 or more in this group",
         override=OVERRIDE,
     )  # fmt: skip
-    choice: EnumProperty(
+    attached_by: EnumProperty(
         name="Attached By",
         description="What moves the attachment",
         items=(
@@ -75,7 +75,7 @@ class DynamorphModel(PropertyGroup):
         items=tuple((method, *texts, number) for number, (method, texts) in enumerate(METHODS.items())),
         default=ModelSettings.method, override=OVERRIDE,
     )  # fmt: skip
-    law: EnumProperty(
+    material_model: EnumProperty(
         name="Material Model",
         description="How the soft tissue resists deformation. Stable suits every body; the others are for comparisons",
         items=(
@@ -87,7 +87,7 @@ class DynamorphModel(PropertyGroup):
             ),
             ("STABLE_STVK", "Stable", "Right under large rotations, and it recovers from any compression", 2),
         ),
-        default=ModelSettings.law,
+        default=ModelSettings.material_model,
         override=OVERRIDE,
     )  # fmt: skip
     solver: EnumProperty(
@@ -160,11 +160,11 @@ class DynamorphModel(PropertyGroup):
         "its tetrahedra away. Raise it where the skin leaves the cage",
         default=ModelSettings.cage_thickness, min=0.0, soft_max=0.1, subtype="DISTANCE", override=OVERRIDE,
     )  # fmt: skip
-    cage_grading: FloatProperty(
+    cage_adaptivity: FloatProperty(
         name="Cage Adaptivity",
         description="How much finer the cage is where targets move the skin, at the expense of the rest. Raise it for "
         "sculpts of small detail. 0 is the same everywhere, which is best for how soft tissue swings",
-        default=ModelSettings.cage_grading, min=0.0, max=1.0, subtype="FACTOR", override=OVERRIDE,
+        default=ModelSettings.cage_adaptivity, min=0.0, max=1.0, subtype="FACTOR", override=OVERRIDE,
     )  # fmt: skip
     cage_object: PointerProperty(
         name="Cage Object",

@@ -14,7 +14,7 @@ from bpy.types import PropertyGroup
 
 from . import events
 from .bake_properties import DynamorphBake, DynamorphLive, DynamorphOutput, DynamorphSculpt, DynamorphSimulation
-from .model_properties import DynamorphMode, DynamorphModel, DynamorphPiece
+from .model_properties import DynamorphAttachment, DynamorphMode, DynamorphModel
 from .references import OVERRIDE, OVERRIDE_LIST
 from .registration import of_classes
 from .target_properties import DynamorphBone, DynamorphBonePose, DynamorphKey, DynamorphTarget
@@ -37,11 +37,11 @@ class DynamorphSettings(PropertyGroup):
         override=OVERRIDE,
     )
     groups: StringProperty(name="Groups", description="Names of the vertex groups, one per line, to follow renames")
-    pieces: CollectionProperty(
+    attachments: CollectionProperty(
         name="Attachments", description="Parts of the mesh and other meshes that do not simply belong to the body",
-        type=DynamorphPiece, override=OVERRIDE_LIST,
+        type=DynamorphAttachment, override=OVERRIDE_LIST,
     )  # fmt: skip
-    active_piece_index: IntProperty(
+    active_attachment_index: IntProperty(
         name="Active Attachment", description="Index of the attachment selected in the list", min=0, override=OVERRIDE
     )
     follows: PointerProperty(
@@ -78,9 +78,13 @@ class DynamorphSettings(PropertyGroup):
         return self.targets[self.active_target_index] if inside else None
 
     @property
-    def active_piece(self):
+    def active_attachment(self):
         """The attachment selected in the list, or None."""
-        return self.pieces[self.active_piece_index] if self.active_piece_index < len(self.pieces) else None
+        return (
+            self.attachments[self.active_attachment_index]
+            if self.active_attachment_index < len(self.attachments)
+            else None
+        )
 
 
 COLORINGS = ("heat", "firmness")  # of the surface: one at a time
@@ -131,7 +135,7 @@ CLASSES = (
     DynamorphBone,
     DynamorphBonePose,
     DynamorphTarget,
-    DynamorphPiece,
+    DynamorphAttachment,
     DynamorphModel,
     DynamorphMode,
     DynamorphLive,

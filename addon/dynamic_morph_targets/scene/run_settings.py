@@ -21,7 +21,9 @@ def output_settings(obj) -> OutputSettings:
 def frame_range(obj, scene, frames=None) -> tuple[int, int]:
     """The first frame and the last that are requested; frames: instead of those of `obj`. Raises SceneError."""
     chosen, blenders = obj.dynamorph.simulation, scene.bl_rna.properties["frame_current"]
-    authored = (scene.frame_start, scene.frame_end) if chosen.use_scene_range else (chosen.start, chosen.end)
+    authored = (
+        (scene.frame_start, scene.frame_end) if chosen.use_scene_range else (chosen.frame_start, chosen.frame_end)
+    )
     start, end = frames or authored
     if end < start:
         raise SceneError(
@@ -67,12 +69,12 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
         end,
         fps,
         -(-substeps // chosen.samples) * chosen.samples,
-        chosen.scheme,
+        chosen.integrator,
         tuple(gravity.tolist()),
         chosen.samples,
         chosen.preroll,
         chosen.preroll_pose,
-        chosen.begin,
+        chosen.initial_state,
         chosen.loop,
         gains if set(gains) != {1.0} else (),
         chosen.amount,

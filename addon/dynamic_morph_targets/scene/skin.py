@@ -106,13 +106,13 @@ def parts_in(obj) -> list:
 
 def parts_of(obj, mesh) -> list:
     """The attachments of a soft skin that are parts of another mesh object; None: of its own."""
-    return [piece for piece in obj.dynamorph.pieces if piece.group and piece.object == mesh]
+    return [piece for piece in obj.dynamorph.attachments if piece.group and piece.object == mesh]
 
 
 def clothes_in(obj) -> list:
     """The other meshes in the cage of a soft skin, without deleted ones."""
     choices = {"WITH_BODY", "HELD"}
-    pieces = [piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice in choices]
+    pieces = [piece.object for piece in obj.dynamorph.attachments if not piece.group and piece.attached_by in choices]
     return [piece for piece in dict.fromkeys(pieces) if piece and piece.users_scene]
 
 

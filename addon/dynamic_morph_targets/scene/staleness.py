@@ -125,7 +125,10 @@ def _kept_range(then: dict, now: dict, is_patch: bool) -> dict:
     which its range is part of. is_patch: the range is that of the next patch.
     """
     loops = then.get("loop") or now["loop"]
-    covers = {"start": lambda baked: baked <= now["start"], "end": lambda baked: baked >= now["end"]}
+    covers = {
+        "frame_start": lambda baked: baked <= now["frame_start"],
+        "frame_end": lambda baked: baked >= now["frame_end"],
+    }
     known = {name: then[name] for name in covers if records.is_number(then.get(name))}
     return {name: baked for name, baked in known.items() if is_patch or (not loops and covers[name](baked))}
 
@@ -134,9 +137,9 @@ def model_inputs(obj) -> dict:
     """The settings that a model depends on, by where they are."""
     settings = obj.dynamorph
     groups: dict = {"firmness_group": settings.firmness_group}
-    groups["pieces"] = [[part.group, part.choice] for part in parts_in(obj) if part.choice != "WITH_BODY"]
     groups["attachments"] = [
-        [piece.choice, piece.group] for piece in settings.pieces if piece.object and piece.object.users_scene
+        *([part.attached_by, part.group] for part in parts_in(obj) if part.attached_by != "WITH_BODY"),
+        *([each.attached_by, each.group] for each in settings.attachments if each.object and each.object.users_scene),
     ]
     model = {name: value for name, value in asdict(settings.model.settings()).items() if name not in FREE_SETTINGS}
     targets = {

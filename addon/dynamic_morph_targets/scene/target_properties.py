@@ -74,13 +74,13 @@ def _set_settle_time(target, seconds: float):
         )
 
 
-def _get_weight(target) -> float:
+def _get_mass(target) -> float:
     return target.density * target.volume / _kilograms() if target.is_measured else 0.0
 
 
-def _set_weight(target, weight: float):
+def _set_mass(target, mass: float):
     if target.is_measured:
-        target.density = weight * _kilograms() / target.volume
+        target.density = mass * _kilograms() / target.volume
 
 
 def _kilograms() -> float:
@@ -148,7 +148,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         description="Rayleigh damping in proportion to stiffness, in seconds. Raise it to calm fast ripples",
         default=Material.stiffness_damping, min=0.0, max=10.0, soft_max=0.1, step=0.1, precision=4, override=OVERRIDE,
     )  # fmt: skip
-    radius: FloatProperty(
+    fade_out_angle: FloatProperty(
         name="Fade-Out Angle",
         description="Distance from its pose, over all its bones, at which the target has faded out. 0 is no limit: it "
         "reaches until another target is nearer. Set it where the target shows in poses that it is not for",
@@ -219,12 +219,12 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         options={"SKIP_SAVE"},
         get=_get_settle_time, set=_set_settle_time,
     )  # fmt: skip
-    weight: FloatProperty(
+    mass: FloatProperty(
         name="Mass",
         description="Mass of the soft tissue in the target's region, with what the bones hold. It sets only the "
         "density: heavier tissue bounces more slowly",
         min=1e-12, max=1e12, soft_max=100.0, step=10, precision=3, unit="MASS", options={"SKIP_SAVE"},
-        get=_get_weight, set=_set_weight,
+        get=_get_mass, set=_set_mass,
     )  # fmt: skip
     bounce_reference: FloatProperty(
         name="Bounce Reference",
@@ -306,7 +306,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
 
     def placing(self) -> tuple:
         """Everything that places the target among others, for comparison: cheap enough for every frame."""
-        return self.region, self.radius, self.bone_names(), self.pose_bytes()
+        return self.region, self.fade_out_angle, self.bone_names(), self.pose_bytes()
 
     def pose_bytes(self) -> bytes:
         """The captured transforms, float32."""

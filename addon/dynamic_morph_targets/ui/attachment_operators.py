@@ -16,10 +16,10 @@ from ..write import attachments, bake
 from .base import SoftSkinOperator, listed
 
 
-class DYNAMORPH_OT_find_pieces(SoftSkinOperator, Operator):
+class DYNAMORPH_OT_find_attachments(SoftSkinOperator, Operator):
     """List the other meshes on the armature and the loose parts of this mesh, so that you can choose what moves each"""
 
-    bl_idname = "dynamorph.find_pieces"
+    bl_idname = "dynamorph.find_attachments"
     bl_label = "Find Attachments"
 
     def apply(self, obj):
@@ -32,20 +32,20 @@ class DYNAMORPH_OT_find_pieces(SoftSkinOperator, Operator):
         return {"FINISHED"}
 
 
-class DYNAMORPH_OT_add_piece(SoftSkinOperator, Operator):
+class DYNAMORPH_OT_add_attachment(SoftSkinOperator, Operator):
     """Add the other selected meshes to the list. Without a selection, add an attachment to choose an object for"""
 
-    bl_idname = "dynamorph.add_piece"
+    bl_idname = "dynamorph.add_attachment"
     bl_label = "Add Attachment"
 
     def apply(self, obj):
         settings = obj.dynamorph
-        known = [piece.object for piece in settings.pieces]
+        known = [piece.object for piece in settings.attachments]
         selected = [other for other in bpy.context.selected_objects if other.type == "MESH" and other != obj]
         for other in [other for other in selected if other not in known] or [None]:
-            piece = settings.pieces.add()
+            piece = settings.attachments.add()
             piece.object, piece.name = other, other.name if other else ""
-        settings.active_piece_index = len(settings.pieces) - 1
+        settings.active_attachment_index = len(settings.attachments) - 1
 
 
 class PieceOperator(SoftSkinOperator):
@@ -54,34 +54,34 @@ class PieceOperator(SoftSkinOperator):
     @classmethod
     def disabled_reason(cls, context):
         disabled_reason = super().disabled_reason(context)
-        if not disabled_reason and skin.mesh_in(context).dynamorph.active_piece is None:
+        if not disabled_reason and skin.mesh_in(context).dynamorph.active_attachment is None:
             return "Select an attachment in the list first"
         return disabled_reason
 
 
-class DYNAMORPH_OT_remove_piece(PieceOperator, Operator):
+class DYNAMORPH_OT_remove_attachment(PieceOperator, Operator):
     """Remove the selected attachment from the list together with its baked keys. The mesh itself stays"""
 
-    bl_idname = "dynamorph.remove_piece"
+    bl_idname = "dynamorph.remove_attachment"
     bl_label = "Remove Attachment"
 
     def apply(self, obj):
-        active = obj.dynamorph.active_piece
+        active = obj.dynamorph.active_attachment
         mesh = None if active.group else active.object
         if mesh and mesh.dynamorph.follows == obj:
             live.turn_off(mesh)
             bake.free(mesh)
-        attachments.remove(obj, obj.dynamorph.active_piece_index)
+        attachments.remove(obj, obj.dynamorph.active_attachment_index)
 
 
-class DYNAMORPH_OT_select_piece(PieceOperator, Operator):
+class DYNAMORPH_OT_select_attachment(PieceOperator, Operator):
     """Select the attachment in the viewport: its object, or its vertices in Edit Mode"""
 
-    bl_idname = "dynamorph.select_piece"
+    bl_idname = "dynamorph.select_attachment"
     bl_label = "Select Attachment"
 
     def apply(self, obj):
-        piece = obj.dynamorph.active_piece
+        piece = obj.dynamorph.active_attachment
         problem = attachments.problem(obj, piece)
         shown = piece.object or (obj if piece.group else None)
         if shown is None or (piece.group and problem):
@@ -111,9 +111,9 @@ def _select_vertices(obj, members: np.ndarray):
 
 
 CLASSES = (
-    DYNAMORPH_OT_find_pieces,
-    DYNAMORPH_OT_add_piece,
-    DYNAMORPH_OT_remove_piece,
-    DYNAMORPH_OT_select_piece,
+    DYNAMORPH_OT_find_attachments,
+    DYNAMORPH_OT_add_attachment,
+    DYNAMORPH_OT_remove_attachment,
+    DYNAMORPH_OT_select_attachment,
 )
 register, unregister = of_classes(CLASSES)

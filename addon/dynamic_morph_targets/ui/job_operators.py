@@ -24,10 +24,10 @@ SLICE = 0.035  # seconds of a turn that may block the window, approximately
 SHOWN = 0.1  # seconds between two updates of the progress bar
 
 
-class DYNAMORPH_OT_free_bake(SoftSkinOperator, Operator):
+class DYNAMORPH_OT_delete_bake(SoftSkinOperator, Operator):
     """Delete the baked shape keys, curves and modifier, and restore the target keys"""
 
-    bl_idname = "dynamorph.free_bake"
+    bl_idname = "dynamorph.delete_bake"
     bl_label = "Delete Bake"
     needs_soft_skin = False
 
@@ -241,7 +241,7 @@ CLASSES = (
     DYNAMORPH_OT_bake,
     DYNAMORPH_OT_bake_all,
     DYNAMORPH_OT_compare_final,
-    DYNAMORPH_OT_free_bake,
+    DYNAMORPH_OT_delete_bake,
     DYNAMORPH_OT_cancel,
 )
 register, unregister = of_classes(CLASSES)

@@ -53,7 +53,7 @@ class FitsBounce(TargetOperator, JobOperator):
         max=1000.0,
         subtype="FREQUENCY",
     )
-    settle: FloatProperty(
+    settle_time: FloatProperty(
         name="Settle Time",
         description="Observed time until a twentieth of the swing is left",
         subtype="TIME_ABSOLUTE",
@@ -70,7 +70,7 @@ class FitsBounce(TargetOperator, JobOperator):
         return disabled_reason
 
     def _batch(self, obj):
-        return task.Task(obj, self.goal, self._fitted(obj, self.frequency, oscillation.decay_of(self.settle)))
+        return task.Task(obj, self.goal, self._fitted(obj, self.frequency, oscillation.decay_of(self.settle_time)))
 
     @staticmethod
     def _fitted(obj, frequency: float, decay: float) -> task.Chunks[tuple]:
@@ -110,16 +110,16 @@ class DYNAMORPH_OT_fit_material(FitsBounce, Operator):
         obj = skin.mesh_in(context)
         target = obj.dynamorph.active_target
         if target.is_measured:
-            self.frequency, self.settle = target.bounce or self.frequency, target.settle_time
+            self.frequency, self.settle_time = target.bounce or self.frequency, target.settle_time
         else:  # it was built with another Poisson's ratio
             now = material_fit.bounce(*model_store.fit_input(obj, target))
-            self.frequency, self.settle = now.frequency or self.frequency, now.settle
+            self.frequency, self.settle_time = now.frequency or self.frequency, now.settle
         return context.window_manager.invoke_props_dialog(self)
 
     def execute(self, context):
         if bpy.app.background:
             return super().execute(context)
-        press(self, "dynamorph.fit_bounce", frequency=self.frequency, settle=self.settle)
+        press(self, "dynamorph.fit_bounce", frequency=self.frequency, settle_time=self.settle_time)
         return {"CANCELLED"}  # the other button makes the undo step
 
 

@@ -65,7 +65,7 @@ def draw_modes(layout, _context, obj):
 
 def draw_solver(layout, _context, obj):
     layout.enabled = batch.running is None
-    for name in ("substeps", "samples", "gravity", "fields", "begin"):
+    for name in ("substeps", "samples", "gravity", "fields", "initial_state"):
         layout.prop(obj.dynamorph.simulation, name)
 
 
@@ -77,7 +77,7 @@ def draw_rare(layout, _context, obj):
     thickness = column.row()
     thickness.active = model.cage_object is None
     thickness.prop(model, "cage_thickness")
-    for name in ("cage_grading", "separate", "hold"):
+    for name in ("cage_adaptivity", "separate", "hold"):
         column.prop(model, name)
     pinning = column.row()
     pinning.active = model.hold == "BONES"
@@ -87,8 +87,8 @@ def draw_rare(layout, _context, obj):
     fitting = column.row()
     fitting.active = model.basis == "MODES"
     fitting.prop(model, "fit_to_shot")
-    for name in ("law", "blending"):
+    for name in ("material_model", "blending"):
         column.prop(model, name)
     column = layout.column()
-    for name in ("max_thickness", "scheme", "preroll", "preroll_pose"):
+    for name in ("max_thickness", "integrator", "preroll", "preroll_pose"):
         column.prop(simulation, name)

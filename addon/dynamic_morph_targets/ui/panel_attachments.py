@@ -13,7 +13,7 @@ from .widgets import draw_message
 FEW_NOTES = 3  # notes about meshes that are left alone
 
 
-class DYNAMORPH_UL_pieces(UIList):
+class DYNAMORPH_UL_attachments(UIList):
     """The attachments of a character, each with what moves it."""
 
     def draw_item(self, _context, layout, data, item, _icon, _active_data, _active_property, _index):
@@ -28,26 +28,28 @@ class DYNAMORPH_UL_pieces(UIList):
             icon="ERROR" if attachments.problem(data.id_data, item) else icon,
             translate=False,
         )
-        row.prop(item, "choice", text="")
+        row.prop(item, "attached_by", text="")
 
 
-def pieces_title(obj) -> str:
-    count = len(obj.dynamorph.pieces)
+def attachments_title(obj) -> str:
+    count = len(obj.dynamorph.attachments)
     return iface_("Attachments ({count})").format(count=count) if count else iface_("Attachments")
 
 
-def draw_pieces(layout, _context, obj):
+def draw_attachments(layout, _context, obj):
     settings = obj.dynamorph
     row = layout.row()
-    row.template_list("DYNAMORPH_UL_pieces", "", settings, "pieces", settings, "active_piece_index", rows=3)
+    row.template_list(
+        "DYNAMORPH_UL_attachments", "", settings, "attachments", settings, "active_attachment_index", rows=3
+    )
     column = row.column(align=True)
-    column.operator("dynamorph.add_piece", text="", icon="ADD")
-    column.operator("dynamorph.remove_piece", text="", icon="REMOVE")
-    column.operator("dynamorph.select_piece", text="", icon="RESTRICT_SELECT_OFF")
-    layout.operator("dynamorph.find_pieces", icon="VIEWZOOM")
+    column.operator("dynamorph.add_attachment", text="", icon="ADD")
+    column.operator("dynamorph.remove_attachment", text="", icon="REMOVE")
+    column.operator("dynamorph.select_attachment", text="", icon="RESTRICT_SELECT_OFF")
+    layout.operator("dynamorph.find_attachments", icon="VIEWZOOM")
     draw_head(layout, settings.model)
-    if settings.active_piece:
-        draw_piece(layout, obj, settings.active_piece)
+    if settings.active_attachment:
+        draw_piece(layout, obj, settings.active_attachment)
     alone = list(attachments.left_alone(obj))
     for text in alone[:FEW_NOTES]:
         draw_message(layout, text, icon="INFO")
@@ -66,7 +68,7 @@ def draw_piece(layout, obj, piece):
         draw_message(layout, piece.reason, icon="INFO")
     if attachments.problem(obj, piece):
         draw_message(layout, attachments.problem(obj, piece))
-    elif piece.object and piece.choice == "OWN_CAGE" and not piece.object.dynamorph.targets:
+    elif piece.object and piece.attached_by == "OWN_CAGE" and not piece.object.dynamorph.targets:
         text = iface_("'{name}' needs a soft skin of its own").format(name=piece.object.name)
         draw_message(layout, text, icon="INFO")
         button = layout.row()

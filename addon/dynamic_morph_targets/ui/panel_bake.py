@@ -99,19 +99,19 @@ def draw_bake(layout, _context, obj):
     layout.prop(simulation, "use_scene_range")
     column = layout.column(align=True)
     column.enabled = not simulation.use_scene_range
-    column.prop(simulation, "start")
-    column.prop(simulation, "end")
+    column.prop(simulation, "frame_start")
+    column.prop(simulation, "frame_end")
     column.prop(simulation, "keep_outside")
     layout.prop(simulation, "loop")
-    layout.prop(output, "sink")
+    layout.prop(output, "format")
     column = layout.column(align=True)
-    if output.sink == "MODES":
+    if output.format == "MODES":
         column.prop(output, "keys")
-    elif output.sink == "FRAMES":
+    elif output.format == "FRAMES":
         column.prop(output, "tolerance")
         row = column.row()
         row.active = output.tolerance == 0.0
-        row.prop(output, "every")
+        row.prop(output, "frame_step")
     layout.operator("dynamorph.bake_all")
 
 

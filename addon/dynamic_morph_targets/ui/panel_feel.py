@@ -36,7 +36,7 @@ def draw_swing(layout, target):
     bounce.enabled = (target.is_measured or target.awaits_build) and batch.running is None
     bounce.prop(target, "bounce")
     others.enabled = target.is_measured and batch.running is None
-    for name in ("settle_time", "weight"):
+    for name in ("settle_time", "mass"):
         others.prop(target, name)
     if not target.is_measured:
         column.label(text="Measured by the next build", icon="INFO")

@@ -27,7 +27,7 @@ def draw_top(layout, context, obj):
     if not obj.dynamorph.targets:
         layout.operator("dynamorph.add_soft_skin", icon="ADD")
         if skin.is_shown_on(obj):
-            layout.operator("dynamorph.free_bake", icon="TRASH")
+            layout.operator("dynamorph.delete_bake", icon="TRASH")
         return
     playing = live.is_on(obj)
     buttons = layout.column(align=True)
@@ -37,7 +37,7 @@ def draw_top(layout, context, obj):
     row.operator("dynamorph.build", icon="MOD_LATTICE" if has_room else "NONE")
     row = buttons.row(align=True)
     row.operator("dynamorph.bake", text="Bake", icon="REC")
-    row.operator("dynamorph.free_bake", icon="TRASH" if has_room else "NONE")
+    row.operator("dynamorph.delete_bake", icon="TRASH" if has_room else "NONE")
     hint = "" if batch.running else next_step(obj)
     layout.label(text=hint, icon="LIGHT" if hint else "NONE")
 

@@ -105,7 +105,7 @@ def draw_extent(layout, obj, target):
         row.use_property_split = False
         row.prop_search(target, "region", obj, "vertex_groups", text="")
         row.operator("dynamorph.region_from_sculpt", text="", icon="AUTO", depress=target.auto_region)
-        column.prop(target, "radius")
+        column.prop(target, "fade_out_angle")
     column.prop(target, "influence")
 
 
@@ -151,8 +151,8 @@ def draw_target_weights(layout, context, obj):
     row = layout.row(align=True)
     row.use_property_split = False
     row.prop(context.window_manager.dynamorph, "target_weights", text="Graph", icon="FCURVE", toggle=True)
-    row.operator("dynamorph.update_influence", text="", icon="FILE_REFRESH")
-    layout.operator("dynamorph.suggest_pose", icon="VIEWZOOM")
+    row.operator("dynamorph.update_target_weights", text="", icon="FILE_REFRESH")
+    layout.operator("dynamorph.find_uncovered_pose", icon="VIEWZOOM")
     draw_bars(layout, context, obj)
     if context.window_manager.dynamorph.target_weights and weight_curves.problem(obj):
         draw_message(layout, weight_curves.problem(obj))

@@ -15,7 +15,7 @@ from ..run import batch, preview
 from ..scene import skin
 from ..scene.registration import of_classes
 from .panel_advanced import DYNAMORPH_UL_modes, draw_cage, draw_detail, draw_modes, draw_rare, draw_solver, has_modes
-from .panel_attachments import DYNAMORPH_UL_pieces, draw_pieces, pieces_title
+from .panel_attachments import DYNAMORPH_UL_attachments, attachments_title, draw_attachments
 from .panel_bake import draw_bake, draw_details, draw_export, draw_result, draw_setup, draw_trying, is_baked
 from .panel_feel import draw_feel, draw_firmness, draw_material
 from .panel_status import draw_messages, draw_top
@@ -103,7 +103,7 @@ SIDEBAR_SECTIONS = (
 )
 # Once.
 PHYSICS_SECTIONS = (
-    Section("pieces", "", "physics", draw_pieces, title=pieces_title),
+    Section("attachments", "", "physics", draw_attachments, title=attachments_title),
     Section("bake", "Bake Settings", "physics", draw_bake),
     Section("export", "Export", "physics", draw_export),
     Section("setup", "Setup", "physics", draw_setup, presets=DYNAMORPH_PT_setup_presets),
@@ -183,7 +183,7 @@ def draw_status(header, _context):
 
 CLASSES = (
     DYNAMORPH_UL_targets,
-    DYNAMORPH_UL_pieces,
+    DYNAMORPH_UL_attachments,
     DYNAMORPH_UL_modes,
     DYNAMORPH_MT_targets,
     DYNAMORPH_PT_sidebar,

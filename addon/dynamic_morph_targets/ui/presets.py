@@ -24,7 +24,7 @@ from ..scene.skin import mesh_in
 from ..write import setups
 from .base import SoftSkinOperator
 
-SHOT = ("use_scene_range", "start", "end")  # settings that belong to one shot
+SHOT = ("use_scene_range", "frame_start", "frame_end")  # settings that belong to one shot
 
 
 class SavesPreset(AddPresetBase):

@@ -123,7 +123,9 @@ class DYNAMORPH_OT_copy_to_selected(SoftSkinOperator, Operator):
     def _copy(self, source, others):
         transfer.check(source, others, self.replace)
         setup, size = setups.of_object(source), transfer.size(source)
-        setup["pieces"] = [piece for piece in setup["pieces"] if not piece["object"]]  # those follow one soft skin
+        setup["attachments"] = [
+            piece for piece in setup["attachments"] if not piece["object"]
+        ]  # those follow one soft skin
         copies = [transfer.copy(source, obj) for obj in others]
         for obj, made in zip(others, copies, strict=True):
             if obj.dynamorph.targets:

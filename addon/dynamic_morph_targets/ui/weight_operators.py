@@ -24,10 +24,10 @@ class ReadsFrames(JobOperator):
         return task.Task(obj, self.goal, pieces)
 
 
-class DYNAMORPH_OT_update_influence(ReadsFrames, Operator):
+class DYNAMORPH_OT_update_target_weights(ReadsFrames, Operator):
     """Evaluate the armature again at every frame of the scene for the graph of the targets' weights"""
 
-    bl_idname = "dynamorph.update_influence"
+    bl_idname = "dynamorph.update_target_weights"
     bl_label = "Update Target Weights"
     bl_options = {"REGISTER"}
     goal = "UPDATE_INFLUENCE"
@@ -37,10 +37,10 @@ class DYNAMORPH_OT_update_influence(ReadsFrames, Operator):
         return {"FINISHED"}
 
 
-class DYNAMORPH_OT_suggest_pose(ReadsFrames, Operator):
+class DYNAMORPH_OT_find_uncovered_pose(ReadsFrames, Operator):
     """Go to the frame whose pose is farthest from all targets, where another target helps most"""
 
-    bl_idname = "dynamorph.suggest_pose"
+    bl_idname = "dynamorph.find_uncovered_pose"
     bl_label = "Find Uncovered Pose"
     goal = "SUGGEST_POSE"
 
@@ -66,5 +66,5 @@ class DYNAMORPH_OT_suggest_pose(ReadsFrames, Operator):
         return {"FINISHED"}
 
 
-CLASSES = (DYNAMORPH_OT_update_influence, DYNAMORPH_OT_suggest_pose)
+CLASSES = (DYNAMORPH_OT_update_target_weights, DYNAMORPH_OT_find_uncovered_pose)
 register, unregister = of_classes(CLASSES)

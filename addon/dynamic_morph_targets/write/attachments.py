@@ -38,7 +38,9 @@ def find(obj) -> list[str]:
     rig = checks.armature_modifier(obj).object
     world, _ = mesh_data.worlds_at_start(obj, rig)
     to_bind, names = mesh_data.stretch(world), references.rest_skeleton(rig.data).names
-    listed = {piece.object: piece.choice for piece in obj.dynamorph.pieces if piece.object and not piece.group}
+    listed = {
+        piece.object: piece.attached_by for piece in obj.dynamorph.attachments if piece.object and not piece.group
+    }
     found, added = [_look_at(obj, obj, rig, world, to_bind)], []
     for other in [*_siblings(obj), *(each for each, choice in listed.items() if choice in {"WITH_BODY", "HELD"})]:
         try:
@@ -65,13 +67,13 @@ def find(obj) -> list[str]:
 
 def remove(obj, index: int):
     """Remove an attachment from the list, with the vertex group that was made for it."""
-    piece = obj.dynamorph.pieces[index]
+    piece = obj.dynamorph.attachments[index]
     owner = piece.object or obj
     group = owner.vertex_groups.get(piece.group)
     if group and group.name.startswith(PREFIX):
         owner.vertex_groups.remove(group)
-    obj.dynamorph.pieces.remove(index)
-    obj.dynamorph.active_piece_index = max(min(index, len(obj.dynamorph.pieces) - 1), 0)
+    obj.dynamorph.attachments.remove(index)
+    obj.dynamorph.active_attachment_index = max(min(index, len(obj.dynamorph.attachments) - 1), 0)
 
 
 def members(obj, group: str) -> np.ndarray:
@@ -90,7 +92,7 @@ def problem(obj, piece) -> str:
         gone = piece.group not in (piece.object or obj).vertex_groups
         text = "The vertex group '{group}' is gone: choose another, or remove the attachment"
         return Message(text, group=piece.group) if gone else ""
-    if piece.choice in {"WITH_BODY", "HELD"} and rig_of(obj):
+    if piece.attached_by in {"WITH_BODY", "HELD"} and rig_of(obj):
         return next((each.text for each in checks.follower(Skinning.of(obj), Skinning.of(piece.object))), "")
     return ""
 
@@ -125,7 +127,7 @@ def left_alone(obj) -> Iterator[str]:
 
 def _siblings(obj) -> list:
     """The other meshes on the armature of `obj` that are not attachments yet."""
-    rig, known = rig_of(obj), [obj, *(piece.object for piece in obj.dynamorph.pieces)]
+    rig, known = rig_of(obj), [obj, *(piece.object for piece in obj.dynamorph.attachments)]
     return [
         other
         for other in bpy.context.scene.objects
@@ -292,9 +294,9 @@ def _add_parts(obj, each: _Found, touches: np.ndarray, names) -> list[str]:
 
 
 def _add(obj, other, group: str, choice: str, reason: str) -> str:
-    piece = obj.dynamorph.pieces.add()
+    piece = obj.dynamorph.attachments.add()
     piece.object, piece.group, piece.name = other, group, group or other.name
-    piece.choice = choice
+    piece.attached_by = choice
     piece.reason = reason  # after the choice, whose update clears the reason
     return piece.name
 

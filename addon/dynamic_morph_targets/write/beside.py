@@ -100,7 +100,7 @@ def _fill(empty, body, plain: bool):
     moving = [body, *(each for each in skin.followers(body) if each.visible_get())]
     for each in moving:
         bake.check_not_edited(each)
-    rigid = {piece.object for piece in body.dynamorph.pieces if piece.object and piece.object.visible_get()}
+    rigid = {piece.object for piece in body.dynamorph.attachments if piece.object and piece.object.visible_get()}
     collection = bpy.data.collections.new(empty.name)
     for each in (*(_copy(each, plain) for each in moving), *rigid.difference(moving)):
         collection.objects.link(each)

@@ -28,7 +28,7 @@ from ..core.settings import ModelSettings
 from ..io import disk
 from ..scene import checks, rig_motion
 from ..scene.bake_properties import DynamorphOutput, DynamorphSimulation
-from ..scene.model_properties import DynamorphMode, DynamorphModel, DynamorphPiece
+from ..scene.model_properties import DynamorphAttachment, DynamorphMode, DynamorphModel
 from ..scene.plain import fits, is_text, plain, wanted
 from ..scene.properties import DynamorphSettings
 from ..scene.references import KEY_REFERENCE
@@ -41,14 +41,21 @@ FORMAT = "dynamorph setup"
 VERSION = 1
 # Properties that are results, clues or a choice in the interface.
 NOT_AUTHORED = {
-    DynamorphSettings: ("name", "groups", "active_target_index", "active_mode_index", "active_piece_index", "had_keys"),
+    DynamorphSettings: (
+        "name",
+        "groups",
+        "active_target_index",
+        "active_mode_index",
+        "active_attachment_index",
+        "had_keys",
+    ),
     DynamorphModel: {"name", *DynamorphModel.__annotations__}.difference(field.name for field in fields(ModelSettings)),
     DynamorphSimulation: ("name",),
     DynamorphOutput: ("name",),
     DynamorphMode: ("name",),
     DynamorphTarget: KEY_REFERENCE[1:],  # the name is in the file
     DynamorphBonePose: ("name",),
-    DynamorphPiece: (),
+    DynamorphAttachment: (),
 }
 PARTS = {
     "skin": DynamorphSettings,
@@ -81,9 +88,9 @@ def of_object(obj) -> dict:
         "simulation": authored(settings.simulation),
         "output": authored(settings.output),
         "modes": [authored(mode) for mode in settings.modes],
-        "pieces": [
+        "attachments": [
             {**authored(piece), "object": piece.object.name if piece.object else ""}
-            for piece in settings.pieces
+            for piece in settings.attachments
             if piece.object or piece.group
         ],
     }
@@ -114,8 +121,8 @@ def apply(obj, setup: dict) -> dict[str, list[str]]:
         settings.modes.add()
     for mode, values in zip(settings.modes, modes, strict=False):
         assign(mode, values)
-    if "pieces" in setup:
-        _apply_pieces(obj, setup["pieces"], lacking)
+    if "attachments" in setup:
+        _apply_pieces(obj, setup["attachments"], lacking)
     return lacking.names
 
 
@@ -142,7 +149,7 @@ def _apply_targets(obj, rig, entries: list[dict], lacking: _Lacking):
 
 def _apply_pieces(obj, entries: list[dict], lacking: _Lacking):
     meshes = {other.name: other for other in bpy.context.scene.objects if other.type == "MESH" and other != obj}
-    obj.dynamorph.pieces.clear()
+    obj.dynamorph.attachments.clear()
     for entry in entries:
         other = entry.get("object")
         there = lacking.present("objects", [other], meshes) if other else [obj.name]
@@ -150,7 +157,7 @@ def _apply_pieces(obj, entries: list[dict], lacking: _Lacking):
             owner = meshes[entry["object"]] if entry.get("object") else obj
             there = lacking.present("vertex groups", [entry["group"]], owner.vertex_groups)
         if there:
-            piece = obj.dynamorph.pieces.add()
+            piece = obj.dynamorph.attachments.add()
             assign(piece, _simple(entry))
             piece.object = meshes[entry["object"]] if entry.get("object") else None
             piece.reason = entry.get("reason", "")  # which `choice` takes away
@@ -234,7 +241,7 @@ def check(setup):
             version=version,
             known=VERSION,
         )
-    targets, modes, pieces = setup.get("targets"), setup.get("modes", []), setup.get("pieces", [])
+    targets, modes, pieces = setup.get("targets"), setup.get("modes", []), setup.get("attachments", [])
     if not isinstance(targets, list) or not targets or not isinstance(modes, list) or not isinstance(pieces, list):
         raise SetupError("The setup has no list of targets")
     for target in targets:
@@ -279,7 +286,7 @@ def _check_piece(where: str, piece):
     names = [piece.get(kind, "") for kind in ("object", "group")] if isinstance(piece, dict) else []
     if not all(map(is_text, names)) or not any(names):
         raise SetupError("{where} names neither an object nor a vertex group", where=where)
-    _check_values(where, DynamorphPiece, _simple(piece))
+    _check_values(where, DynamorphAttachment, _simple(piece))
 
 
 def _check_values(where: str, kind, values):

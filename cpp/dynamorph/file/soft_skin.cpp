@@ -81,7 +81,7 @@ Built built(const std::string& meta) {
     const auto& settings = description.at("settings");
     if (settings.at("method") == "STATIC" || settings.at("solver") != "REDUCED")
       throw Error("The model has no modes to step: build it with the solver Reduced");
-    const auto law = laws.find(settings.at("law").get<std::string>());
+    const auto law = laws.find(settings.at("material_model").get<std::string>());
     if (law == laws.end()) throw incomplete("its law is unknown");
     return {law->second, settings.at("method") == "SHAPE", description.at("bone_names")};
   } catch (const nlohmann::json::exception& error) {

@@ -72,7 +72,7 @@ struct Scene {
              {"table_mu", stored(mu, {J, size})},
              {"hold_strength", stored(MatrixXd(0, 0), {0, 0})},
              {"responses", stored(MatrixXd(0, 0), {0, 0})}},
-            R"({"settings": {"law": "STVK", "solver": "REDUCED", "method": "DYNAMIC"}, "bone_names": ["root"]})"};
+            R"({"settings": {"material_model": "STVK", "solver": "REDUCED", "method": "DYNAMIC"}, "bone_names": ["root"]})"};
   }
 };
 
@@ -181,7 +181,7 @@ TEST_CASE("what does not fit together is refused") {
     spoiled.meta = meta;
     CHECK_THROWS_AS(file::load_soft_skin(spoiled, scene.targets), Error);
   }
-  spoiled.meta = R"({"settings": {"law": "STVK", "solver": "FULL", "method": "DYNAMIC"}, "bone_names": []})";
+  spoiled.meta = R"({"settings": {"material_model": "STVK", "solver": "FULL", "method": "DYNAMIC"}, "bone_names": []})";
   CHECK_THROWS_WITH_AS(file::load_soft_skin(spoiled, scene.targets),
                        "The model has no modes to step: build it with the solver Reduced", Error);
 }
