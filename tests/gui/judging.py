@@ -126,6 +126,7 @@ def two_bakes():
 def heat():
     measure("Verdict on the bake", found().text)
     assert found().ok and not found().remedy and found().figures
+    yield from sidebar.fold("DYNAMORPH_PT_targets")  # now Details is in sight
     yield from sidebar.unfold("DYNAMORPH_PT_details")
     yield from sidebar.press("dynamorph.show_worst")
     yield from until(lambda: bpy.context.window_manager.dynamorph.heat, "the heat map")
