@@ -57,6 +57,7 @@ TUCK = {
     "buttocks/buttocks-volume-incr": 0.9,
 }
 FIRMNESS = "Firmness"  # vertex group: 0.5 as the targets are, 1 held by the bones
+HELD = 0.0, 0.05, 0.2  # softness: the bones hold the skin below, and leave it as it is above
 SOFT_BONES = ("pelvis", "spine_01", "spine_02", "spine_03", "thigh_l", "thigh_r")
 
 # Stiffness in Pa and the two Rayleigh dampings of each target.
@@ -72,7 +73,7 @@ MODEL = {
     "blending": "FORCES",
     "modes": 12,
     "fit_to_shot": True,
-    "cage_nodes": 640,
+    "cage_nodes": 600,
 }
 
 SKIN = (0.80, 0.44, 0.30)
@@ -258,7 +259,7 @@ def add_body(human: Human, bones: Skeleton, rig: bpy.types.Object) -> bpy.types.
         "color", colors(vertices, edge).astype(np.float32).ravel()
     )
     soft = softness(weights, bones, vertices)
-    add_vertex_groups(body, weights | {FIRMNESS: 1 - soft / 2})
+    add_vertex_groups(body, weights | {FIRMNESS: np.interp(soft, HELD, [1.0, 0.975, 0.5])})
     add_shape_keys(body, vertices, sculpt(used, soft, quads))
     skin(body, rig)
     finer = body.modifiers.new("Subdivision", "SUBSURF")
