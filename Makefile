@@ -71,7 +71,7 @@ figures: build
 
 # The table of presets in docs/materials.md.
 materials: build
-	@PYTHONPATH=addon $(python) -m dynamic_morph_targets.core.material_presets docs/materials.md
+	@PYTHONPATH=addon $(python) -m dynamic_morph_targets.core.material.presets docs/materials.md
 	@$(python) tools/measured.py docs/materials.md
 
 # Keeps the bytes that the engine computes in this version, of every compiler and instruction set that runs here, in
@@ -144,7 +144,7 @@ minutes ?= 5
 fuzz: build
 	@$(if $(examples),DYNAMORPH_FUZZ=$(examples),DYNAMORPH_FUZZ_MINUTES=$(minutes)) $(python) -m pytest \
 		--hypothesis-show-statistics tests/engine/test_defects.py \
-		$(if $(examples),,tests/engine/test_fuzz.py tests/addon/test_fuzz_commands.py)
+		$(if $(examples),,tests/engine/test_fuzz.py tests/addon/cli/test_fuzz_commands.py)
 
 # Random walks over all that an artist can press and change, in one process of Blender: no bug, nothing left, memory flat.
 # minutes=60 walks so long, seed=7 that walk; steps=240 takes the first 240 steps of it again.
@@ -157,11 +157,11 @@ soak: build
 # tries a few: nothing is lost, nothing partial is left, and the message is right. Takes about 20 minutes.
 faults: build
 	@status=0; for each in $(shell ls -d .venv/3.*/bin/python); do \
-	DYNAMORPH_FAULTS=all $$each -m pytest -rA tests/engine/test_allocations.py tests/addon/test_failing_calls.py || status=$$?; \
+	DYNAMORPH_FAULTS=all $$each -m pytest -rA tests/engine/test_allocations.py tests/addon/cli/test_failing_calls.py || status=$$?; \
 	done; exit $$status
 
 # docs/coverage.md: which lines and branches the tests run, C++ and Python, with what tests/not_covered.toml says of files
-# that are low; takes about an hour. tests="tests/engine tests/addon/test_cli.py" runs those alone, and writes to
+# that are low; takes about an hour. tests="tests/engine tests/addon/cli/test_command_line.py" runs those alone, and writes to
 # build/coverage.
 tests ?=
 coverage: build

@@ -2,7 +2,7 @@
 """What the thesis's figures claim of each scene, measured. Meters, cubic meters, degrees.
 
 Each function takes a shot and its runs by method (SHOWN) and returns plain data. `make figures` prints it, and
-tests/addon/test_claims.py holds the scenes to it.
+tests/addon/samples/test_claims.py holds the scenes to it.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import measures
 import numpy as np
-from dynamic_morph_targets.core.compare import Run, Statics
-from dynamic_morph_targets.core.rig_samples import RigSamples
+from dynamic_morph_targets.core.motion.rig_samples import RigSamples
+from dynamic_morph_targets.core.result.compare import Run, Statics
 from subjects import Shot
 
 PLAIN = "plain skinning"  # no run: the skin as the bones move it

@@ -20,7 +20,7 @@ try:
     from dynamic_morph_targets.cli import record
     from dynamic_morph_targets.core import engine
     from dynamic_morph_targets.run import batch, job
-    from dynamic_morph_targets.write.bake import free
+    from dynamic_morph_targets.write.bake.writer import free
     from measures import static_shapes
 except ImportError as error:
     sys.exit(f"demo: {error}. `make demo` installs and builds everything first; see README.md for doing it by hand.")

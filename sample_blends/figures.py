@@ -24,9 +24,9 @@ try:
     import results_page
     from contact_sheet import Row, compose, render, save
     from dynamic_morph_targets.__main__ import leave
-    from dynamic_morph_targets.core import compare
+    from dynamic_morph_targets.core.result import compare
     from dynamic_morph_targets.core.settings import VARIANTS
-    from dynamic_morph_targets.write.bake import free, write_keys
+    from dynamic_morph_targets.write.bake.writer import free, write_keys
     from heat import draw_legend, paint
     from PIL import ImageDraw
     from subjects import SHAPE, SUBJECTS, SWING, Sheet, Shot, Subject, nearest, open_shot

@@ -12,9 +12,9 @@ import bpy
 import measures
 import numpy as np
 from contact_sheet import quiet
-from dynamic_morph_targets.core import compare
 from dynamic_morph_targets.core.character import Character
-from dynamic_morph_targets.core.rig_samples import RigSamples
+from dynamic_morph_targets.core.motion.rig_samples import RigSamples
+from dynamic_morph_targets.core.result import compare
 from dynamic_morph_targets.core.settings import SimulationSettings
 from dynamic_morph_targets.scene import extract, rig_motion, run_settings
 

@@ -33,7 +33,7 @@ PAGES = {
                     "tools/coverage_page.py"),
     "farm.md": ("addon/dynamic_morph_targets/cli", "addon/dynamic_morph_targets/io/cache_dir.py", "farm",
                 "tools/farm_demo.py"),
-    "materials.md": ("addon/dynamic_morph_targets/core/material_presets.py",),
+    "materials.md": ("addon/dynamic_morph_targets/core/material/presets.py",),
     "platforms.md": ("cpp", "CMakeLists.txt", "cmake", "tools/wheels.py", "tests/benchmarks/platforms_page.py"),
     "reliability.md": (*ENGINE, "addon/dynamic_morph_targets", "tests/faults.toml"),
     "window_test.md": (*ENGINE, "addon/dynamic_morph_targets", "tests/gui", "tools/gui_test.py"),

@@ -7,7 +7,7 @@
 #   coverage  what measures which lines the tests run (tools/coverage_page.py)
 #   emulate   the tests with another processor than this one (tests/engine/test_instruction_sets.py)
 #   farm      the demo of a render farm; contains openjd
-#   openjd    the tests of farm/ with the tools of Open Job Description (tests/addon/test_farm.py)
+#   openjd    the tests of farm/ with the tools of Open Job Description (tests/addon/package/test_farm.py)
 #   platforms what runs the programs of other systems (tests/benchmarks/platforms_page.py); contains emulate and wheels
 #   wheels    the compiler for other systems, and what looks into its files (tools/wheels.py)
 set -euo pipefail

@@ -38,9 +38,9 @@ def run() -> int:
 def leave(code: int) -> NoReturn:
     """End this process, for scripts too: as it tears itself down, bpy 4.5 may wait for ever for a thread of its own."""
     if "bpy" in sys.modules:
-        from .write import export_child
+        from .write.export import child
 
-        export_child.remove_temporary()  # which it would have done
+        child.remove_temporary()  # which it would have done
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError):  # `main` has reported it
             stream.flush()

@@ -1,27 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender scenes for the add-on's tests, and common questions about such a scene."""
+"""Blender scenes for the tests of the extension, and common questions about such a scene. Programs that build scenes import
+it too, so what needs the extension under its installed name imports it when it is called.
+"""
 
 import hashlib
-import importlib
 import threading
 from contextlib import contextmanager
 from math import pi
-from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 import scenes
 from pins import with_pins
-
-MODULE = "bl_ext.user_default.dynamic_morph_targets"
-PACKAGE = Path(__file__).parents[2] / "addon" / "dynamic_morph_targets"
-
-
-def part(name):
-    """A module of the add-on, such as part("extract"): each file name occurs once."""
-    (path,) = PACKAGE.rglob(f"{name}.py")
-    return importlib.import_module(".".join([MODULE, *path.relative_to(PACKAGE).with_suffix("").parts]))
 
 
 def make_rig(scene, name="Rig", bones=2):
@@ -100,23 +91,28 @@ def rig_of(obj):
 
 
 def skinning_of(obj):
-    return part("skinning").Skinning.of(obj)
+    from bl_ext.user_default.dynamic_morph_targets.scene.skinning import Skinning
+
+    return Skinning.of(obj)
 
 
 def warnings_of(obj):
     """What a build would warn about before it begins."""
-    return part("extract").warnings(part("source").Source.of(skinning_of(obj)))
+    from bl_ext.user_default.dynamic_morph_targets.scene import extract, source
+
+    return extract.warnings(source.Source.of(skinning_of(obj)))
 
 
 def hand_made_bake(obj, frames=range(1, 21), modes=3, seed=1):
     """A Bake as an engine could make it for the targets of `obj`."""
-    baked = part("baked")
     rng = np.random.default_rng(seed)
     names = ("Neutral", *(target.name for target in obj.dynamorph.targets[1:]))
     vertices = len(obj.data.vertices)
     weights = rng.uniform(size=(len(frames), len(names)))
     residual_shapes = rng.normal(0, 0.02, (len(names), vertices, 3))
     residual_shapes[0] = 0.0
+    from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
+
     return baked.Bake(
         frames=np.array(frames),
         coordinates=rng.normal(0, 3.0, (len(frames), modes)),
@@ -150,14 +146,15 @@ def skinned(character, samples, displacement=0.0):
 
 
 def assert_shows(obj, bake, extra=0.0):
-    """Blender's mesh at every frame is vertices + Bake.displacement, skinned."""
-    extract, rig_motion = part("extract"), part("rig_motion")
+    """Blender's mesh at every frame is vertices + Bake.displacement, skinned. bake: of the whole body."""
+    from bl_ext.user_default.dynamic_morph_targets.scene import extract, rig_motion
+
     character = extract.character(obj)
     samples = rig_motion.sample_rig(obj, int(bake.frames[0]), int(bake.frames[-1]), 1)
     size = np.ptp(character.vertices @ character.to_bind.T, axis=0).max()
     for i, frame in enumerate(bake.frames):
         bpy.context.scene.frame_set(int(frame))
-        ours = skinned(character, samples[i : i + 1], bake.displacement(i) + extra)[0]
+        ours = skinned(character, samples[i : i + 1], bake.displacement(i) + extra)[0, character.own_vertices]
         round_off = 2e-7 * np.abs(ours).max()  # far from the origin Blender has no more digits
         assert np.abs(evaluated_points(obj) - ours).max() < 1e-5 * size + round_off
 
@@ -165,9 +162,11 @@ def assert_shows(obj, bake, extra=0.0):
 @contextmanager
 def soon():
     """Call, at the end, what was left to timers in the meantime: without a window no timer runs."""
+    from bl_ext.user_default.dynamic_morph_targets.scene import events
+
     asked = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(part("events"), "soon", lambda look, _seconds: asked.setdefault(look))
+        patch.setattr(events, "soon", lambda look, _seconds: asked.setdefault(look))
         yield
     for look in asked:
         look()
@@ -207,7 +206,9 @@ class StandIn:
 
         @property
         def settings(self):
-            return part("settings").ModelSettings()
+            from bl_ext.user_default.dynamic_morph_targets.core.settings import ModelSettings
+
+            return ModelSettings()
 
         def with_settings(self, _settings):
             return self
@@ -267,7 +268,9 @@ class StandInShot:
         character, settings = self.character, self.settings
         rng = np.random.default_rng(1)
         vertices, targets = len(character.vertices), character.targets
-        bake = part("baked").Bake(
+        from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
+
+        bake = baked.Bake(
             settings.frames, rng.normal(size=(len(settings.frames), 3)),
             np.full((len(settings.frames), len(targets)), 1 / len(targets)), rng.normal(0, 0.001, (3, vertices, 3)),
             np.zeros((len(targets), vertices, 3)), tuple(t.name for t in targets), np.zeros((len(settings.frames), 3)),

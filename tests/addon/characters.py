@@ -85,6 +85,7 @@ def open_shot(shot: Shot):
     model, simulation = body.dynamorph.model, body.dynamorph.simulation
     model.cage_nodes, model.method = NODES, "DYNAMIC" if shot.keys else "SINGLE"
     model.hold, model.hold_head = "BONES", False
+    body.dynamorph.firmness_group = body.vertex_groups.new(name="Firmness").name  # robots, too, are taken for soft
     simulation.max_displacement = simulation.max_thickness = 0.0
     scene.frame_set(scene.frame_start)
     return body

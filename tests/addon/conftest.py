@@ -1,24 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The add-on inside the bpy wheel, loaded from its sources as Blender loads an installed extension."""
 
-import os
 import sys
-import tempfile
 from functools import partial
 from pathlib import Path
 
-os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_test_")  # before bpy is imported
-
 import pytest
 
-bpy = pytest.importorskip("bpy", reason="needs the bpy wheel")
+sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parent)]
+installed = pytest.importorskip("installed", reason="needs the bpy wheel")  # before bpy
 
 import addon_utils  # noqa: E402
+import bpy  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.core.model import build  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.core.motion import simulate  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.scene import model_store  # noqa: E402
 
-ROOT = Path(__file__).parents[2]
-MODULE = "bl_ext.user_default.dynamic_morph_targets"
 EXIT = pytest.StashKey[int]()
-sys.path[:0] = [str(ROOT / "tests"), str(Path(__file__).parent)]
 
 
 def pytest_sessionfinish(session, exitstatus):
@@ -38,12 +36,10 @@ def pytest_unconfigure(config):
 @pytest.fixture(scope="session")
 def addon():
     """The add-on's package, enabled."""
-    folder = Path(bpy.utils.user_resource("EXTENSIONS", path="user_default", create=True))
-    (folder / "dynamic_morph_targets").symlink_to(ROOT / "addon" / "dynamic_morph_targets")
-    module = addon_utils.enable(MODULE, default_set=True)
+    module = addon_utils.enable(installed.MODULE, default_set=True)
     assert module is not None
     yield module
-    addon_utils.disable(MODULE, default_set=True)
+    addon_utils.disable(installed.MODULE, default_set=True)
 
 
 @pytest.fixture
@@ -81,14 +77,14 @@ def viewport(scene):
 @pytest.fixture
 def stand_in(addon, monkeypatch):
     """Replaces the engine by one that answers at once; see builders.StandIn."""
-    from builders import StandIn, part
+    from builders import StandIn
 
     engine = StandIn()
-    for module, names in {"build": ("dependencies", "stale_reasons"), "simulate": ("build_for", "Shot")}.items():
+    for module, names in {build: ("dependencies", "stale_reasons"), simulate: ("build_for", "Shot")}.items():
         for name in names:
-            monkeypatch.setattr(part(module), name, partial(_call, engine, name))
-    monkeypatch.setattr(part("model_store"), "Model", engine.Model)
-    part("model_store").forget()
+            monkeypatch.setattr(module, name, partial(_call, engine, name))
+    monkeypatch.setattr(model_store, "Model", engine.Model)
+    model_store.forget()
     return engine
 
 

@@ -5,7 +5,7 @@ import copy
 import types
 
 import bpy
-from builders import part
+from bl_ext.user_default.dynamic_morph_targets.ui.panels import sections
 
 
 def region(width) -> dict:
@@ -136,5 +136,5 @@ def draw_tree(panel_class, context, layout, unfolded):
 def inside(panel_class):
     """The panels whose parent is this one, in their order."""
     name = panel_class.__name__
-    children = [kind.__name__ for kind in part("panels").CLASSES if getattr(kind, "bl_parent_id", "") == name]
+    children = [kind.__name__ for kind in sections.CLASSES if getattr(kind, "bl_parent_id", "") == name]
     return [registered(child, bpy.types.Panel) for child in children]

@@ -5,7 +5,8 @@ import types
 
 import bpy
 import pytest
-from builders import activate, part
+from bl_ext.user_default.dynamic_morph_targets.run import batch
+from builders import activate
 
 APP = bpy.app
 
@@ -72,7 +73,7 @@ class Pressed:
             patch.setattr(kind, "__getattribute__", self._attribute(kind.__getattribute__), raising=False)
             self.result = press(obj, operator, self._invoke, **settings)
             self._play(iter(events), before_tick)
-        assert part("batch").running is None
+        assert batch.running is None
 
     def _attribute(self, original):
         def attribute(operator, name):
@@ -88,7 +89,6 @@ class Pressed:
         return operator.invoke(context, None)
 
     def _play(self, events, before_tick):
-        batch = part("batch")
         while self.result in ({"RUNNING_MODAL"}, {"PASS_THROUGH"}):
             assert batch.running is self.operator.batch
             if before_tick:

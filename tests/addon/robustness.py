@@ -6,8 +6,11 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from builders import activate, evaluated_points, fingerprint, part, rig_of
-from test_sinks import keys_of
+from bl_ext.user_default.dynamic_morph_targets.core import records
+from bl_ext.user_default.dynamic_morph_targets.run import batch
+from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene import model_store, target_properties
+from builders import activate, evaluated_points, fingerprint, keys_of, rig_of
 from test_targets import drive
 
 OPS = bpy.ops.dynamorph
@@ -22,8 +25,8 @@ def coarse(obj):
 
 
 def bake(obj, **options):
-    job = part("job").Job(obj, goal="BAKE", **options)
-    part("batch").run(job)
+    job = Job(obj, goal="BAKE", **options)
+    batch.run(job)
     return job
 
 
@@ -50,7 +53,7 @@ def settings(group):
         if prop.type == "COLLECTION":
             value = [settings(item) for item in value]
         elif isinstance(value, bpy.types.PropertyGroup):
-            gone = isinstance(value, part("target_properties").DynamorphKey) and not value.name
+            gone = isinstance(value, target_properties.DynamorphKey) and not value.name
             value = None if gone else settings(value)  # the former state of a missing key does not matter
         elif prop.type == "POINTER":
             value = value and value.name
@@ -78,7 +81,7 @@ def state():
             mine["settings"] = settings(obj.dynamorph)
             mine["modifiers"] = [plain(modifier) for modifier in obj.modifiers]
             mine["pinned"] = obj.show_only_shape_key
-            mine["model"] = list(obj.get(part("model_store").PACKED, ()))
+            mine["model"] = list(obj.get(model_store.PACKED, ()))
             mine["keys"] = fingerprint(obj) if keys_of(obj) else None
             mine["groups"] = obj.vertex_groups.keys()
             mine["weights"] = [[(g.group, g.weight) for g in vertex.groups] for vertex in obj.data.vertices]
@@ -161,7 +164,7 @@ def judged(obj):
     """A bake whose verdict is that it is too soft."""
     baked(obj)
     found = {"ok": False, "text": "Too far", "frame": 7, "vertices": [3], "remedy": "STIFFEN", "factor": 1.5}
-    obj.dynamorph.bake.verdict = part("records").text(found)
+    obj.dynamorph.bake.verdict = records.text(found)
 
 
 def captured_on_the_way(obj):

@@ -394,7 +394,7 @@ def measure(obj, folder: Path, forms=FORMS, frames: tuple[int, int] | None = Non
     vertices, in sizes of the body; bytes of keys or of the file; seconds to write it, without the simulation.
     """
     jobs, batch = module_of(obj, "run.job"), module_of(obj, "run.batch")
-    exports, actions = module_of(obj, "write.exports"), module_of(obj, "run.export_actions")
+    exports, actions = module_of(obj, "write.export.exports"), module_of(obj, "run.export_actions")
     name, found, unread = obj.name, [], []
     for k, form in enumerate(forms):
         obj.dynamorph.output.format, obj.dynamorph.output.keys = form.format, form.keys

@@ -4,18 +4,18 @@
 import types
 
 import bpy
-from builders import part
+from bl_ext.user_default.dynamic_morph_targets.ui.panels import sections
 from layout import SIDEBAR, Layout, is_there
 
 
 def settings_shown(obj) -> dict[str, list[str]]:
     """The properties that each section draws for a soft skin, as class.name, without those of the viewport alone."""
-    panels, found = part("panels"), {}
+    found = {}
     context = types.SimpleNamespace(
         object=obj, view_layer=bpy.context.view_layer, scene=bpy.context.scene,
         window_manager=bpy.context.window_manager, **SIDEBAR,
     )  # fmt: skip
-    for section in (*panels.SIDEBAR_SECTIONS, *panels.PHYSICS_SECTIONS):
+    for section in (*sections.SIDEBAR_SECTIONS, *sections.PHYSICS_SECTIONS):
         if is_there(getattr(bpy.types, f"DYNAMORPH_PT_{section.name}"), context):
             layout = Layout([])
             section.draw(layout, context, obj)

@@ -26,20 +26,22 @@ from collections import Counter
 from pathlib import Path
 from random import Random
 
-os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_soak_")  # before bpy is imported
-
-import bpy
-
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT / folder) for folder in ("addon", "tests", "tests/addon")]
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = map(str, (ROOT / "addon", ROOT / "tests", HERE, *filter(Path.is_dir, HERE.iterdir())))
+
+from installed import MODULE  # noqa: E402, I001 - before bpy
 
 import addon_utils  # noqa: E402 - of bpy
+import bpy  # noqa: E402
 import long_runs  # noqa: E402
 import numpy as np  # noqa: E402
-from builders import MODULE, PACKAGE, activate, make_arm, make_soft, part, soon  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.cli import commands  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.write.export import exports  # noqa: E402
+from builders import activate, make_arm, make_soft, soon  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from pressed import Pressed  # noqa: E402
-from test_robustness_files import handlers  # noqa: E402
+from test_undo_and_files import handlers  # noqa: E402
 
 OPS = bpy.ops.dynamorph
 LOG = ROOT / "build" / "soak.txt"
@@ -217,7 +219,7 @@ def file_for(walk: Walk, name: str, settings: dict) -> str:
     if name == "load_preset":
         presets = sorted(Path(os.environ["BLENDER_USER_RESOURCES"]).glob("scripts/presets/**/*.py"))
         return str(walk.one_of(presets) or "")
-    suffix = part("exports").FORMATS[settings.setdefault("format", "GLTF")].suffix if "export" in name else ".json"
+    suffix = exports.FORMATS[settings.setdefault("format", "GLTF")].suffix if "export" in name else ".json"
     return str(walk.folder / f"file {walk.random.randrange(3)}{suffix}")
 
 
@@ -260,10 +262,10 @@ def change_setting(walk: Walk):
     obj = walk.mesh()
     if obj is None or not obj.dynamorph.targets:
         return
-    settings = part("commands").SETTINGS
+    settings = commands.SETTINGS
     group = walk.one_of(["target", *settings])
     owner = walk.one_of(list(obj.dynamorph.targets)) if group == "target" else getattr(obj.dynamorph, group)
-    name = walk.one_of(part("commands").SETTABLE if group == "target" else settings[group])
+    name = walk.one_of(commands.SETTABLE if group == "target" else settings[group])
     value = value_for(walk, owner.bl_rna.properties[name], names_in(obj))
     walk.say(f"{obj.name}: {group}.{name} = {value}")
     if (group, name) in CHEAP:
@@ -459,12 +461,6 @@ def redirect(stream: int, log) -> int:
     return before
 
 
-def enable_addon():
-    folder = Path(bpy.utils.user_resource("EXTENSIONS", path="user_default", create=True))
-    (folder / PACKAGE.name).symlink_to(PACKAGE)
-    assert addon_utils.enable(MODULE, default_set=True)
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     length = parser.add_mutually_exclusive_group(required=True)
@@ -480,7 +476,7 @@ def main() -> int:
         redirect(2, log)
         faulthandler.enable(log)
         print(f"soak: seed {args.seed}; {args.log} has the steps", file=terminal)
-        enable_addon()
+        assert addon_utils.enable(MODULE, default_set=True)
         walk, began = Walk(args.seed, Path(folder), log), time.monotonic()
         wrong = walk_on(walk, args.steps, began + 60.0 * args.minutes)
         if args.log == LOG:

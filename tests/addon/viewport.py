@@ -3,7 +3,7 @@
 
 import bpy
 import pytest
-from builders import part
+from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport
 from pressed import in_window
 
 
@@ -23,20 +23,20 @@ class Viewport:
 
     def __enter__(self):
         """Register the overlays as in a window."""
-        overlays, self._patch = part("overlays"), pytest.MonkeyPatch()
+        self._patch = pytest.MonkeyPatch()
         self._patch.setattr(bpy.types.SpaceView3D, "draw_handler_add", self._add)
         self._patch.setattr(bpy.types.SpaceView3D, "draw_handler_remove", self._remove)
-        overlays.unregister()
+        viewport.unregister()
         with pytest.MonkeyPatch.context() as patch:
             in_window(patch)
-            overlays.register()
+            viewport.register()
         return self
 
     def __exit__(self, *_error):
-        part("overlays").unregister()
+        viewport.unregister()
         self._patch.undo()
         assert not self.callbacks
-        part("overlays").register()
+        viewport.register()
 
     def draw(self, moment):
         """moment: POST_VIEW or POST_PIXEL."""

@@ -32,11 +32,12 @@ import subjects  # noqa: E402
 from accuracy import FITTED, FRAMES, MODES, SUBJECTS, Subject  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
-from dynamic_morph_targets.core import compare, simulate  # noqa: E402
 from dynamic_morph_targets.core.character import Character  # noqa: E402
-from dynamic_morph_targets.core.model import EngineModel, Model  # noqa: E402
-from dynamic_morph_targets.core.player import TELEPORT, Frame, Player  # noqa: E402
-from dynamic_morph_targets.core.rig_samples import RigSamples  # noqa: E402
+from dynamic_morph_targets.core.model.model import EngineModel, Model  # noqa: E402
+from dynamic_morph_targets.core.motion import simulate  # noqa: E402
+from dynamic_morph_targets.core.motion.player import TELEPORT, Frame, Player  # noqa: E402
+from dynamic_morph_targets.core.motion.rig_samples import RigSamples  # noqa: E402
+from dynamic_morph_targets.core.result import compare  # noqa: E402
 from dynamic_morph_targets.core.settings import ModelSettings, SimulationSettings  # noqa: E402
 from dynamic_morph_targets.run import batch  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402

@@ -20,7 +20,10 @@ from random import Random
 
 os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_bakes_")  # before bpy is imported
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT / folder) for folder in ("addon", "tests", "tests/addon", "tests/engine", "sample_blends")]
+sys.path[:0] = [
+    str(ROOT / folder)
+    for folder in ("addon", "tests", "tests/addon", "tests/addon/cli", "tests/engine", "sample_blends")
+]
 
 import bpy  # noqa: E402
 import characters  # noqa: E402
@@ -33,7 +36,7 @@ import walks  # noqa: E402
 from builders import make_arm, make_soft  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
-from dynamic_morph_targets.core import slider_keys  # noqa: E402
+from dynamic_morph_targets.core.result import slider_keys  # noqa: E402
 from dynamic_morph_targets.io import model_file, paths  # noqa: E402
 from dynamic_morph_targets.run import bake_input, batch  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402

@@ -29,7 +29,7 @@ import numpy as np  # noqa: E402
 from contact_sheet import quiet, render  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from dynamic_morph_targets.run import job, preview  # noqa: E402
-from dynamic_morph_targets.ui import job_operators  # noqa: E402
+from dynamic_morph_targets.ui.operators import jobs  # noqa: E402
 from heat import paint  # noqa: E402
 from mathutils import Matrix  # noqa: E402
 from portrait import aim  # noqa: E402
@@ -104,13 +104,13 @@ def click(body, found: dict) -> job.Job | None:
     bpy.ops.object.select_all(action="DESELECT")
     bpy.context.view_layer.objects.active = body
     body.select_set(True)
-    batches, run_all = [], job_operators.run_all
+    batches, run_all = [], jobs.run_all
 
     def recorded(batch, tick=None):
         batches.append(batch)
         run_all(batch, tick)
 
-    job_operators.run_all = recorded
+    jobs.run_all = recorded
     began = time.perf_counter()
     try:
         bpy.ops.dynamorph.add_soft_skin()
@@ -119,7 +119,7 @@ def click(body, found: dict) -> job.Job | None:
     except RuntimeError as error:
         found["refused"] = str(error).removeprefix("Error: ").strip()
     finally:
-        job_operators.run_all = run_all
+        jobs.run_all = run_all
         found["seconds"]["click to baked"] = time.perf_counter() - began
     return None if "refused" in found else batches[-1].jobs[-1]
 

@@ -29,7 +29,8 @@ import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
-from dynamic_morph_targets.core import calibration, simulate  # noqa: E402
+from dynamic_morph_targets.core.material import calibration  # noqa: E402
+from dynamic_morph_targets.core.motion import simulate  # noqa: E402
 from dynamic_morph_targets.run import batch, job  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402
 from measured import measured_at  # noqa: E402

@@ -20,7 +20,7 @@ import numpy as np
 from accuracy import RESPONSES, SUBJECTS
 from contact_sheet import quiet
 from dynamic_morph_targets.__main__ import leave
-from dynamic_morph_targets.core import simulate
+from dynamic_morph_targets.core.motion import simulate
 from motion_error import errors
 
 DETAIL = 120

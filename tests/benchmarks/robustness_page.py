@@ -54,9 +54,10 @@ DEFECTS = {
 PAGE_TEXT = """# Robustness
 
 How meshes and rigs, most of them made elsewhere, come through a build and a bake. `make robustness` measures and writes
-this page; nothing on it is written by hand. `tests/addon/test_characters.py` asserts for each character, in Blender 4.5
-and 5.2, that the bake is finite and bounded, that Blender shows what the engine computed, and that *Delete Bake*
-restores the object. `tests/engine/test_defects.py` damages clean bodies in {kinds} ways and their mixtures; `make fuzz`
+this page; nothing on it is written by hand. `tests/addon/package/test_characters.py` asserts for each character, in
+Blender 4.5 and 5.2, that the bake is finite and bounded, that Blender shows what the engine computed, and that *Delete
+Bake* restores the object. `tests/engine/test_defects.py` damages clean bodies in {kinds} ways and their mixtures; `make
+fuzz`
 tries more of them.
 
 {commit}. Blender {blender}, {machine}.

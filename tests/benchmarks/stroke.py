@@ -20,7 +20,8 @@ import bpy  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
-from dynamic_morph_targets.core import build, material_fit  # noqa: E402
+from dynamic_morph_targets.core.material import fit  # noqa: E402
+from dynamic_morph_targets.core.model import build  # noqa: E402
 from dynamic_morph_targets.run import session  # noqa: E402
 from dynamic_morph_targets.scene import extract, model_store  # noqa: E402
 
@@ -76,7 +77,7 @@ def timed(label: str, work):
 
 def frequencies(model, built, painted) -> float:
     """By how much the slowest modes of a reduced `model` are faster than those of the unreduced one."""
-    full = material_fit.full_engine(built, painted)
+    full = fit.full_engine(built, painted)
     omega, _ = full.linear_modes(0, COMPARED)
     at_rest = np.eye(len(painted.targets))[0]
     stiffness = full.linearize(at_rest, np.zeros(full.dofs))[2]

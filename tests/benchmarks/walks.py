@@ -13,8 +13,8 @@ import numpy as np
 import plots
 from builders import evaluated_points
 from contact_sheet import Row, compose, quiet, render, save
-from dynamic_morph_targets.core import loops, player
-from dynamic_morph_targets.core.player import Player
+from dynamic_morph_targets.core.motion import loops, player
+from dynamic_morph_targets.core.motion.player import Player
 from dynamic_morph_targets.run import batch, job
 from dynamic_morph_targets.run.job import Job
 from mathutils import Matrix, Vector

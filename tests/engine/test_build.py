@@ -7,10 +7,10 @@ import dynamorph
 import numpy as np
 import pytest
 import scenes
-from dynamic_morph_targets.core import build as building
-from dynamic_morph_targets.core.build import build, build_cage, has_cage, stale_reasons
 from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
 from dynamic_morph_targets.core.errors import SceneError
+from dynamic_morph_targets.core.model import build as building
+from dynamic_morph_targets.core.model.build import build, build_cage, has_cage, stale_reasons
 from dynamic_morph_targets.core.settings import Material, ModelSettings
 from dynamic_morph_targets.io import model_file
 

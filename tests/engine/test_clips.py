@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dynamic_morph_targets.core import baked, keys
-from dynamic_morph_targets.core.baked import Bake
+from dynamic_morph_targets.core.motion import baked
+from dynamic_morph_targets.core.motion.baked import Bake
+from dynamic_morph_targets.core.result import keys
 from dynamic_morph_targets.io import point_cache
 
 HEADER = Path(__file__).parents[2] / "runtime" / "dynamorph.h"

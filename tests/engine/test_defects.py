@@ -13,10 +13,11 @@ import dynamorph
 import numpy as np
 import pytest
 import scenes
-from dynamic_morph_targets.core import cage, simulate
-from dynamic_morph_targets.core.build import build
 from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
-from dynamic_morph_targets.core.rig_samples import RigSamples
+from dynamic_morph_targets.core.model import cage
+from dynamic_morph_targets.core.model.build import build
+from dynamic_morph_targets.core.motion import simulate
+from dynamic_morph_targets.core.motion.rig_samples import RigSamples
 from dynamic_morph_targets.core.settings import Material, ModelSettings, SimulationSettings
 from fuzzing import target
 from hypothesis import event

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import scenes
 import trimesh
-from dynamic_morph_targets.core.build import build
 from dynamic_morph_targets.core.character import Target, TargetSet
+from dynamic_morph_targets.core.model.build import build
 from dynamic_morph_targets.core.settings import Material
 from dynamic_morph_targets.io import model_file
 from test_build import bar

@@ -10,8 +10,8 @@ import fuzzing
 import numpy as np
 import pytest
 import scenes
-from dynamic_morph_targets.core import oscillation
 from dynamic_morph_targets.core.errors import FitError, ModelFileError
+from dynamic_morph_targets.core.material import oscillation
 from dynamic_morph_targets.io import model_file
 from fuzzing import EDIT, corpus, edited, target
 from hypothesis import example

@@ -16,11 +16,11 @@ from math import comb
 import dynamorph
 import numpy as np
 import pytest
-from dynamic_morph_targets.core import build as building
 from dynamic_morph_targets.core import memory
 from dynamic_morph_targets.core.character import Character
 from dynamic_morph_targets.core.errors import ModelFileError
-from dynamic_morph_targets.core.model import Model
+from dynamic_morph_targets.core.model import build as building
+from dynamic_morph_targets.core.model.model import Model
 from dynamic_morph_targets.io import model_file
 from test_defects import BODIES, soft
 from test_model_file import forged

@@ -8,10 +8,11 @@ from pathlib import Path
 import dynamorph
 import numpy as np
 import pytest
-from dynamic_morph_targets.core import material_fit, material_presets, oscillation
-from dynamic_morph_targets.core.build import build
 from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
 from dynamic_morph_targets.core.errors import FitError
+from dynamic_morph_targets.core.material import fit as material_fit
+from dynamic_morph_targets.core.material import oscillation, presets
+from dynamic_morph_targets.core.model.build import build
 from dynamic_morph_targets.core.settings import Material, ModelSettings
 from scenes import tube
 
@@ -312,31 +313,29 @@ def test_bad_measurements_are_refused(limbs):
 # Presets -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("key", material_presets.PRESETS)
+@pytest.mark.parametrize("key", presets.PRESETS)
 def test_presets_are_sane_and_sourced(key):
-    preset = material_presets.PRESETS[key]
+    preset = presets.PRESETS[key]
     material = preset.material
     assert 1e3 < material.stiffness < 2e6 and material.poisson <= 0.4 and 900 <= material.density <= 1200
-    zeta = (
-        material.mass_damping / material_presets.REFERENCE + material.stiffness_damping * material_presets.REFERENCE
-    ) / 2
+    zeta = (material.mass_damping / presets.REFERENCE + material.stiffness_damping * presets.REFERENCE) / 2
     assert 0.02 < zeta < 0.25
     assert "Damping" in preset.source and any(word in preset.source for word in ("20", "19", "assumed"))
-    assert f"| {preset.label} |" in material_presets.table()
+    assert f"| {preset.label} |" in presets.table()
 
 
 def test_the_documents_table_is_the_code_s(tmp_path):
     text = (Path(__file__).parents[2] / "docs" / "materials.md").read_text(encoding="utf-8")
     copy = tmp_path / "materials.md"
     copy.write_text(text, encoding="utf-8")
-    material_presets.write_table(copy)
+    presets.write_table(copy)
     assert copy.read_text(encoding="utf-8") == text
     copy.write_text("no marks", encoding="utf-8")
     with pytest.raises(ValueError, match="marks"):
-        material_presets.write_table(copy)
+        presets.write_table(copy)
 
 
 def test_presets_are_ordered_as_flesh_is():
-    young = {key: preset.material.stiffness for key, preset in material_presets.PRESETS.items()}
+    young = {key: preset.material.stiffness for key, preset in presets.PRESETS.items()}
     assert young["FAT"] < young["MUSCLE_RELAXED"] < young["CHEEK"] < young["SKIN"] < young["MUSCLE_FLEXED"]
     assert young["FAT"] == pytest.approx(2.8 * 752, rel=0.01)

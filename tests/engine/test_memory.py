@@ -12,9 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dynamic_morph_targets.core import errors, memory, simulate
-from dynamic_morph_targets.core.build import build
+from dynamic_morph_targets.core import errors, memory
 from dynamic_morph_targets.core.memory import Room, Size
+from dynamic_morph_targets.core.model.build import build
+from dynamic_morph_targets.core.motion import simulate
 from dynamic_morph_targets.core.settings import ModelSettings, OutputSettings, SimulationSettings
 from dynamic_morph_targets.io import model_file
 from test_defects import BODIES, shot, soft

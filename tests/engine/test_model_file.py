@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from costs import cost
-from dynamic_morph_targets.core.build import build, stale_reasons
 from dynamic_morph_targets.core.errors import ModelFileError
-from dynamic_morph_targets.core.model import Model
+from dynamic_morph_targets.core.model.build import build, stale_reasons
+from dynamic_morph_targets.core.model.model import Model
 from dynamic_morph_targets.io import model_file
 from dynamic_morph_targets.io.model_file import pack, unpack
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import dynamorph
 import numpy as np
 import pytest
-from dynamic_morph_targets.core.build import MESH_DEPENDENCIES, build, build_cage, has_cage, stale_reasons
 from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
+from dynamic_morph_targets.core.model.build import MESH_DEPENDENCIES, build, build_cage, has_cage, stale_reasons
 from dynamic_morph_targets.core.settings import Material, ModelSettings
 
 BONES = np.tile(np.eye(3, 4), (2, 1, 1))

@@ -6,8 +6,8 @@ from dataclasses import replace
 import dynamorph
 import numpy as np
 import pytest
-from dynamic_morph_targets.core import posing
 from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
+from dynamic_morph_targets.core.motion import posing
 from dynamic_morph_targets.core.settings import Material
 
 

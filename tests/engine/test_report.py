@@ -8,9 +8,9 @@ import dynamorph
 import numpy as np
 import pytest
 import scenes
-from dynamic_morph_targets.core import compare
 from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
-from dynamic_morph_targets.core.rig_samples import RigSamples
+from dynamic_morph_targets.core.motion.rig_samples import RigSamples
+from dynamic_morph_targets.core.result import compare
 from dynamic_morph_targets.core.settings import VARIANTS, Material, ModelSettings, SimulationSettings
 
 SKELETON = Skeleton(("upper", "lower"), np.array([-1, 0]), np.array([np.eye(4), np.eye(4)]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dynamic_morph_targets.core.rig_samples import ForceField, PosedNodes, RigSamples
+from dynamic_morph_targets.core.motion.rig_samples import ForceField, PosedNodes, RigSamples
 
 POINTS = np.array([[0.0, 0.0, 1.0], [0.5, 0.0, 0.0]])
 

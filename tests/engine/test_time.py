@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dynamic_morph_targets.core import simulate
-from dynamic_morph_targets.core.build import build
-from dynamic_morph_targets.core.rig_samples import RigSamples
+from dynamic_morph_targets.core.model.build import build
+from dynamic_morph_targets.core.motion import simulate
+from dynamic_morph_targets.core.motion.rig_samples import RigSamples
 from dynamic_morph_targets.core.settings import Material, SimulationSettings
 from test_build import bar
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fails the n-th write, fsync, rename, open or read of a command; tests/addon/test_failing_calls.py runs it.
+"""Fails the n-th write, fsync, rename, open or read of a command; tests/addon/cli/test_failing_calls.py runs it.
 
     LD_PRELOAD=fail_nth.so python tests/faults/files.py COMMAND SAMPLES      of each kind of call; 0: all
 

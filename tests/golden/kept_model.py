@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import scenes
-from dynamic_morph_targets.core.build import build
 from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
-from dynamic_morph_targets.core.model import Model
+from dynamic_morph_targets.core.model.build import build
+from dynamic_morph_targets.core.model.model import Model
 from dynamic_morph_targets.core.settings import Material, ModelSettings
 from dynamic_morph_targets.io import model_file
 

@@ -49,7 +49,7 @@ def bake_again():
 @step("Influence")
 def influence():
     """A value of 0.5 leaves half the motion."""
-    whole, strip = shown_at(limb.FLEXED + 1), addon("write.bake_influence").influence_strip(skin())
+    whole, strip = shown_at(limb.FLEXED + 1), addon("write.bake.influence").influence_strip(skin())
     yield from sidebar.enter(strip.path_from_id("influence"), "0")
     still = shown_at(limb.FLEXED + 1)
     yield from sidebar.enter(strip.path_from_id("influence"), "0.5")

@@ -28,7 +28,7 @@ def material():
     button = yield from open_materials()
     yield from arrows(button, "DOWN_ARROW", 2)  # the second of the list
     yield from driver.tap("RET", button)
-    _, second, *_ = addon("core.material_presets").PRESETS.values()
+    _, second, *_ = addon("core.material.presets").PRESETS.values()
     yield from until(lambda: settings().active_target.stiffness == second.material.stiffness, "the material")
     yield from driver.tap("ESC", button)
     yield from driver.rest()
@@ -120,7 +120,7 @@ def file_menu():
 def export_check():
     loses = skin().modifiers.new("Smooth", "SMOOTH")  # not by hand
     yield from driver.drawn()
-    with frames.timed(addon("ui.export_operators"), "draw_losses") as drawn:
+    with frames.timed(addon("ui.operators.export"), "draw_losses") as drawn:
         yield from export_menu("dynamorph.export_check", 0.91)
         yield from until(lambda: drawn, "what the format leaves out")
     driver.opened.add("dynamorph.export_check")

@@ -53,7 +53,7 @@ def bake():
 
 def found():
     """What the panel says of the bake."""
-    return addon("core.verdict").parsed(settings().bake.verdict)
+    return addon("core.result.verdict").parsed(settings().bake.verdict)
 
 
 def displacement() -> float:
@@ -71,13 +71,13 @@ def plain():
     yield from driver.drawn()
     pictured, soft = driver.pixels(viewport.box), shown()
     yield from sidebar.press(PLAIN)
-    yield from until(lambda: addon("write.comparison").is_plain(skin()), "plain skinning")
+    yield from until(lambda: addon("write.display.comparison").is_plain(skin()), "plain skinning")
     yield from driver.drawn()
     changed = differing(pictured)
     assert changed > 0.002 and np.abs(shown() - soft).max() > 1e-3, f"the viewport shows no difference: {changed}"
     yield from driver.keep("plain", view)
     yield from sidebar.press(PLAIN)
-    yield from until(lambda: not addon("write.comparison").is_plain(skin()), "the soft skin")
+    yield from until(lambda: not addon("write.display.comparison").is_plain(skin()), "the soft skin")
     yield from driver.drawn()
     yield from sidebar.fold("DYNAMORPH_PT_trying")
     assert np.array_equal(shown(), soft)
@@ -87,8 +87,8 @@ def plain():
 @step("Compare Side by Side", picture=view)
 def side_by_side():
     """With plain skinning, and with the bake of the other settings."""
-    beside = addon("write.beside")
-    names = lambda: addon("ui.overlays").names_beside(skin(), beside.find(skin()))  # noqa: E731
+    beside = addon("write.display.beside")
+    names = lambda: addon("ui.overlays.viewport").names_beside(skin(), beside.find(skin()))  # noqa: E731
     yield from sidebar.unfold("DYNAMORPH_PT_trying")
     yield from driver.drawn()
     pictured = driver.pixels(viewport.box)
@@ -108,10 +108,10 @@ def side_by_side():
 
 @step("Two bakes side by side")
 def two_bakes():
-    beside = addon("write.beside")
+    beside = addon("write.display.beside")
     yield from sidebar.press("dynamorph.swap_slot")
     yield from bake()
-    assert addon("ui.overlays").names_beside(skin(), beside.find(skin())) == ("Bake B", "Bake A")
+    assert addon("ui.overlays.viewport").names_beside(skin(), beside.find(skin())) == ("Bake B", "Bake A")
     yield from sidebar.press("dynamorph.swap_slot")
     yield from bake()
     yield from sidebar.press(BESIDE)
@@ -168,7 +168,7 @@ def remedy():
 
 @step("Cartoon, Subtle and Natural")
 def presets():
-    swings, feel = {}, addon("core.feel")
+    swings, feel = {}, addon("core.material.feel")
     chosen = lambda: feel.active(settings().targets[0], settings().simulation)  # noqa: E731
     for key in ("CARTOON", "SUBTLE", "NATURAL"):
         yield from sidebar.press(f"dynamorph.apply_feel(feel='{key}')")

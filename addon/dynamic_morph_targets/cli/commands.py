@@ -16,8 +16,10 @@ from types import MappingProxyType
 import bpy
 import numpy as np
 
-from ..core import compare, engine, errors, material_fit, oscillation
+from ..core import engine, errors
 from ..core.errors import FileInUseError, InputError
+from ..core.material import fit, oscillation
+from ..core.result import compare
 from ..core.settings import MOST_SUBSTEPS, VARIANTS, Material, ModelSettings
 from ..io import cache_dir, disk, outputs, paths, point_cache, report_page
 from ..run import batch, expected_error, export_actions, final_comparison
@@ -25,7 +27,8 @@ from ..run.job import Job
 from ..scene import checks, extract, mesh_data, model_store, run_settings, skin, staleness
 from ..scene.skinning import Skinning
 from ..scene.source import Source
-from ..write import bake, blend_file, export_process, exports, losses
+from ..write.bake import writer
+from ..write.export import blend_file, exports, losses, process
 from ..write.reconcile import reconcile
 from . import signals
 from .record import Done, ProgressPrinter, print_table
@@ -95,7 +98,7 @@ def work_on(
     batch.run_all(batch.Batch([job], goal), tick)
     beside |= job.outcome.beside
     warnings = list(job.warnings)
-    if export_process.leaves_python_out():
+    if process.leaves_python_out():
         option = "--enable-autoexec" if hasattr(args, "enable_autoexec") else "-y before -c"
         text = "The file has Python, such as drivers, that did not run, so the motion may be another one"
         warnings.append(f"{text}: say {option} if you trust it")
@@ -333,9 +336,9 @@ def run_fit(args: argparse.Namespace) -> None:
             patch = np.zeros(len(character.vertices))
             patch[character.own_vertices] = mesh_data.group_weights(obj, [args.vertex_group])[:, 0]
         if args.oscillation:
-            fitted = material_fit.fit_oscillation(model, character, index, seen.frequency, seen.decay, patch)
+            fitted = fit.fit_oscillation(model, character, index, seen.frequency, seen.decay, patch)
         else:
-            fitted = material_fit.fit_force_displacement(model, character, index, rows[:, :3], rows[:, 3:], patch)
+            fitted = fit.fit_force_displacement(model, character, index, rows[:, :3], rows[:, 3:], patch)
         for name, value in asdict(fitted).items():
             print(f"{obj.name}: {target.name}: {name.replace('_', ' ')} {getattr(target, name):.4g} -> {value:.4g}")
         target.set_material(fitted, by_hand=True)
@@ -344,10 +347,10 @@ def run_fit(args: argparse.Namespace) -> None:
 
 def run_delete_bake(args: argparse.Namespace) -> None:
     for obj in chosen_objects(args):
-        bake.check(obj)
+        writer.check(obj)
         baked = obj.dynamorph.bake
         removed = f"{len(baked.keys)} baked keys" + (" and what plays the point cache" if baked.cache else "")
-        for text in bake.free(obj):
+        for text in writer.free(obj):
             print(f"{obj.name}: warning: {text}")
         print(f"{obj.name}: {removed} removed")
     save(args)

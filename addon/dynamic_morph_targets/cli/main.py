@@ -31,7 +31,7 @@ from ..core import engine, errors
 from ..core.errors import InputError
 from ..core.settings import VARIANTS
 from ..io import disk, outputs, paths
-from ..write import exports
+from ..write.export import exports
 from . import signals
 from .commands import (
     MODEL_SETTINGS,

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import bpy
 
-from ..core import baked, engine
+from ..core import engine
+from ..core.motion import baked
 from ..core.time_left import TimeLeft, clock
 from ..run.batch import Work
 from ..run.job import Job

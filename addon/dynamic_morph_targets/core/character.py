@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Plain data that the modules exchange. NumPy only, never bpy.
 
-`extract` fills these from a Blender scene, `build` and `simulate` consume them, `write/bake` writes the result back.
+`extract` fills these from a Blender scene, `build` and `simulate` consume them, `write` writes the result back.
 Spaces: *local* is the mesh object's own space (in which shape keys are stored), *bind* is local space with the object's
 scale applied, so its lengths are meters, *world* is Blender's world space in meters (`skin.unit_scale`).
 """
@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .firmness import NEUTRAL
 from .geometry import inverse
+from .model.firmness import NEUTRAL
 from .settings import Material, ModelSettings
 
 REGION = "Dynamorph Region "  # how the names of automatic regions' vertex groups begin

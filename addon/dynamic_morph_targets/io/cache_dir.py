@@ -14,11 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core import build, errors
+from ..core import errors
 from ..core.character import Character
-from ..core.model import Model
-from ..core.player import STEP
-from ..core.simulate import Shot
+from ..core.model import build
+from ..core.model.model import Model
+from ..core.motion.player import STEP
+from ..core.motion.simulate import Shot
 from . import disk, model_file
 
 VERSION = 1  # version of the content of an unfinished bake

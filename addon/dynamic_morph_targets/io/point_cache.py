@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..core.baked import Bake, samples_per_frame, surfaces
+from ..core.motion.baked import Bake, samples_per_frame, surfaces
 
 ALIGNMENT = 64  # alignment of the arrays in a clip, so that a program can use them in place
 PADDING_FIELD = 0xD935  # tag of a ZIP entry's extra field, as zipalign writes it

@@ -2,7 +2,7 @@
 """Whether a file is complete, by its own format: Blender and its exporters do not notice every write that fails.
 
 Never touches bpy, and reads only as much as it takes. Alembic and USD have no such mark: see
-`write/export_child`; of .blend files Blender reads all parts: see `write/blend_file`.
+`write/export/child`; of .blend files Blender reads all parts: see `write/export/blend_file`.
 """
 
 from __future__ import annotations

@@ -16,12 +16,14 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..core import build, engine, errors, judge, memory, records
+from ..core import engine, errors, memory, records
 from ..core.character import Follower
 from ..core.errors import SceneError
-from ..core.keys import united
 from ..core.message import Message, joined
-from ..core.model import Model
+from ..core.model import build
+from ..core.model.model import Model
+from ..core.result import judge
+from ..core.result.keys import united
 from ..io import outputs, paths, point_cache
 from ..io.cache_dir import CacheDir
 from ..scene import animation, extract, probe, rig_motion, run_settings, staleness
@@ -30,8 +32,8 @@ from ..scene.model_store import blend_folder, load_model, stale_reasons
 from ..scene.skin import ObjectHandle, SceneHandle
 from ..scene.skinning import Skinning
 from ..scene.source import Source
-from ..write.bake import check, check_cache, check_local, overwritten_keys
-from ..write.bake_reading import read_back
+from ..write.bake.reading import read_back
+from ..write.bake.writer import check, check_cache, check_local, overwritten_keys
 from ..write.reconcile import reconcile
 from .job_data import BakeInput
 

@@ -10,15 +10,17 @@ from pathlib import Path
 
 import bpy
 
-from ..core import baked, calibration, logger, records
+from ..core import logger, records
 from ..core.errors import SceneError
-from ..core.model import Model
+from ..core.material import calibration
+from ..core.model.model import Model
+from ..core.motion import baked
 from ..io import disk
 from ..scene import skin, staleness, target_properties
 from ..scene.model_store import PACKED, blend_folder, index_in, stored_model
-from ..write import beside, comparison, live_key
-from ..write.bake import NewBake, check, check_free, check_local, check_not_edited, free
-from ..write.before import Before
+from ..write.bake.before import Before
+from ..write.bake.writer import NewBake, check, check_free, check_local, check_not_edited, free
+from ..write.display import beside, comparison, live_key
 from ..write.storage import fit_modes, keep_model, model_path
 from .bake_input import Request, handles
 from .job_data import BakeInput, Outcome, Progress

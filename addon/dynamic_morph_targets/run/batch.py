@@ -16,7 +16,7 @@ import numpy as np
 
 from ..core.errors import Cancelled, SceneError
 from ..core.message import joined
-from ..core.rig_samples import RigSamples
+from ..core.motion.rig_samples import RigSamples
 from ..core.time_left import TimeLeft
 from .bake_input import handles
 from .bake_result import write_all

@@ -15,18 +15,22 @@ from typing import Protocol
 
 import numpy as np
 
-from ..core import baked, build, calibration, errors, judge, rig_samples, simulate
-from ..core.baked import Bake
+from ..core import errors
 from ..core.character import Character
 from ..core.errors import SceneError, SelfCheckError
-from ..core.judge import Verdict
-from ..core.keys import as_keys, splice
+from ..core.material import calibration
 from ..core.message import Message
-from ..core.model import Model
-from ..core.rehearsal import Rehearsal
-from ..core.rig_samples import RigSamples
+from ..core.model import build
+from ..core.model.model import Model
+from ..core.motion import baked, rig_samples, simulate
+from ..core.motion.baked import Bake
+from ..core.motion.rig_samples import RigSamples
+from ..core.motion.simulate import Shot
+from ..core.result import judge
+from ..core.result.judge import Verdict
+from ..core.result.keys import as_keys, splice
+from ..core.result.rehearsal import Rehearsal
 from ..core.settings import OutputSettings
-from ..core.simulate import Shot
 from ..io import disk, model_file, outputs, paths, point_cache
 from .job_data import BakeInput, Outcome, Progress
 

@@ -18,9 +18,10 @@ from dataclasses import replace
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..core import baked, engine, logger, simulate
+from ..core import engine, logger
 from ..core.errors import SceneError
 from ..core.geometry import vertex_areas
+from ..core.motion import baked, simulate
 from ..core.settings import SimulationSettings
 from ..scene import events, probe, rig_motion, run_settings, staleness
 from ..scene.skin import ObjectHandle, soft_skins

@@ -11,14 +11,16 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..core import keys, message
-from ..core.baked import Bake
+from ..core import message
 from ..core.errors import ExportError, SceneError
+from ..core.motion.baked import Bake
+from ..core.result import keys
 from ..scene.references import rig_of
-from ..write import actions, live_key
+from ..write import actions
 from ..write.actions import Clip, laid_out
-from ..write.bake import write_keys
-from ..write.exports import FORMATS, check_bake, check_place, frames_kept, stand_ins, write_file
+from ..write.bake.writer import write_keys
+from ..write.display import live_key
+from ..write.export.exports import FORMATS, check_bake, check_place, frames_kept, stand_ins, write_file
 from . import batch
 from .bake_input import handles
 from .batch import run_all

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 
 import bpy
 
-from ..core import baked, records
+from ..core import records
 from ..core.errors import SceneError
 from ..core.geometry import vertex_areas
 from ..core.message import Message, joined
+from ..core.motion import baked
 from .batch import Batch
 from .computation import Computation
 from .job import Job

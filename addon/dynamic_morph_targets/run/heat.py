@@ -13,11 +13,11 @@ import numpy as np
 
 from ..core import engine, errors
 from ..core.errors import SceneError
-from ..core.firmness import NEUTRAL
 from ..core.geometry import diagonal
 from ..core.message import Message
+from ..core.model.firmness import NEUTRAL
 from ..scene import extract, mesh_data, model_store, references, skin
-from ..write import bake_reading
+from ..write.bake import reading
 from . import live
 
 LIMIT = 0.05  # of the body's size; used when Max Displacement is 0
@@ -71,7 +71,7 @@ def _baked_motion(obj: bpy.types.Object) -> np.ndarray:
     keys = obj.data.shape_keys
     render = bpy.context.scene.render
     time = bpy.context.scene.frame_current_final * render.frame_map_old / render.frame_map_new
-    shapes = bake_reading.shape_curves(obj)
+    shapes = reading.shape_curves(obj)
     basis = references.key_points(keys.reference_key)
     motion = np.zeros_like(basis)
     for reference in obj.dynamorph.bake.keys:

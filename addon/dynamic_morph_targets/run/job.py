@@ -14,7 +14,7 @@ import numpy as np
 from ..core import engine
 from ..core.errors import Cancelled
 from ..core.message import Message
-from ..core.rig_samples import RigSamples
+from ..core.motion.rig_samples import RigSamples
 from ..scene import rig_motion
 from ..scene.skin import ObjectHandle, SceneHandle
 from . import bake_input, bake_result

@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..core.baked import Bake
 from ..core.character import Character
-from ..core.judge import Limits, Verdict
-from ..core.model import Model
-from ..core.rig_samples import RigSamples
+from ..core.model.model import Model
+from ..core.motion.baked import Bake
+from ..core.motion.rig_samples import RigSamples
+from ..core.result.judge import Limits, Verdict
 from ..core.settings import OutputSettings, SimulationSettings
 from ..io.cache_dir import CacheDir
 

@@ -14,7 +14,10 @@ from ..core import engine, errors, logger
 from ..core.message import Message, joined
 from ..scene import events, references, staleness
 from ..scene.skin import followers, soft_skins
-from ..write import bake, live_key, muting, reconcile, regions, storage, targets
+from ..write import reconcile, storage
+from ..write.authoring import regions, targets
+from ..write.bake import muting, writer
+from ..write.display import live_key
 from .session import Session, painted, simulation_settings, way_to_skin
 
 STROKE = 0.2  # seconds without an edit after which a stroke of paint shows
@@ -343,7 +346,7 @@ def _forget() -> None:
 def remove_soft_skin(obj: bpy.types.Object) -> None:
     """Remove its targets, model and bake; shape keys and settings stay. Raises SinkError."""
     turn_off(obj)
-    bake.free(obj)
+    writer.free(obj)
     targets.show_as_before(obj)
     muting.show_target(obj, "")
     left = regions.automatic_regions(obj, obj.dynamorph.targets)

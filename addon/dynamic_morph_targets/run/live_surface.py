@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.geometry import interpolated
 from ..scene import skin
-from ..write import live_key
+from ..write.display import live_key
 
 # What displaces the points of a surface: coordinates (dofs,) -> (3 V,), float32, local space.
 Move = Callable[[np.ndarray], np.ndarray]

@@ -13,10 +13,11 @@ from mathutils import Euler, Matrix
 
 from ..core.errors import SceneError, SinkError
 from ..core.geometry import smooth_step
-from ..core.player import Player
-from ..core.rig_samples import RigSamples
+from ..core.motion.player import Player
+from ..core.motion.rig_samples import RigSamples
 from ..scene import events, references, rig_motion, skin
-from ..write import live_key, muting
+from ..write.bake import muting
+from ..write.display import live_key
 from . import live, session
 
 SECONDS = 2.5  # a shake test

@@ -11,17 +11,18 @@ from functools import cached_property
 import bpy
 import numpy as np
 
-from ..core import errors, rig_samples, simulate
+from ..core import errors
 from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
-from ..core.firmness import NEUTRAL
 from ..core.geometry import interpolated
 from ..core.message import joined
-from ..core.player import Frame, Player, State
-from ..core.rig_samples import RigSamples
+from ..core.model.firmness import NEUTRAL
+from ..core.motion import rig_samples, simulate
+from ..core.motion.player import Frame, Player, State
+from ..core.motion.rig_samples import RigSamples
 from ..core.settings import Material, SimulationSettings
 from ..scene import mesh_data, model_store, probe, references, rig_motion, run_settings, skin, skinning, staleness
-from ..write import comparison, live_key
+from ..write.display import comparison, live_key
 from ..write.reconcile import reconcile
 from .live_surface import LiveMesh, Move, by_modes, by_nodes
 

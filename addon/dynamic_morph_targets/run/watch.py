@@ -11,7 +11,9 @@ from bpy.app.handlers import persistent
 from ..scene import body_checks, events, model_store, references, rig_motion, skin, staleness
 from ..scene.references import rig_of
 from ..scene.skin import soft_skins
-from ..write import bake_influence, storage, targets
+from ..write import storage
+from ..write.authoring import targets
+from ..write.bake import influence
 from ..write.reconcile import reconcile
 from . import batch, expected_error, heat, live
 
@@ -131,7 +133,7 @@ def _look_at_animations() -> float | None:
         if obj.dynamorph.bake.exists and obj.is_editable:
             staleness.look_at_animation(obj)
             staleness.look_for_caches(obj)
-            bake_influence.share_strip(obj)
+            influence.share_strip(obj)
     events.redraw(events.PANELS)
     return None
 
@@ -162,7 +164,7 @@ def _playback_changed(*_args: object) -> None:
 
 def _influence_changed() -> None:
     for obj in skin.soft_skins(bpy.data.objects):
-        bake_influence.show_influence(obj)
+        influence.show_influence(obj)
 
 
 HANDLERS = {

@@ -16,12 +16,12 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ..core import rig_samples
 from ..core.character import Target, TargetSet
 from ..core.errors import SceneError, sentence
 from ..core.message import Message
+from ..core.motion import rig_samples
+from ..core.motion.target_weights import Space, TargetWeights
 from ..core.settings import Material
-from ..core.target_weights import Space, TargetWeights
 from ..scene import checks, events, references, rig_motion, skin
 from ..scene.references import bones_key
 from . import batch

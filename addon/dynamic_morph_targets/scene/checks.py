@@ -2,7 +2,7 @@
 """What prevents a mesh from being simulated, and what looks unintended, as data. Reads only.
 
 `problems`, `next_steps` and `notes` take a fraction of a millisecond, so a panel calls them whenever it draws.
-`data_checks` read points, weights or poses, when a soft skin is added or built. `write/fixes` has the fixes.
+`data_checks` read points, weights or poses, when a soft skin is added or built. `write/authoring/fixes` has the fixes.
 """
 
 from __future__ import annotations

@@ -11,10 +11,11 @@ import bpy
 import numpy as np
 
 from .. import preferences
-from ..core import build, errors
+from ..core import errors
 from ..core.errors import SceneError
 from ..core.message import joined
-from ..core.model import Model
+from ..core.model import build
+from ..core.model.model import Model
 from ..io import model_file
 from . import extract
 from .skin import find

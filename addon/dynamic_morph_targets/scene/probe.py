@@ -15,7 +15,7 @@ from mathutils import Matrix
 
 from ..core.character import Character
 from ..core.geometry import diagonal
-from ..core.rig_samples import PosedNodes
+from ..core.motion.rig_samples import PosedNodes
 from .mesh_data import NO_WEIGHT, VertexGroups
 from .skinning import Skinning, armature_modifiers
 

@@ -15,7 +15,7 @@ from ..core.character import Skeleton
 from ..core.errors import SceneError
 from ..core.geometry import determinant, invertible, turned
 from ..core.message import Message
-from ..core.rig_samples import ForceField, RigSamples
+from ..core.motion.rig_samples import ForceField, RigSamples
 from . import checks, events
 from .checks import armature_modifier, refuse
 from .references import rest_skeleton

@@ -21,10 +21,8 @@ def output_settings(obj) -> OutputSettings:
 def frame_range(obj, scene, frames=None) -> tuple[int, int]:
     """The first frame and the last that are requested; frames: instead of those of `obj`. Raises SceneError."""
     chosen, blenders = obj.dynamorph.simulation, scene.bl_rna.properties["frame_current"]
-    authored = (
-        (scene.frame_start, scene.frame_end) if chosen.use_scene_range else (chosen.frame_start, chosen.frame_end)
-    )
-    start, end = frames or authored
+    authored = scene if chosen.use_scene_range else chosen
+    start, end = frames or (authored.frame_start, authored.frame_end)
     if end < start:
         raise SceneError(
             "'{name}': the last frame {end} comes before the first {start}: change the range",

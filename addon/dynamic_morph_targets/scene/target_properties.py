@@ -11,8 +11,8 @@ import numpy as np
 from bpy.props import BoolProperty, CollectionProperty, FloatProperty, FloatVectorProperty, StringProperty
 from bpy.types import PropertyGroup
 
-from ..core import material_fit, oscillation
 from ..core.character import Skeleton
+from ..core.material import fit, oscillation
 from ..core.settings import Material
 from .events import shown_changed
 from .references import OVERRIDE, OVERRIDE_LIST, KeyReference, key_displacement, key_hash
@@ -56,7 +56,7 @@ def _get_bounce(target) -> float:
 
 def _set_bounce(target, frequency: float):
     if target.is_measured:
-        target.set_material(material_fit.with_bounce(target.bounce_reference, target.material(), frequency))
+        target.set_material(fit.with_bounce(target.bounce_reference, target.material(), frequency))
     if target.is_measured or target.awaits_build:
         target.frequency, target.by_hand = frequency, True
 

@@ -1,0 +1,364 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Character -> tetrahedra around its skin, and what they inherit from it. Never touches bpy."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from ..character import Character
+from ..engine import dynamorph
+from ..geometry import diagonal, triangle_areas
+from . import firmness as paint
+from . import pins
+from .hold import Depths, Hold, depths, hold
+
+ProgressFn = Callable[[float, str], bool]  # of a build: how much is done, and what is at hand
+Report = Callable[[float], bool]  # of a stage of it
+Step = TypeVar("Step")
+GRID = (
+    2.0**-13
+)  # body sizes; with a finer grid, the last digits of coordinates, which a scale changes, would change the mesh
+MOSTLY = 0.5  # fraction of the vertices; with more of them outside, a cage does not belong to this body
+KEPT = 2  # bodies whose depths are remembered
+FEWEST_NODES = 50  # of an attachment's own cage
+
+
+@dataclass(frozen=True)
+class Cage:
+    """The cage before the targets: n nodes, m tets, S target sets, B bones. Bind space, meters.
+
+    embedding: of the V surface vertices; fill (m,) filled fraction; stiffness (m,) factor by thickness; firmness (n,)
+    weights of the Firmness map; region_weights (m, S); pinned (n,) bool; node_weights (n, B + 1); hold: by thickness,
+    or None.
+    """
+
+    mesh: dynamorph.TetMesh
+    embedding: dynamorph.Embedding
+    fill: np.ndarray
+    stiffness: np.ndarray
+    firmness: np.ndarray
+    region_weights: np.ndarray
+    pinned: np.ndarray
+    node_weights: np.ndarray
+    hold: Hold | None
+    summary: CageSummary
+
+
+@dataclass(frozen=True)
+class CageSummary:
+    """Facts for the report, stored with the model under these names.
+
+    pinned: number of nodes; held: mean of the hold, or fraction of the nodes that are pinned; defects: of the skin;
+    held_parts: number of loose parts that are pinned.
+    """
+
+    nodes: int
+    tets: int
+    pinned: int
+    held: float
+    defects: dict[str, int]
+    quality: dict[str, float]
+    glued: dict[str, int]
+    held_parts: int
+    warnings: list[str]
+
+
+def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages) -> Cage:
+    """The tetrahedra of a character; mesh: those of an earlier build, to be used again. Raises dynamorph.Error with
+    advice when the skin cannot be filled or nothing holds it.
+    """
+    surface = (character.vertices @ character.to_bind.T)[character.coincident]
+    contents = _cages(character, surface)
+    with stages("Meshing", 0.30) as report:
+        defects = dynamorph.closed_surface(surface, character.triangles)[2]
+        if mesh is None or len(contents) > 1:
+            meshes = [_tetrahedra(each, surface, turn) for each, turn in _in_turn(contents.values(), report)]
+        else:
+            meshes = [_whole(mesh)]
+    with stages("Embedding", 0.05) as report:
+        each_filled = _in_turn(zip(contents.values(), meshes, strict=True), report)
+        cages = [_filled(*each, surface, turn) for each, turn in each_filled]
+        mesh, embedding = _together(character.pieces, list(contents), cages)
+        embedding = _alike(embedding, character.coincident)
+        fill = np.concatenate([cage.fill for cage in cages])
+        inherited = _inherited(character, mesh, embedding)
+        if character.settings.hold == "BONES":
+            painted = (inherited.firmness - paint.NEUTRAL) / (1.0 - paint.NEUTRAL)
+            firm = np.maximum(inherited.rigidity, painted)
+            by_bones = np.concatenate([cage.pinned for cage in cages])
+            pinned, warned = pins.all_pinned(character, mesh, embedding, inherited.weights, by_bones, firm)
+            of_thickness = None
+        else:
+            pinned, warned = np.zeros(len(mesh.nodes), bool), []
+            of_thickness = held_by_thickness(character, mesh, inherited.firmness, inherited.rigidity, fill)
+    glued = {name: sum(cage.glued[name] for cage in cages) for name in cages[0].glued}
+    warnings = [*(text for cage in cages for text in cage.warnings), *_glued_warnings(character, glued), *warned]
+    summary = CageSummary(
+        nodes=len(mesh.nodes),
+        tets=len(mesh.tets),
+        pinned=int(pinned.sum()),
+        held=float(of_thickness.phi.mean() if of_thickness else pinned.mean()),
+        defects=defects,
+        quality=dynamorph.tet_quality(mesh),
+        glued=glued,
+        held_parts=len(warned),
+        warnings=warnings,
+    )
+    stiffness = of_thickness.stiffness if of_thickness else np.ones(len(mesh.tets))
+    firmness, weights, _, region_weights = inherited
+    return Cage(mesh, embedding, fill, stiffness, firmness, region_weights, pinned, weights, of_thickness, summary)
+
+
+_depths: dict[bytes, Depths] = {}  # of the last bodies, by what they follow from: a stroke of paint changes none
+
+
+def held_by_thickness(
+    character: Character, mesh: dynamorph.TetMesh, firmness: np.ndarray, rigidity: np.ndarray, fill: np.ndarray
+) -> Hold:
+    """The hold of a character's cage. firmness, rigidity (n,): at the nodes; fill (m,)."""
+    surface = (character.vertices @ character.to_bind.T)[character.coincident]
+    triangles = character.triangles[(character.pieces[character.triangles] >= 0).all(axis=1)]
+    made_from = (mesh.nodes, mesh.tets, surface, triangles)
+    key = b"".join(hashlib.sha256(array.tobytes()).digest() for array in made_from)
+    if key not in _depths:
+        while len(_depths) >= KEPT:
+            del _depths[next(iter(_depths))]
+        _depths[key] = depths(mesh, surface, triangles)
+    return hold(mesh, _depths[key], rigidity, firmness, fill)
+
+
+# Cages: of the body, and of pieces that have their own ---------------------------------------------------------------
+
+
+def _cages(character: Character, surface: np.ndarray) -> dict[int, Character]:
+    """The content of each cage, by the number of its attachment: the character with those triangles and its share of
+    the nodes. A triangle between attachments belongs to the one with the largest number. Rigid attachments have no
+    cage.
+    """
+    number = character.pieces[character.triangles].max(axis=1, initial=-1)
+    if not number.any():
+        return {0: character}
+    area = triangle_areas(surface, character.triangles)
+    density = character.settings.cage_nodes / max(area[number >= 0].sum(), 1e-300)
+    cages = {}
+    for piece in np.unique(number[number >= 0]):
+        of_piece = number == piece
+        cage_nodes = max(FEWEST_NODES, round(density * area[of_piece].sum()))
+        cages[int(piece)] = replace(
+            character.with_settings(cage_nodes=cage_nodes),
+            triangles=character.triangles[of_piece],
+            cage=None if piece else character.cage,
+        )
+    if not cages:
+        raise dynamorph.Error(
+            f"'{character.name}': every part of it is rigid: choose With Body for at least one attachment"
+        )
+    return cages
+
+
+def _in_turn(steps: Iterable[Step], report: Report) -> list[tuple[Step, Report]]:
+    """The steps, each with a progress of its own; they take similar times."""
+    listed = list(steps)
+
+    def of_turn(turn: int) -> Report:
+        return lambda fraction: report((turn + fraction) / len(listed))
+
+    return [(step, of_turn(turn)) for turn, step in enumerate(listed)]
+
+
+@dataclass(frozen=True)
+class _Filled:
+    """One cage of n nodes and m tets, cut where skin merely touches. embedding: of all V vertices; fill (m,); pinned
+    (n,) bool: by bones; glued: counts, as in the summary.
+    """
+
+    mesh: dynamorph.TetMesh
+    embedding: dynamorph.Embedding
+    fill: np.ndarray
+    pinned: np.ndarray
+    glued: dict[str, int]
+    warnings: list[str]
+
+
+def _filled(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray, report: Report) -> _Filled:
+    warnings = _outside(cage, mesh, surface)  # first: skin far larger than its cage would take all memory to part
+    mesh, embedding, glued = _parted(cage, mesh, surface)
+    fill = dynamorph.fill_fractions(mesh, surface, cage.triangles, progress=report)
+    by_bones = cage.settings.hold == "BONES"
+    pinned = pins.pinned(cage, mesh, surface) if by_bones else np.zeros(len(mesh.nodes), bool)
+    return _Filled(mesh, embedding, fill, pinned, glued, warnings)
+
+
+def _together(
+    pieces: np.ndarray, numbers: list[int], cages: list[_Filled]
+) -> tuple[dynamorph.TetMesh, dynamorph.Embedding]:
+    """One mesh of all cages, which are not coupled, and the embedding (V,) of each attachment in its own. A vertex of
+    an attachment without a cage has no weights: the simulation does not move it.
+    """
+    if len(cages) == 1 and (pieces == numbers[0]).all():
+        return cages[0].mesh, cages[0].embedding
+    first = np.cumsum([0] + [len(cage.mesh.nodes) for cage in cages])[:-1]
+    nodes, weights = np.zeros((len(pieces), 4), np.int32), np.zeros((len(pieces), 4))
+    for number, start, cage in zip(numbers, first, cages, strict=True):
+        of_piece = pieces == number
+        nodes[of_piece], weights[of_piece] = cage.embedding.nodes[of_piece] + start, cage.embedding.weights[of_piece]
+    tets = np.concatenate([cage.mesh.tets + start for start, cage in zip(first, cages, strict=True)])
+    mesh = dynamorph.TetMesh(np.concatenate([cage.mesh.nodes for cage in cages]), tets)
+    return mesh, dynamorph.Embedding(nodes, weights)
+
+
+def _alike(embedding: dynamorph.Embedding, coincident: np.ndarray) -> dynamorph.Embedding:
+    """The embedding in which all vertices at one place have that of the first, because a cut would tear them apart."""
+    if np.array_equal(coincident, np.arange(len(coincident))):
+        return embedding
+    return dynamorph.Embedding(embedding.nodes[coincident], embedding.weights[coincident])
+
+
+def _tetrahedra(character: Character, surface: np.ndarray, report: Report) -> dynamorph.TetMesh:
+    settings, cage = character.settings, character.cage
+    grid = GRID * 2.0 ** np.floor(np.log2(diagonal(surface[np.unique(character.triangles)])))
+    bones = np.round(character.bone_segments / grid) * grid
+    try:
+        _, _, mesh = dynamorph.mesh_body(
+            np.round(surface / grid) * grid,
+            character.triangles,
+            settings.cage_nodes,
+            cage=cage and cage[1:],
+            thickness=settings.cage_thickness,
+            grading=settings.cage_adaptivity,
+            moved=moved(character),
+            bones=bones if settings.hold == "BONES" else None,
+            pin_radius=settings.pin_radius,
+            progress=report,
+        )
+    except dynamorph.Error as error:
+        raise dynamorph.Error(f"Cage Object '{cage.name}': {error}") if cage else error from None
+    return mesh
+
+
+def moved(character: Character) -> np.ndarray:
+    """The largest displacement of each vertex (V,) by the targets, scaled to 1 at its maximum: the measure that Cage
+    Adaptivity uses.
+    """
+    shapes = np.array([target.shape for target in character.targets]) @ character.to_bind.T
+    farthest = np.linalg.norm(shapes, axis=2).max(axis=0)
+    return farthest / max(farthest.max(), 1e-300)
+
+
+def _outside(character: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> list[str]:
+    """Reports which part of the skin the artist's own cage leaves out. Raises dynamorph.Error when that is most of
+    it.
+    """
+    if character.cage is None:
+        return []
+    size = diagonal(character.vertices @ character.to_bind.T)
+    embedding = dynamorph.embed(mesh, surface)
+    left = float((embedding.distances > 1e-5 * size)[character.pieces == 0].mean())
+    if left > MOSTLY:
+        raise dynamorph.Error(
+            f"Cage Object '{character.cage.name}' leaves out {left:.0%} of '{character.name}': it must enclose the "
+            "skin as it is in rest pose when the scene starts. Move or enlarge it, or clear Cage Object"
+        )
+    warning = f"{left:.1%} of the skin lies outside Cage Object '{character.cage.name}' and follows its nearest part"
+    return [warning] if left else []
+
+
+# Parts that touch ----------------------------------------------------------------------------------------------------
+
+
+def _parted(
+    cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray
+) -> tuple[dynamorph.TetMesh, dynamorph.Embedding, dict[str, int]]:
+    """The mesh, cut where it joins skin that merely touches, the embedding of the skin in it, and the counts."""
+    mesh_cut = dynamorph.MeshCut(mesh, surface, cage.triangles)
+    tets = int(mesh_cut.glued.sum())
+    if not tets or not cage.settings.separate:
+        return mesh, dynamorph.embed(mesh, surface), {"tets": tets, "split_nodes": 0}
+    cut = mesh_cut.cut()
+    return cut, mesh_cut.embed(cut), {"tets": tets, "split_nodes": len(cut.nodes) - len(mesh.nodes)}
+
+
+def _whole(mesh: dynamorph.TetMesh) -> dynamorph.TetMesh:
+    """A mesh as it was before it was cut: doubled nodes are merged."""
+    _, first, place = np.unique(mesh.nodes, axis=0, return_index=True, return_inverse=True)
+    kept = np.sort(first)
+    return dynamorph.TetMesh(mesh.nodes[kept], np.searchsorted(kept, first[place.ravel()])[mesh.tets])
+
+
+def _glued_warnings(character: Character, glued: dict[str, int]) -> list[str]:
+    if not glued["tets"] or character.settings.separate:
+        return []
+    return [
+        f"{glued['tets']} tetrahedra join parts of the skin that merely touch: turn on Split Touching Parts, raise "
+        "Cage Nodes, or move the parts away from each other in the rest pose"
+    ]
+
+
+# What the cage inherits from the skin --------------------------------------------------------------------------------
+
+
+def painted(
+    character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.Embedding
+) -> tuple[np.ndarray, np.ndarray]:
+    """The weights of the Firmness map and the rigidity at the nodes (n,)."""
+    firmness, _, rigidity, _ = _inherited(character, mesh, embedding)
+    return firmness, rigidity
+
+
+class _Inherited(NamedTuple):
+    """What the cage inherits from the skin: firmness (n,) of the Firmness map, weights (n, B + 1) of the bones,
+    rigidity (n,), region_weights (m, S) of the tets.
+    """
+
+    firmness: np.ndarray
+    weights: np.ndarray
+    rigidity: np.ndarray
+    region_weights: np.ndarray
+
+
+def _inherited(character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.Embedding) -> _Inherited:
+    # Exactly neutral where nothing is painted, and never beyond what is.
+    painted = character.firmness - paint.NEUTRAL
+    parts = [target_set.region_weights for target_set in character.target_sets]
+    values = np.column_stack([painted, character.weights, character.rigidity, *parts])
+    at_nodes = dynamorph.extend_to_nodes(mesh, embedding, values)
+    firmness = paint.NEUTRAL + at_nodes[:, 0].clip(painted.min(), painted.max())
+    bones = character.weights.shape[1]
+    weights, rigidity, region_weights = np.split(at_nodes[:, 1:].clip(0.0), np.cumsum([bones, 1]), axis=1)
+    region_weights = region_weights[mesh.tets].mean(axis=1)
+    weights /= weights.sum(axis=1, keepdims=True)
+    region_weights /= region_weights.sum(axis=1, keepdims=True)
+    return _Inherited(firmness, weights, rigidity[:, 0].clip(max=1.0), region_weights)
+
+
+class Stages:
+    """Times the stages of a build and maps the progress 0..1 of each to a part of the total."""
+
+    def __init__(self, progress: ProgressFn | None, whole: float = 1.0):
+        self.progress = progress
+        self.whole = whole
+        self.done = 0.0
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, message: str, share: float) -> Iterator[Report]:
+        began, start = time.perf_counter(), self.done
+
+        def report(fraction: float) -> bool:
+            done = (start + share * fraction) / self.whole
+            going_on = self.progress is None or self.progress(done, message)
+            if not going_on:
+                raise dynamorph.Cancelled("canceled")
+            return True
+
+        report(0.0)
+        yield report
+        self.seconds[message.lower()] = time.perf_counter() - began
+        self.done += share

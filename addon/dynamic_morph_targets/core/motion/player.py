@@ -1,0 +1,282 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Model + moving rig -> frames, step by step: the bake and Live both use this. Never touches bpy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, islice
+
+import numpy as np
+
+from ..character import Character
+from ..engine import dynamorph
+from ..geometry import diagonal
+from ..model.model import EngineModel, EngineSimulation, Model
+from ..settings import SimulationSettings
+from .amounts import Amounts
+from .posing import Posing
+from .rig_samples import RigSamples
+
+CHUNK = 32  # frames whose rig becomes matrices at once; bounds memory and amortizes NumPy's call overhead
+CHUNK_NODES = 2**18  # transforms of nodes computed at once, if those are known: 25 MB
+TELEPORT = 18.0  # body sizes per second off its course in one step; more is a cut, not a motion
+STEP = (
+    "steps",
+    "iterations",
+    "converged",
+    "residual",
+    "energy",
+    "teleported",
+    "seconds",
+)  # statistics of a frame's steps
+NO_STEPS = dict.fromkeys(STEP, 0) | {"converged": True}
+State = tuple[Sequence[np.ndarray], Sequence[np.ndarray]]  # of the engine: coordinates, bones' transforms
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame, or a time between two: coordinates (dofs,), target weights (J,), and a report of the steps to it."""
+
+    number: float
+    coordinates: np.ndarray
+    weights: np.ndarray
+    steps: dict
+
+
+class Player:
+    """One character, stepped frame by frame, for bakes and playback.
+
+    keep_going() -> bool is asked at every frame, for an unreduced model at every iteration; False raises
+    dynamorph.Cancelled. number: the current frame; passes: how often the motion has begun again. amounts:
+    applied by `shown`. engine: model.engine(character), if it exists already; afterward None for static targets.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        character: Character,
+        settings: SimulationSettings,
+        *,
+        keep_going: Callable[[], bool] | None = None,
+        engine: EngineModel | None = None,
+    ):
+        self.model = model
+        self.settings = settings
+        self.number, self.passes = settings.first, 0
+        self.engine: EngineModel | None = None
+        self._keep_going = keep_going
+        self.character = character.by_method()
+        self._first: RigSamples | None = None  # the first sample
+        self._shapes = np.zeros((len(self.character.targets), 0))
+        self._simulation: EngineSimulation | _NothingMoves = _NothingMoves()
+        if model.settings.method != "STATIC":
+            self.engine = engine or model.engine(self.character, self.character.probed)
+            self._shapes = model.target_coordinates(self.engine)
+            self._simulation = self._stepper(self.engine)
+        self.posing = Posing(model, self.character, self.probed)
+        self.amounts = Amounts(model, self.character, self._shapes, settings)
+
+    @property
+    def state(self) -> State:
+        """The state from which it continues. It can be kept, and set again to continue from there."""
+        return self._simulation.state
+
+    @state.setter
+    def state(self, state: State) -> None:
+        self._simulation.state = state
+
+    @property
+    def past(self) -> np.ndarray:
+        """The coordinates now and at the last three steps: (4, dofs)."""
+        return np.array(self.state[0])
+
+    @past.setter
+    def past(self, coordinates: np.ndarray) -> None:
+        self.state = list(coordinates), self.state[1]
+
+    @property
+    def probed(self) -> bool:
+        """Whether it needs `RigSamples.nodes`."""
+        return self.character.probed and self.engine is not None
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the body's bounding box, meters."""
+        return diagonal(self.character.vertices @ self.character.to_bind.T)
+
+    def run(self, rig: RigSamples) -> Iterator[Frame]:
+        """Yields one frame per entry of settings.frames, in one pass; rig: 1 + (end - first) * substeps samples."""
+        settings = self.settings
+        frames = chain([self.begin(rig)], self.play(rig[1:], settings.simulated[1:]))
+        yield from islice(frames, settings.run_up * settings.samples, None)
+
+    def begin(self, rig: RigSamples) -> Frame:
+        """The frame settings.first. rig: its sample and those that follow it; only the first is used."""
+        self._balance_targets(rig[:1])
+        bones, weights = self.posing.posed(rig[:2])  # or of the nodes, if they are probed
+        if self.settings.initial_state == "REST_SHAPE":
+            self.state = [self.static(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4
+            begun = NO_STEPS
+        else:
+            after = bones[0] if self.settings.still_frames else bones[-1]
+            begun = self._simulation.start(bones[0], after, weights[0])
+        still, same = (np.repeat(first[:1], self.settings.substeps, axis=0) for first in (bones, weights))
+        for _ in range(self.settings.still_frames):
+            self._ask()
+            self._simulation.advance(still, same, self._push(rig[:1], bones[:1]))
+        self.number = self.settings.first
+        return Frame(self.number, self._simulation.coordinates, weights[0], begun)
+
+    def resume(self, first: RigSamples, state: State) -> None:
+        """Continues from the `state` of another player that began with the sample `first`; its next frames follow."""
+        self._balance_targets(first)
+        self.state = state
+
+    def begin_again(self, rig: RigSamples, frame: Frame) -> Frame:
+        """Goes from `frame`, the last of a cycle, back to the first, with the soft skin in its present motion. The
+        distance that the rig has traveled is removed from its past.
+        """
+        first, last = self._ends(rig)
+        turn, shift = _rigid_fit(last, first)
+        coordinates, bones = self.state
+        moved = [turn @ past.reshape(-1, 3, 4) for past in bones]
+        for past in moved:
+            past[:, :, 3] += shift
+        self.state = coordinates, [past.reshape(-1, 12) for past in moved]
+        self.number, self.passes = self.settings.frame_start, self.passes + 1
+        return Frame(self.number, frame.coordinates, self.posing.posed(rig[:1])[1][0], NO_STEPS)
+
+    def pose_gap(self, rig: RigSamples) -> float:
+        """The largest distance, in meters, of the skin of the last pose from that of the first, after a rigid
+        motion.
+        """
+        first, last = self._ends(rig)
+        turn, shift = _rigid_fit(last, first)
+        return float(np.linalg.norm(last @ turn.T + shift - first, axis=1).max(initial=0.0))
+
+    def gap(self, first: Frame, second: Frame) -> float:
+        """The largest distance, in meters, between the soft skins of two frames in one pose, as `shown` with the full
+        motion of the targets: what a lower motion amount hides at the seam of a loop is visible elsewhere.
+        """
+        displacement = np.tensordot(second.weights - first.weights, self.model.residual_shapes, 1)
+        if self.engine is not None:
+            before, after = (self.amounts.with_gains(frame.coordinates, frame.weights) for frame in (first, second))
+            displacement += self.model.surface(self.engine.displacement(after - before))
+        return float(np.linalg.norm(displacement @ self.model.to_bind.T, axis=1).max())
+
+    def advance(self, rig: RigSamples, number: int) -> Frame:
+        """The frame `number`, one frame after the last; rig: its settings.substeps samples."""
+        *_, frame = self.play(rig, [number])
+        return frame
+
+    def play(self, rig: RigSamples, numbers: Sequence[int] | np.ndarray) -> Iterator[Frame]:
+        """The frames `numbers`, which follow the last one, and the samples between; rig: settings.substeps samples
+        each.
+        """
+        substeps, samples = self.settings.substeps, self.settings.samples
+        stride = substeps // samples
+        if len(rig) != len(numbers) * substeps:
+            raise ValueError(f"rig: expected {len(numbers) * substeps} samples, got {len(rig)}")
+        frames = max(1, CHUNK_NODES // (len(rig.nodes.rest) * substeps)) if rig.nodes else CHUNK
+        for first in range(0, len(numbers), frames):
+            chunk = numbers[first : first + frames]
+            moving = rig[first * substeps : (first + len(chunk)) * substeps]
+            bones, weights = self.posing.posed(moving)
+            for k, number in enumerate(chunk):
+                self.number = int(number)
+                self._ask()
+                for left in reversed(range(samples)):
+                    end = (k + 1) * substeps - left * stride
+                    steps = slice(end - stride, end)
+                    push = self._push(moving[steps], bones[steps])
+                    report = self._simulation.advance(bones[steps], weights[steps], push)
+                    time = self.number - left / samples
+                    yield Frame(time, self._simulation.coordinates, weights[end - 1], report)
+
+    def exchange(self, character: Character, settings: SimulationSettings | None = None) -> Player:
+        """A player that continues from here with the materials, poses and blending of `character`. settings: others
+        with the same time step.
+        """
+        other = Player(self.model, character, settings or self.settings, keep_going=self._keep_going)
+        other.number, other.passes = self.number, self.passes
+        if self._first is not None:
+            other._balance_targets(self._first)
+            other.state = self.state
+        return other
+
+    def follow(self, settings: SimulationSettings, motion_amounts: np.ndarray) -> None:
+        """Go on with settings of the same physics; motion_amounts (J,): those of the targets from now on."""
+        self.settings = settings
+        self.amounts.follow(settings, motion_amounts)
+
+    def static(self, weights: np.ndarray) -> np.ndarray:
+        """Coordinates (..., dofs) of the targets' shapes blended by the weights (..., J): the static part."""
+        return weights @ self._shapes
+
+    def shown(self, frame: Frame) -> np.ndarray:
+        """The frame's coordinates with `amounts`."""
+        return self.amounts.shown(frame.coordinates, frame.weights)
+
+    def _ask(self) -> None:
+        """Raises dynamorph.Cancelled when the caller wants it to stop."""
+        if self._keep_going and not self._keep_going():
+            raise dynamorph.Cancelled("canceled")
+
+    def _ends(self, rig: RigSamples) -> np.ndarray:
+        """The skin at rest, posed by the first sample and by the last: (2, V, 3), world space."""
+        return self.posing.skinned(rig[:: max(1, len(rig) - 1)])[[0, -1]]
+
+    def _stepper(self, engine: EngineModel) -> EngineSimulation:
+        settings, full = self.settings, self.model.settings.solver == "FULL"
+        return self.model.stepper(
+            engine,
+            settings.step,
+            scheme=dynamorph.Scheme.__members__[settings.integrator],
+            gravity=settings.gravity,
+            teleport=TELEPORT * engine.body.size * settings.step,
+            keep_going=self._keep_going if full else None,  # a reduced step takes less time than asking
+        )
+
+    def _balance_targets(self, first: RigSamples) -> None:
+        """Sculpted shapes are what the artist saw under gravity, so each one is balanced in its own pose."""
+        self._first = first
+        if any(self.settings.gravity):
+            self._simulation.balance_targets(self.posing.target_frames(first))
+
+    def _push(self, rig: RigSamples, bones: np.ndarray) -> np.ndarray | None:
+        """The forces of the force fields on the nodes (n, 3) at each sample, where the skin is displaced as it is now;
+        None without any. A single sample's are constant: (n, 3).
+        """
+        fields = rig.fields
+        if self.engine is None or not any(field.strength.any() for field in fields):
+            return None
+        displacement = self.engine.displacement(self._simulation.coordinates)
+        push = np.array([self.posing.skin.push(fields, k, bones[k], displacement) for k in range(len(rig))])
+        return push[0] if len(push) == 1 else push
+
+
+class _NothingMoves:
+    """Replaces the engine's simulation for static morph targets, which have no coordinates."""
+
+    coordinates = np.zeros(0)
+    state: State = (), ()
+
+    def start(self, _now: np.ndarray, _next: np.ndarray, _weights: np.ndarray) -> dict:
+        return NO_STEPS
+
+    def advance(self, _bones: np.ndarray, _weights: np.ndarray, _external: np.ndarray | None = None) -> dict:
+        return NO_STEPS
+
+    def balance_targets(self, _bones: np.ndarray) -> None:
+        pass
+
+
+def _rigid_fit(points: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rotation (3, 3) and translation (3,) that bring points (V, 3) nearest to others."""
+    if not len(points):
+        return np.eye(3), np.zeros(3)
+    center, goal = points.mean(axis=0), onto.mean(axis=0)
+    u, _, vt = np.linalg.svd((onto - goal).T @ (points - center))
+    turn = (u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return turn, goal - turn @ center

@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Model + moving rig -> frames. Never touches bpy. The button, the command line and scripts all run this."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from ..character import Character
+from ..geometry import determinant
+from ..message import Message
+from ..model.build import build
+from ..model.cage import ProgressFn, Report
+from ..model.model import Model
+from ..settings import ModelSettings, SimulationSettings
+from .baked import Bake
+from .loops import cycle, loop_warnings
+from .player import STEP, Frame, Player
+from .rig_samples import RigSamples
+
+LOST = 1e-3  # of a motion, RMS: what a bake may lack beside the targets' shapes where most modes hardly move
+NEGLIGIBLE = 1e-5  # of a motion, RMS: what an exact bake may lack
+CHECKED = 10  # frames that are checked for inverted tetrahedra: those with the largest coordinates
+
+
+def simulate(
+    model: Model,
+    character: Character,
+    rig: RigSamples,
+    settings: SimulationSettings,
+    progress: ProgressFn | None = None,
+) -> Iterator[Frame]:
+    """Yields one frame per entry of settings.frames, in one pass. rig: 1 + (end - first) * substeps samples, from
+    settings.first on.
+
+    progress(fraction, message) -> bool is asked at every frame, for an unreduced model at every iteration; False raises
+    dynamorph.Cancelled.
+    """
+    return _player(model, character, settings, progress).run(rig)
+
+
+def _player(model: Model, character: Character, settings: SimulationSettings, progress: ProgressFn | None) -> Player:
+    """A player that reports to `progress`."""
+
+    def keep_going() -> bool:
+        done = (player.number - settings.first) / len(settings.simulated)
+        message = Message("Simulating frame {frame}", frame=player.number)
+        if settings.loop:  # the number of passes is not known
+            done = 1.0 - 0.5 ** (player.passes + done)
+            message = Message("Simulating frame {frame}, pass {count}", frame=player.number, count=player.passes + 1)
+        return progress is None or progress(done, message)
+
+    player = Player(model, character, settings, keep_going=keep_going)
+    return player
+
+
+def build_for(
+    character: Character,
+    rig: RigSamples | None,
+    settings: SimulationSettings | None,
+    progress: ProgressFn | None = None,
+    previous: Model | None = None,
+) -> Model:
+    """`build.build` for a character and, if its modes are fitted, for this shot."""
+
+    if rig is None or settings is None:
+        return build(character, progress, previous)
+
+    def simulate_shot(model: Model, report: Report) -> tuple[np.ndarray, np.ndarray]:
+        frames = list(simulate(model, character, rig, settings, lambda fraction, _message: report(fraction)))
+        return np.array([frame.coordinates for frame in frames]), np.array([frame.weights for frame in frames])
+
+    model = build(character, progress, previous, simulate_shot)
+    if "rehearsal" in model.summary["seconds"]:
+        model.summary["fitted"] = [settings.frame_start, settings.frame_end]
+    return model
+
+
+class Shot:
+    """A bake in progress. The moving rig comes in chunks, so that a long shot takes no more memory than a short one. It
+    can be kept after each chunk and resumed, also by another process. A loop is one chunk.
+
+    The run-up is part of the shot, but not of its bake. progress(fraction, message) -> bool; False raises
+    dynamorph.Cancelled.
+    """
+
+    def __init__(
+        self, model: Model, character: Character, settings: SimulationSettings, progress: ProgressFn | None = None
+    ):
+        self.player = _player(model, character, settings, progress)
+        self.done = 0  # number of settings.times
+        self._coordinates: list[np.ndarray] = []  # one entry per chunk, like the next two
+        self._weights: list[np.ndarray] = []
+        self._steps: list[np.ndarray] = []
+        self._loop: dict = {}
+        self._warnings: list[str] = []
+        self._seconds = 0.0
+
+    @property
+    def is_complete(self) -> bool:
+        return self.done == len(self.player.settings.times)
+
+    def play(self, rig: RigSamples) -> None:
+        """Simulates the next chunk: the sample of the first frame, unless that is done, then settings.substeps per
+        frame.
+        """
+        if self.is_complete:
+            return
+        began, player = time.perf_counter(), self.player
+        settings = player.settings
+        if settings.loop:
+            frames, gap = cycle(player, rig)
+            self._loop, self._warnings = {"gap": gap}, loop_warnings(player, rig, gap)
+        else:
+            frames = [] if self.done else [player.begin(rig)]
+            rig, reached = rig[len(frames) :], settings.reached(self.done)
+            frames += player.play(rig, range(reached + 1, reached + 1 + len(rig) // settings.substeps))
+        self.done += len(frames)
+        self._coordinates.append(np.array([frame.coordinates for frame in frames]))
+        self._weights.append(np.array([frame.weights for frame in frames]))
+        self._steps.append(np.array([[frame.steps[name] for name in STEP] for frame in frames], float))
+        self._seconds += time.perf_counter() - began
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """Everything that `resume` needs."""
+        coordinates, bones = self.player.state
+        return {
+            "coordinates": np.concatenate(self._coordinates),
+            "weights": np.concatenate(self._weights),
+            "steps": np.concatenate(self._steps),
+            "past": np.array(coordinates),
+            "bones": np.array(bones),
+        }
+
+    def resume(self, kept: dict[str, np.ndarray], first: RigSamples) -> None:
+        """Continues after the frames of another instance of the same shot; first: the sample of the first frame."""
+        self._coordinates, self._weights, self._steps = ([kept[name]] for name in ("coordinates", "weights", "steps"))
+        self.done = len(kept["coordinates"])
+        self.player.resume(first, (list(kept["past"]), list(kept["bones"])))
+
+    def bake(self, exact: bool = False) -> tuple[Bake, dict]:
+        """The bake and its report, when all is played. exact: an unreduced one has as many modes as it takes for all of
+        the motion, else as many as the model's settings say.
+        """
+        began, player = time.perf_counter(), self.player
+        model, character, settings = player.model, player.character, player.settings
+        kept = slice(settings.run_up * settings.samples, None)
+        coordinates, weights = (np.concatenate(rows)[kept] for rows in (self._coordinates, self._weights))
+        static = player.static(weights)
+        report = _report(settings.times, np.concatenate(self._steps)) | self._loop
+        report["warnings"] += self._warnings
+        report.update(_worst_elements(player, coordinates, static))
+        coordinates, free = player.amounts.shown(coordinates, weights), model.modes.T
+        full = model.settings.solver == "FULL" and player.engine is not None
+        if full or (model.responses.size and not exact):  # most of them hardly move in one shot
+            few = _few_modes(model.settings, coordinates, static, exact)
+            if full:
+                report["compression_error"] = float(np.abs(coordinates - coordinates @ few.T @ few).max())  # meters
+            coordinates, static, free = coordinates @ few.T, static @ few.T, few if full else few @ free
+        modes = node_modes(model, free)
+        surface = model.surface(modes) if modes.size else np.zeros((0, *character.vertices.shape))
+        report["seconds"] = self._seconds + time.perf_counter() - began
+        names = tuple(target.name for target in character.targets)
+        return Bake(settings.frames, coordinates, weights, surface, model.residual_shapes, names, static, modes), report
+
+
+def bake(
+    model: Model,
+    character: Character,
+    rig: RigSamples,
+    settings: SimulationSettings,
+    progress: ProgressFn | None = None,
+) -> tuple[Bake, dict]:
+    """Simulates a shot at once: (Bake, report); as `Shot`."""
+    shot = Shot(model, character, settings, progress)
+    shot.play(rig)
+    return shot.bake()
+
+
+def part_of(bake: Bake, members: slice, from_body: np.ndarray | None = None) -> Bake:
+    """The same shot for some of its vertices; from_body (3, 3): maps displacements to the space of these vertices."""
+    modes, residual_shapes = bake.modes[:, members], bake.residual_shapes[:, members]
+    if from_body is not None:
+        modes, residual_shapes = modes @ from_body.T, residual_shapes @ from_body.T
+    return replace(bake, modes=modes, residual_shapes=residual_shapes)
+
+
+def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
+    """Statistics of the steps to each of `frames` (F,), from (F, STEP)."""
+    by_name = dict(zip(STEP, steps.T, strict=True))
+    moving = by_name["steps"] > 0
+    rates = by_name["steps"][moving] / by_name["seconds"][moving]
+    warnings: list[str] = []
+    report = {
+        "steps": int(by_name["steps"].sum()),
+        "engine_seconds": float(by_name["seconds"].sum()),
+        "steps_per_second": float(np.median(rates))
+        if len(rates)
+        else 0.0,  # the median, because machines have other work
+        "iterations": int(by_name["iterations"].sum()),
+        "residual": float(by_name["residual"].max()),  # relative to the largest force
+        "energy": float(by_name["energy"].max()),  # elastic, J
+        "warnings": warnings,
+    }
+    unconverged = _whole(frames[by_name["converged"] == 0])
+    if unconverged:
+        warnings.append(
+            Message("Steps did not converge at {frames}: raise Substeps Per Frame", frames=_some(unconverged))
+        )
+    cuts = _whole(frames[by_name["teleported"] != 0])
+    if cuts:
+        warnings.append(Message("The rig jumps at {frames}: the soft skin was carried along", frames=_some(cuts)))
+    return report
+
+
+def _whole(frames: np.ndarray) -> list[int]:
+    """The frames to which steps belong, given the times at which they ended."""
+    return np.unique(np.ceil(frames)).astype(int).tolist()
+
+
+def _some(numbers: list[int]) -> Message:
+    listed = ", ".join(map(str, numbers[:5])) + (", ..." if len(numbers) > 5 else "")
+    return Message("frames {numbers}" if len(numbers) > 1 else "frame {numbers}", numbers=listed)
+
+
+def _worst_elements(player: Player, coordinates: np.ndarray, static: np.ndarray) -> dict:
+    """The smallest det F and the largest number of inverted tetrahedra over the most deformed frames.
+
+    coordinates, static (F, dofs): with and without motion.
+    """
+    if player.engine is None:
+        return {"smallest_det": 1.0, "inverted": 0}
+    model, displacement = player.model, player.engine.displacement
+    strength = np.abs(coordinates - static).max(axis=1, initial=0.0)
+    rest = _volumes(model.nodes, model.tets)
+    smallest, inverted = np.inf, 0
+    for k in np.argsort(strength)[-CHECKED:]:
+        moved = _volumes(model.nodes + displacement(coordinates[k]), model.tets) / rest
+        smallest = min(smallest, moved.min())
+        inside_out = model.tets[moved <= 0]
+        sculpted = _volumes(model.nodes + displacement(static[k]), inside_out)
+        inverted = max(inverted, int((sculpted > 0).sum()))  # without those that the sculpt itself inverts
+    return {"smallest_det": float(smallest), "inverted": inverted}
+
+
+def _volumes(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Six times the signed volume of each tetrahedron."""
+    corners = nodes[tets]
+    return determinant(corners[:, 1:] - corners[:, :1])
+
+
+def node_modes(model: Model, free: np.ndarray) -> np.ndarray:
+    """Displacement of all nodes (r, n, 3), bind space, from rows over the free nodes (r, 3 free)."""
+    modes = np.zeros((len(free), len(model.nodes), 3))
+    if not modes.size:  # static morph targets
+        return modes
+    modes[:, model.free] = free.reshape(len(free), -1, 3)
+    return modes
+
+
+def _few_modes(settings: ModelSettings, coordinates: np.ndarray, static: np.ndarray, exact: bool) -> np.ndarray:
+    """As few orthonormal modes (r, dofs) as a shot needs: those of the targets' shapes, and for the rest of the motion
+    as many as `settings` say, without those that hardly move in it; exact: those for all of it.
+
+    coordinates, static (F, dofs): with and without motion.
+    """
+    _, s, shapes = np.linalg.svd(static, full_matrices=False)
+    shapes = shapes[s > 1e-9 * max(s.max(initial=0.0), 1e-300)]
+    _, s, others = np.linalg.svd(coordinates - coordinates @ shapes.T @ shapes, full_matrices=False)
+    without = np.sqrt(np.cumsum(s[::-1] ** 2)[::-1])  # what is lost without a mode and all later ones
+    lost = NEGLIGIBLE if exact else LOST if settings.basis == "RESPONSES" else 0.0
+    rounding = 1e-9 * np.linalg.norm(coordinates)  # the directions of less than this may be those of the shapes
+    enough = int((without > max(lost * without[0], rounding)).sum())
+    limit = enough if exact else min(enough, settings.modes)
+    return np.concatenate([shapes, others[: max(limit, 1 - len(shapes))]])

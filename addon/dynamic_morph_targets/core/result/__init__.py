@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a bake becomes: shape keys and curves, and a verdict on them."""

@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How believable a bake looks, and how much stiffer the tissue must be so that it stays within limits. No bpy.
+
+Everything is measured in bind space, where a body that turns does not count as motion of its tissue, against the
+targets' shapes. Lengths are relative to the body's size, the diagonal of its box at rest, or to its local thickness.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from ..character import Character
+from ..geometry import determinant, diagonal, vertex_areas
+from ..model.model import Model
+from ..motion.baked import Bake
+
+LOOKED_AT = 32  # at most so many frames, those that move most
+CHECKED = 10  # of these, frames whose tetrahedra are checked
+SHRUNK, STRETCHED = 0.6, 1.6  # of their length at rest; edges beyond that look torn
+TURNED = 1e-3  # share of the skin that may be flipped, and of the volume that may be inverted
+SLACK = 0.94  # of the limits, so that other ways of measuring agree
+SHOWS = 1.05  # of the limits; a bake that exceeds them by more is not as requested
+SPLINTER = 1e-4  # of the size; shorter edges are not used to measure stretch
+THINNEST = 0.02  # of the size; thinner parts count as this thick
+SHOWN = 200  # vertices that mark the worst place
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How far the skin may move away from the animation, as fractions of the body's size and of its local thickness; 0:
+    no limit.
+    """
+
+    displacement: float = 0.0
+    thickness: float = 0.0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What was found. displacement: the largest, of the size; percentile: its 99.9th percentile in the worst frame;
+    over_thickness: 99th percentile over the skin of each point's largest displacement over the thickness there;
+    stretch: 0.1th and 99.9th percentile of edges' length over that at rest; flipped: share of the skin turned over;
+    inverted: share of the volume turned inside out; frame: the worst; vertices: of the character, at its worst place.
+    """
+
+    displacement: float = 0.0
+    percentile: float = 0.0
+    over_thickness: float = 0.0
+    stretch: tuple[float, float] = (1.0, 1.0)
+    flipped: float = 0.0
+    inverted: float = 0.0
+    frame: float = 0.0
+    vertices: tuple[int, ...] = ()
+
+    def excess(self, limits: Limits) -> float:
+        """The factor by which the motion is too large: a rehearsal continues above SLACK. 0 without limits."""
+        if not (limits.displacement or limits.thickness):
+            return 0.0
+        ratios = [0.0]
+        if limits.displacement:
+            ratios += [self.percentile / limits.displacement, self.displacement / (1.8 * limits.displacement)]
+        if limits.thickness:
+            ratios.append(self.over_thickness / limits.thickness)
+        low, high = self.stretch
+        # Where the bones alone shorten an edge, the motion may only add what SHRUNK leaves.
+        ratios += [(high - 1.0) / (STRETCHED - 1.0), (1.0 - low) / (1.0 - SHRUNK) / 0.9]
+        turned = max(self.flipped, self.inverted) / TURNED
+        if turned > 1.0:  # volumes decrease much faster than displacements
+            ratios.append(min(1.05 * turned**0.25, 1.5))
+        return max(ratios)
+
+    @property
+    def is_wreckage(self) -> bool:
+        """Whether it looks broken whatever the limits are."""
+        low, high = self.stretch
+        return max(self.flipped, self.inverted) > TURNED or low < SHRUNK or high > STRETCHED
+
+    def is_believable(self, limits: Limits) -> bool:
+        return not self.is_wreckage and self.excess(limits) <= SHOWS
+
+    def text(self, limits: Limits) -> str:
+        """One sentence for the artist, which names the worst fault."""
+        if self.is_believable(limits):
+            return f"The skin moves believably, most at frame {self.frame:g}"
+        low, high = self.stretch
+        if self.inverted > TURNED:
+            fault = "is pressed inside out"
+        elif self.flipped > TURNED:
+            fault = "is turned over"
+        elif high > STRETCHED:
+            fault = "is stretched too far"
+        elif low < SHRUNK:
+            fault = "is squeezed too far"
+        else:
+            fault = "moves farther than Max Displacement allows"
+        return f"The skin {fault} at frame {self.frame:g}"
+
+    def as_dict(self, limits: Limits, can_rehearse: bool) -> dict:
+        """The verdict as JSON data, with the texts for the panel.
+
+        can_rehearse: whether another bake may find the frequency.
+        """
+        ok = self.is_believable(limits)
+        remedy = "" if ok else ("REHEARSE" if can_rehearse else "STIFFEN")
+        factor = max(1.15, self.excess(limits) ** 0.75) if not ok else 1.0
+        return asdict(self) | {"ok": ok, "text": self.text(limits), "remedy": remedy, "factor": factor}
+
+
+def judge(model: Model, character: Character, bake: Bake) -> Verdict:
+    """The verdict on a bake of `character` with `model` (model.Model). The bake covers all the character's vertices."""
+    triangles = character.triangles[(character.pieces[character.triangles] >= 0).all(axis=1)]
+    if not len(bake.modes) or not len(triangles):
+        return Verdict(frame=float(bake.frames[0]))
+    skin = _Skin(character, triangles, model.thickness)
+    motion = bake.coordinates - bake.static
+    modes = (bake.modes @ character.to_bind.T).reshape(len(bake.modes), -1)
+    displacement = np.linalg.norm(motion * np.linalg.norm(modes, axis=1), axis=1)
+    chosen = np.sort(np.argsort(-displacement)[:LOOKED_AT])
+    farthest, found = np.zeros(len(skin.rest)), []
+    for frame in chosen:
+        u = (motion[frame] @ modes).reshape(-1, 3)
+        distance = np.linalg.norm(u, axis=1) / skin.size
+        farthest = np.maximum(farthest, distance)
+        found.append((frame, *skin.measures(u, distance)))
+    frames, largest, percentile, low, high, flipped = np.array(found).T
+    worst = int(frames[(largest / max(largest.max(), 1e-300) + flipped / max(flipped.max(), TURNED)).argmax()])
+    u = (motion[worst] @ modes).reshape(-1, 3)
+    return Verdict(
+        displacement=float(largest.max()),
+        percentile=float(percentile.max()),
+        over_thickness=skin.over_thickness(farthest),
+        stretch=(float(low.min()), float(high.max())),
+        flipped=float(flipped.max()),
+        inverted=_inverted(model, bake, motion, chosen[np.argsort(-displacement[chosen])[:CHECKED]]),
+        frame=float(bake.frames[worst]),
+        vertices=skin.place(u),
+    )
+
+
+class _Skin:
+    """The soft part (T, 3) of a character's surface, bind space. thickness (V,): radii, meters, or none."""
+
+    def __init__(self, character: Character, triangles: np.ndarray, thickness: np.ndarray):
+        self.rest = rest = character.vertices @ character.to_bind.T
+        self.triangles = triangles
+        self.normals = self._normals(rest)
+        self.areas = vertex_areas(rest, triangles)
+        self.size = diagonal(rest[np.unique(triangles)])
+        edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+        edges = np.unique(edges, axis=0)
+        lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
+        kept = lengths > SPLINTER * self.size
+        self.edges, self.lengths = edges[kept], lengths[kept]
+        begins = [0, *(part.members.start for part in character.parts)]
+        mesh = np.searchsorted(begins, self.edges[:, 0], side="right")
+        self.meshes = [np.flatnonzero(mesh == number) for number in np.unique(mesh)]  # small patches are visible too
+        self.thickness = 2.0 * thickness if len(thickness) else np.zeros(0)
+
+    def _normals(self, points: np.ndarray) -> np.ndarray:
+        a, b, c = points[self.triangles].swapaxes(0, 1)
+        return np.cross(b - a, c - a)
+
+    def measures(self, u: np.ndarray, distance: np.ndarray) -> tuple[float, ...]:
+        """For displacements u (V, 3): the largest, its 99.9th percentile, the shortest and longest edges, and the
+        flipped share.
+        """
+        used = self.areas > 0.0
+        moved = self.rest + u
+        ratio = np.linalg.norm(moved[self.edges[:, 0]] - moved[self.edges[:, 1]], axis=1) / self.lengths
+        stretches = [_quantiles(ratio[edges], self.lengths[edges], [0.001, 0.999]) for edges in self.meshes]
+        normals = self._normals(moved)
+        over = np.einsum("tc,tc->t", normals, self.normals) < 0.0
+        return (
+            float(distance[used].max()),
+            _quantiles(distance[used], self.areas[used], [0.999])[0],
+            min(low for low, _ in stretches),
+            max(high for _, high in stretches),
+            float(np.linalg.norm(self.normals[over], axis=1).sum() / 2.0 / self.areas.sum()),
+        )
+
+    def over_thickness(self, farthest: np.ndarray) -> float:
+        """The 99th percentile of displacement over thickness; farthest (V,): largest displacements, of the size."""
+        if not len(self.thickness):
+            return 0.0
+        used = self.areas > 0.0
+        over = farthest * self.size / np.maximum(self.thickness, THINNEST * self.size)
+        return _quantiles(over[used], self.areas[used], [0.99])[0]
+
+    def place(self, u: np.ndarray) -> tuple[int, ...]:
+        """The vertices that move most and are near the one that moves most of all."""
+        distance = np.where(self.areas > 0.0, np.linalg.norm(u, axis=1), 0.0)
+        order = np.argsort(-distance)[:SHOWN]
+        near = np.linalg.norm(self.rest[order] - self.rest[order[0]], axis=1) < 0.1 * self.size
+        return tuple(order[near].tolist())
+
+
+def _inverted(model: Model, bake: Bake, motion: np.ndarray, frames: np.ndarray) -> float:
+    """The largest share of the filled volume that the motion, and not the sculpt, turns inside out."""
+    if bake.node_modes is None or not len(model.tets):
+        return 0.0
+    corners = model.nodes[model.tets]
+    rest = determinant(corners[:, 1:] - corners[:, :1])
+    filled, worst = model.fill * rest, 0.0
+    for frame in frames:
+        moved, sculpted = (
+            determinant(at[:, 1:] - at[:, :1])
+            for at in (
+                corners + np.tensordot(coordinates, bake.node_modes, 1)[model.tets]
+                for coordinates in (bake.coordinates[frame], bake.static[frame])
+            )
+        )
+        worst = max(worst, float(filled[(moved <= 0.0) & (sculpted > 0.0)].sum() / filled.sum()))
+    return worst
+
+
+def _quantiles(values: np.ndarray, weights: np.ndarray, shares: Sequence[float]) -> list[float]:
+    order = np.argsort(values)
+    sums = np.cumsum(weights[order])
+    at = np.searchsorted(sums, np.array(shares) * sums[-1]).clip(max=len(values) - 1)
+    return values[order][at].tolist()

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buttons that compare: soft against plain, two sets of settings, and either side by side."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+from bpy.types import Operator
+from mathutils import Quaternion, Vector
+
+from ...core import records
+from ...core.errors import SinkError
+from ...run import live
+from ...run.preview import end_preview
+from ...scene import events, skin
+from ...scene.registration import of_classes
+from ...write.authoring.slots import put_slot, slot_settings
+from ...write.display import beside, comparison
+from ..base import SoftSkinOperator
+
+_left_out: list[bpy.types.Action] = []  # of the file that is being saved
+
+
+class DYNAMORPH_OT_show_plain(SoftSkinOperator, Operator):
+    """Show the mesh as the rig alone moves it, for comparison. Pressing again or saving the file shows the soft skin"""
+
+    bl_idname = "dynamorph.show_plain"
+    bl_label = "Show Plain Skinning"
+
+    @classmethod
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and not comparison.can_show(skin.mesh_in(context)):
+            return "Turn Live on or bake first: only plain skinning exists so far"
+        return disabled_reason
+
+    def apply(self, obj):
+        end_preview()
+        comparison.show(obj, not comparison.is_plain(obj))
+
+
+class DYNAMORPH_OT_swap_slot(SoftSkinOperator, Operator):
+    """Switch to the other of two sets of settings to compare them: materials, simulation and gains of modes"""
+
+    bl_idname = "dynamorph.swap_slot"
+    bl_label = "Compare A and B"
+
+    def apply(self, obj):
+        record = obj.dynamorph.live
+        left = slot_settings(obj)
+        put_slot(obj, records.slot(record.other) if record.other else left)
+        record.other = records.text(left)
+        record.slot = "B" if record.slot == "A" else "A"
+        live.refresh(obj)
+
+
+class DYNAMORPH_OT_copy_slot(SoftSkinOperator, Operator):
+    """Copy this set of settings to the other one"""
+
+    bl_idname = "dynamorph.copy_slot"
+    bl_label = "Copy to Other Slot"
+
+    def apply(self, obj):
+        obj.dynamorph.live.other = records.text(slot_settings(obj))
+
+
+class DYNAMORPH_OT_compare_beside(SoftSkinOperator, Operator):
+    """Show a copy beside the body: plain skinning, or the last bake of the other settings. Press again to remove it"""
+
+    bl_idname = "dynamorph.compare_beside"
+    bl_label = "Compare Side by Side"
+
+    @classmethod
+    def disabled_reason(cls, context):
+        disabled_reason, obj = super().disabled_reason(context), skin.mesh_in(context)
+        if not disabled_reason and not (comparison.can_show(obj) or beside.find(obj)):
+            return "Turn Live on or bake first: only plain skinning exists so far"
+        return disabled_reason
+
+    def apply(self, obj):
+        shown = beside.find(obj)
+        if shown:
+            beside.remove(shown)
+        else:
+            beside.add(obj, _right_of_view(bpy.context))
+
+
+def _right_of_view(context) -> np.ndarray:
+    """The direction (3,) to the right in the viewport of the context, or in the first of the window."""
+    views = [area for area in context.screen.areas if area.type == "VIEW_3D"] if context.screen else []
+    area = context.area if context.area in views else next(iter(views), None)
+    turned = area.spaces.active.region_3d.view_rotation if area else Quaternion()
+    return np.array(turned @ Vector((1.0, 0.0, 0.0)))
+
+
+def draw_compare_beside(layout, obj):
+    """The button, as long as there is something to compare or to remove."""
+    shown = beside.find(obj) is not None
+    if shown or skin.is_shown_on(obj):
+        layout.operator("dynamorph.compare_beside", icon="MOD_MIRROR", depress=shown)
+
+
+@persistent
+def _before_save(*_args):
+    """save_pre: a saved file shows the soft skin wherever it is opened or rendered."""
+    for obj in skin.soft_skins(bpy.data.objects):
+        if obj.library is None and comparison.is_plain(obj):
+            with suppress(SinkError):  # in Edit Mode the panel keeps saying that plain skinning is shown
+                comparison.show(obj, False)
+    _left_out[:] = beside.leave_out_of_file()
+
+
+@persistent
+def _after_save(*_args):
+    """save_post, save_post_fail."""
+    for action in _left_out:
+        action.is_runtime_data = False
+    _left_out.clear()
+
+
+@persistent
+def _loaded(*_args):
+    """load_post."""
+    beside.remove_all()
+
+
+HANDLERS = {
+    "load_post": _loaded,
+    "save_pre": _before_save,
+    "save_post": _after_save,
+    "save_post_fail": _after_save,
+}
+CLASSES = (
+    DYNAMORPH_OT_show_plain,
+    DYNAMORPH_OT_swap_slot,
+    DYNAMORPH_OT_copy_slot,
+    DYNAMORPH_OT_compare_beside,
+)
+_register_classes, _unregister_classes = of_classes(CLASSES)
+
+
+def register():
+    _register_classes()
+    events.add(HANDLERS)
+
+
+def unregister():
+    events.remove(HANDLERS)
+    _unregister_classes()

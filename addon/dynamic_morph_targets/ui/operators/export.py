@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buttons that write a baked character to another format, and list beforehand what that format leaves out."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import bpy
+from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_rpt as rpt_
+from bpy.props import EnumProperty, StringProperty
+from bpy.types import Operator
+from bpy_extras.io_utils import ExportHelper
+
+from ...core import errors
+from ...core.message import translated
+from ...io import paths
+from ...run import export_actions
+from ...scene import events, skin
+from ...scene.registration import of_classes
+from ...write.display import comparison
+from ...write.export import exports, losses
+from .. import widgets
+from ..base import SoftSkinOperator, listed, report_errors, reported
+from .jobs import JobOperator
+
+LINE = 60  # characters per line of a pop-up
+FORMATS = [
+    (key, each.label, each.description, number)
+    for number, (key, each) in enumerate(exports.FORMATS.items())
+    if each.is_available
+]
+SKINS = [item for item in FORMATS if exports.FORMATS[item[0]].skins]
+
+
+def draw_losses(layout, lost, width=None):
+    for text in lost:
+        widgets.draw_message(layout, text, width=width)
+
+
+class BakedOperator(SoftSkinOperator):
+    """Mixin: works on a soft skin with a bake."""
+
+    @classmethod
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        return disabled_reason or ("" if skin.mesh_in(context).dynamorph.bake.exists else "Press Bake first")
+
+
+class DYNAMORPH_OT_export_check(BakedOperator, Operator):
+    """List everything that the format will not show as Blender does"""
+
+    bl_idname = "dynamorph.export_check"
+    bl_label = "Export Check"
+    bl_options = {"REGISTER"}
+
+    format: EnumProperty(name="Format", description="File format of the export", items=FORMATS)
+
+    def apply(self, obj):
+        lost = list(losses.losses(obj, self.format))
+        for text in lost:
+            self.report({"WARNING"}, translated(text, rpt_))
+        label = exports.FORMATS[self.format].label
+        if not lost:
+            self.report({"INFO"}, rpt_("{format} will show everything of '{name}'").format(format=label, name=obj.name))
+        elif not bpy.app.background:  # the status bar shows the last alone
+            window = bpy.context.window_manager
+            window.popup_menu(lambda menu, _: draw_losses(menu.layout, lost, LINE), title=label, icon="ERROR")
+
+
+class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
+    """Write the baked character with its armature to a file, over the scene's frames or as one clip per Action"""
+
+    bl_idname = "dynamorph.export"
+    bl_label = "Export Bake"
+    bl_options = {"REGISTER"}
+
+    filename_ext = ""
+    check_extension = None
+
+    format: EnumProperty(name="Format", description="File format of the export", items=FORMATS)
+    clips: EnumProperty(
+        name="Clips", description="Which animations the file contains",
+        items=(
+            ("SCENE", "Scene", "One animation: the bake over the frames of the scene", 0),
+            (
+                "ACTIONS", "One for Each Action",
+                "One animation for each Action of the armature, each simulated on its own",
+                1,
+            ),
+        ),
+    )  # fmt: skip
+    filter_glob: StringProperty(
+        name="Filter", description="Pattern of the files that are shown", options={"HIDDEN"},
+        default=";".join(f"*{each.suffix}" for each in exports.FORMATS.values()),
+    )  # fmt: skip
+
+    @classmethod
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and comparison.is_plain(skin.mesh_in(context)):
+            return "Plain skinning is shown and would be exported: press Show Soft Skin first"
+        return disabled_reason
+
+    def invoke(self, context, event):
+        return report_errors(self, self._ask, context, event)
+
+    def _ask(self, context, event):
+        """Open the file browser if there is something to write. Raises ExportError."""
+        _look_again()
+        obj = skin.mesh_in(context)
+        if exports.FORMATS[self.format].skins and obj.dynamorph.model.content_id and not obj.dynamorph.bake.exists:
+            self.clips = "ACTIONS"  # which needs no bake
+        else:
+            exports.check_bake(obj, self.format)
+        if not self.filepath:
+            name = paths.clean_name(skin.mesh_in(context).name)
+            self.filepath = str(Path(bpy.data.filepath).with_name(name)) if bpy.data.filepath else name
+        self.filepath = str(self.path())
+        return super().invoke(context, event)
+
+    def draw(self, context):
+        layout = self.layout
+        layout.prop(self, "format")
+        if exports.FORMATS[self.format].skins:
+            layout.prop(self, "clips")
+        lost = _shown_losses(skin.mesh_in(context).session_uid, self.format, self.chosen_clips)
+        draw_losses(layout, lost)
+
+    def check(self, _context):
+        """The file name follows the format."""
+        path = str(self.path())
+        changed, self.filepath = path != self.filepath, path
+        return changed
+
+    @property
+    def chosen_clips(self) -> str:
+        return self.clips if exports.FORMATS[self.format].skins else "SCENE"
+
+    def apply(self, obj):
+        path = self.path()
+        if self.chosen_clips == "ACTIONS":  # it takes a while, so it is a job of its own
+            return self._start_actions(path)
+        scene = bpy.context.scene
+        export_actions.export(obj, self.format, path, (scene.frame_start, scene.frame_end))
+        report_export(self, obj, path)
+        return {"FINISHED"}
+
+    def path(self) -> Path:
+        """Where the file goes. Without `abspath`, Windows would take // for the name of a server."""
+        return exports.named(Path(bpy.path.abspath(self.filepath)), self.format)
+
+    def _start_actions(self, path: Path):
+        try:
+            bpy.ops.dynamorph.export_actions("INVOKE_DEFAULT", format=self.format, filepath=str(path))
+        except RuntimeError as error:  # what it reported
+            raise errors.ExportError(reported(error)) from error
+        return {"FINISHED"}
+
+
+class DYNAMORPH_OT_export_actions(JobOperator, Operator):
+    """Simulate the soft skin for each Action of the armature, and write all of them as clips of one file"""
+
+    bl_idname = "dynamorph.export_actions"
+    bl_label = "Export Actions"
+    bl_options = {"REGISTER", "INTERNAL"}
+    goal = "EXPORT_ACTIONS"
+
+    format: EnumProperty(name="Format", description="File format of the clips", items=SKINS)
+    filepath: StringProperty(name="File Path", description="File to which the clips are written", subtype="FILE_PATH")
+
+    def _batch(self, obj):
+        return export_actions.ActionsExport(obj, self.format, Path(self.filepath))
+
+    def _done(self, batch):
+        obj = batch.jobs[0].target()
+        for warning in batch.warnings:
+            self.report({"WARNING"}, translated(warning, rpt_))
+        report_export(self, obj, batch.path, [clip.name for clip in batch.clips])
+        return {"FINISHED"}
+
+
+@lru_cache(maxsize=16)
+def _shown_losses(session_uid: int, format: str, clips: str) -> tuple[str, ...]:
+    """What the file browser says of an export, whenever it draws: it takes all weights of the meshes to know."""
+    return tuple(losses.losses(skin.find(session_uid), format, clips))
+
+
+@persistent
+def _look_again(*_args):
+    """depsgraph_update_post and others: something was edited."""
+    _shown_losses.cache_clear()
+
+
+HANDLERS = dict.fromkeys(("depsgraph_update_post", "undo_post", "redo_post", "load_pre"), _look_again)
+
+
+def report_export(operator, obj, path: Path, clips=()):
+    """What was lost, unless the dialog has said it, and where the file is; clips: the names of those of Actions."""
+    lost = () if operator.options.is_invoke else losses.losses(obj, operator.format, "ACTIONS" if clips else "SCENE")
+    for text in lost:
+        operator.report({"WARNING"}, translated(text, rpt_))
+    text = rpt_("'{name}' written as '{file}': {clips}" if clips else "'{name}' written as '{file}'")
+    operator.report({"INFO"}, text.format(name=obj.name, file=path.name, clips=listed(clips)))
+
+
+def draw_in_file_menu(menu, _context):
+    """In File > Export, below Blender's own formats."""
+    menu.layout.operator_context = "INVOKE_DEFAULT"  # ask for the file also where a shortcut has called the menu
+    menu.layout.operator("dynamorph.export", text="Soft Skin Clip")
+
+
+_register, _unregister = of_classes((DYNAMORPH_OT_export_check, DYNAMORPH_OT_export, DYNAMORPH_OT_export_actions))
+
+
+def register():
+    _register()
+    bpy.types.TOPBAR_MT_file_export.append(draw_in_file_menu)
+    events.add(HANDLERS)
+
+
+def unregister():
+    events.remove(HANDLERS)
+    bpy.types.TOPBAR_MT_file_export.remove(draw_in_file_menu)
+    _unregister()

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buttons of jobs: build, bake, delete the bake, cancel. `base` has what all buttons have in common."""
+
+from __future__ import annotations
+
+import time
+
+import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
+from bpy.types import Operator
+
+from ...core.message import Message, joined, translated
+from ...run import batch, expected_error, final_comparison, live
+from ...run.batch import run_all
+from ...run.job import Job
+from ...scene import events, staleness
+from ...scene.registration import of_classes
+from ...scene.skin import is_shown_on, mesh_in, soft_skins
+from ...write.bake import writer
+from ...write.display import beside, live_key
+from ..base import SoftSkinOperator, at_work, reconciled, report_errors, reported
+
+TICK = 0.05  # seconds from one turn of a job to the next
+SLICE = 0.035  # seconds of a turn that may block the window, approximately
+SHOWN = 0.1  # seconds between two updates of the progress bar
+
+
+class DYNAMORPH_OT_delete_bake(SoftSkinOperator, Operator):
+    """Delete the baked shape keys, curves and modifier, and restore the target keys"""
+
+    bl_idname = "dynamorph.delete_bake"
+    bl_label = "Delete Bake"
+    needs_soft_skin = False
+
+    @classmethod
+    def disabled_reason(cls, context):
+        reason = super().disabled_reason(context)
+        if reason:
+            return reason
+        obj = mesh_in(context)
+        if obj.dynamorph.targets:
+            return "" if obj.dynamorph.bake.exists else "There is no bake yet"
+        return "" if is_shown_on(obj) else "Press Add Soft Skin first"
+
+    def apply(self, obj):
+        if not obj.dynamorph.targets:  # a piece, which may show Live
+            live_key.remove(obj)
+        writer.check_free(obj)
+        beside.keep_bake(obj)
+        for text in writer.free(obj):
+            self.report({"WARNING"}, translated(text, rpt_))
+
+
+class JobOperator(SoftSkinOperator):
+    """Mixin: runs a job. In a window it shows a progress bar and Blender stays usable; in the background it runs at
+    once.
+    """
+
+    goal = "BUILD"
+
+    def _jobs(self, obj) -> list[Job]:
+        """The jobs to run one after the other; obj: the mesh of the context."""
+        return [Job(obj, self.goal, rebuild=self.goal == "BUILD")]
+
+    def _batch(self, obj) -> batch.Batch:
+        return batch.Batch(self._jobs(obj), self.goal)
+
+    def apply(self, obj):
+        batch = self._batch(obj)
+        run_all(batch)
+        self._done(batch)
+
+    def invoke(self, context, _event):
+        if bpy.app.background:
+            return self.execute(context)
+        return report_errors(self, self._begin, context)
+
+    def modal(self, context, event):
+        if event.type == "ESC" and event.value == "PRESS":  # not passed on: it must not also stop the playback
+            self.batch.cancel()
+        elif event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        result = {"CANCELLED"}
+        try:
+            result = report_errors(self, self._tick, context)
+        finally:
+            if result != {"RUNNING_MODAL"}:
+                self._end(context)
+        return result
+
+    def cancel(self, _context):
+        """Blender itself ends the operator because the window closes or another file is opened."""
+        batch.stop()
+
+    def _begin(self, context):
+        expected_error.cancel()  # the job needs the computer, and outdates what is measured
+        self.batch = batch.running = self._batch(reconciled(mesh_in(context)))
+        self.steps = self.batch.steps(SLICE, 0.0)
+        self.shown = 0.0  # when
+        self.timer = context.window_manager.event_timer_add(TICK, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def _tick(self, context):
+        batch = self.batch
+        try:
+            next(self.steps)
+        except StopIteration:
+            return self._done(batch)
+        if time.monotonic() - self.shown > SHOWN:
+            self.shown = time.monotonic()
+            events.redraw(events.PANELS)
+            events.redraw_status(context)
+        return {"RUNNING_MODAL"}
+
+    def _end(self, context):
+        self.batch.abandon()
+        batch.running = None
+        context.window_manager.event_timer_remove(self.timer)
+        events.redraw(events.PANELS)
+        events.redraw_status(context)
+
+    def _done(self, batch):
+        expected_error.begin(batch.jobs)
+        for job in batch.jobs:
+            built_first = job.input.is_bake and job.input.reasons
+            text = "{name}: {result} (built first: {reasons})" if built_first else "{name}: {result}"
+            reasons = joined("; ", job.input.reasons)
+            message = Message(text, name=job.name, result=job.summary(), reasons=reasons)
+            self.report({"INFO"}, translated(message, rpt_))
+            if job.outcome.rehearsed:
+                self.report({"INFO"}, translated(joined(": ", [job.name, job.outcome.rehearsed]), rpt_))
+        for job in batch.jobs:
+            for warning in job.warnings:  # last, because the status bar shows the last report
+                self.report({"WARNING"}, translated(warning, rpt_))
+        return {"FINISHED"}
+
+
+class StartsJob(SoftSkinOperator):
+    """Mixin: `apply` is an undo step of its own; in a window, the operator `job` continues from there."""
+
+    job = ""
+
+    def invoke(self, context, _event):
+        result = self.execute(context)
+        if result == {"FINISHED"} and not bpy.app.background:
+            press(self, self.job)
+        return result
+
+
+def press(operator, name: str, **settings):
+    """Call another operator where `operator` ends, and report what prevents it."""
+    module, function = name.split(".")
+    button = getattr(getattr(bpy.ops, module), function)
+    try:
+        if button.poll():
+            button("INVOKE_DEFAULT", **settings)
+    except RuntimeError as error:  # what it reported as an error
+        operator.report({"ERROR"}, reported(error))
+
+
+class DYNAMORPH_OT_build(JobOperator, Operator):
+    """Compute the model of the soft skin: its cage, modes and forces"""
+
+    bl_idname = "dynamorph.build"
+    bl_label = "Build Model"
+
+    def _done(self, batch):
+        for job in batch.jobs:
+            live.refresh(job.target())
+        return super()._done(batch)
+
+
+class DYNAMORPH_OT_bake(JobOperator, Operator):
+    """Simulate the frame range and write the motion in the chosen Format. An outdated model is built first"""
+
+    bl_idname = "dynamorph.bake"
+    bl_label = "Bake Soft Skin"
+    goal = "BAKE"
+
+
+class DYNAMORPH_OT_bake_all(JobOperator, Operator):
+    """Bake every soft skin of the scene, one after the other. None of them changes before all are done"""
+
+    bl_idname = "dynamorph.bake_all"
+    bl_label = "Bake All"
+    goal = "BAKE_ALL"
+
+    @classmethod
+    def disabled_reason(cls, context):
+        if not _own_skins(context.scene):
+            return "The scene has no soft skin of its own: press Add Soft Skin first, or make a linked one local"
+        return at_work()
+
+    def _jobs(self, _obj):
+        return [Job(skin, "BAKE") for skin in _own_skins(bpy.context.scene)]
+
+
+def _own_skins(scene) -> list:
+    """The soft skins whose bake would be saved with the file."""
+    return [
+        skin for skin in soft_skins(scene.objects) if not (skin.library or skin.override_library or skin.data.library)
+    ]
+
+
+class DYNAMORPH_OT_compare_final(JobOperator, Operator):
+    """Simulate the shot of the bake in Full Quality too, and say how far the reduced motion is from that"""
+
+    bl_idname = "dynamorph.compare_final"
+    bl_label = "Compare with Full Quality"
+    goal = "COMPARE_FINAL"
+
+    @classmethod
+    def disabled_reason(cls, context):
+        obj = mesh_in(context)
+        reason = super().disabled_reason(context) or final_comparison.disabled_reason(obj)
+        return reason or ("The bake is out of date: bake again first" if staleness.outdated(obj) else "")
+
+    def _batch(self, obj):
+        return final_comparison.FinalComparison(obj)
+
+    def _done(self, batch):
+        obj = batch.jobs[0].target()
+        self.report({"INFO"}, translated(joined(": ", [obj.name, final_comparison.summary(obj)]), rpt_))
+        return {"FINISHED"}
+
+
+class DYNAMORPH_OT_cancel(Operator):
+    """Stop the running build or bake. The previous model and bake stay"""
+
+    bl_idname = "dynamorph.cancel"
+    bl_label = "Cancel Soft Skin Job"
+
+    def execute(self, _context):
+        if batch.running:
+            batch.running.cancel()
+        return {"FINISHED"}
+
+
+CLASSES = (
+    DYNAMORPH_OT_build,
+    DYNAMORPH_OT_bake,
+    DYNAMORPH_OT_bake_all,
+    DYNAMORPH_OT_compare_final,
+    DYNAMORPH_OT_delete_bake,
+    DYNAMORPH_OT_cancel,
+)
+register, unregister = of_classes(CLASSES)

@@ -1,0 +1,376 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buttons that show the motion without a bake (Live, shake tests, single modes)."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from functools import partial
+from itertools import islice
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_rpt as rpt_
+from bpy.props import BoolProperty, EnumProperty, FloatProperty
+from bpy.types import Operator
+from mathutils import Matrix
+
+from ...core.character import target_labels
+from ...core.errors import SceneError
+from ...core.result import compare
+from ...run import live, preview, task
+from ...run.preview import SECONDS, SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
+from ...scene import animation, events, model_store, rig_motion, skin
+from ...scene.registration import of_classes
+from ...scene.skinning import Skinning
+from ..base import SoftSkinOperator, report_errors
+from .jobs import JobOperator, press
+
+FIRST_LOOK = 2.0  # seconds of the hop that shows a new soft skin
+NAVIGATION = {
+    "MOUSEMOVE", "INBETWEEN_MOUSEMOVE", "MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "TRACKPADPAN", "TRACKPADZOOM",
+    "MOUSEROTATE", "MOUSESMARTZOOM", "NDOF_MOTION",
+}  # fmt: skip
+
+
+class TissueOperator(SoftSkinOperator):
+    """Mixin: shows the motion of the built model; nothing else may show it at the same time."""
+
+    @classmethod
+    def disabled_reason(cls, context):
+        return super().disabled_reason(context) or live.disabled_reason(skin.mesh_in(context))
+
+
+class DYNAMORPH_OT_live(SoftSkinOperator, Operator):
+    """Simulate while Blender plays, over a bake if there is one. Builds an outdated model first. Press again to stop"""
+
+    bl_idname = "dynamorph.live"
+    bl_label = "Live Soft Skin"
+
+    def invoke(self, context, _event):
+        obj = skin.mesh_in(context)
+        if live.is_on(obj) or not live.disabled_reason(obj) or bpy.app.background:
+            return self.execute(context)
+        press(self, "dynamorph.build_live")
+        return {"CANCELLED"}  # the undo step is that of the build
+
+    def apply(self, obj):
+        end_preview()
+        if live.is_on(obj):
+            live.turn_off(obj)
+        elif live.disabled_reason(obj):
+            raise SceneError(live.disabled_reason(obj))
+        else:
+            live.turn_on(obj, bpy.context.scene)
+
+
+class EndsLive(JobOperator):
+    """Mixin: builds a model. In a window it then turns Live on."""
+
+    hops = False  # whether the armature hops then, and the artist's animation plays after that
+
+    def modal(self, context, event):
+        result = super().modal(context, event)
+        if result == {"FINISHED"}:
+            report_errors(self, self._look, context)
+        return result
+
+    def _look(self, context):
+        request = self.batch.jobs[0].request
+        if request.scene.find() != context.scene:  # the artist has gone on in another one
+            return
+        obj = request.target.find()
+        disabled_reason = live.disabled_reason(obj)
+        if disabled_reason:
+            raise SceneError(disabled_reason)
+        live.turn_on(obj, context.scene)
+        if self.hops and skin.mesh_in(context) == obj and not context.screen.is_animation_playing:
+            press(self, "dynamorph.shake_test", kind="HOP", seconds=FIRST_LOOK, then_plays=True)
+
+
+class DYNAMORPH_OT_first_look(EndsLive, Operator):
+    """Build a new soft skin, turn Live on, let the armature hop and then play its animation. Esc stops it"""
+
+    bl_idname = "dynamorph.first_look"
+    bl_label = "Build Soft Skin"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
+    hops = True
+
+
+class DYNAMORPH_OT_build_live(EndsLive, Operator):
+    """Build the model of the soft skin, which is out of date, and turn Live on"""
+
+    bl_idname = "dynamorph.build_live"
+    bl_label = "Build for Live"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
+
+
+class PreviewOperator(TissueOperator):
+    """Mixin: shows a Preview. In a window it plays until it ends or Esc stops it; in the background all frames run at
+    once.
+    """
+
+    bl_options = {"REGISTER"}  # it leaves nothing that could be undone
+
+    lasts: float | None = None  # seconds; None: until it is stopped
+
+    def apply(self, obj):
+        running = Preview(obj, type(self))
+        try:
+            moved = []
+            for values, transform in self.frames(obj, running.tissue):
+                running.show(values, transform)
+                moved.append(running.tissue.moved(values))
+        finally:
+            running.end()
+        self._report(max(moved))
+
+    def invoke(self, context, _event):
+        if bpy.app.background:
+            return self.execute(context)
+        return report_errors(self, self._begin, context)
+
+    def modal(self, context, event):
+        if self.running is not preview.preview:  # stopped by its button, by undo or by anything else that ends previews
+            return self._end(context)
+        if event.type == "ESC" and event.value == "PRESS":
+            return self._end(context)
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"} if self.passes(event) else {"RUNNING_MODAL"}
+        result = {"CANCELLED"}
+        try:
+            result = report_errors(self, self._tick, context)
+        finally:
+            if result != {"RUNNING_MODAL"}:
+                self._end(context)
+        if result == {"FINISHED"}:
+            self.finished(context)
+        return result
+
+    def cancel(self, context):
+        self._end(context)
+
+    def finished(self, context):
+        """What follows a preview that nobody has stopped."""
+
+    def _begin(self, context):
+        stopped = is_running(type(self).bl_idname)
+        end_preview()
+        if stopped:
+            return {"CANCELLED"}
+        if context.screen.is_animation_playing:
+            raise SceneError("Stop the playback first")
+        obj = skin.mesh_in(context)
+        self.running = preview.begin_preview(obj, type(self))
+        self.largest = 0.0
+        try:
+            self.left = self.frames(obj, self.running.tissue)
+        except BaseException:
+            end_preview()
+            raise
+        self.fps = self.running.tissue.player.settings.fps
+        self.began, self.done = time.monotonic(), 0
+        self.timer = context.window_manager.event_timer_add(1.0 / self.fps, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        events.redraw_status(context)
+        return {"RUNNING_MODAL"}
+
+    def _tick(self, context):
+        """Show the frame that is due now. A slow window drops frames, as playback does."""
+        if rig_motion.render_runs():  # which reads what would be written
+            return {"RUNNING_MODAL"}
+        due = 1 + int((time.monotonic() - self.began) * self.fps) - self.done
+        frames = list(islice(self.left, due))
+        self.done += len(frames)
+        for values, _ in frames:
+            self.largest = max(self.largest, self.running.tissue.moved(values))
+        if frames:
+            self.running.show(*frames[-1])
+        if self.lasts is not None:
+            self.running.seconds_left = max(self.lasts - self.done / self.fps, 0.0)
+            events.redraw_status(context)
+        if len(frames) == due:
+            return {"RUNNING_MODAL"}
+        self._report(self.largest)
+        return {"FINISHED"}
+
+    def _end(self, context):
+        if self.running is preview.preview:
+            end_preview()
+        context.window_manager.event_timer_remove(self.timer)
+        events.redraw_status(context)
+        return {"CANCELLED"}
+
+    def _report(self, largest: float):
+        text = rpt_("The skin moves by up to {distance:.1f} mm")
+        self.report({"INFO"}, text.format(distance=1000 * largest))
+
+
+class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
+    """Shake the armature in place, without keyframes, to see how the skin swings. Esc stops it"""
+
+    bl_idname = "dynamorph.shake_test"
+    bl_label = "Shake Test"
+
+    kind: EnumProperty(
+        name="Kind",
+        description="How the test moves the armature",
+        items=(
+            ("STOMP", "Stomp", "Rise, drop and stop abruptly", 0),
+            ("TWIST", "Twist", "Turn quickly about the vertical axis and back", 1),
+            ("HOP", "Hop", "Move up and down twice", 2),
+        ),
+        options={"SKIP_SAVE"},
+    )  # fmt: skip
+    seconds: FloatProperty(
+        name="Seconds", description="Duration of the test", default=SECONDS, min=0.1, max=60.0, options={"SKIP_SAVE"}
+    )
+
+    then_plays: BoolProperty(
+        name="Then Play", description="Play the armature's own animation after the test, if it has one",
+        options={"SKIP_SAVE", "HIDDEN"},
+    )  # fmt: skip
+
+    @property
+    def lasts(self) -> float:
+        return self.seconds
+
+    def finished(self, context):
+        obj = skin.mesh_in(context)
+        moves = self.then_plays and obj and animation.is_animated(Skinning.of(obj))
+        if moves and not context.screen.is_animation_playing:
+            press(self, "screen.animation_play")
+
+    def passes(self, event) -> bool:
+        """Only navigation: an undo step would store the rig in its shaken position."""
+        return event.type in NAVIGATION
+
+    def frames(self, obj, tissue) -> Iterator[tuple[np.ndarray, Matrix]]:
+        for moved in movers(obj):
+            if self.kind == "TWIST" and moved.rotation_mode == "AXIS_ANGLE":
+                raise SceneError(
+                    "'{name}' rotates by Axis Angle: choose another rotation mode to twist it", name=moved.name
+                )
+        return self._played(tissue, *shaken(obj, tissue, self.kind, self.seconds))
+
+    @staticmethod
+    def _played(tissue, samples, transforms):
+        player, substeps = tissue.player, tissue.player.settings.substeps
+        count = len(samples) // substeps
+        yield tissue.values(player.begin(samples[:2])), Matrix(transforms[0])
+        for k, frame in enumerate(player.play(samples[1:], range(1, count + 1)), 1):
+            yield tissue.values(frame), Matrix(transforms[k * substeps])
+
+
+class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
+    """Swing only the selected mode about the targets' shape in the current pose. Press again, or Esc, to stop"""
+
+    bl_idname = "dynamorph.play_mode"
+    bl_label = "Play Mode"
+
+    def passes(self, _event) -> bool:
+        return True  # to select other modes meanwhile
+
+    def frames(self, obj, tissue) -> Iterator[tuple[np.ndarray, None]]:
+        """One swing per second; in the background, a single swing."""
+        if tissue.dofs and not tissue.modes:
+            raise SceneError("'{name}' is simulated without modes: set Quality to Reduced", name=obj.name)
+        if not tissue.modes:
+            raise SceneError("'{name}' has no modes: choose another Method and build", name=obj.name)
+        weights = tissue.player.begin(rig_motion.sample_present(obj, tissue.probe)).weights
+        return self._swinging(obj.session_uid, tissue, weights)
+
+    @staticmethod
+    def _swinging(session_uid: int, tissue, weights):
+        fps = tissue.player.settings.fps
+        static = np.concatenate([tissue.player.static(weights), weights])
+        k = 0
+        while k < fps or not bpy.app.background:
+            settings = skin.find(session_uid).dynamorph
+            index = min(settings.active_mode_index, tissue.modes - 1)
+            mode = np.zeros_like(static)
+            mode[index] = 1.0
+            amplitude = SWING * tissue.player.size / tissue.moved(static + mode)
+            if index < len(settings.modes):
+                amplitude *= settings.modes[index].gain
+            yield static + amplitude * math.sin(2.0 * math.pi * k / fps) * mode, None
+            k += 1
+
+
+class DYNAMORPH_OT_reset_gains(SoftSkinOperator, Operator):
+    """Set the gain of all modes to 1, and turn solo off"""
+
+    bl_idname = "dynamorph.reset_gains"
+    bl_label = "Reset Amounts"
+
+    def apply(self, obj):
+        for mode in obj.dynamorph.modes:
+            mode.gain, mode.solo = 1.0, False
+
+
+class DYNAMORPH_OT_check_targets(JobOperator, Operator):
+    """Measure how far the soft skin at rest in each target's pose is from the sculpted shape"""
+
+    bl_idname = "dynamorph.check_targets"
+    bl_label = "Check Targets"
+    goal = "CHECK_TARGETS"
+
+    def _batch(self, obj):
+        return task.Task(obj, self.goal, self._misses(obj))
+
+    @staticmethod
+    def _misses(obj) -> task.Chunks[list[str]]:
+        model, character = model_store.current_model(obj)
+        misses = yield from task.in_thread(partial(compare.residuals, model, character), "Checking targets")
+        labels = zip(target_labels(character.target_sets), character.targets, strict=True)
+        return [f"{label}: {1000 * misses[target.name]:.3f} mm" for label, target in labels]
+
+    def _done(self, task):
+        obj = task.object.find()
+        obj.dynamorph.live.checks = "\n".join(task.result)
+        self.report({"INFO"}, f"{obj.name}: {', '.join(task.result)}")
+        return {"FINISHED"}
+
+
+@persistent
+def _before_change(*_args):
+    """What a preview moves must neither be saved nor end up in an undo step."""
+    end_preview()
+
+
+@persistent
+def _loaded(*_args):
+    """load_post, before Live's own."""
+    end_recovered()
+
+
+HANDLERS = {
+    "undo_pre": _before_change,
+    "redo_pre": _before_change,
+    "load_pre": _before_change,
+    "load_post": _loaded,
+    "save_pre": _before_change,
+}
+CLASSES = (
+    DYNAMORPH_OT_live,
+    DYNAMORPH_OT_first_look,
+    DYNAMORPH_OT_build_live,
+    DYNAMORPH_OT_shake_test,
+    DYNAMORPH_OT_play_mode,
+    DYNAMORPH_OT_reset_gains,
+    DYNAMORPH_OT_check_targets,
+)
+_register_classes, _unregister_classes = of_classes(CLASSES)
+
+
+def register():
+    _register_classes()
+    events.add(HANDLERS)
+
+
+def unregister():
+    end_preview()
+    events.remove(HANDLERS)
+    _unregister_classes()

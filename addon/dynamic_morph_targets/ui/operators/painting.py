@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buttons that paint the Firmness map."""
+
+from __future__ import annotations
+
+from bpy.app.translations import pgettext_rpt as rpt_
+from bpy.props import EnumProperty
+from bpy.types import Operator
+
+from ...scene import skin
+from ...scene.registration import of_classes
+from ...write.authoring import painting
+from ..base import SoftSkinOperator
+
+
+class DYNAMORPH_OT_paint_firmness(SoftSkinOperator, Operator):
+    """Paint Firmness in Weight Paint: 0.5 is as it was, 0 softer, 1 held. Press again to leave Weight Paint"""
+
+    bl_idname = "dynamorph.paint_firmness"
+    bl_label = "Paint Firmness"
+
+    def apply(self, obj):
+        if painting.is_painting(obj):
+            painting.leave(obj)
+        else:
+            painting.enter(obj)
+
+
+class DYNAMORPH_OT_hold_bones(SoftSkinOperator, Operator):
+    """Set Firmness to 1 where the selected pose bones move the skin, with a soft border"""
+
+    bl_idname = "dynamorph.hold_bones"
+    bl_label = "Hold Selected Bones"
+
+    def apply(self, obj):
+        painting.hold_selected_bones(obj)
+
+
+class DYNAMORPH_OT_mirror_firmness(SoftSkinOperator, Operator):
+    """Copy the Firmness map to the other side of the mesh, about its local X axis"""
+
+    bl_idname = "dynamorph.mirror_firmness"
+    bl_label = "Mirror Firmness"
+
+    to: EnumProperty(
+        name="To",
+        description="The side to which the map is copied",
+        items=(
+            ("RIGHT", "Left to Right", "From the character's left, +X, to its right", 0),
+            ("LEFT", "Right to Left", "From the character's right, -X, to its left", 1),
+        ),
+    )
+
+    @classmethod
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and not painting.is_painting(skin.mesh_in(context)):
+            return "Press Paint beside Firmness first"
+        return disabled_reason
+
+    def apply(self, obj):
+        alone = painting.mirror(obj, self.to)
+        if alone:
+            text = rpt_("{count} vertices have no mirror image and stay as they are")
+            self.report({"WARNING"}, text.format(count=alone))
+
+
+def draw_tools(layout, obj):
+    """What helps to paint the map; Blender's own buttons where it has some."""
+    column = layout.column(align=True)
+    column.use_property_split = False
+    if painting.is_painting(obj):
+        row = column.row(align=True)
+        row.operator_context = "EXEC_DEFAULT"
+        row.operator("paint.weight_set", text="Fill", icon="BRUSH_DATA")
+        blur = row.operator("object.vertex_group_smooth", text="Blur")
+        blur.group_select_mode, blur.factor, blur.repeat = "ACTIVE", 0.5, 2
+        row = column.row(align=True)
+        for to, text in (("RIGHT", "Left to Right"), ("LEFT", "Right to Left")):
+            row.operator("dynamorph.mirror_firmness", text=text, icon="MOD_MIRROR").to = to
+    column.operator("dynamorph.hold_bones", icon="BONE_DATA")
+
+
+CLASSES = (DYNAMORPH_OT_paint_firmness, DYNAMORPH_OT_hold_bones, DYNAMORPH_OT_mirror_firmness)
+register, unregister = of_classes(CLASSES)

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buttons that sculpt a target in its pose."""
+
+from __future__ import annotations
+
+import numpy as np
+from bpy.app.translations import pgettext_rpt as rpt_
+from bpy.props import EnumProperty, StringProperty
+from bpy.types import Operator
+
+from ...core import engine, errors
+from ...core.errors import SceneError
+from ...core.message import translated
+from ...scene import rig_motion, skin
+from ...scene.registration import of_classes
+from ...write.authoring import targets
+from ...write.authoring.targets import sculpted_key
+from ...write.bake import muting
+from ..base import SoftSkinOperator, TargetOperator, report_errors
+from .poses import go_to_pose
+
+SCULPT_MODE = EnumProperty(
+    name="Mode",
+    description="The mode in which the shape key is edited in the current pose",
+    items=(
+        ("SCULPT", "Sculpt Mode", "Sculpt the shape with brushes", "SCULPTMODE_HLT", 0),
+        ("EDIT", "Edit Mode", "Move the vertices of the shape", "EDITMODE_HLT", 1),
+    ),
+)
+
+
+class SculptOperator:
+    """Mixin, listed first: begins to sculpt, unless a target is being sculpted already."""
+
+    @classmethod
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and skin.mesh_in(context).dynamorph.sculpt.active:
+            return "Press Finish Sculpting first"
+        return disabled_reason
+
+
+class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
+    """Create a target for the current pose and sculpt it. Its shape starts as the blend of the other targets"""
+
+    bl_idname = "dynamorph.new_from_pose"
+    bl_label = "New from Pose"
+
+    key: StringProperty(name="Name", description="Name of the shape key and of the target", options={"SKIP_SAVE"})
+    mode: SCULPT_MODE
+
+    def invoke(self, context, _event):
+        return report_errors(self, self._ask, context)
+
+    def _ask(self, context):
+        obj = skin.mesh_in(context)
+        self._check(obj)
+        self.key = self.key or self._default_name(obj)
+        return context.window_manager.invoke_props_dialog(self)
+
+    def apply(self, obj):
+        pose = self._check(obj)
+        shape = targets.blended_shape(obj, pose[1])
+        muting.show_target(obj, "")
+        block = targets.new_key(obj, self.key or self._default_name(obj), shape)
+        target = targets.add(obj, block)
+        target.set_pose(*pose)
+        targets.choose_bones(obj, target, pose[0], np.zeros_like(shape))  # all that are turned, until it is sculpted
+        targets.begin_sculpting(obj, block, self.mode, is_new=True)
+
+    def _check(self, obj):
+        """The current pose. Raises SceneError if it cannot have a new target."""
+        targets.check_can_sculpt(obj)
+        skeleton, local, rig_world = rig_motion.current_pose(obj)
+        bones = rig_motion.bones_turned(obj, skeleton, obj.dynamorph.targets[0].local(skeleton), local)
+        if not bones:
+            raise SceneError("No bone is turned away from the neutral pose: pose the armature first")
+        other = targets.at_pose_of(obj, skeleton, local, bones)
+        # Another limb that is turned too may have a target there: by its sculpt it comes into another set.
+        if other and (obj.dynamorph.model.hold != "THICKNESS" or set(bones) <= {*other.bone_names()}):
+            raise SceneError(
+                "The armature is in the pose of '{name}': change the pose, or sculpt that target", name=other.name
+            )
+        return skeleton, local, rig_world
+
+    def _default_name(self, obj) -> str:
+        keys = obj.data.shape_keys
+        return targets.free_name(keys.key_blocks.keys() if keys else (), "Pose")
+
+
+class DYNAMORPH_OT_sculpt_target(SculptOperator, TargetOperator, Operator):
+    """Pose the armature as captured for the selected target, and sculpt its shape key there"""
+
+    bl_idname = "dynamorph.sculpt_target"
+    bl_label = "Sculpt Target"
+
+    mode: SCULPT_MODE
+
+    def apply(self, obj):
+        block = sculpted_key(obj)
+        targets.check_can_sculpt(obj)
+        go_to_pose(self, obj)
+        targets.begin_sculpting(obj, block, self.mode)
+
+
+class DYNAMORPH_OT_finish_sculpt(SoftSkinOperator, Operator):
+    """Leave the sculpting mode, show all shape keys again, and choose the target's bones and region from the sculpt"""
+
+    bl_idname = "dynamorph.finish_sculpt"
+    bl_label = "Finish Sculpting"
+
+    @classmethod
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and not skin.mesh_in(context).dynamorph.sculpt.active:
+            return "No target is being sculpted"
+        return disabled_reason
+
+    def apply(self, obj):
+        targets.finish_sculpting(obj)
+        try:
+            targets.learn_from_sculpt(obj)
+        except engine.expected_errors() as error:  # the mode is left in any case
+            self.report({"WARNING"}, translated(errors.sentence(error), rpt_))
+
+
+CLASSES = (
+    DYNAMORPH_OT_new_from_pose,
+    DYNAMORPH_OT_sculpt_target,
+    DYNAMORPH_OT_finish_sculpt,
+)
+register, unregister = of_classes(CLASSES)

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sections below Advanced: the cage, the detail of the model, its modes, how it is stepped through time, and what
+is rarely needed.
+"""
+
+from __future__ import annotations
+
+from bpy.types import UIList
+
+from ...run import batch, expected_error, preview
+from ..widgets import draw_message
+
+
+class DYNAMORPH_UL_modes(UIList):
+    """The modes of the built model."""
+
+    def draw_item(self, _context, layout, _data, item, _icon, _active_data, _active_property, _index):
+        row = layout.row(align=True)
+        row.label(text=item.name, translate=False)
+        row.prop(item, "gain", text="", slider=True)
+        row.prop(item, "solo", text="", icon="SOLO_ON" if item.solo else "SOLO_OFF", emboss=False)
+
+
+def draw_cage(layout, context, obj):
+    model = obj.dynamorph.model
+    column = layout.column()
+    column.enabled = batch.running is None
+    column.prop(model, "cage_nodes")
+    column.prop(model, "cage_object")
+    layout.operator("dynamorph.build_cage", icon="MESH_ICOSPHERE")
+    shown = layout.row()
+    shown.enabled = bool(model.cage)
+    shown.prop(context.window_manager.dynamorph, "cage", text="Show Cage")
+    if model.cage:
+        draw_message(layout, model.cage, icon="CHECKMARK")
+
+
+def draw_detail(layout, _context, obj):
+    model = obj.dynamorph.model
+    column = layout.column()
+    column.enabled = batch.running is None
+    column.prop(model, "modes")
+    column.prop(model, "method")
+    layout.operator("dynamorph.check_targets", icon="CHECKMARK")
+    for line in filter(None, obj.dynamorph.live.checks.split("\n")):
+        draw_message(layout, line, icon="DOT")
+    if model.summary:
+        draw_message(layout, model.summary, icon="CHECKMARK")
+    if expected_error.summary(obj):
+        draw_message(layout, expected_error.summary(obj), icon="INFO")
+
+
+def has_modes(obj) -> bool:
+    return len(obj.dynamorph.modes) > 0
+
+
+def draw_modes(layout, _context, obj):
+    settings = obj.dynamorph
+    layout.template_list("DYNAMORPH_UL_modes", "", settings, "modes", settings, "active_mode_index", rows=4)
+    row = layout.row(align=True)
+    playing = preview.is_running("dynamorph.play_mode")
+    row.operator("dynamorph.play_mode", icon="PAUSE" if playing else "PLAY", depress=playing)
+    row.operator("dynamorph.reset_gains", icon="LOOP_BACK")
+
+
+def draw_solver(layout, _context, obj):
+    layout.enabled = batch.running is None
+    for name in ("substeps", "samples", "gravity", "fields", "initial_state"):
+        layout.prop(obj.dynamorph.simulation, name)
+
+
+def draw_rare(layout, _context, obj):
+    """What hardly any body needs: the defaults suit it."""
+    model, simulation = obj.dynamorph.model, obj.dynamorph.simulation
+    layout.enabled = batch.running is None
+    column = layout.column()
+    thickness = column.row()
+    thickness.active = model.cage_object is None
+    thickness.prop(model, "cage_thickness")
+    for name in ("cage_adaptivity", "separate", "hold"):
+        column.prop(model, name)
+    pinning = column.row()
+    pinning.active = model.hold == "BONES"
+    pinning.prop(model, "pin_radius")
+    column = layout.column()
+    column.prop(model, "basis")
+    fitting = column.row()
+    fitting.active = model.basis == "MODES"
+    fitting.prop(model, "fit_to_shot")
+    for name in ("material_model", "blending"):
+        column.prop(model, name)
+    column = layout.column()
+    for name in ("max_thickness", "integrator", "preroll", "preroll_pose"):
+        column.prop(simulation, name)

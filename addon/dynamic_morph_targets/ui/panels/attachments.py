@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The section about attachments."""
+
+from __future__ import annotations
+
+from bpy.app.translations import pgettext_iface as iface_
+from bpy.types import UIList
+
+from ...run import batch
+from ...write.authoring import attachments
+from ..widgets import draw_message
+
+FEW_NOTES = 3  # notes about meshes that are left alone
+
+
+class DYNAMORPH_UL_attachments(UIList):
+    """The attachments of a character, each with what moves it."""
+
+    def draw_item(self, _context, layout, data, item, _icon, _active_data, _active_property, _index):
+        row = layout.row(align=True)
+        row.enabled = batch.running is None
+        name = item.group or (item.object.name if item.object else item.name)
+        if item.group and item.object:
+            name = f"{item.object.name}: {name.removeprefix(attachments.PREFIX)}"
+        icon = "GROUP_VERTEX" if item.group else "OBJECT_DATA"
+        row.label(
+            text=name.removeprefix(attachments.PREFIX),
+            icon="ERROR" if attachments.problem(data.id_data, item) else icon,
+            translate=False,
+        )
+        row.prop(item, "attached_by", text="")
+
+
+def attachments_title(obj) -> str:
+    count = len(obj.dynamorph.attachments)
+    return iface_("Attachments ({count})").format(count=count) if count else iface_("Attachments")
+
+
+def draw_attachments(layout, _context, obj):
+    settings = obj.dynamorph
+    row = layout.row()
+    row.template_list(
+        "DYNAMORPH_UL_attachments", "", settings, "attachments", settings, "active_attachment_index", rows=3
+    )
+    column = row.column(align=True)
+    column.operator("dynamorph.add_attachment", text="", icon="ADD")
+    column.operator("dynamorph.remove_attachment", text="", icon="REMOVE")
+    column.operator("dynamorph.select_attachment", text="", icon="RESTRICT_SELECT_OFF")
+    layout.operator("dynamorph.find_attachments", icon="VIEWZOOM")
+    draw_head(layout, settings.model)
+    if settings.active_attachment:
+        draw_piece(layout, obj, settings.active_attachment)
+    alone = list(attachments.left_alone(obj))
+    for text in alone[:FEW_NOTES]:
+        draw_message(layout, text, icon="INFO")
+    if len(alone) > FEW_NOTES:
+        draw_message(layout, iface_("And {count} more like them").format(count=len(alone) - FEW_NOTES), icon="BLANK1")
+
+
+def draw_piece(layout, obj, piece):
+    column = layout.column(align=True)
+    column.enabled = batch.running is None
+    if not piece.group or piece.object:
+        column.prop(piece, "object")
+    if not piece.object or piece.group:
+        column.prop_search(piece, "group", piece.object or obj, "vertex_groups")
+    if piece.reason:
+        draw_message(layout, piece.reason, icon="INFO")
+    if attachments.problem(obj, piece):
+        draw_message(layout, attachments.problem(obj, piece))
+    elif piece.object and piece.attached_by == "OWN_CAGE" and not piece.object.dynamorph.targets:
+        text = iface_("'{name}' needs a soft skin of its own").format(name=piece.object.name)
+        draw_message(layout, text, icon="INFO")
+        button = layout.row()
+        button.context_pointer_set("object", piece.object)
+        button.operator("dynamorph.add_soft_skin", icon="ADD")
+
+
+def draw_head(layout, model):
+    """Whether the skin of the head is held, and which bone that is."""
+    row = layout.row()
+    row.enabled = batch.running is None
+    row.prop(model, "hold_head")
+    if model.hold_head and model.head:
+        draw_message(layout, iface_("Held as the head: {bones}").format(bones=model.head), icon="INFO")
+    elif model.hold_head:
+        layout.label(text="No head was found", icon="INFO")

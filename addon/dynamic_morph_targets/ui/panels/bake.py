@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sections about the motion: what shows and compares it, the bake and its result, exports and setups."""
+
+from __future__ import annotations
+
+from bpy.app.translations import pgettext_iface as iface_
+
+from ...core.result import verdict
+from ...run import batch, final_comparison
+from ...write.bake import influence as bake_influence
+from ...write.display import comparison
+from ..operators.compare import draw_compare_beside
+from ..widgets import draw_message
+
+REMEDIES = {
+    "REHEARSE": ("dynamorph.rehearse", "PLAY"),
+    "STIFFEN": ("dynamorph.stiffen", "FORCE_HARMONIC"),
+}
+
+
+def draw_trying(layout, _context, obj):
+    """Motion without keyframes, and what it is compared with."""
+    row = layout.row(align=True)
+    for kind in ("STOMP", "TWIST", "HOP"):
+        row.operator("dynamorph.shake_test", text=kind.capitalize()).kind = kind
+    plain = comparison.is_plain(obj)
+    text = "Show Soft Skin" if plain else "Show Plain Skinning"
+    layout.operator("dynamorph.show_plain", text=text, icon="HIDE_OFF" if plain else "HIDE_ON", depress=plain)
+    row = layout.row(align=True)
+    slot, other = ("A", "B") if obj.dynamorph.live.slot == "A" else ("B", "A")
+    row.operator("dynamorph.swap_slot", text=f"Swap to {other}", icon="UV_SYNC_SELECT")
+    row.operator("dynamorph.copy_slot", text=f"Copy {slot} to {other}", icon="COPYDOWN")
+    draw_compare_beside(layout, obj)
+
+
+# The bake ------------------------------------------------------------------------------------------------------------
+
+
+def is_baked(obj) -> bool:
+    return obj.dynamorph.bake.exists
+
+
+def draw_result(layout, _context, obj):
+    """The result of the bake: how much of it shows, how believable it looks, and its way to a game engine."""
+    influence = bake_influence.influence(obj)
+    if influence:
+        row = layout.row()
+        row.use_property_decorate = True  # for its keyframe button
+        row.prop(*influence, text="Influence", slider=True)
+    draw_verdict(layout, obj)
+    layout.operator("dynamorph.export", text="Export glTF", icon="EXPORT").format = "GLTF"
+
+
+def draw_verdict(layout, obj):
+    """How believable the bake looks, and the button that repairs it."""
+    found = verdict.parsed(obj.dynamorph.bake.verdict)
+    if found is None:
+        return
+    draw_message(layout, found.text, icon="CHECKMARK" if found.ok else "ERROR")
+    if found.remedy:
+        operator, icon = REMEDIES[found.remedy]
+        layout.operator(operator, icon=icon)
+
+
+def draw_details(layout, context, obj):
+    """Where the bake looks worst, what was measured, and how far it is from Full Quality."""
+    found = verdict.parsed(obj.dynamorph.bake.verdict)
+    row = layout.row(align=True)
+    row.use_property_split = False
+    if found and found.frame is not None:
+        text = iface_("Show Frame {frame}").format(frame=found.frame)
+        row.operator("dynamorph.show_worst", text=text, icon="RESTRICT_SELECT_OFF", translate=False)
+    row.prop(context.window_manager.dynamorph, "heat", icon="OVERLAY", toggle=True)
+    column = layout.column(align=True)
+    for name, value in found.figures if found else ():
+        split = column.split(factor=0.55)
+        split.label(text=name)
+        split.label(text=value, translate=False)
+    draw_off_final(layout, obj)
+    if obj.dynamorph.bake.summary:
+        draw_message(layout, obj.dynamorph.bake.summary, icon="CHECKMARK")
+
+
+def draw_off_final(layout, obj):
+    """How far the bake's reduced motion, which Live shows too, is from Full Quality, and the button that finds out."""
+    if not final_comparison.disabled_reason(obj):
+        layout.operator("dynamorph.compare_final")
+    if final_comparison.summary(obj):
+        draw_message(layout, final_comparison.summary(obj), icon="INFO")
+
+
+def draw_bake(layout, _context, obj):
+    """What is baked, how far the skin may move in it, and what stores the motion."""
+    settings = obj.dynamorph
+    simulation, output = settings.simulation, settings.output
+    layout.enabled = batch.running is None
+    layout.prop(settings.model, "solver")
+    draw_unrehearsed(layout, settings)
+    layout.prop(simulation, "max_displacement")
+    layout.prop(simulation, "use_scene_range")
+    column = layout.column(align=True)
+    column.enabled = not simulation.use_scene_range
+    column.prop(simulation, "frame_start")
+    column.prop(simulation, "frame_end")
+    column.prop(simulation, "keep_outside")
+    layout.prop(simulation, "loop")
+    layout.prop(output, "format")
+    column = layout.column(align=True)
+    if output.format == "MODES":
+        column.prop(output, "keys")
+    elif output.format == "FRAMES":
+        column.prop(output, "tolerance")
+        row = column.row()
+        row.active = output.tolerance == 0.0
+        row.prop(output, "frame_step")
+    layout.operator("dynamorph.bake_all")
+
+
+def draw_unrehearsed(layout, settings):
+    """Full Quality keeps no limits by itself."""
+    simulation, neutral = settings.simulation, settings.targets[0]
+    limited = simulation.max_displacement or simulation.max_thickness
+    adjustable = neutral.frequency > 0.0 and not neutral.by_hand
+    if settings.model.solver == "FULL" and limited and adjustable and not simulation.rehearsed:
+        draw_message(layout, "Full Quality is not rehearsed: bake in Reduced first to keep Max Displacement", "INFO")
+
+
+# To and from files ---------------------------------------------------------------------------------------------------
+
+
+def draw_export(layout, _context, obj):
+    row = layout.row(align=True)
+    # A menu does not poll its buttons. A model alone is enough to export Actions as clips.
+    row.enabled = batch.running is None and (obj.dynamorph.bake.exists or bool(obj.dynamorph.model.content_id))
+    row.operator_menu_enum("dynamorph.export", "format", icon="EXPORT")
+    row.operator_menu_enum("dynamorph.export_check", "format", text="", icon="VIEWZOOM")
+
+
+def draw_setup(layout, _context, _obj):
+    """Setups as files, and copies for other meshes."""
+    layout.operator("dynamorph.copy_to_selected", icon="COPYDOWN")
+    row = layout.row(align=True)
+    row.operator("dynamorph.save_setup", icon="EXPORT")
+    row.operator("dynamorph.load_setup", icon="IMPORT")

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sections that say how soft the skin is, and where."""
+
+from __future__ import annotations
+
+from ...core.material import feel
+from ...run import batch
+from ...write.authoring import painting
+from ..operators import painting as paint_operators
+
+
+def draw_feel(layout, _context, obj):
+    """The presets and the amount of the whole skin, and how the tissue of the selected target swings."""
+    settings = obj.dynamorph
+    layout.enabled = batch.running is None
+    column = layout.column(align=True)
+    row = column.row(align=True)
+    chosen = feel.active(settings.targets[0], settings.simulation)
+    for key, preset in feel.FEELS.items():
+        row.operator("dynamorph.apply_feel", text=preset.label, depress=key == chosen).feel = key
+    column.prop(settings.simulation, "amount", slider=True)
+    target = settings.active_target
+    if target:
+        layout.label(text=target.name, icon=icon_of(obj, target), translate=False)
+        draw_swing(layout, target)
+
+
+def icon_of(obj, target) -> str:
+    return "ARMATURE_DATA" if target == obj.dynamorph.targets[0] else "SHAPEKEY_DATA"
+
+
+def draw_swing(layout, target):
+    """Bounce of a target, which a new one can be given before the build, and what the build measures."""
+    column = layout.column(align=True)
+    bounce, others = column.column(align=True), column.column(align=True)
+    bounce.enabled = (target.is_measured or target.awaits_build) and batch.running is None
+    bounce.prop(target, "bounce")
+    others.enabled = target.is_measured and batch.running is None
+    for name in ("settle_time", "mass"):
+        others.prop(target, name)
+    if not target.is_measured:
+        column.label(text="Measured by the next build", icon="INFO")
+
+
+def draw_material(layout, _context, obj):
+    """The material of the selected target in physical units."""
+    target = obj.dynamorph.active_target
+    layout.enabled = batch.running is None
+    if target is None:
+        return
+    layout.label(text=target.name, icon=icon_of(obj, target), translate=False)
+    column = layout.column(align=True)
+    for name in ("stiffness", "poisson", "density", "mass_damping"):
+        column.prop(target, name)
+    column.prop(target, "stiffness_damping", text="Stiff. Damping")  # that much fits
+    layout.operator("dynamorph.fit_material")
+
+
+def draw_firmness(layout, context, obj):
+    """The map that is painted."""
+    layout.enabled = batch.running is None
+    row = layout.row(align=True)
+    row.prop_search(obj.dynamorph, "firmness_group", obj, "vertex_groups")
+    button = row.row(align=True)
+    button.ui_units_x = 2.5  # the name of the group needs the rest
+    button.operator("dynamorph.paint_firmness", text="Done" if painting.is_painting(obj) else "Paint")
+    paint_operators.draw_tools(layout, obj)
+    layout.prop(context.window_manager.dynamorph, "firmness", icon="OVERLAY", toggle=True)

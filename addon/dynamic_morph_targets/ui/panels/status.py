@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the tab and the Physics panel begin and end with: the state, the buttons that stay in place, the messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from ...core import engine
+from ...core.message import Message, joined
+from ...core.result import verdict
+from ...run import batch, live, preview
+from ...scene import body_checks, checks, skin, staleness
+from ...scene.checks import Problem
+from ...scene.skinning import Skinning
+from ...write.display import comparison
+from ..widgets import draw_problem, line_length, progress_text
+
+ROOM = 28  # characters of a line with which the widest button of the pair has room for an icon too
+MOST_REASONS = 3  # of those for which something is out of date
+
+
+def draw_top(layout, context, obj):
+    """The row with the state, and the buttons for it. Nothing here comes or goes, so no button moves."""
+    draw_state(layout, context, obj)
+    if not obj.dynamorph.targets:
+        layout.operator("dynamorph.add_soft_skin", icon="ADD")
+        if skin.is_shown_on(obj):
+            layout.operator("dynamorph.delete_bake", icon="TRASH")
+        return
+    playing = live.is_on(obj)
+    buttons = layout.column(align=True)
+    has_room = line_length() >= ROOM
+    row = buttons.row(align=True)
+    row.operator("dynamorph.live", text="Live", icon="PAUSE" if playing else "PLAY", depress=playing)
+    row.operator("dynamorph.build", icon="MOD_LATTICE" if has_room else "NONE")
+    row = buttons.row(align=True)
+    row.operator("dynamorph.bake", text="Bake", icon="REC")
+    row.operator("dynamorph.delete_bake", icon="TRASH" if has_room else "NONE")
+    hint = "" if batch.running else next_step(obj)
+    layout.label(text=hint, icon="LIGHT" if hint else "NONE")
+
+
+def draw_state(layout, context, obj):
+    """One row: what runs, with its progress, or what the skin shows."""
+    row = layout.row(align=True)
+    job = batch.running
+    if job:
+        row.progress(factor=job.fraction, text=progress_text(job))
+        row.operator("dynamorph.cancel", text="", icon="X")
+        return
+    text, icon = state(obj)
+    if obj != context.object:  # its armature is active
+        text = f"{obj.name}: {text}"
+    row.label(text=text, icon=icon, translate=False)
+
+
+def state(obj) -> tuple[str, str]:
+    """What the skin of `obj` shows, in few words, and an icon."""
+    settings = obj.dynamorph
+    follows, sculpt, baked = settings.follows, settings.sculpt, settings.bake.exists
+    if engine.engine_problem() or any(checks.problems(Skinning.of(obj))):
+        return iface_("A problem: see Messages"), "ERROR"
+    if not settings.targets:
+        return (follows.name, "LINKED") if follows else (iface_("Not a soft skin yet"), "INFO")
+    if sculpt.active:
+        return iface_("Sculpting '{name}'").format(name=sculpt.key.name), "SCULPTMODE_HLT"
+    if comparison.is_plain(obj):
+        return iface_("Plain skinning is shown"), "HIDE_ON"
+    if preview.preview and preview.preview.object.session_uid == obj.session_uid:
+        return iface_(preview.preview.label), "PLAY"
+    if live.is_on(obj):
+        if live.problem(obj) or is_outdated(obj):
+            return iface_("Live is out of date"), "ERROR"
+        return iface_("Live plays over the bake" if baked else "Live is on"), "PLAY"
+    if baked:
+        outdated = staleness.outdated(obj)
+        return (iface_("The bake is out of date"), "ERROR") if outdated else (iface_("Baked"), "CHECKMARK")
+    if not settings.model.content_id:
+        return iface_("Not built yet"), "INFO"
+    if is_outdated(obj):
+        return iface_("The model is out of date"), "INFO"
+    return iface_("Ready"), "CHECKMARK"
+
+
+def next_step(obj) -> str:
+    """What the artist may do next, in few words, or ''."""
+    baked = obj.dynamorph.bake.exists
+    if engine.engine_problem() or any(checks.problems(Skinning.of(obj))):
+        return ""
+    if comparison.is_plain(obj) or obj.dynamorph.sculpt.active:
+        return ""
+    if live.is_on(obj) and is_outdated(obj):
+        return "Build Model updates Live"
+    if not live.is_on(obj) and baked and staleness.outdated(obj):
+        return "Bake updates it"
+    if live.is_on(obj) and not baked:
+        return "Space stops, Bake keeps it" if is_playing() else "Space plays, Bake keeps it"
+    if live.is_on(obj) or baked:
+        return "Space stops it" if is_playing() else "Space plays it"
+    if is_outdated(obj) or not obj.dynamorph.model.content_id:
+        return "Live or Bake builds it first"
+    return "Live shows it, Bake keeps it"
+
+
+def is_playing() -> bool:
+    """Whether the animation plays in a window."""
+    return any(window.screen.is_animation_playing for window in bpy.context.window_manager.windows)
+
+
+def is_outdated(obj) -> bool:
+    """Whether the model of `obj` must be built again."""
+    model = obj.dynamorph.model
+    return bool(model.content_id and (staleness.model_age(obj) or checks.outgrown(obj)))
+
+
+# Messages ------------------------------------------------------------------------------------------------------------
+
+
+def draw_messages(layout, _context, obj):
+    """All that is wrong or worth knowing. It is the last section, so that nothing moves when one comes or goes."""
+    found = list(messages(obj))
+    for problem, icon in found:
+        draw_problem(layout, problem, icon)
+    if not found:
+        layout.label(text="Nothing needs attention", icon="CHECKMARK")
+
+
+def messages(obj) -> Iterator[tuple[Problem, str]]:
+    """Each with its icon, the worst first, and none twice."""
+    said = set()
+    for problem, icon in _all_messages(obj):
+        if problem.text not in said:
+            said.add(problem.text)
+            yield problem, icon
+
+
+def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
+    settings, skinning = obj.dynamorph, Skinning.of(obj)
+    if engine.engine_problem():
+        yield Problem(engine.engine_problem()), "ERROR"
+    for problem in checks.problems(skinning):
+        yield problem, "ERROR"
+    if not settings.targets and settings.follows:
+        text = Message("'{name}' moves with '{body}'", name=obj.name, body=settings.follows.name)
+        yield Problem(text), "LINKED"
+        return
+    for problem in body_checks.known(skinning):
+        yield problem, "ERROR"
+    if settings.targets:
+        for text in texts(obj):
+            yield Problem(text), "ERROR"
+        for problem in checks.next_steps(obj):
+            yield problem, "INFO"
+    for problem in checks.notes(skinning):
+        yield problem, "INFO"
+    if not settings.targets:
+        return
+    if live.is_on(obj) and not bpy.context.scene.render.use_lock_interface:
+        if live.stood_still(obj):
+            text = "Live stood still in the last render: turn on Lock Interface (Render menu) or bake, and render again"
+            yield Problem(text, "LOCK_INTERFACE"), "ERROR"
+        else:
+            yield Problem("To render Live, turn on Lock Interface", "LOCK_INTERFACE"), "INFO"
+    found = verdict.parsed(settings.bake.verdict)
+    if settings.simulation.rehearsed and (found is None or found.ok):  # a later bake of another shot may move too far
+        yield Problem(settings.simulation.rehearsed), "INFO"
+
+
+def texts(obj) -> Iterator[str]:
+    """What is out of date, what stopped Live, and the warnings of the last build and bake."""
+    model, bake = obj.dynamorph.model, obj.dynamorph.bake
+    if checks.outgrown(obj):
+        yield checks.outgrown(obj)
+    if live.is_on(obj) and live.problem(obj):
+        yield live.problem(obj)
+    if comparison.is_plain(obj):
+        yield "Plain skinning is shown: the soft skin stays hidden until you press Show Soft Skin or save"
+    reasons = list(dict.fromkeys((*staleness.model_age(obj), *staleness.outdated(obj))))
+    if reasons and not batch.running:  # while a job runs they are outdated themselves
+        more = len(reasons) - MOST_REASONS
+        text = "Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}"
+        yield Message(text, reasons=joined(", ", reasons[:MOST_REASONS]), count=more)
+    found = verdict.parsed(bake.verdict)
+    for warning in filter(None, (*model.warnings.split("\n"), *bake.warnings.split("\n"))):
+        if not (found and warning.startswith(found.text)):  # which the section Result says
+            yield warning

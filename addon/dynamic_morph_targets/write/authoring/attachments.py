@@ -1,0 +1,320 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The attachments of a character: finds other meshes on its armature and loose parts, and says what is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain
+
+import bpy
+import numpy as np
+
+from ...core import errors
+from ...core.geometry import diagonal, inverse, loose_parts, triangle_areas, vertex_areas
+from ...core.message import Message
+from ...core.model import rigid
+from ...scene import checks, mesh_data, references
+from ...scene.references import rig_of
+from ...scene.skin import parts_of
+from ...scene.skinning import Skinning, armature_modifiers, meshes_on
+from ..bake import writer
+
+PREFIX = "Dynamorph Piece "  # prefix of the vertex groups for loose parts
+FEW = 8  # up to so many loose parts are separate attachments
+LARGE = 0.02  # fraction of the body's area; larger loose parts are separate attachments
+ACCESSORY = 0.05  # of the soft area of a character's softest mesh; a mesh with less is not the intended soft skin
+FEW_BONES = 3  # names listed in a reason
+FEWEST_BONES = 3  # bones that carry the parts of a wholly hard character
+
+
+# What a character has ----------------------------------------------------------------------------------------------
+
+
+def find(obj) -> list[str]:
+    """Add the attachments of the soft skin `obj` that are not in its list yet: every other mesh on its armature and
+    every rigid part, each with a reason. Returns their names. Raises SceneError.
+    """
+    checks.check_mesh(obj)
+    rig = checks.armature_modifier(obj).object
+    world, _ = mesh_data.worlds_at_start(obj, rig)
+    to_bind, names = mesh_data.stretch(world), references.rest_skeleton(rig.data).names
+    listed = {
+        piece.object: piece.attached_by for piece in obj.dynamorph.attachments if piece.object and not piece.group
+    }
+    found, added = [_look_at(obj, obj, rig, world, to_bind)], []
+    for other in [*_siblings(obj), *(each for each, choice in listed.items() if choice in {"WITH_BODY", "HELD"})]:
+        try:
+            refusal = _refusal(obj, other)
+            found += [] if refusal else [_look_at(obj, other, rig, world, to_bind)]
+        except errors.SceneError as error:
+            refusal = str(error)
+        if refusal and other not in listed:
+            choice = "OWN_CAGE" if other.dynamorph.targets else "RIGID"
+            added.append(_add(obj, other, "", choice, refusal))
+    _leave_something_soft(found)
+    for each, touches in zip(found, _touching(found), strict=True):
+        whole = each.obj != obj and each.hard.all() and len(set(each.bones.tolist())) == 1
+        if each.obj != obj and each.obj not in listed:
+            added.append(_add_mesh(obj, each, whole, touches, names))
+        if not whole:
+            added += _add_parts(obj, each, touches, names)
+    skinned = _all_together(found)
+    obj.dynamorph.model.head = ", ".join(
+        names[bone] for bone in rigid.heads(references.rest_skeleton(rig.data), *skinned)
+    )
+    return added
+
+
+def remove(obj, index: int):
+    """Remove an attachment from the list, with the vertex group that was made for it."""
+    piece = obj.dynamorph.attachments[index]
+    owner = piece.object or obj
+    group = owner.vertex_groups.get(piece.group)
+    if group and group.name.startswith(PREFIX):
+        owner.vertex_groups.remove(group)
+    obj.dynamorph.attachments.remove(index)
+    obj.dynamorph.active_attachment_index = max(min(index, len(obj.dynamorph.attachments) - 1), 0)
+
+
+def members(obj, group: str) -> np.ndarray:
+    """The vertices (V,) bool of a part."""
+    return mesh_data.group_weights(obj, [group])[:, 0] >= mesh_data.MEMBER
+
+
+def problem(obj, piece) -> str:
+    """What is wrong with an attachment of `obj`, or ''. Reads no mesh: fast enough for drawing."""
+    if not (piece.object or piece.group):
+        gone = Message("'{name}' is gone: remove the attachment", name=piece.name)
+        return gone if piece.name else "Choose an object or a vertex group"
+    if piece.object and not piece.object.users_scene:
+        return Message("'{name}' is gone: remove the attachment", name=piece.name)
+    if piece.group:
+        gone = piece.group not in (piece.object or obj).vertex_groups
+        text = "The vertex group '{group}' is gone: choose another, or remove the attachment"
+        return Message(text, group=piece.group) if gone else ""
+    if piece.attached_by in {"WITH_BODY", "HELD"} and rig_of(obj):
+        return next((each.text for each in checks.follower(Skinning.of(obj), Skinning.of(piece.object))), "")
+    return ""
+
+
+def left_alone(obj) -> Iterator[str]:
+    """The meshes of a character that no skin moves, one sentence each."""
+    rig = rig_of(obj)
+    children = dict.fromkeys([*(rig.children_recursive if rig else ()), *obj.children_recursive])
+    children = [other for other in children if other.users_scene]
+    for other in children:
+        if other.type != "MESH" or other == obj or armature_modifiers(other):
+            continue
+        if other.parent_type == "BONE":
+            yield Message(
+                "'{name}' is parented to bone '{bone}': it moves with the bone and is left alone",
+                name=other.name,
+                bone=other.parent_bone,
+            )
+        elif other.parent_type in {"VERTEX", "VERTEX_3"}:
+            yield Message(
+                "'{name}' is parented to vertices of '{parent}': it moves with them",
+                name=other.name,
+                parent=other.parent.name,
+            )
+        else:
+            yield Message(
+                "'{name}' is parented to '{parent}': it moves with it as a whole and is left alone",
+                name=other.name,
+                parent=other.parent.name,
+            )
+
+
+def _siblings(obj) -> list:
+    """The other meshes on the armature of `obj` that are not attachments yet."""
+    rig, known = rig_of(obj), [obj, *(piece.object for piece in obj.dynamorph.attachments)]
+    return [
+        other
+        for other in bpy.context.scene.objects
+        if other.type == "MESH"
+        and other not in known
+        and len(other.data.vertices)
+        and any(modifier.object == rig for modifier in armature_modifiers(other))
+    ]
+
+
+# Its body -----------------------------------------------------------------------------------------------------------
+
+
+def body_for(obj):
+    """The mesh to become a soft skin for `obj`: itself, unless it is rigid and another one on its armature is not. For
+    an armature object, the mesh with the largest soft surface. Raises SceneError.
+    """
+    rig = obj if obj.type == "ARMATURE" else rig_of(obj) or carried_by(obj)
+    if rig is None or obj.mode == "EDIT":
+        return obj
+    areas = {other: _soft_area(other, rig) for other in meshes_on(rig) if _may_be_soft(other, rig)}
+    largest = max(areas, key=areas.get, default=obj)
+    accessory = areas.get(obj, 0.0) <= ACCESSORY * areas.get(largest, 0.0)
+    return largest if obj.type == "ARMATURE" or accessory else obj
+
+
+def carried_by(obj):
+    """The armature object that is an ancestor of `obj` by parenting, if it skins a mesh."""
+    above = obj.parent
+    while above and above.type != "ARMATURE":
+        above = above.parent
+    return above if above and any(rig_of(other) == above for other in meshes_on(above)) else None
+
+
+def _may_be_soft(other, rig) -> bool:
+    skinned = any(modifier.object == rig for modifier in armature_modifiers(other))
+    mine = not (other.library or other.override_library)
+    return skinned and mine and other.mode != "EDIT" and bool(other.data.polygons)
+
+
+def _soft_area(other, rig) -> float:
+    """The area of the skin of a mesh that no single bone carries, in Blender units."""
+    try:
+        points, triangles = mesh_data.rest_points(other), mesh_data.mesh_triangles(other.data)
+        labels = loose_parts(points, triangles)
+        hard, _ = rigid.rigid_parts(labels, mesh_data.skin_weights(other, rig))
+    except errors.SceneError:
+        return 0.0
+    areas = vertex_areas(points @ np.array(other.matrix_world)[:3, :3].T, triangles)
+    return float(areas[~hard[labels]].sum())
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A mesh of the body under examination. labels (P,): of its loose parts; points (P, 3): in the body's bind space;
+    bones (parts,): that carry most of each part.
+    """
+
+    obj: object
+    labels: np.ndarray
+    points: np.ndarray
+    triangles: np.ndarray
+    weights: np.ndarray
+    hard: np.ndarray
+    bones: np.ndarray
+
+
+def _refusal(obj, other) -> str:
+    """Why a mesh cannot belong to the body of `obj`, or ''."""
+    if other.dynamorph.targets:
+        return "It is a soft skin of its own"
+    skinned = Skinning.of(other)
+    for problem in chain(checks.follower(Skinning.of(obj), skinned), checks.mesh(other), checks.order(skinned)):
+        return problem.text
+    try:
+        writer.check(other, obj)
+    except errors.SinkError as error:
+        return str(error)
+    return ""
+
+
+def _look_at(obj, other, rig, world: np.ndarray, to_bind: np.ndarray) -> _Found:
+    """world (4, 4), to_bind (3, 3): of `obj`. Raises SceneError."""
+    to_body = np.eye(4) if other == obj else inverse(world) @ mesh_data.worlds_at_start(other, rig)[0]
+    local, weights = mesh_data.rest_points(other), mesh_data.skin_weights(other, rig)
+    triangles = mesh_data.mesh_triangles(other.data)
+    labels = loose_parts(local, triangles)
+    points = mesh_data.carried(local, to_body) @ to_bind.T
+    return _Found(other, labels, points, triangles, weights, *rigid.rigid_parts(labels, weights))
+
+
+def _leave_something_soft(found: list[_Found]):
+    """If everything is rigid, on one bone or two, the largest part becomes a soft body: a jelly, for example."""
+    bones = {bone for each in found for bone in each.bones.tolist()}
+    if len(bones) >= FEWEST_BONES or not all(each.hard.all() for each in found):
+        return
+    areas = [np.bincount(each.labels, vertex_areas(each.points, each.triangles)) for each in found]
+    largest = max(range(len(found)), key=lambda k: areas[k].max())
+    found[largest].hard[areas[largest].argmax()] = False
+
+
+def _all_together(found: list[_Found]) -> tuple:
+    """Weights, points and triangles of all meshes, as arguments of `rigid.heads`."""
+    starts = np.cumsum([0, *(len(each.points) for each in found)])
+    triangles = [each.triangles + start for each, start in zip(found, starts, strict=False)]
+    together = [np.concatenate([getattr(each, name) for each in found]) for name in ("weights", "points")]
+    return *together, np.concatenate(triangles)
+
+
+def _touching(found: list[_Found]) -> list[np.ndarray]:
+    """For each mesh, which (parts,) of its rigid parts share points with soft skin."""
+    points = np.concatenate([each.points for each in found])
+    size = diagonal(points)
+    first = rigid.coincident(points, rigid.COINCIDE * size)
+    counts = [len(each.hard) for each in found]
+    starts = np.cumsum([0, *counts])[:-1]
+    labels = np.concatenate([each.labels + start for each, start in zip(found, starts, strict=True)])
+    hard = np.concatenate([each.hard for each in found])
+    return np.split(rigid.joined_to_soft(labels, hard, first), starts[1:])
+
+
+def _add_mesh(obj, each: _Found, whole: bool, touches: np.ndarray, names) -> str:
+    """whole: one bone carries all of it."""
+    if not whole:
+        return _add(obj, each.obj, "", "WITH_BODY", "It is skinned by the same armature")
+    bone = [*names, "none"][each.bones[0]]
+    if touches.any():
+        return _add(obj, each.obj, "", "HELD", f"Bone '{bone}' alone moves it, and it shares points with soft skin")
+    return _add(obj, each.obj, "", "RIGID", f"Bone '{bone}' alone moves it")
+
+
+def _add_parts(obj, each: _Found, touches: np.ndarray, names) -> list[str]:
+    """The rigid loose parts of a mesh as attachments: those of one material on one bone together; if there are many,
+    the small ones of one material.
+    """
+    mesh, labels, owner = each.obj.data, each.labels, None if each.obj == obj else each.obj
+    slots = np.zeros(len(each.triangles), np.int32)
+    mesh.loop_triangles.foreach_get("material_index", slots)
+    areas = np.zeros((len(each.hard), max(len(mesh.materials), 1)))
+    of_triangles = triangle_areas(each.points, each.triangles)
+    np.add.at(areas, (labels[each.triangles[:, 0]], slots.clip(0, areas.shape[1] - 1)), of_triangles)
+    known = [piece.group for piece in parts_of(obj, owner) if piece.group in each.obj.vertex_groups]
+    taken = (mesh_data.group_weights(each.obj, known) >= mesh_data.MEMBER).any(axis=1)
+    covered = np.bincount(labels, taken) > 0.5 * np.bincount(labels)
+    added = []
+    for held in (False, True):
+        chosen = np.flatnonzero(each.hard & (touches == held) & ~covered)
+        alike = np.column_stack([areas[chosen].argmax(axis=1), each.bones[chosen]])
+        kinds, kind = np.unique(alike, axis=0, return_inverse=True)
+        of_kinds = np.zeros((len(kinds), areas.shape[1]))
+        np.add.at(of_kinds, kind.ravel(), areas[chosen])
+        for together in grouped(of_kinds):
+            group = chosen[np.isin(kind.ravel(), together)]
+            material = mesh.materials[areas[group].sum(axis=0).argmax()] if mesh.materials else None
+            made = each.obj.vertex_groups.new(name=PREFIX + (material.name if material else "Part"))
+            made.add(np.flatnonzero(np.isin(labels, group)).tolist(), 1.0, "REPLACE")
+            bones = dict.fromkeys([*names, "none"][bone] for bone in each.bones[group])
+            listed = ", ".join(f"'{bone}'" for bone in list(bones)[:FEW_BONES]) + " ..." * (len(bones) > FEW_BONES)
+            parts = "This loose part follows" if len(group) == 1 else f"These {len(group)} loose parts follow"
+            reason = f"{parts} {'bone' if len(bones) == 1 else 'one bone each:'} {listed}"
+            reason += ", and shares points with soft skin" * held
+            added.append(_add(obj, owner, made.name, "HELD" if held else "RIGID", reason))
+    return added
+
+
+def _add(obj, other, group: str, choice: str, reason: str) -> str:
+    piece = obj.dynamorph.attachments.add()
+    piece.object, piece.group, piece.name = other, group, group or other.name
+    piece.attached_by = choice
+    piece.reason = reason  # after the choice, whose update clears the reason
+    return piece.name
+
+
+def grouped(areas: np.ndarray) -> list[np.ndarray]:
+    """The loose parts that form one attachment: lists of part numbers.
+
+    areas (P, M): of P loose parts by material slot. If there are more than a few, small ones of the same material are
+    together.
+    """
+    whole = areas.sum(axis=1)
+    order = np.argsort(-whole, kind="stable")  # the largest first
+    others = [p for p in order if whole[p] > 0.0]
+    if len(others) <= FEW:
+        return [np.array([p]) for p in others]
+    large = [p for p in others[:FEW] if whole[p] > LARGE * whole[order[0]]]
+    small: dict[int, list] = {}
+    for p in others[len(large) :]:
+        small.setdefault(int(areas[p].argmax()), []).append(p)
+    return [np.array([p]) for p in large] + [np.array(parts) for parts in small.values()]

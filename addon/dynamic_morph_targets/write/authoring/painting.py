@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The Firmness map of a soft skin: painting it, the bones that hold their skin, and its mirror image."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ...core.errors import SceneError
+from ...core.model import firmness
+from ...scene import checks, mesh_data, references, skin
+from .. import storage
+from ..bake import writer
+from . import targets
+from .fixes import owned
+from .mirror import mirror_partners
+
+NAME = "Firmness"  # of a new map
+STEPS = 1000  # weights that a vertex group distinguishes
+BORDER = 4  # edges, over which held skin becomes soft
+
+
+def is_painting(obj) -> bool:
+    """Whether the Firmness map of `obj` is being painted."""
+    active = obj.vertex_groups.active
+    return obj.mode == "WEIGHT_PAINT" and active is not None and active.name == obj.dynamorph.firmness_group
+
+
+def enter(obj):
+    """Begin to paint the map, with a new vertex group if there is none. Raises SceneError."""
+    if not obj.visible_get():
+        raise SceneError("'{name}' is hidden: show it to paint on it", name=obj.name)
+    if refusal := skin.edited_elsewhere(obj):
+        raise SceneError(refusal)
+    owned(obj.data)
+    active, display = bpy.context.object, bpy.context.window_manager.dynamorph
+    if obj.mode != "WEIGHT_PAINT":
+        display.posed = active.name if active.mode == "POSE" else ""
+        bpy.context.view_layer.objects.active = obj
+        obj.select_set(True)
+        bpy.ops.object.mode_set(mode="WEIGHT_PAINT", toggle=True)  # remembers the mesh's own mode
+    name = _map_name(obj)
+    if name not in obj.vertex_groups:
+        _write(obj, name, np.full(len(obj.data.vertices), firmness.NEUTRAL))
+    _choose(obj, name)
+
+
+def leave(obj):
+    """Return to what was going on before, and look whether the model still fits the map."""
+    display, objects = bpy.context.window_manager.dynamorph, bpy.context.view_layer.objects
+    bpy.ops.object.mode_set(mode="WEIGHT_PAINT", toggle=True)
+    posed, display.posed = objects.get(display.posed), ""
+    if posed:
+        objects.active = posed
+        bpy.ops.object.mode_set(mode="POSE")
+    _look(obj)
+
+
+def hold_selected_bones(obj):
+    """Paint the map with 1 where the selected pose bones move the skin, with a soft border. Raises SceneError."""
+    writer.check_not_edited(obj)
+    owned(obj.data)
+    held = _held_by_bones(obj)
+    name = _map_name(obj)
+    weights = mesh_data.group_weights(obj, [name], firmness.NEUTRAL)[:, 0]
+    _write(obj, name, np.maximum(weights, firmness.NEUTRAL + (1.0 - firmness.NEUTRAL) * held))
+    _choose(obj, name)
+    _look(obj)
+
+
+def mirror(obj, to: str) -> int:
+    """Copy the map to the character's LEFT or RIGHT, about the mesh's X axis; how many vertices have no mirror image
+    and stay as they are. Raises SceneError.
+    """
+    points = mesh_data.rest_points(obj)
+    partners = mirror_partners(points)
+    overwritten = (points[:, 0] < 0.0 if to == "RIGHT" else points[:, 0] > 0.0) & (partners >= 0)
+    if not overwritten.any():
+        raise SceneError("'{name}' is not symmetric about its X axis: paint the other side yourself", name=obj.name)
+    name = obj.dynamorph.firmness_group
+    weights = mesh_data.group_weights(obj, [name], firmness.NEUTRAL)[:, 0]
+    _write(obj, name, np.where(overwritten, weights[partners], weights))
+    return int(np.count_nonzero(partners < 0))
+
+
+def _map_name(obj) -> str:
+    """The vertex group of the map. A new one is named like no bone and no group of the meshes in the cage, because what
+    is written there would be skin weights, or the artist's.
+    """
+    if chosen := obj.dynamorph.firmness_group:
+        return chosen
+    rig = references.rig_of(obj)
+    taken = {group.name for mesh in (obj, *skin.clothes_in(obj)) for group in mesh.vertex_groups}
+    taken |= {bone.name for bone in rig.data.bones} if rig else set()
+    return targets.free_name(taken, NAME) if NAME in taken else NAME
+
+
+def _choose(obj, name: str):
+    """Make this vertex group the map, and the active one."""
+    if obj.dynamorph.firmness_group != name:
+        obj.dynamorph.firmness_group = name
+    obj.vertex_groups.active_index = obj.vertex_groups[name].index
+
+
+def _write(obj, name: str, weights: np.ndarray):
+    """Write weights (V,), rounded to a thousandth, to the vertex group of this name; it is created if there is none.
+    Raises SceneError.
+    """
+    group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
+    if group.lock_weight:
+        raise SceneError("'{name}': vertex group '{group}' is locked: unlock it first", name=obj.name, group=name)
+    steps = np.round(weights * STEPS).astype(int)
+    for step in np.unique(steps):
+        group.add(np.flatnonzero(steps == step).tolist(), step / STEPS, "REPLACE")
+
+
+def _look(obj):
+    if obj.dynamorph.model.content_id:
+        storage.show_stale(obj)
+
+
+def _held_by_bones(obj) -> np.ndarray:
+    """How firmly the selected pose bones hold each vertex (V,): 1 where half of its skin weight is theirs, from there
+    less and less over BORDER edges. Raises SceneError.
+    """
+    rig = checks.armature_modifier(obj).object
+    chosen = targets.selected_bones(rig)
+    if not chosen:
+        raise SceneError(
+            "Select in Pose Mode the bones of '{rig}' that hold the skin of '{name}'", rig=rig.name, name=obj.name
+        )
+    bones = references.rest_skeleton(rig.data).names
+    theirs = mesh_data.skin_weights(obj)[:, [bones.index(bone) for bone in chosen]].sum(axis=1)
+    if not theirs.any():
+        raise SceneError(
+            "The selected bones of '{rig}' move no skin of '{name}': select others", rig=rig.name, name=obj.name
+        )
+    edges = np.empty((len(obj.data.edges), 2), np.int32)
+    obj.data.edges.foreach_get("vertices", edges.ravel())
+    ends, others = np.concatenate([edges, edges[:, ::-1]]).T
+    neighbors = np.maximum(np.bincount(ends, minlength=len(theirs)), 1)
+    held = np.clip(2.0 * theirs, 0.0, 1.0)
+    for _ in range(BORDER):
+        held = np.maximum(held, np.bincount(ends, held[others], len(theirs)) / neighbors)
+    return held

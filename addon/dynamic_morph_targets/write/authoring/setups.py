@@ -1,0 +1,315 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Setups: what the artist authored about a soft skin as plain data, for files and for other meshes.
+
+A setup names shape keys, bones and vertex groups, and holds none of their contents:
+
+    format, version
+    targets: a list, the neutral one first, each its properties, "bones" (names) and "pose" (rest and local, by bone)
+    skin, model, simulation, output: properties by name; modes: a list of such
+    pieces: a list, each its properties and "object", the name of another mesh or ""
+
+What a file leaves out stays as it is. `check` refuses a setup wholly, before `apply` writes anything.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from dataclasses import fields
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...core.errors import SetupError
+from ...core.geometry import determinant, turned
+from ...core.settings import ModelSettings
+from ...io import disk
+from ...scene import checks, rig_motion
+from ...scene.bake_properties import DynamorphOutput, DynamorphSimulation
+from ...scene.model_properties import DynamorphAttachment, DynamorphMode, DynamorphModel
+from ...scene.plain import fits, is_text, plain, wanted
+from ...scene.properties import DynamorphSettings
+from ...scene.references import KEY_REFERENCE
+from ...scene.target_properties import DynamorphBonePose, DynamorphTarget
+from ..assign import assign
+from ..bake.writer import ensure_basis
+from . import regions
+
+FORMAT = "dynamorph setup"
+VERSION = 1
+# Properties that are results, clues or a choice in the interface.
+NOT_AUTHORED = {
+    DynamorphSettings: (
+        "name",
+        "groups",
+        "active_target_index",
+        "active_mode_index",
+        "active_attachment_index",
+        "had_keys",
+    ),
+    DynamorphModel: {"name", *DynamorphModel.__annotations__}.difference(field.name for field in fields(ModelSettings)),
+    DynamorphSimulation: ("name",),
+    DynamorphOutput: ("name",),
+    DynamorphMode: ("name",),
+    DynamorphTarget: KEY_REFERENCE[1:],  # the name is in the file
+    DynamorphBonePose: ("name",),
+    DynamorphAttachment: (),
+}
+PARTS = {
+    "skin": DynamorphSettings,
+    "model": DynamorphModel,
+    "simulation": DynamorphSimulation,
+    "output": DynamorphOutput,
+}
+GROUPS = ("firmness_group",)
+
+
+# From and to an object ---------------------------------------------------------------------------------------------
+
+
+def of_object(obj) -> dict:
+    """The setup of a soft skin."""
+    settings = obj.dynamorph
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "targets": [
+            {
+                **authored(target),
+                "bones": list(target.bone_names()),
+                "pose": {bone.name: authored(bone) for bone in target.pose},
+            }
+            for target in settings.targets
+        ],
+        "skin": authored(settings),
+        "model": authored(settings.model),
+        "simulation": authored(settings.simulation),
+        "output": authored(settings.output),
+        "modes": [authored(mode) for mode in settings.modes],
+        "attachments": [
+            {**authored(piece), "object": piece.object.name if piece.object else ""}
+            for piece in settings.attachments
+            if piece.object or piece.group
+        ],
+    }
+
+
+def authored(group) -> dict:
+    """The simple properties of a group that are the artist's, by name."""
+    return plain(group, NOT_AUTHORED[type(group)])
+
+
+def apply(obj, setup: dict) -> dict[str, list[str]]:
+    """Apply the checked `setup` to `obj`. Returns the names of what `obj` lacks, by kind.
+
+    Targets without their shape key, missing bones and vertex groups are left out. Poses are relative to the rest pose,
+    and differ for a bone with another rest pose. Raises SceneError, and then nothing is changed.
+    """
+    rig = checks.armature_modifier(obj).object
+    checks.check_mesh(obj)
+    ensure_basis(obj)
+    settings, lacking = obj.dynamorph, _Lacking(obj)
+    _apply_targets(obj, rig, setup["targets"], lacking)
+    assign(settings, lacking.without_lost_groups(setup.get("skin", {}), GROUPS))
+    assign(settings.model, setup.get("model", {}))
+    assign(settings.simulation, setup.get("simulation", {}))
+    assign(settings.output, setup.get("output", {}))
+    modes = setup.get("modes", [])
+    while len(settings.modes) < len(modes):
+        settings.modes.add()
+    for mode, values in zip(settings.modes, modes, strict=False):
+        assign(mode, values)
+    if "attachments" in setup:
+        _apply_pieces(obj, setup["attachments"], lacking)
+    return lacking.names
+
+
+def _apply_targets(obj, rig, entries: list[dict], lacking: _Lacking):
+    settings, blocks = obj.dynamorph, obj.data.shape_keys.key_blocks
+    keys = lacking.present("shape keys", [entry["name"] for entry in entries[1:]], blocks.keys()[1:])
+    settings.targets.clear()
+    for entry in entries:
+        neutral = entry is entries[0]
+        if not neutral and entry["name"] not in keys:
+            continue
+        target, values = settings.targets.add(), _simple(entry)
+        if values.get("auto_region") and values.get("region") not in obj.vertex_groups:
+            values["region"] = ""  # it is made below
+        assign(target, lacking.without_lost_groups(values, ["region"]))
+        if not neutral:
+            target.refer_to(blocks, blocks.find(target.name))
+        bones = lacking.present("bones", entry.get("bones", []), rig.data.bones)
+        target.set_bones(bones, target.auto_bones)
+        _apply_pose(target, rig, entry.get("pose", {}), lacking)
+    settings.active_target_index = min(settings.active_target_index, len(settings.targets) - 1)
+    regions.update(obj)
+
+
+def _apply_pieces(obj, entries: list[dict], lacking: _Lacking):
+    meshes = {other.name: other for other in bpy.context.scene.objects if other.type == "MESH" and other != obj}
+    obj.dynamorph.attachments.clear()
+    for entry in entries:
+        other = entry.get("object")
+        there = lacking.present("objects", [other], meshes) if other else [obj.name]
+        if there and entry.get("group"):
+            owner = meshes[entry["object"]] if entry.get("object") else obj
+            there = lacking.present("vertex groups", [entry["group"]], owner.vertex_groups)
+        if there:
+            piece = obj.dynamorph.attachments.add()
+            assign(piece, _simple(entry))
+            piece.object = meshes[entry["object"]] if entry.get("object") else None
+            piece.reason = entry.get("reason", "")  # which `choice` takes away
+
+
+def _simple(entry: dict) -> dict:
+    """The simple properties in the entry of a target or attachment."""
+    return {name: value for name, value in entry.items() if name not in ("bones", "pose", "object")}
+
+
+def _apply_pose(target, rig, pose: dict[str, dict], lacking: _Lacking):
+    names = lacking.present("bones", pose, rig.data.bones)
+    rest = np.array([rig.data.bones[name].matrix_local for name in names]).reshape(-1, 4, 4)
+    stored = np.array([pose[name]["rest"] for name in names], float).reshape(-1, 4, 4)
+    alike = [name for name, angle in zip(names, turned(rest, stored), strict=True) if angle < rig_motion.MOVED]
+    lacking.present("the rest pose of bones", names, alike)
+    for name, matrix in zip(names, rest, strict=True):
+        bone = target.pose.add()
+        bone.name, bone.rest, bone.local = name, matrix.ravel(), pose[name]["local"]
+
+
+class _Lacking:
+    """Collects the names of what an object lacks, by kind."""
+
+    def __init__(self, obj):
+        self.obj = obj
+        self._names: dict[str, dict[str, None]] = {}
+
+    @property
+    def names(self) -> dict[str, list[str]]:
+        return {kind: list(names) for kind, names in self._names.items()}
+
+    def present(self, kind: str, names, existing) -> list[str]:
+        """Those of `names` that exist; the others are recorded. existing: names, or what Blender has by name."""
+        known = set(existing.keys() if hasattr(existing, "keys") else existing)
+        if lost := dict.fromkeys(name for name in names if name not in known):
+            self._names.setdefault(kind, {}).update(lost)
+        return [name for name in names if name in known]
+
+    def without_lost_groups(self, values: dict, fields) -> dict:
+        """`values`, where `fields` hold the names of vertex groups, without the names of groups that do not exist."""
+        used = {field: values[field] for field in fields if values.get(field)}
+        present = self.present("vertex groups", used.values(), self.obj.vertex_groups)
+        return values | {field: "" for field, name in used.items() if name not in present}
+
+
+# Files -------------------------------------------------------------------------------------------------------------
+
+
+def write(path: Path, setup: dict):
+    """Raises SetupError for values that no setup may contain, OSError."""
+    check(setup)
+    text = json.dumps(setup, indent=1)
+    # A line for each matrix. JSON escapes line breaks within texts, so that this never touches one.
+    text = re.sub(r"\[\n[^\[\]{}\"]*\]", lambda numbers: " ".join(numbers[0].split()), text)
+    disk.save(path, text.encode())
+
+
+def read(path: Path) -> dict:
+    """A setup that has passed `check`. Raises SetupError, OSError."""
+    try:
+        setup = json.loads(disk.read(path).decode("utf-8-sig"))
+        check(setup)
+    except (SetupError, ValueError, RecursionError) as error:
+        reason = str(error) if isinstance(error, SetupError) else f"This is not a Dynamorph setup ({error})"
+        raise SetupError("'{name}': {reason}", name=path.name, reason=reason) from error
+    return setup
+
+
+# Checks ------------------------------------------------------------------------------------------------------------
+
+
+def check(setup):
+    """Raises SetupError unless `setup`, parsed JSON of any kind, is a setup that `apply` can write."""
+    if not isinstance(setup, dict) or setup.get("format") != FORMAT:
+        raise SetupError("This is not a Dynamorph setup")
+    version = setup.get("version")
+    if type(version) is not int or not 1 <= version <= VERSION:
+        raise SetupError(
+            "The setup has version {version!r:.40}, this add-on reads 1 to {known}: update the add-on",
+            version=version,
+            known=VERSION,
+        )
+    targets, modes, pieces = setup.get("targets"), setup.get("modes", []), setup.get("attachments", [])
+    if not isinstance(targets, list) or not targets or not isinstance(modes, list) or not isinstance(pieces, list):
+        raise SetupError("The setup has no list of targets")
+    for target in targets:
+        _check_target(target)
+    names = Counter(target["name"] for target in targets[1:])
+    for name, count in names.items():
+        if count > 1:
+            raise SetupError("Two targets are called '{name}'", name=name)
+    for i, mode in enumerate(modes):
+        _check_values(f"Mode {i + 1}", DynamorphMode, mode)
+    for i, piece in enumerate(pieces):
+        _check_piece(f"Piece {i + 1}", piece)
+    for part, kind in PARTS.items():
+        _check_values(part.capitalize(), kind, setup.get(part, {}))
+
+
+def _check_target(target):
+    name = target.get("name") if isinstance(target, dict) else None
+    if not is_text(name):
+        raise SetupError("A target has no name")
+    where = f"Target '{name}'"
+    bones, pose = target.get("bones", []), target.get("pose", {})
+    _check_values(where, DynamorphTarget, _simple(target))
+    if not isinstance(bones, list) or not all(map(is_text, bones)):
+        raise SetupError("{where}: bones must be a list of names", where=where)
+    if not isinstance(pose, dict) or not all(map(is_text, pose)):
+        raise SetupError("{where}: pose must have an entry for each bone", where=where)
+    matrices = {"rig_world": target["rig_world"]} if "rig_world" in target else {}
+    for bone, values in pose.items():
+        _check_values(f"{where}, bone '{bone}'", DynamorphBonePose, values)
+        if set(values) != {"rest", "local"}:
+            raise SetupError("{where}, bone '{bone}': rest and local are needed", where=where, bone=bone)
+        matrices |= {f"{part} of bone '{bone}'": matrix for part, matrix in values.items()}
+    flat = determinant(np.array(list(matrices.values()), float).reshape(-1, 4, 4)[:, :3, :3]) == 0
+    if flat.any():
+        raise SetupError(
+            "{where}: {bone} is a transform that flattens", where=where, bone=list(matrices)[flat.argmax()]
+        )
+
+
+def _check_piece(where: str, piece):
+    names = [piece.get(kind, "") for kind in ("object", "group")] if isinstance(piece, dict) else []
+    if not all(map(is_text, names)) or not any(names):
+        raise SetupError("{where} names neither an object nor a vertex group", where=where)
+    _check_values(where, DynamorphAttachment, _simple(piece))
+
+
+def _check_values(where: str, kind, values):
+    """Raises SetupError unless all `values` are what the property group `kind` takes unchanged."""
+    if not isinstance(values, dict):
+        raise SetupError("{where} must have properties by name", where=where)
+    properties = kind.bl_rna.properties
+    for name, value in values.items():
+        known = name in properties and name not in ("rna_type", *NOT_AUTHORED[kind])
+        if not known or properties[name].type in ("POINTER", "COLLECTION"):
+            raise SetupError(
+                "{where} has a property {name!r} that this add-on does not know: update the add-on",
+                where=where,
+                name=name,
+            )
+        prop = properties[name]
+        count = prop.array_length if getattr(prop, "is_array", False) else 0
+        whole = isinstance(value, list) and len(value) == count if count else True
+        if not whole or not all(fits(prop, number) for number in (value if count else [value])):
+            raise SetupError(
+                "{where}: {name} is {value!r:.40}, but must be {wanted}",
+                where=where,
+                name=name,
+                value=value,
+                wanted=wanted(prop, count),
+            )

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Copies a soft skin to another mesh on the same armature, such as another resolution of the body, or tight clothes.
+
+Both are compared at rest in the world: shape keys and vertex groups are taken from the nearest point of the source's
+Basis. `bpy.ops.object.data_transfer` cannot do this: it carries no shape keys, and it measures from the source as
+it is posed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.errors import SceneError
+from ...core.geometry import determinant, diagonal, inverse
+from ...scene import checks, mesh_data, rig_motion
+from ...scene.nearest import nearest
+from ...scene.references import rig_of
+from ...scene.skin import parts_in
+from ..bake import writer
+from . import regions, setups, targets
+
+
+@dataclass(frozen=True)
+class Copy:
+    """What one mesh of V vertices gets from another. shapes: displacements (V, 3) in its local space by the name of
+    their shape key; weights (V,) by the name of their vertex group; distance: its largest distance from the source's
+    surface, in meters.
+    """
+
+    shapes: dict[str, np.ndarray]
+    weights: dict[str, np.ndarray]
+    distance: float
+
+
+def check(source, others, replace: bool):
+    """Raises SceneError unless the soft skin of `source` can be written to each of `others`."""
+    rig = checks.armature_modifier(source).object
+    names = [target.name for target in source.dynamorph.targets[1:]]
+    keys = source.data.shape_keys
+    gone = [name for name in names if keys is None or name not in keys.key_blocks]
+    if gone:
+        raise SceneError(
+            "'{name}': the shape key of target '{target}' is gone: remove the target", name=source.name, target=gone[0]
+        )
+    for obj in (source, *others):
+        checks.check_mesh(obj)
+        if checks.armature_modifier(obj).object != rig:
+            raise SceneError(
+                "'{name}' is moved by another armature: choose '{rig}' in its Armature modifier",
+                name=obj.name,
+                rig=rig.name,
+            )
+    for obj in others:
+        checks.refuse(checks.shared_mesh(obj))
+        if not (obj.is_editable and obj.data.is_editable):
+            raise SceneError(
+                "'{name}' is linked: make it and its mesh local (Object > Relations > Make Local)", name=obj.name
+            )
+        if obj.dynamorph.targets and not replace:
+            raise SceneError(
+                "'{name}' has a soft skin already: turn on Replace Soft Skins, or deselect it", name=obj.name
+            )
+        basis = obj.data.shape_keys and obj.data.shape_keys.reference_key.name
+        if basis in names:
+            raise SceneError(
+                "'{name}': its Basis is called '{basis}' like a target: rename it", name=obj.name, basis=basis
+            )
+
+
+def copy(source, obj) -> Copy:
+    """The shapes and groups of the soft skin `source` for the mesh of `obj`. Reads only; raises SceneError."""
+    (from_basis, from_world), (to_basis, to_world) = _at_rest(source), _at_rest(obj)
+    triangles = mesh_data.mesh_triangles(source.data)
+    found = nearest(_moved(to_basis, to_world), _moved(from_basis, from_world), triangles)
+    to_local = (inverse(to_world) @ from_world)[:3, :3]
+    groups = mesh_data.VertexGroups(source)
+    names = _own_groups(source)
+    return Copy(
+        {
+            target.name: found.carry(mesh_data.target_shape(source, target.name, groups)) @ to_local.T
+            for target in source.dynamorph.targets[1:]
+        },
+        dict(zip(names, found.carry(groups.weights(names)).T, strict=True)),
+        float(found.distances.max()),
+    )
+
+
+def write(obj, made: Copy, overwrite: bool):
+    """Create the shape keys and vertex groups; existing ones with the same name stay as they are unless `overwrite`."""
+    writer.ensure_basis(obj)
+    for name, shape in made.shapes.items():
+        block = obj.data.shape_keys.key_blocks.get(name)
+        if block is None:
+            targets.new_key(obj, name, shape)
+        elif overwrite:
+            targets.sculpt_anew(block, shape)
+    for name, weights in made.weights.items():
+        if overwrite or name not in obj.vertex_groups:
+            regions.write_group(obj, obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name), weights)
+    obj.data.update_tag()
+
+
+def size(obj) -> float:
+    """Diagonal at rest, in meters. Raises SceneError."""
+    return diagonal(_moved(*_at_rest(obj)))
+
+
+def _at_rest(obj) -> tuple[np.ndarray, np.ndarray]:
+    """Points (V, 3) of the Basis, local space, and the transform (4, 4) to the world now, meters. Raises SceneError."""
+    world = rig_motion.world_now(obj)
+    if determinant(world[:3, :3]) == 0:
+        raise SceneError("'{name}' is scaled to zero: give it a size", name=obj.name)
+    return mesh_data.rest_points(obj), world
+
+
+def _moved(points: np.ndarray, world: np.ndarray) -> np.ndarray:
+    return points @ world[:3, :3].T + world[:3, 3]
+
+
+def _own_groups(source) -> list[str]:
+    """Names of the vertex groups that the soft skin uses, without those that tie the mesh to bones."""
+    settings = source.dynamorph
+    names = [getattr(settings, field) for field in setups.GROUPS] + [target.region for target in settings.targets]
+    names += [piece.group for piece in parts_in(source)]
+    skinned = {bone.name for bone in rig_of(source).data.bones if bone.use_deform}
+    return [name for name in dict.fromkeys(names) if name in source.vertex_groups and name not in skinned]

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The removal of a bake's shape keys, curves and modifier; what the artist has made of them stays."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+
+import bpy
+
+from ...core.message import Message
+from ...scene.animation import strips
+
+LONG_NAME = 58  # bytes, of 63 in Blender 4.5
+GROUP = "Dynamorph"  # of the curves of baked keys, which tells them from the artist's in the same Action
+
+
+def remove_keys(obj, names, action, active_index: int, new=()) -> list[Message]:
+    """Remove these shape keys with the Action and its strips; what is the artist's in them stays. active_index: of the
+    key that is active afterward, if the active one is among them; new: keys of the bake that takes the place. Returns
+    what the artist should know.
+    """
+    blocks = obj.data.shape_keys.key_blocks
+    active = obj.active_shape_key.name if obj.active_shape_key else ""
+    messages = []
+    for block in _edited(blocks, (*names, *new), action):
+        block.value = 0.0  # that of the old motion, on top of the new one
+        text = "'{key}' of '{name}' was edited after the bake: it stays, at the value 0"
+        messages.append(Message(text, key=block.name, name=obj.name))
+    _remove(obj, [blocks[name] for name in names], action, {f"{blocks[name].path_from_id()}.value" for name in new})
+    index = blocks.find(active)
+    obj.active_shape_key_index = index if index >= 0 else min(active_index, len(blocks) - 1)
+    return messages
+
+
+def remove_modifier(obj, modifier):
+    modifier.driver_remove("factor")
+    obj.modifiers.remove(modifier)
+
+
+def clear_unused(keys, had_animation_data: bool):
+    """Remove the animation data of shape keys that had none, unless something else is in it now."""
+    animation = keys.animation_data
+    unused = animation and not (animation.action or animation.nla_tracks or animation.drivers)
+    if unused and not had_animation_data:
+        keys.animation_data_clear()
+
+
+def _edited(blocks, names, action) -> list:
+    """The keys that a bake's Action moves, and that are not among its keys any more: the artist has sculpted them."""
+    paths = {curve.data_path for _, curve in _curves(action) if _is_baked(curve)} if action else ()
+    return [block for block in blocks if block.name not in names and f"{block.path_from_id()}.value" in paths]
+
+
+def _remove(obj, blocks, action, new: set[str]):
+    """Remove shape keys, and the Action with its strips and the tracks that become empty; also the copies of the Action
+    that Blender makes for duplicated strips. One in which the artist has animated other keys keeps their curves. new:
+    paths of the keys of the bake that takes the place.
+    """
+    keys = obj.data.shape_keys
+    actions = [action] if action else []
+    tracks = keys.animation_data.nla_tracks if keys.animation_data and action else []
+    paths = {f"{block.path_from_id()}.value" for block in blocks}
+    kept: Counter = Counter()  # strips that play what the artist has keyed in them, by Action
+    for track in list(tracks):
+        for strip in list(track.strips):
+            played = [each for each in (strip, *strips([strip])) if each.action]
+            for copy in {each.action for each in played} - set(actions):
+                if _is_copy(copy, action, paths, new):
+                    actions.append(copy)
+            baked = [each for each in played if each.action in actions]
+            if len(baked) < len(played) or any(_others(each.action, paths, each.action_slot) for each in baked):
+                kept.update(each.action for each in baked)  # Blender cannot take one strip out of a Meta strip
+            elif baked:
+                track.strips.remove(strip)
+                if all(left.type == "TRANSITION" for left in track.strips):
+                    tracks.remove(track)
+                    break
+    for name in [block.name for block in blocks]:  # by name: each removal moves the others in memory
+        obj.shape_key_remove(keys.key_blocks[name])
+    data = keys.animation_data
+    if data and data.action in actions:  # chosen in an editor, to see its curves or to key others
+        if _others(data.action, paths, data.action_slot):
+            kept[data.action] += 1
+        else:
+            data.action = None
+    for each in actions:
+        recorded = obj.dynamorph.bake.action == each  # the record counts as a user
+        if each.users > kept[each] + int(recorded):  # somebody else plays it
+            continue
+        others = _others(each, paths)
+        for bag, curve in _curves(each) if others else ():
+            if curve not in others:
+                bag.fcurves.remove(curve)
+        if not others:
+            bpy.data.actions.remove(each)
+
+
+def _curves(action) -> list[tuple]:
+    """All curves of an Action, each with the list that it is in."""
+    bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
+    return [(bag, curve) for bag in bags for curve in bag.fcurves]
+
+
+def _is_baked(curve) -> bool:
+    """Whether a bake has made a curve."""
+    return bool(curve.group) and curve.group.name == GROUP
+
+
+def _others(action, paths: set[str], slot=None) -> list:
+    """The curves of an Action, or of one slot of it, that move neither these paths nor baked keys."""
+    found = [curve for bag, curve in _curves(action) if slot is None or bag.slot == slot]
+    return [curve for curve in found if not (curve.data_path in paths or _is_baked(curve))]
+
+
+def _is_copy(copy, action, paths: set[str], new: set[str]) -> bool:
+    """Whether an Action is a copy that Blender has made and named, with a bake's curves alone."""
+    moved = _curves(copy)
+    stem, original = (re.sub(r"\.\d+$", "", each.name) for each in (copy, action))
+    is_named = stem == original or (
+        len(copy.name.encode()) > LONG_NAME and original.startswith(stem)
+    )  # Blender cuts long ones
+    is_new = any(curve.data_path in new for _, curve in moved)
+    return bool(moved) and is_named and not is_new and not _others(copy, paths)

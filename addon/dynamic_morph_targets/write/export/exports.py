@@ -1,0 +1,391 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A baked character as a file of another format, and what that format leaves out.
+
+Blender's own exporters write what Blender shows: glTF and FBX the shape keys as morph targets with their values at each
+frame, Alembic and USD the posed surface. A raw clip is the bake alone, before skinning, for other engines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...core.errors import ExportError
+from ...io import glb, outputs, point_cache, whole
+from ...scene import animation, checks, skin, staleness
+from ...scene.references import key_points, rig_of
+from ...scene.skin import followers
+from ...scene.skinning import meshes_on
+from .. import actions
+from ..bake import reading, writer
+from . import process
+
+
+@dataclass(frozen=True)
+class Format:
+    """suffix: of its files; write(obj, collection, path, frames, takes), collection: the name of the one that holds the
+    character, raises RuntimeError, OSError, MemoryError; skins: whether it contains armature and keys, and so a clip
+    for each Action; surface: whether it contains the resulting surface; has_parts: whether other files belong to it;
+    scenes: whether its frames are those of the scene, which must not be before 0; option: of bpy.app.build_options that
+    it needs.
+    """
+
+    label: str
+    suffix: str
+    description: str
+    write: Callable
+    skins: bool = False
+    surface: bool = False
+    has_parts: bool = False
+    scenes: bool = False
+    option: str = ""
+
+    @property
+    def is_available(self) -> bool:
+        return not self.option or getattr(bpy.app.build_options, self.option)
+
+
+def check_place(obj, key: str, path: Path, frames: tuple[int, int]):
+    """Refuse, before any work, what cannot be written. Raises ExportError, SinkError, SceneError, OSError."""
+    chosen = FORMATS[key]
+    if not chosen.is_available:
+        raise ExportError("This Blender was built without {format}: choose another format", format=chosen.label)
+    if chosen.scenes and frames[0] < 0:
+        raise ExportError(
+            "{format} has no frames before 0, '{name}' is to begin at {first}: choose {others}, or move the animation",
+            format=chosen.label,
+            name=obj.name,
+            first=frames[0],
+            others=" or ".join(each.label for each in FORMATS.values() if not each.scenes and each.is_available),
+        )
+    writer.check_not_edited(obj)
+    if rig_of(obj):
+        checks.refuse(checks.armature_state(rig_of(obj)))
+    for mesh in () if chosen.surface else meshes_together(obj):
+        writer.check_not_tweaked(mesh)
+    shown = (obj, rig_of(obj), *_followers(obj))
+    hidden = next((other for other in shown if other and not other.visible_get()), None)
+    if hidden:
+        raise ExportError("'{name}' is hidden, so Blender exports nothing of it: show it", name=hidden.name)
+    if not path.parent.is_dir():
+        raise ExportError(
+            "There is no folder '{folder}' to write '{name}' to: choose another", folder=path.parent, name=path.name
+        )
+    outputs.try_file(path)
+    outputs.check_space(path, _size(obj, chosen, frames))
+    if chosen.surface:  # written by another process, from a copy of the scene that is put there
+        outputs.try_folder(Path(bpy.app.tempdir))
+
+
+def write_file(obj, key: str, path: Path, frames: tuple[int, int], takes=(), without=()):
+    """Write the character of `obj` as it shows; takes: the clips that are laid out, if each becomes an animation;
+    without: meshes that others replace. The earlier file stands until the new one is complete. Raises ExportError,
+    OSError, MemoryError.
+    """
+    chosen = FORMATS[key]
+    outputs.check_space(path, _size(obj, chosen, frames, without))
+    with (
+        frames_kept(),
+        _collected(obj, without) as collection,
+        outputs.replacing(path, chosen.has_parts) as partial,
+    ):
+        try:
+            chosen.write(obj, collection, partial, frames, takes)
+            if not partial.is_file() or not partial.stat().st_size:
+                raise RuntimeError("Blender's exporter wrote nothing")
+            if path.suffix.lower() in whole.CHECKS and not whole.is_whole(partial):
+                raise RuntimeError(outputs.UNREADABLE)
+        except RuntimeError as error:  # of the operator, with what it reported
+            text = str(error)
+            if fault := outputs.why_not(path, text):  # asked while what was written still takes its room
+                raise fault from error
+            raise ExportError(
+                "'{name}' could not be exported to '{file}' ({error}): try again, or choose another format",
+                name=obj.name,
+                file=path,
+                error=_last_line(text),
+            ) from error
+
+
+def _last_line(text: str) -> str:
+    """What an operator's report says, without the traceback before it."""
+    lines = [line.strip() for line in text.splitlines() if line.strip() and not line.startswith("Location:")]
+    return lines[-1].removeprefix("Error: ") if lines else ""
+
+
+def _size(obj, chosen: Format, frames: tuple[int, int], without=()) -> int:
+    """About how many bytes the file has at least: those of positions, single precision, and of the keys' values."""
+    count, size = frames[1] - frames[0] + 1, 0
+    moving = obj, *followers(obj)
+    for mesh in meshes_together(obj):
+        point = 12 * len(mesh.data.vertices)
+        if mesh in without:
+            continue
+        if chosen.surface:
+            size += point * (count if mesh in moving else 1)
+            continue
+        size += point
+        for key in mesh.data.shape_keys.key_blocks[1:] if mesh.data.shape_keys else ():
+            shift = key_points(key) != key_points(key.relative_key)
+            size += 12 * int(shift.any(axis=1).sum()) + 4 * count
+    return size
+
+
+def check_bake(obj, key: str):
+    """Refuse a missing bake, or one in a form that the format cannot write. Raises ExportError."""
+    chosen = FORMATS[key]
+    record = obj.dynamorph.bake
+    keys = animation.baked_keys(obj).intersection(animation.keys_of(obj).keys())
+    shown = skin.cache_modifier(obj) if record.cache else keys
+    if not shown:
+        raise ExportError("'{name}' has no bake to export: press Bake first", name=obj.name)
+    for text in staleness.lost_caches(obj) if chosen.surface else ():
+        raise ExportError("{what}: bring the file back, or bake again", what=text)
+    if record.cache and not chosen.surface:
+        raise ExportError(
+            "The bake of '{name}' is a point cache, {format} writes shape keys: bake to Shape Keys first, or choose "
+            "{others}",
+            name=obj.name,
+            format=chosen.label,
+            others=surface_formats(),
+        )
+
+
+def surface_formats() -> str:
+    """Those that have the posed surface itself, as a message names them."""
+    labels = [each.label for each in FORMATS.values() if each.surface and each.is_available]
+    return " or ".join(labels) or "a Blender that exports Alembic or USD"
+
+
+# Writers -----------------------------------------------------------------------------------------------------------
+
+
+def _write_gltf(obj, collection: str, path: Path, frames, takes):
+    with _sampled(obj, frames):
+        bpy.ops.export_scene.gltf(
+            filepath=str(path), collection=collection, export_animation_mode="SCENE", export_force_sampling=True,
+            export_anim_scene_split_object=False,
+            export_optimize_animation_size=False, export_morph_normal=False, export_frame_range=True,
+        )  # fmt: skip
+    if takes:
+        parts = {clip.name: (clip.first - frames[0], clip.last - frames[0]) for clip in takes}
+        path.write_bytes(glb.split_animation(path.read_bytes(), parts, _fps()))
+
+
+def _write_fbx(obj, collection: str, path: Path, frames, takes):
+    with _sampled(obj, frames):
+        bpy.ops.export_scene.fbx(
+            filepath=str(path), collection=collection, add_leaf_bones=False, bake_anim_use_nla_strips=bool(takes),
+            bake_anim_use_all_actions=False, bake_anim_simplify_factor=0.0, use_mesh_modifiers=False,
+        )  # fmt: skip
+
+
+def _write_alembic(_obj, collection: str, path: Path, frames, _takes):
+    process.export(
+        "alembic", collection, path, frames, start=frames[0], end=frames[1], uvs=True, normals=False,
+        as_background_job=False, export_custom_properties=False,  # Blender crashes on bytes such as a model's
+    )  # fmt: skip
+
+
+def _write_usd(_obj, collection: str, path: Path, frames, _takes):
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = frames  # until `frames_kept`
+    process.export(
+        "usd", collection, path, frames, export_animation=True, export_armatures=False,
+        export_shapekeys=False, export_normals=False, export_custom_properties=False,
+    )  # fmt: skip
+
+
+def _write_raw(obj, _collection: str, path: Path, _frames, _takes):
+    """One row per frame, whatever the bake's samples are, because players count frames."""
+    basis = key_points(obj.data.shape_keys.reference_key)
+    path.write_bytes(point_cache.raw(reading.read_back(obj), basis, _fps()))
+
+
+def _fps() -> float:
+    render = bpy.context.scene.render
+    return render.fps / render.fps_base
+
+
+FORMATS = {
+    "GLTF": Format("glTF", ".glb", "Morph targets and bones, for engines and the web", _write_gltf, skins=True,
+                   scenes=True),
+    "FBX": Format("FBX", ".fbx", "Morph targets and bones, for engines and other packages", _write_fbx,
+                  skins=True, scenes=True),
+    "ALEMBIC": Format("Alembic", ".abc", "The posed surface at every frame", _write_alembic,
+                      surface=True, option="alembic"),
+    "USD": Format("USD", ".usdc", "The posed surface at every frame", _write_usd, surface=True,
+                  has_parts=True, scenes=True, option="usd"),
+    "RAW": Format("Raw Clip", ".npz", "Modes and their values, for NumPy and runtime/dynamorph.h", _write_raw),
+}  # fmt: skip
+
+
+def named(path: Path, key: str) -> Path:
+    """The path with the suffix of a format, in place of that of another one."""
+    if path.suffix.lower() in {each.suffix for each in FORMATS.values()}:
+        return path.with_suffix(FORMATS[key].suffix)
+    return path.with_name(f"{path.name}{FORMATS[key].suffix}")
+
+
+# Around the exporters ----------------------------------------------------------------------------------------------
+
+
+def meshes_together(obj) -> list:
+    """The meshes of the character that Blender shows: its own, those that its bake moves, and all others that its
+    armature skins or carries.
+    """
+    return [mesh for mesh in _meshes_of(obj) if mesh.visible_get()]
+
+
+def left_out(obj) -> list:
+    """The armature and the meshes of the character that are hidden."""
+    return [each for each in (rig_of(obj), *_meshes_of(obj)) if each and not each.visible_get()]
+
+
+def _meshes_of(obj) -> list:
+    rig = rig_of(obj)
+    return list(dict.fromkeys((obj, *_followers(obj), *(meshes_on(rig) if rig else ()))))
+
+
+def _followers(obj) -> list:
+    """Those that are in some scene: an attachment keeps the data of one that was deleted."""
+    return [mesh for mesh in followers(obj) if mesh.users_scene]
+
+
+def _together(obj, without=()) -> list:
+    """The character: its meshes, its armature, and their parents; without: meshes that others replace."""
+    meshes = [mesh for mesh in meshes_together(obj) if mesh not in without]
+    found, rig = dict.fromkeys((obj, *filter(None, [rig_of(obj)]), *meshes)), rig_of(obj)
+    for mesh in meshes:
+        above = mesh.parent
+        while above and above != rig and rig in _parents(above):
+            found[above] = None
+            above = above.parent
+    return list(found)
+
+
+def _parents(obj) -> list:
+    found = []
+    while obj.parent:
+        obj = obj.parent
+        found.append(obj)
+    return found
+
+
+@contextmanager
+def frames_kept():
+    """Restore the scene's frame and range afterward."""
+    scene = bpy.context.scene
+    frame, ends = (scene.frame_current, scene.frame_subframe), (scene.frame_start, scene.frame_end)
+    try:
+        yield
+    finally:
+        scene.frame_start, scene.frame_end = ends
+        scene.frame_set(frame[0], subframe=frame[1])
+
+
+@contextmanager
+def _collected(obj, without=()):
+    """The name of a collection with the character alone, for the exporters; it is in no scene.
+
+    `obj` is the active object meanwhile, because the glTF exporter makes the active one leave its mode.
+    """
+    collection, objects = bpy.data.collections.new(obj.name), bpy.context.view_layer.objects
+    active = objects.active
+    try:
+        for each in _together(obj, without):
+            collection.objects.link(each)
+        objects.active = obj
+        yield collection.name
+    finally:
+        objects.active = active
+        bpy.data.collections.remove(collection)
+
+
+@contextmanager
+def stand_ins(meshes):
+    """Copies of mesh objects, by name, that can be changed and written: the originals stay as they are."""
+    layer, actions_before = bpy.context.view_layer, set(bpy.data.actions)
+    names = [(block, block.name) for mesh in meshes for block in (mesh, mesh.data)]
+    copies = []
+    try:
+        for mesh in meshes:
+            copies.append(mesh.copy())
+            copies[-1].data = mesh.data.copy()
+            bpy.context.scene.collection.objects.link(copies[-1])
+        for (original, name), copy in zip(names, (b for c in copies for b in (c, c.data)), strict=True):
+            original.name = actions.ASIDE
+            copy.name = name
+        layer.update()
+        yield copies
+    finally:
+        for copy in copies:
+            mesh = copy.data
+            bpy.data.objects.remove(copy)
+            bpy.data.meshes.remove(mesh)  # with its shape keys
+        for action in set(bpy.data.actions) - actions_before:  # of the curves
+            bpy.data.actions.remove(action)
+        for original, name in names:
+            original.name = name
+
+
+@contextmanager
+def _sampled(obj, frames):
+    """Use the frames as the scene's, with `_sampled_keys` of the whole character."""
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = frames
+    with ExitStack() as stack:
+        for each in meshes_together(obj):
+            if each.data.shape_keys and each.data.shape_keys.animation_data:  # the artist may have removed them
+                stack.enter_context(_sampled_keys(each, frames))
+        yield
+
+
+@contextmanager
+def _sampled_keys(obj, frames):
+    """The values that all keys have, whatever moves them, as plain curves of one Action: exporters look no further."""
+    scene, keys = bpy.context.scene, obj.data.shape_keys
+    stretch = scene.render.frame_map_old / scene.render.frame_map_new
+    times = np.arange(frames[0], frames[1] + 1)
+    values = np.empty((len(times), len(keys.key_blocks)), np.float32)
+    muted = np.empty(values.shape, bool)
+    window = bpy.context.window_manager
+    window.progress_begin(0, len(times))  # beside the pointer: Blender's exporters leave no room for more
+    for k, (row, frame) in enumerate(zip(values, times, strict=True)):
+        window.progress_update(k)
+        scene.frame_set(int(frame))
+        keys.key_blocks.foreach_get("value", row)
+        keys.key_blocks.foreach_get("mute", muted[k])
+    window.progress_end()
+    animation = keys.animation_data
+    before = animation.action, animation.action_slot, animation.use_nla, [d.mute for d in animation.drivers]
+    names = [block.name for block in keys.key_blocks]
+    shown = {block.name: (block.value, block.mute) for block in keys.key_blocks}
+    values[muted] = 0.0  # FBX knows no muted keys
+    keys.key_blocks.foreach_set("mute", muted.all(axis=0))
+    action = bpy.data.actions.new(obj.name)
+    try:
+        slot = action.slots.new(keys.id_type, obj.name)
+        channels = action.layers.new("Layer").strips.new(type="KEYFRAME").channelbag(slot, ensure=True)
+        for name, column in zip(names[1:], values.T[1:], strict=True):
+            writer.add_curve(channels, name, times * stretch, column)
+        for driver in animation.drivers:
+            driver.mute = True
+        animation.use_nla = False
+        animation.action, animation.action_slot = action, slot
+        yield
+    finally:
+        animation.action = before[0]
+        if before[0]:
+            animation.action_slot = before[1]  # None too: Blender has chosen one
+        animation.use_nla = before[2]
+        for driver, mute in zip(animation.drivers, before[3], strict=True):
+            driver.mute = mute
+        for name, (value, mute) in shown.items():
+            keys.key_blocks[name].value, keys.key_blocks[name].mute = value, mute
+        bpy.data.actions.remove(action)

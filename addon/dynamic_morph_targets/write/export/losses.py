@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a character loses in the format of another program, listed before it is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ...core.message import Message
+from ...scene import animation
+from ...scene.references import rig_of
+from ...scene.skin import followers
+from ...scene.skinning import Skinning, armature_modifiers, deforming_bones
+from .exports import FORMATS, left_out, meshes_together, surface_formats
+
+MORPHS = 8  # morph targets that common engines and viewers blend at once
+MOST_BONES = 4  # per vertex that glTF writes
+
+
+def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
+    """What the format will not show as Blender does, as sentences; takes: as for `export`. Reads the scene only."""
+    if key == "RAW":
+        yield from _raw_losses(obj)
+    elif FORMATS[key].skins:
+        planned = _planned_keys(obj) if takes == "ACTIONS" else None
+        moved = obj, *followers(obj)
+        for mesh in meshes_together(obj):
+            if mesh in moved or armature_modifiers(mesh):
+                yield from _skinning_losses(mesh, key)
+            yield from _key_losses(mesh, key, planned if mesh in moved else None)
+    if key == "USD":  # the others write no pictures, or those that are in memory
+        for name in _unsaved_images(obj):
+            yield Message(
+                "Image '{name}' has changes that are not saved: {format} is written without them. Save the image first",
+                name=name,
+                format=FORMATS[key].label,
+            )
+    if key != "RAW":
+        for hidden in left_out(obj):
+            yield Message("'{name}' is hidden, so Blender exports nothing of it: show it", name=hidden.name)
+
+
+def _planned_keys(obj) -> int:
+    """The largest number of keys that the clips of all Actions take together."""
+    settings = obj.dynamorph
+    return settings.output.keys or len(settings.modes) + max(len(settings.targets) - 1, 0)
+
+
+def _raw_losses(obj) -> Iterator[str]:
+    pieces = ", ".join(f"'{piece.name}'" for piece in meshes_together(obj) if piece != obj)
+    if pieces:
+        yield Message("A raw clip is of one mesh: {pieces} is left out", pieces=pieces)
+    others = [name for name in animation.moving_keys(obj) if name not in animation.baked_keys(obj)]
+    if others:
+        yield Message("A raw clip has the bake's keys alone: {keys} is left out", keys=", ".join(others))
+
+
+def _skinning_losses(obj, key: str) -> Iterator[str]:
+    label, skinning = FORMATS[key].label, Skinning.of(obj)
+    modifiers = skinning.modifiers
+    if not modifiers:
+        yield Message("'{name}' has no Armature modifier: its bones are not written", name=obj.name)
+        return
+    for modifier in obj.modifiers:
+        if modifier not in modifiers and modifier.show_viewport:
+            where = "after" if obj.modifiers.find(modifier.name) > obj.modifiers.find(modifiers[-1].name) else "before"
+            yield Message(
+                "'{name}': modifier '{modifier}' {where} the Armature is left out: {format} takes shape keys or "
+                "modifiers, not both. Use {others}",
+                name=obj.name,
+                modifier=modifier.name,
+                where=Message(where),
+                format=label,
+                others=surface_formats(),
+            )
+    if skinning.beyond_bones:
+        yield Message(
+            "'{name}' is skinned with {beyond}, {format} skins by plain bones: it will differ. Use {others}",
+            name=obj.name,
+            beyond=skinning.beyond_bones,
+            format=label,
+            others=surface_formats(),
+        )
+    crowded = _crowded_vertices(obj)
+    if key == "GLTF" and crowded:
+        yield Message(
+            "'{name}': {count} vertices follow more than {most} bones: the weakest of them are dropped",
+            name=obj.name,
+            count=crowded,
+            most=MOST_BONES,
+        )
+
+
+def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
+    """planned: the number of keys that will replace those of the bake, if any."""
+    moving, baked = animation.moving_keys(obj), animation.baked_keys(obj)
+    others = [name for name in moving if name not in baked]
+    count = len(moving) if planned is None else len(others) + planned
+    if count > MORPHS:
+        room = MORPHS - len(others)
+        again = "bake to Shape Keys again with Key Limit" if planned is None else "set Key Limit to"
+        remedy = f"{again} {room}, or use" if room > 0 else "use"
+        yield Message(
+            "'{name}': {count} keys move, many engines blend {most} at most: {remedy} {others}",
+            name=obj.name,
+            count=count,
+            most=MORPHS,
+            remedy=remedy,
+            others=surface_formats(),
+        )
+    driven = [name for name in moving if name in animation.driven_keys(obj)]
+    if driven:
+        yield Message(
+            "'{name}': drivers are left out, the values they give at each frame are written: {keys}",
+            name=obj.name,
+            keys=", ".join(driven),
+        )
+    blocks = obj.data.shape_keys.key_blocks if moving else ()
+    whole = [name for name in moving if blocks[name].vertex_group or blocks[name].relative_key != blocks[0]]
+    if key == "GLTF" and whole:
+        yield Message(
+            "'{name}': glTF knows no vertex groups of shape keys, and none relative to others than '{basis}': "
+            "{keys} will differ",
+            name=obj.name,
+            basis=blocks[0].name,
+            keys=", ".join(whole),
+        )
+
+
+def _crowded_vertices(obj) -> int:
+    bones = {bone.name for bone in deforming_bones(obj, rig_of(obj))}
+    groups = {group.index for group in obj.vertex_groups if group.name in bones}
+    return sum(
+        sum(element.group in groups and element.weight > 0.0 for element in vertex.groups) > MOST_BONES
+        for vertex in obj.data.vertices
+    )
+
+
+def _unsaved_images(obj) -> list[str]:
+    slots = [slot for mesh in meshes_together(obj) for slot in mesh.material_slots]
+    trees = [slot.material.node_tree for slot in slots if slot.material and slot.material.node_tree]
+    images = [getattr(node, "image", None) for tree in trees for node in tree.nodes]
+    return sorted({image.name for image in images if image and image.is_dirty})

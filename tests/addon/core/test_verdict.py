@@ -1,0 +1,302 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The verdict on a bake: read whatever it contains, drawn, shown at the worst place, and repaired by one button."""
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+from bl_ext.user_default.dynamic_morph_targets.core import errors
+from bl_ext.user_default.dynamic_morph_targets.core.result import judge
+from bl_ext.user_default.dynamic_morph_targets.core.result.verdict import UNREADABLE, parsed
+from bl_ext.user_default.dynamic_morph_targets.run import heat, job
+from bl_ext.user_default.dynamic_morph_targets.scene import mesh_data
+from bl_ext.user_default.dynamic_morph_targets.ui.operators import jobs
+from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport
+from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
+from builders import activate, hand_made_bake, refused
+from layout import drawn
+from pressed import Pressed
+
+OPS = bpy.ops.dynamorph
+
+BAD = {
+    "version": 1,
+    "ok": False, "text": "The skin moves by up to 9.0% of the body's size (frame 7)", "displacement": 0.09,
+    "over_thickness": 1.25, "inverted": 0.002, "flipped": 0.0, "stretch": [0.5, 1.7], "frame": 7.0,
+    "vertices": [3, 5, 8], "remedy": "STIFFEN", "factor": 1.5,
+}  # fmt: skip
+
+
+def said(**changes) -> str:
+    return json.dumps(BAD | changes)
+
+
+@pytest.fixture
+def baked(soft_arm, stand_in):
+    OPS.bake()
+    soft_arm.dynamorph.bake.verdict = said()
+    return soft_arm
+
+
+def text_of(obj) -> str:
+    return " ".join(drawn(obj))
+
+
+# Reading -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_verdict_is_read(addon):
+    found = parsed(said())
+    assert not found.ok and found.text == BAD["text"]
+    assert dict(found.figures) == {
+        "Displacement": "9.0% of size", "Of Thickness": "1.25", "Inverted Volume": "0.20%", "Flipped Skin": "0.00%",
+        "Stretch": "0.50 to 1.70",
+    }  # fmt: skip
+    assert (found.frame, found.vertices, found.remedy, found.factor) == (7, (3, 5, 8), "STIFFEN", 1.5)
+    assert parsed("") is None
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{",
+        "[]",
+        "7",
+        "null",
+        '"ok"',
+        "{}",
+        '{"version": 1, "ok": true}',
+        '{"version": 1, "text": 3}',
+        "[" * 100_000,
+        '{"text": "x"}',
+        "\0",
+    ],
+)
+def test_what_is_no_verdict_is_a_sentence(baked, text):
+    baked.dynamorph.bake.verdict = text
+    if text == "\0":  # not one of Blender's texts
+        assert baked.dynamorph.bake.verdict == "" and parsed("\0").text
+        return
+    assert UNREADABLE in text_of(baked)
+    assert "dynamorph.delete_bake" in drawn(baked)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"frame": None}, {"frame": "seven"}, {"frame": float("nan")}, {"frame": True}, {"frame": [7]},
+        {"vertices": None}, {"vertices": "all"}, {"vertices": [-1, 2.5, "x", None, True]}, {"vertices": {}},
+        {"remedy": None}, {"remedy": ["CAGE"]}, {"remedy": {}}, {"remedy": "rm -rf"},
+        {"factor": None}, {"factor": 0.0}, {"factor": -3}, {"factor": float("inf")}, {"factor": "x"},
+        {"stretch": [1.0]}, {"stretch": None}, {"stretch": ["a", "b"]}, {"displacement": "far"}, {"inverted": []},
+        {"displacement": 10**400}, {"ok": "yes"},
+    ],
+)  # fmt: skip
+def test_a_wrong_part_leaves_the_rest(baked, wrong):
+    baked.dynamorph.bake.verdict = said(**wrong)
+    assert "The skin moves by up to 9.0%" in text_of(baked) and "dynamorph.delete_bake" in drawn(baked)
+    found = parsed(baked.dynamorph.bake.verdict)
+    assert not found.ok and found.factor > 1.0 and all(type(v) is int and v >= 0 for v in found.vertices)
+
+
+# The panel ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "remedy, button",
+    [
+        ("REHEARSE", "dynamorph.rehearse"),
+        ("STIFFEN", "dynamorph.stiffen"),
+        ("", None),
+    ],
+)
+def test_one_button_mends_it(baked, remedy, button):
+    baked.dynamorph.bake.verdict = said(remedy=remedy)
+    buttons = {"dynamorph.rehearse", "dynamorph.stiffen"}
+    assert buttons & set(drawn(baked)) == ({button} if button else set())
+    assert "Show Frame 7" in drawn(baked) and "heat" in drawn(baked)
+
+
+def test_the_figures_are_folded_away(baked):
+    """What is open at first: a sentence and a button."""
+    shown = drawn(baked, unfolded=False)
+    assert BAD["text"] in " ".join(shown) and "dynamorph.stiffen" in shown
+    assert not {"Displacement", "Stretch", "dynamorph.show_worst", "heat"} & set(shown)
+    assert {"Displacement", "Stretch", "dynamorph.show_worst", "heat"} <= set(drawn(baked))
+
+
+def test_no_note_contradicts_the_verdict(baked):
+    """An earlier rehearsal kept the limits in another shot."""
+    note = "Bounce of 3.5 Hz keeps the skin within Max Displacement"
+    baked.dynamorph.simulation.rehearsed = note
+    assert note not in text_of(baked)
+    baked.dynamorph.bake.verdict = said(ok=True, remedy="")
+    assert note in text_of(baked)
+
+
+@pytest.mark.parametrize(
+    "found, words",
+    [
+        ({}, "The skin moves believably, most at frame 7"),
+        ({"inverted": 0.2, "flipped": 0.1}, "The skin is pressed inside out at frame 7"),
+        ({"flipped": 0.1, "stretch": (0.2, 2.0)}, "The skin is turned over at frame 7"),
+        ({"stretch": (0.5, 1.7)}, "The skin is stretched too far at frame 7"),
+        ({"stretch": (0.5, 1.1)}, "The skin is squeezed too far at frame 7"),
+        ({"percentile": 0.06}, "The skin moves farther than Max Displacement allows at frame 7"),
+    ],
+)
+def test_a_verdict_is_one_sentence_about_the_worst(addon, found, words):
+    limits = judge.Limits(0.05, 0.6)
+    verdict = judge.Verdict(frame=7.0, **found)
+    assert verdict.text(limits) == words
+    assert verdict.as_dict(limits, True)["ok"] == verdict.is_believable(limits) == (not found)
+
+
+def test_what_the_verdict_says_is_said_once(baked):
+    baked.dynamorph.bake.warnings = f"{BAD['text']}. Raise Bounce\nThe sleeve is torn"
+    text = text_of(baked)
+    assert text.count("The skin moves by up to") == 1 and "The sleeve is torn" in text
+    baked.dynamorph.bake.verdict = ""
+    assert "The skin moves by up to" in text_of(baked)
+
+
+def test_a_deleted_bake_takes_its_verdict_along(baked):
+    assert "The skin moves by up to 9.0%" in text_of(baked)
+    OPS.delete_bake()
+    assert baked.dynamorph.bake.verdict == ""
+    refused(OPS.show_worst, "no verdict: press Bake first")
+
+
+def test_a_bake_without_a_verdict_says_nothing(baked):
+    baked.dynamorph.bake.verdict = ""
+    assert "dynamorph.show_worst" not in drawn(baked) and "dynamorph.delete_bake" in drawn(baked)
+
+
+# Buttons -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
+def test_show_goes_there(scene, baked, mode):
+    bpy.ops.object.mode_set(mode=mode)
+    assert OPS.show_worst() == {"FINISHED"}
+    assert scene.frame_current == 7 and baked.mode == "OBJECT"
+    assert [vertex.index for vertex in baked.data.vertices if vertex.select] == [3, 5, 8]
+    assert bpy.context.window_manager.dynamorph.heat
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert [vertex.index for vertex in baked.data.vertices if vertex.select] == [3, 5, 8]
+
+
+def test_show_without_a_place_or_on_another_mesh(scene, baked):
+    baked.dynamorph.bake.verdict = said(frame=None)
+    refused(OPS.show_worst, "names no frame")
+    baked.dynamorph.bake.verdict = said(vertices=[4, 5000])
+    assert OPS.show_worst() == {"FINISHED"}
+    assert [vertex.index for vertex in baked.data.vertices if vertex.select] == [4]
+
+
+def test_stiffen_raises_bounce_everywhere(baked):
+    neutral, flexed = baked.dynamorph.targets
+    for target in (neutral, flexed):
+        target.set_references(0.5, 1.0, target.poisson)
+        target.set_frequency(3.0, (0.0, 0.01))
+    flexed.bounce = 4.0
+    settle = neutral.settle_time
+    assert OPS.stiffen() == {"FINISHED"}
+    assert neutral.bounce == pytest.approx(4.5, rel=1e-4) and flexed.bounce == pytest.approx(6.0, rel=1e-4)
+    assert neutral.frequency == pytest.approx(4.5, rel=1e-4) and neutral.settle_time == pytest.approx(settle, rel=1e-4)
+    assert (neutral.by_hand, flexed.by_hand) == (False, True)
+
+
+def test_stiffen_needs_a_bounce(baked):
+    for target in baked.dynamorph.targets:
+        target.set_references(0.0, 0.0, target.poisson)
+    refused(OPS.stiffen, "press Build Model first")
+
+
+def test_rehearse_asks_the_job_for_it(baked, monkeypatch):
+    asked = []
+    make = job.Job
+
+    class Spy(make):
+        def __init__(self, *arguments, **options):
+            asked.append(options)
+            super().__init__(*arguments, **options)
+
+    monkeypatch.setattr(job, "Job", Spy)
+    assert OPS.rehearse() == {"FINISHED"}
+    assert asked == [{"rehearse": True}]
+
+
+def test_in_a_window_the_remedy_goes_on_to_a_bake(baked, monkeypatch):
+    """In the background `bpy.ops` cannot be called as in a window, so the test looks at what is asked of it."""
+    goes_on = []
+    monkeypatch.setattr(jobs, "press", lambda _operator, name: goes_on.append(name))
+    neutral = baked.dynamorph.targets[0]
+    neutral.set_references(0.5, 1.0, neutral.poisson)
+    before = neutral.bounce
+    assert Pressed(baked, operator="DYNAMORPH_OT_stiffen").result == {"FINISHED"}
+    assert goes_on == ["dynamorph.bake"] and neutral.bounce > before
+
+
+# The heat map ------------------------------------------------------------------------------------------------------
+
+
+def test_colors_go_from_cold_to_hot(addon):
+    colors = heat.colors(np.array([0.0, 0.5, 1.0, 1.1, -0.1]))
+    np.testing.assert_allclose(colors[[0, 1, 2]], heat.RAMP[[0, 2, 4]], atol=1e-6)
+    np.testing.assert_allclose(colors[3], heat.BEYOND, atol=1e-6)
+    np.testing.assert_allclose(colors[4], heat.RAMP[0], atol=1e-6)
+    assert colors.dtype == np.float32 and heat.colors(np.zeros(0)).shape == (0, 3)
+
+
+@pytest.mark.parametrize("frame", [1, 9, 20])
+def test_a_bake_is_as_hot_as_it_moves(scene, soft_arm, frame):
+    bake = hand_made_bake(soft_arm)
+    writer.write_keys(soft_arm, bake)
+    soft_arm.scale = (2.0, 1.0, 1.0)
+    scene.frame_set(frame)
+    rest = mesh_data.rest_points(soft_arm)
+    moved = np.tensordot(bake.coordinates[frame - 1] - bake.static[frame - 1], bake.modes, 1)
+    size = np.linalg.norm(np.ptp(rest * [2.0, 1.0, 1.0], axis=0))
+    expected = np.linalg.norm(moved * [2.0, 1.0, 1.0], axis=1) / size
+    for limit, allowed in ((0.0, 0.05), (0.1, 0.1)):
+        soft_arm.dynamorph.simulation.max_displacement = limit
+        shown = heat.displacements(soft_arm)
+        assert list(shown) == [soft_arm.session_uid]
+        np.testing.assert_allclose(shown[soft_arm.session_uid], expected / allowed, rtol=1e-3, atol=1e-4)
+
+
+def test_what_cannot_be_colored_is_said(soft_arm):
+    with pytest.raises(errors.SceneError, match="turn Live on or press Bake"):
+        heat.displacements(soft_arm)
+    with pytest.raises(errors.SceneError, match="has no model: press Build Model, or Paint"):
+        heat.firmness(soft_arm)
+
+
+def test_the_colored_surface_lies_on_the_mesh(scene, soft_arm):
+    """Modifiers that add vertices put them after the mesh's own."""
+    writer.write_keys(soft_arm, hand_made_bake(soft_arm))
+    scene.frame_set(12)
+    before = viewport.shown_points(soft_arm, bpy.context.evaluated_depsgraph_get())
+    soft_arm.modifiers.new("Solidify", "SOLIDIFY").offset = 1.0
+    points = viewport.shown_points(soft_arm, bpy.context.evaluated_depsgraph_get())
+    assert points.shape == before.shape
+    corners = viewport.triangles(soft_arm)
+    assert corners.shape == (2 * len(soft_arm.data.polygons), 3) or (len(corners) and corners.max() < len(points))
+    soft_arm.modifiers.remove(soft_arm.modifiers["Solidify"])
+    soft_arm.modifiers.new("Decimate", "DECIMATE").ratio = 0.2
+    with pytest.raises(errors.SceneError, match="take vertices of 'Arm' away"):
+        viewport.shown_points(soft_arm, bpy.context.evaluated_depsgraph_get())
+
+
+def test_only_one_thing_colors_the_surface(addon):
+    display = bpy.context.window_manager.dynamorph
+    display.heat = True
+    display.firmness = True
+    assert display.firmness and not display.heat
+    display.heat = True
+    assert display.heat and not display.firmness
+    display.heat = False
+    activate(bpy.context.object)

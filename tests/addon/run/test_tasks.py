@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Work that is no job, in a window: it shows its progress, and Esc stops it before anything has changed."""
+
+import threading
+import types
+
+import bpy
+import pytest
+from bl_ext.user_default.dynamic_morph_targets.core import errors, message
+from bl_ext.user_default.dynamic_morph_targets.run import batch, weight_curves
+from bl_ext.user_default.dynamic_morph_targets.run.task import Task, in_thread
+from bl_ext.user_default.dynamic_morph_targets.ui.operators import jobs
+from builders import rig_of
+from layout import drawn
+from pressed import Pressed
+from test_targets import channels, drive
+
+OPS = bpy.ops.dynamorph
+
+
+@pytest.fixture
+def slow(monkeypatch):
+    """A window's turn ends after each piece."""
+    monkeypatch.setattr(jobs, "SLICE", 0.0)
+    monkeypatch.setattr(weight_curves, "SLICE", 0.0)
+
+
+def test_weights_are_read_a_few_frames_at_a_time(soft_arm, slow):
+    seen = []
+    pressed = Pressed(
+        soft_arm,
+        operator="DYNAMORPH_OT_update_target_weights",
+        before_tick=lambda task: seen.append((task.fraction, task.message)),
+    )
+    assert pressed.result == {"FINISHED"}
+    assert seen[1:3] == [(0.05, "Reading frame 2"), (0.1, "Reading frame 3")]
+    assert len(weight_curves.drawn(soft_arm)[1].weights) == 20
+
+
+@pytest.mark.parametrize("name", ["update_target_weights", "find_uncovered_pose"])
+def test_esc_while_frames_are_read(soft_arm, slow, name):
+    weight_curves.shots.clear()
+    frame = bpy.context.scene.frame_current
+    pressed = Pressed(soft_arm, ["TIMER", "TIMER", "ESC"], f"DYNAMORPH_OT_{name}")
+    assert pressed.result == {"CANCELLED"} and pressed.turns == 3
+    assert pressed.reports == [("WARNING", "Canceled: nothing was changed")]
+    assert weight_curves.drawn(soft_arm) is None and bpy.context.scene.frame_current == frame
+
+
+def test_undo_while_frames_are_read(soft_arm, slow):
+    def undone(task):
+        task.undone = task.fraction > 0.0
+
+    pressed = Pressed(soft_arm, operator="DYNAMORPH_OT_find_uncovered_pose", before_tick=undone)
+    assert pressed.result == {"CANCELLED"} and "The scene was undone while 'Arm' was read" in pressed.reports[0][1]
+
+
+def test_a_deleted_object_ends_it(soft_arm, slow):
+    def delete(task):
+        if task.fraction:
+            bpy.data.objects.remove(bpy.data.objects["Arm"])
+
+    pressed = Pressed(soft_arm, operator="DYNAMORPH_OT_update_target_weights", before_tick=delete)
+    assert pressed.result == {"CANCELLED"} and "was deleted" in pressed.reports[0][1]
+
+
+def test_esc_between_two_drivers(arm, slow):
+    """Between them the armature is as the artist left it."""
+    OPS.add_soft_skin()
+    for name in ("flexed", "smile"):
+        drive(arm, name, "a", a=("ROT_X", "lower"))
+    rig = rig_of(arm)
+    before, seen = channels(rig), []
+    pressed = Pressed(
+        arm,
+        ["TIMER", "TIMER", "ESC"],
+        "DYNAMORPH_OT_suggest_targets",
+        lambda task: seen.append((task.message, channels(rig) == before, len(bpy.data.scenes))),
+    )
+    assert pressed.result == {"CANCELLED"} and len(arm.dynamorph.targets) == 1
+    assert seen[1:] == [("Trying the driver of 'flexed'", True, 1), ("Trying the driver of 'smile'", True, 1)]
+
+
+@pytest.fixture
+def waiting(addon):
+    """A thread's work that reports once, and goes on when it may."""
+    may, began = threading.Event(), threading.Event()
+
+    def work(report):
+        report(0.25)
+        began.set()
+        may.wait(10.0)
+        report(0.5)
+        return "done"
+
+    return types.SimpleNamespace(work=work, may=may, began=began)
+
+
+def test_a_thread_reports_and_its_result_is_the_task_s(soft_arm, waiting):
+    task = Task(soft_arm, "CHECK_TARGETS", in_thread(waiting.work, "Checking targets"))
+    steps = task.steps(0.0)
+    next(steps)
+    waiting.began.wait(10.0)
+    next(steps)
+    assert (task.fraction, task.message) == (0.25, "Checking targets")
+    waiting.may.set()
+    for _ in steps:
+        pass
+    assert task.result == "done"
+
+
+def test_a_thread_that_is_left_ends_at_its_next_report(soft_arm, waiting):
+    task = Task(soft_arm, "CHECK_TARGETS", in_thread(waiting.work, "Checking targets"))
+    next(task.steps(0.0))
+    waiting.began.wait(10.0)
+    task.abandon()
+    (thread,) = batch.winding_down
+    waiting.may.set()
+    batch.stop()
+    assert not thread.is_alive() and batch.winding_down == [] and task.result is None
+
+
+def test_what_a_thread_raises_is_reported(soft_arm):
+    def fails(_report):
+        raise errors.SceneError("'{name}' is too soft", name="Arm")
+
+    task = Task(soft_arm, "CHECK_TARGETS", in_thread(fails, ""))
+    with pytest.raises(errors.SceneError, match="'Arm' is too soft"):
+        batch.run_all(task)
+
+
+@pytest.fixture
+def built_arm(soft_arm):
+    pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+    soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 200, 8
+    OPS.build()
+    return soft_arm
+
+
+def test_targets_are_checked_in_a_thread(built_arm):
+    pressed = Pressed(built_arm, operator="DYNAMORPH_OT_check_targets")
+    assert pressed.result == {"FINISHED"} and len(built_arm.dynamorph.live.checks.split("\n")) == 2
+    built_arm.dynamorph.live.checks = ""
+    assert Pressed(built_arm, ["ESC"], "DYNAMORPH_OT_check_targets").result == {"CANCELLED"}
+    assert built_arm.dynamorph.live.checks == ""
+
+
+def test_a_bounce_is_fitted_in_a_thread(built_arm):
+    built_arm.dynamorph.active_target_index = 1
+    target = built_arm.dynamorph.targets[1]
+    before = target.stiffness
+    assert Pressed(built_arm, ["ESC"], "DYNAMORPH_OT_fit_bounce", frequency=9.0).result == {"CANCELLED"}
+    assert target.stiffness == before
+    assert Pressed(built_arm, operator="DYNAMORPH_OT_fit_bounce", frequency=9.0).result == {"FINISHED"}
+    assert target.stiffness != before and target.by_hand
+
+
+def test_the_first_row_shows_the_progress(soft_arm, monkeypatch):
+    task = Task(soft_arm, "SUGGEST_POSE", iter(()))
+    task.fraction, task.message = 0.5, message.Message("Reading frame {frame}", frame=7)
+    monkeypatch.setattr(batch, "running", task)
+    assert drawn(soft_arm)[:2] == ["50%  Reading frame 7", "dynamorph.cancel"]
+
+
+def test_soft_skins_of_other_scenes_stay_theirs(soft_arm, slow):
+    """The frames are read in the scene in which it began."""
+    other = bpy.data.scenes.new("Other")
+
+    def switch(_task):
+        bpy.context.window.scene = other
+
+    scene = bpy.context.scene
+    pressed = Pressed(soft_arm, operator="DYNAMORPH_OT_update_target_weights", before_tick=switch)
+    bpy.context.window.scene = scene
+    assert pressed.result == {"FINISHED"} and len(weight_curves.drawn(soft_arm)[1].weights) == 20

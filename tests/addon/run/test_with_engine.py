@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The add-on with the real engine: Blender shows what the engine computed, and models become out of date only for a
+reason.
+"""
+
+import bpy
+import numpy as np
+import pytest
+from bl_ext.user_default.dynamic_morph_targets.core import errors
+from bl_ext.user_default.dynamic_morph_targets.core.model import build
+from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
+from bl_ext.user_default.dynamic_morph_targets.run import job as run_job
+from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store
+from builders import assert_shows, keys_of, rig_of
+from mathutils import Matrix
+
+pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+
+
+@pytest.fixture
+def small_arm(soft_arm):
+    """The arm with a coarse cage, so that it builds in a second."""
+    soft_arm.dynamorph.model.cage_nodes = 200
+    soft_arm.dynamorph.model.modes = 8
+    return soft_arm
+
+
+def plain(_obj):
+    pass
+
+
+def scaled_and_traveling(obj):
+    """A rig that moves and turns with its mesh as a child, both scaled."""
+    rig = rig_of(obj)
+    obj.parent = rig
+    obj.matrix_parent_inverse = Matrix.Translation((0.1, 0.0, 0.0))
+    obj.scale = (1.25, 1.25, 1.1)
+    rig.scale = (0.013, 0.013, 0.013)
+    for frame in (1, 20):
+        rig.location, rig.rotation_euler = (frame, 0.1 * frame, 3.0), (0.1 * frame, 0.05 * frame, 0.2)
+        rig.keyframe_insert("location", frame=frame)
+        rig.keyframe_insert("rotation_euler", frame=frame)
+
+
+def mirrored(obj):
+    obj.scale = (-1.0, 1.0, 1.0)
+
+
+def run(obj, **options):
+    job = run_job.Job(obj, **options)
+    run_batch.run(job)
+    return job
+
+
+@pytest.mark.parametrize("change", [plain, scaled_and_traveling, mirrored])
+def test_blender_shows_what_the_engine_computed(small_arm, change):
+    change(small_arm)
+    bpy.context.view_layer.update()
+    job = run(small_arm, goal="BAKE")
+    assert np.abs(job.outcome.bake.coordinates).max() > 0
+    assert_shows(small_arm, job.outcome.bake)
+
+
+@pytest.mark.parametrize("change", [plain, scaled_and_traveling, mirrored])
+def test_playing_never_makes_a_model_old(scene, small_arm, change):
+    change(small_arm)
+    small_arm.dynamorph.simulation.use_scene_range = False
+    small_arm.dynamorph.simulation.frame_end = 2
+    run(small_arm, goal="BUILD")
+    for frame in range(1, 21):
+        scene.frame_set(frame)
+        assert model_store.stale_reasons(small_arm, extract.character(small_arm)) == []
+
+
+def stiffer(obj):
+    obj.dynamorph.targets[1].stiffness = 3e5
+
+
+def other_pose(obj):
+    bpy.context.scene.frame_set(15)
+    obj.dynamorph.active_target_index = 1
+    bpy.ops.dynamorph.capture_pose()
+
+
+def renamed(obj):
+    obj.data.shape_keys.key_blocks["flexed"].name = "biceps"
+    rig_of(obj).data.bones["lower"].name = "forearm"
+    obj.name = "Limb"
+    bpy.context.view_layer.update()
+
+
+def blended_otherwise(obj):
+    obj.dynamorph.model.blending = "FORCES"
+
+
+@pytest.mark.parametrize("change", [stiffer, other_pose, renamed, blended_otherwise])
+def test_what_never_needs_a_new_model(small_arm, change):
+    run(small_arm, goal="BUILD")
+    change(small_arm)
+    assert run(small_arm, goal="BAKE").input.reasons == []
+
+
+def sculpted(obj):
+    obj.data.shape_keys.key_blocks["flexed"].points[3].co.x += 0.01
+
+
+def weighted(obj):
+    obj.vertex_groups["lower"].add([5], 0.5, "REPLACE")
+
+
+def scaled(obj):
+    obj.scale = (1.0, 1.0, 1.1)
+    bpy.context.view_layer.update()
+
+
+@pytest.mark.parametrize(
+    "change, reason",
+    [(sculpted, "shape of 'flexed' changed"), (weighted, "skin weights changed"), (scaled, "object scale")],
+)
+def test_what_needs_one_is_named(small_arm, change, reason):
+    run(small_arm, goal="BUILD")
+    change(small_arm)
+    assert reason in "; ".join(run(small_arm, goal="BAKE").input.reasons)
+
+
+def test_a_cage_that_targets_grade_is_made_again_for_other_targets(small_arm):
+    """Otherwise it would be fine where an earlier sculpt was."""
+    batch, job = run_batch, run_job
+    small_arm.dynamorph.model.cage_adaptivity = 0.5
+    batch.run(job.Job(small_arm, goal="BUILD"))
+    model = model_store.load_model(small_arm)
+    assert build.has_cage(model, extract.character(small_arm))
+    keys_of(small_arm).key_blocks["flexed"].points[0].co.x += 0.3
+    sculpted = extract.character(small_arm)
+    assert "how far targets move changed" in build.stale_reasons(model, sculpted)
+    assert not build.has_cage(model, sculpted)
+    assert "how far targets move" not in build.dependencies(sculpted.with_settings(cage_adaptivity=0.0))
+
+
+def test_canceling_the_engine(small_arm):
+    job = run_job.Job(small_arm, goal="BAKE")
+    batch = run_batch.Batch([job], "BAKE")
+    list(batch.read())
+    job.progress.canceled = True
+    with pytest.raises(errors.Cancelled):
+        list(batch.compute())
+    assert not small_arm.dynamorph.bake.keys and not small_arm.dynamorph.model.content_id

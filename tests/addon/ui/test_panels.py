@@ -1,0 +1,308 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panels draw without error, where it belongs and only what exists. Their look is tested in a window."""
+
+import types
+
+import bpy
+import pytest
+from bl_ext.user_default.dynamic_morph_targets.core import engine
+from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
+from bl_ext.user_default.dynamic_morph_targets.run import job_data, live, preview
+from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene import properties
+from bl_ext.user_default.dynamic_morph_targets.ui.panels import sections
+from bl_ext.user_default.dynamic_morph_targets.ui.panels import status as panels_status
+from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
+from builders import activate, hand_made_bake, rig_of
+from layout import Layout, controls, drawn, region
+from settings_shown import settings_shown
+
+SIDEBAR, PHYSICS, DATA = "DYNAMORPH_PT_sidebar", "DYNAMORPH_PT_physics", "DYNAMORPH_PT_object_data"
+BUTTONS = ["dynamorph.live", "Live", "dynamorph.build", "dynamorph.bake", "Bake", "dynamorph.delete_bake"]
+
+
+def test_through_the_workflow(arm, stand_in):
+    assert "dynamorph.add_soft_skin" in drawn(arm) and "dynamorph.bake" not in drawn(arm)
+    bpy.ops.dynamorph.add_soft_skin()
+    bpy.context.scene.frame_set(20)
+    bpy.ops.dynamorph.add_target(key="flexed")
+    assert {"Neutral", "flexed", "lower", "stiffness"} <= set(drawn(arm))
+    assert not bpy.ops.dynamorph.delete_bake.poll() and "dynamorph.show_worst" not in drawn(arm)
+    bpy.ops.dynamorph.bake()
+    assert bpy.ops.dynamorph.delete_bake.poll() and "dynamorph.export" in drawn(arm)
+    assert arm.dynamorph.model.summary[:40] in " ".join(drawn(arm, PHYSICS))
+    arm.dynamorph.model.modes = 5
+    for panel in (SIDEBAR, PHYSICS):
+        texts = drawn(arm, panel)
+        assert "The bake is out of date" in texts and "Out of date: Detail (Modes) changed" in " ".join(texts)
+
+
+@pytest.mark.parametrize("panel", [SIDEBAR, PHYSICS])
+def test_no_button_at_the_top_ever_moves(soft_arm, stand_in, panel):
+    """One row says what happens, whatever that is; all messages are below everything else."""
+
+    def top():
+        texts = drawn(soft_arm, panel)
+        assert len(texts[0]) <= 26, "it does not fit into a sidebar of 250 pixels"
+        return texts[0], texts[1:7]
+
+    seen = [top()]
+    soft_arm.modifiers["Armature"].use_bone_envelopes = True
+    seen.append(top())
+    soft_arm.modifiers["Armature"].use_bone_envelopes = False
+    bpy.ops.dynamorph.build()
+    seen.append(top())
+    soft_arm.dynamorph.model.modes = 5
+    seen.append(top())
+    bpy.ops.dynamorph.bake()
+    seen.append(top())
+    soft_arm.dynamorph.simulation.substeps = 9
+    seen.append(top())
+    bpy.ops.dynamorph.show_plain()
+    seen.append(top())
+    assert [text for text, _ in seen] == [
+        "Not built yet",
+        "A problem: see Messages",
+        "Ready",
+        "The model is out of date",
+        "Baked",
+        "The bake is out of date",
+        "Plain skinning is shown",
+    ]
+    assert all(buttons == BUTTONS for _, buttons in seen)
+
+
+def test_the_row_below_the_buttons_says_what_is_next(soft_arm, stand_in, monkeypatch):
+    playing = False
+    monkeypatch.setattr(panels_status, "is_playing", lambda: playing)
+    seen = [next_step(soft_arm)]
+    bpy.ops.dynamorph.build()
+    seen.append(next_step(soft_arm))
+    with monkeypatch.context() as patch:
+        patch.setattr(live, "is_on", lambda _obj: True)
+        seen.append(next_step(soft_arm))
+        playing = True
+        seen.append(next_step(soft_arm))
+        soft_arm.dynamorph.model.modes = 5
+        seen.append(next_step(soft_arm))
+    playing = False
+    bpy.ops.dynamorph.bake()
+    seen.append(next_step(soft_arm))
+    soft_arm.dynamorph.simulation.substeps = 9
+    seen.append(next_step(soft_arm))
+    soft_arm.modifiers["Armature"].use_bone_envelopes = True
+    seen.append(next_step(soft_arm))
+    assert seen == [
+        "Live or Bake builds it first",
+        "Live shows it, Bake keeps it",
+        "Space plays, Bake keeps it",
+        "Space stops, Bake keeps it",
+        "Build Model updates Live",
+        "Space plays it",
+        "Bake updates it",
+        "",
+    ]
+    assert max(map(len, seen)) <= 28, "it does not fit into a sidebar of 250 pixels"
+
+
+def test_the_stages_of_a_build_are_in_an_artists_words(soft_arm):
+    pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+    soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 200, 8
+    batch, seen = run_batch.Batch([Job(soft_arm, "BUILD")], "BUILD"), []
+    for _ in batch.steps(0.01, 0.0):
+        seen.append(batch.message)
+    stages = job_data.STAGES
+    assert not set(seen) & set(stages) and set(seen) & set(stages.values())
+
+
+def next_step(obj) -> str:
+    texts = drawn(obj)
+    return texts[texts.index("dynamorph.delete_bake") + 1]
+
+
+def test_progress_takes_the_row_of_the_state(soft_arm, stand_in):
+    batch, job = run_batch, Job(soft_arm, goal="BAKE")
+    batch.running, job.progress.message = batch.Batch([job], "BAKE"), "Frame 7"
+    try:
+        for panel in (SIDEBAR, PHYSICS):
+            assert drawn(soft_arm, panel)[:8] == ["0%  Frame 7", "dynamorph.cancel", *BUTTONS]
+        assert not bpy.ops.dynamorph.build.poll() and not bpy.ops.dynamorph.bake.poll()
+        job.progress.fraction, batch.running.time_left.seconds = 0.38, 11.4
+        assert "38%  0:12 left  Frame 7" in drawn(soft_arm)
+    finally:
+        batch.running = None
+
+
+# Where things are ----------------------------------------------------------------------------------------------------
+
+
+TOP = ["dynamorph.live", "dynamorph.build", "dynamorph.bake", "dynamorph.delete_bake"]
+
+
+def test_a_new_soft_skin_shows_twelve_controls_at_most(arm, stand_in):
+    assert controls(arm, unfolded=False) == ["dynamorph.add_soft_skin"]
+    bpy.ops.dynamorph.add_soft_skin()
+    bpy.ops.dynamorph.build()
+    shown = controls(arm, unfolded=False)
+    assert shown[:4] == TOP and shown[4:7] == ["dynamorph.apply_feel"] * 3
+    names = [name.rpartition(".")[2] for name in shown[7:]]
+    assert names == ["amount", "bounce", "settle_time", "mass", "DYNAMORPH_PT_material_presets"]
+    assert len(shown) <= 12
+    assert controls(arm, PHYSICS, unfolded=False) == [*TOP, "DYNAMORPH_PT_setup_presets"]
+
+
+# Settings of a new soft skin that stay in sight, section by section; Advanced and Material have the others.
+IN_SIGHT = {
+    "feel": ["amount", "bounce", "settle_time", "mass"],
+    "firmness": ["firmness_group"],
+    "targets": ["influence"],
+    "attachments": ["hold_head"],
+    "bake": [
+        "solver",
+        "max_displacement",
+        "use_scene_range",
+        "frame_start",
+        "frame_end",
+        "keep_outside",
+        "loop",
+        "format",
+        "keys",
+    ],
+}
+ADVICE = "Raise", "Lower", "Turn", "Choose", "Change", "Paint", "Set", "suit", "where", "sets"  # it says when
+
+
+def test_few_settings_are_in_sight(arm, stand_in):
+    bpy.ops.dynamorph.add_soft_skin()
+    shown = settings_shown(arm)
+    rest = {section.name for section in sections.PHYSICS_SECTIONS if section.parent == "advanced"} | {"material"}
+    in_sight = {name: [each.split(".")[1] for each in found] for name, found in shown.items() if name not in rest}
+    print({name: len(found) for name, found in shown.items()})
+    assert in_sight == IN_SIGHT
+
+
+def test_every_setting_says_when_to_change_it(soft_arm, stand_in):
+    soft_arm.dynamorph.active_target_index = 1
+    groups, silent = {group.__name__: group for group in properties.CLASSES}, []
+    for group, name in (each.split(".") for found in settings_shown(soft_arm).values() for each in found):
+        tooltip = groups[group].bl_rna.properties[name].description
+        if not any(word in tooltip for word in ADVICE):
+            silent.append(f"{group}.{name}: {tooltip}")
+    assert silent == []
+
+
+def test_nothing_but_state_live_and_bake_is_in_both_places(soft_arm, stand_in):
+    bpy.ops.dynamorph.bake()
+    both = set(controls(soft_arm)) & set(controls(soft_arm, PHYSICS))
+    assert both == {*TOP, "dynamorph.export"}  # glTF has a button of its own beside the bake's result
+
+
+def test_the_order_of_the_sections(soft_arm):
+    titles = [section.label for section in sections.SIDEBAR_SECTIONS if section.parent == "sidebar"]
+    assert titles[:3] == ["Feel", "Firmness", "Targets"] and titles[-1] == "Messages"
+    parents = {section.label: section.parent for section in sections.PHYSICS_SECTIONS}
+    assert {parents[label] for label in ("Cage", "Detail", "Solver")} == {"advanced"}
+
+
+def test_the_shape_keys_panel_is_about_the_active_key(soft_arm, stand_in):
+    settings, keys = soft_arm.dynamorph, soft_arm.data.shape_keys.key_blocks
+    settings.active_target_index = 0
+    soft_arm.active_shape_key_index = keys.find("flexed")
+    assert drawn(soft_arm, DATA) == ["dynamorph.select_target"]
+    bpy.ops.dynamorph.select_target()
+    assert settings.active_target_index == 1
+    shown = drawn(soft_arm, DATA)
+    assert {"dynamorph.capture_pose", "region", "fade_out_angle", "stiffness", "flexed"} <= set(shown)
+    assert not {"dynamorph.live", "dynamorph.bake", "dynamorph.apply_feel", "Neutral"} & set(shown)
+    soft_arm.active_shape_key_index = keys.find("smile")
+    assert drawn(soft_arm, DATA) == ["dynamorph.add_target"]
+    soft_arm.active_shape_key_index = 0
+    bpy.ops.dynamorph.select_target()
+    assert "Neutral" in drawn(soft_arm, DATA) and "region" not in drawn(soft_arm, DATA)
+
+
+def test_a_button_among_those_of_blenders_physics(arm):
+    panel = types.SimpleNamespace(layout=Layout([]))
+    sections.draw_add(panel, bpy.context)
+    assert panel.layout.drawn == ["dynamorph.add_soft_skin", "Soft Skin"]
+    physics = bpy.types.DYNAMORPH_PT_physics
+    assert not physics.poll(bpy.context)
+    bpy.ops.dynamorph.add_soft_skin()
+    assert physics.poll(bpy.context)
+    panel = types.SimpleNamespace(layout=Layout([]))
+    sections.draw_add(panel, bpy.context)
+    assert panel.layout.drawn == ["dynamorph.remove_soft_skin", "Soft Skin"]
+    bpy.ops.dynamorph.remove_soft_skin()
+    assert not arm.dynamorph.targets and not physics.poll(bpy.context)
+    bpy.context.view_layer.objects.active = None
+    panel = types.SimpleNamespace(layout=Layout([]))
+    sections.draw_add(panel, bpy.context)
+    assert panel.layout.drawn == []
+
+
+def status() -> list[str]:
+    out = []
+    sections.draw_status(types.SimpleNamespace(layout=Layout(out)), None)
+    return out
+
+
+def test_the_status_bar_says_what_runs(soft_arm, stand_in, monkeypatch):
+    """It looks when it draws, so nothing is left behind in a workspace or window that the artist has left."""
+    assert status() == []
+    job = Job(soft_arm, goal="BAKE")
+    job.progress.fraction, job.progress.message = 0.4, "Frame 7"
+    running = run_batch.Batch([job], "BAKE")
+    monkeypatch.setattr(run_batch, "running", running)
+    assert status() == ["40%  Frame 7    Esc: cancel"]
+    running.time_left.seconds = 72.0
+    assert status() == ["40%  1:12 left  Frame 7    Esc: cancel"]
+    monkeypatch.setattr(run_batch, "running", None)
+    shake = types.SimpleNamespace(label="Shake Test", seconds_left=1.5)
+    monkeypatch.setattr(preview, "preview", shake)
+    assert status() == ["Shake Test  0:02 left    Esc: stop"]
+    shake.seconds_left = None
+    assert status() == ["Shake Test    Esc: stop"]
+
+
+def test_a_narrow_list_has_room_for_names_only(soft_arm):
+    assert "20 kPa" not in drawn(soft_arm) and "20 kPa" in drawn(soft_arm, place=region(400))
+
+
+def test_many_bones_are_folded_away(soft_arm):
+    target = soft_arm.dynamorph.targets[1]
+    target.set_bones([f"bone {i}" for i in range(12)])
+    assert "Bones (12)" in drawn(soft_arm) and "bone 3" in drawn(soft_arm)
+    assert "bone 3" not in drawn(soft_arm, unfolded=False)
+
+
+@pytest.mark.fault("V01")
+def test_a_missing_engine_is_shown(soft_arm, monkeypatch):
+    monkeypatch.setattr(engine, "engine_problem", lambda: "The engine cannot be loaded (no wheel). Install it")
+    assert "The engine cannot be loaded (no wheel)." in " ".join(drawn(soft_arm))
+
+
+@pytest.mark.parametrize("kind", [None, "CAMERA"])
+def test_the_tab_says_what_to_select(soft_arm, kind):
+    other = bpy.data.objects.new("Eye", bpy.data.cameras.new("Eye") if kind else None)
+    assert drawn(other) == ["Select 'Arm' or its armature"]
+    assert not bpy.types.DYNAMORPH_PT_physics.poll(types.SimpleNamespace(object=other))
+    soft_arm.dynamorph.targets.clear()
+    assert " ".join(drawn(other)) == "Select a character's mesh or its armature" == " ".join(drawn(None))
+
+
+@pytest.mark.parametrize("mode", ["OBJECT", "POSE"])
+def test_on_the_rig_for_its_skin(soft_arm, mode):
+    rig = rig_of(soft_arm)
+    activate(rig)
+    bpy.ops.object.mode_set(mode=mode)
+    assert {"Arm: Not built yet", "Neutral", "flexed"} <= set(drawn(rig))
+    soft_arm.dynamorph.targets.clear()
+    assert not bpy.ops.dynamorph.capture_pose.poll()
+
+
+def test_a_target_without_its_key_is_marked(soft_arm):
+    writer.write_keys(soft_arm, hand_made_bake(soft_arm))
+    soft_arm.shape_key_clear()
+    assert "flexed" in drawn(soft_arm)
+    writer.free(soft_arm)
+    assert not bpy.ops.dynamorph.delete_bake.poll() and "A problem: see Messages" in drawn(soft_arm)

@@ -1,0 +1,433 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A baked character in other formats: written, read back by others and by Blender, and compared at each frame."""
+
+import re
+import types
+from functools import partial
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+import round_trips
+from bl_ext.user_default.dynamic_morph_targets.core import errors
+from bl_ext.user_default.dynamic_morph_targets.core.result import keys
+from bl_ext.user_default.dynamic_morph_targets.io import disk, point_cache
+from bl_ext.user_default.dynamic_morph_targets.run import export_actions
+from bl_ext.user_default.dynamic_morph_targets.scene import model_store, references
+from bl_ext.user_default.dynamic_morph_targets.ui.operators import export as operators_export
+from bl_ext.user_default.dynamic_morph_targets.write.bake import influence, writer
+from bl_ext.user_default.dynamic_morph_targets.write.export import exports, losses
+from builders import activate, fingerprint, hand_made_bake, keys_of, make_arm, make_soft, rig_of
+from layout import Layout
+from round_trips import farthest
+
+FRAMES = 1, 20
+EVERY = range(1, 21)
+posed = partial(round_trips.shown, frames=EVERY)  # of a mesh's name
+CLOSE = 1e-5
+
+
+@pytest.fixture
+def baked(soft_arm):
+    """The arm with a bake of every frame."""
+    bake = hand_made_bake(soft_arm)
+    writer.write_keys(soft_arm, bake)
+    return soft_arm, bake
+
+
+READERS = {  # of a posed surface: format, who reads, whether the vertices come in the same order
+    "GLTF": (round_trips.by_import("import_scene.gltf"), False),
+    "GLTF by pygltflib": (round_trips.by_pygltflib, False),
+    "FBX": (round_trips.FBX, True),
+    "ALEMBIC": (round_trips.ALEMBIC, True),
+    "USD": (round_trips.by_import("wm.usd_import"), True),
+    "USD by usd-core": (round_trips.by_usd_core, True),
+}
+
+
+def off(name, path, exact, mesh="Arm"):
+    """The distance between a reader's surface and the exact one."""
+    read, same_order = READERS[name]
+    try:
+        return farthest(read(path, mesh, EVERY), exact, same_order)
+    except round_trips.ReaderMissing as missing:
+        pytest.skip(str(missing))
+
+
+def written(obj, key, folder):
+    """The path of an export."""
+    path = folder / f"{obj.name}{exports.FORMATS[key].suffix}"
+    export_actions.export(obj, key, path, FRAMES)
+    return path
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_what_blender_shows_is_read_back(baked, tmp_path, name):
+    obj, _ = baked
+    exact, before = posed("Arm"), fingerprint(obj)
+    path = written(obj, name.split()[0], tmp_path)
+    assert fingerprint(obj) == before
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+    assert off(name, path, exact) < CLOSE
+
+
+@pytest.mark.parametrize("key", ["GLTF", "FBX", "ALEMBIC", "USD"])
+def test_an_export_changes_neither_selection_nor_mode(scene, baked, tmp_path, key):
+    obj, _ = baked
+    other = make_arm(scene, "Other")
+    other.select_set(True)
+    activate(rig_of(obj))
+    bpy.ops.object.mode_set(mode="POSE")
+    chosen = [each.name for each in bpy.context.selected_objects]
+    written(obj, key, tmp_path)
+    assert rig_of(obj).mode == "POSE" and bpy.context.object == rig_of(obj)
+    assert [each.name for each in bpy.context.selected_objects] == chosen
+    assert not bpy.data.collections
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_what_stands_beside_the_character_stays_out(scene, baked, tmp_path, name):
+    """Whether they are selected or not, and in whichever scenes they are."""
+    obj, _ = baked
+    make_arm(scene, "Other").select_set(True)
+    bpy.data.scenes.new("Second").collection.objects.link(obj)
+    exact, path = posed("Arm"), written(obj, name.split()[0], tmp_path)
+    assert off(name, path, exact) < CLOSE
+    assert b"Other" not in path.read_bytes()
+
+
+def test_gltf_holds_the_bake_s_shapes_and_values(baked, tmp_path):
+    """The surface before skinning: rest + weights . morph targets."""
+    pytest.importorskip("pygltflib")
+    obj, bake = baked
+    exact = key_positions(obj) + np.array([bake.displacement(k) for k in range(len(bake.frames))])
+    file = round_trips.Gltf(written(obj, "GLTF", tmp_path))
+    times = file.times(None) * bpy.context.scene.render.fps
+    assert times == pytest.approx(np.array(EVERY), abs=1e-3)
+    assert farthest(file.morphed("Arm"), exact, same_order=False) < CLOSE
+
+
+@pytest.mark.parametrize("sink", ["PC2", "MDD"])
+def test_a_point_cache_is_exported_as_a_surface_only(baked, tmp_path, sink):
+    obj, bake = baked
+    file = tmp_path / f"arm.{sink.lower()}"
+    disk.save(file, point_cache.CACHES[sink](bake, key_positions(obj), bpy.context.scene.render.fps))
+    writer.write_keys(obj, keys.targets_alone(bake), cache=file)
+    exact = posed("Arm")
+    for key in ("GLTF", "FBX", "RAW"):
+        with pytest.raises(errors.ExportError, match="'Arm' is a point cache.*bake to Shape Keys first"):
+            export_actions.export(obj, key, tmp_path / "Arm.file", FRAMES)
+    content = file.read_bytes()
+    for spoiled in (content[:-1], content[:20], b"", None):  # Blender shows the plain skin then
+        file.unlink() if spoiled is None else file.write_bytes(spoiled)
+        for key in ("ALEMBIC", "USD"):
+            with pytest.raises(errors.ExportError, match=f"'{file.name}' of 'Arm' is missing or damaged: bring"):
+                written(obj, key, tmp_path)
+    file.write_bytes(content)
+    paths = {key: written(obj, key, tmp_path) for key in ("ALEMBIC", "USD")}
+    for key, path in paths.items():
+        assert off(key, path, exact) < CLOSE
+
+
+def key_positions(obj):
+    return references.key_points(keys_of(obj).reference_key).astype(float)
+
+
+@pytest.mark.parametrize("read", [round_trips.by_numpy, round_trips.by_c_runtime])
+def test_a_raw_clip_is_the_bake(baked, tmp_path, read):
+    obj, bake = baked
+    path = written(obj, "RAW", tmp_path)
+    with np.load(path, allow_pickle=False) as clip:
+        assert clip["frames"] == pytest.approx(bake.frames)
+        assert clip["fps"] == bpy.context.scene.render.fps
+    exact = key_positions(obj) + np.array([bake.displacement(k) for k in range(len(bake.frames))])
+    try:
+        assert farthest(read(path, "Arm", EVERY), exact) < CLOSE
+    except round_trips.ReaderMissing as missing:
+        pytest.skip(str(missing))
+
+
+@pytest.mark.parametrize("key", ["ALEMBIC", "USD"])
+def test_a_model_that_is_kept_with_the_object_is_not_exported(baked, tmp_path, key):
+    """Blender's exporter would crash on bytes, which the first versions stored."""
+    obj, _ = baked
+    obj.pop(model_store.PACKED, None)
+    obj[model_store.PACKED] = b"a\0b"
+    path = written(obj, key, tmp_path)
+    assert model_store.PACKED.encode() not in path.read_bytes()
+
+
+def test_blenders_own_exporter_accepts_a_model(soft_arm, stand_in, tmp_path):
+    """All custom properties are written by default."""
+    bpy.ops.dynamorph.build()
+    assert model_store.PACKED in soft_arm
+    bpy.ops.wm.alembic_export(filepath=str(tmp_path / "own.abc"), as_background_job=False)
+    assert (tmp_path / "own.abc").is_file()
+
+
+def test_drivers_actions_and_influence_are_exported_as_shown(scene, baked, tmp_path):
+    """Everything that moves a key counts, not only the bake: sampled, and left as it was."""
+    obj, _ = baked
+    smile = keys_of(obj).key_blocks["smile"]
+    driver = smile.driver_add("value").driver
+    driver.expression = "0.05 * frame"
+    influence.influence_strip(obj).influence = 0.5
+    exact, before = posed("Arm"), fingerprint(obj)
+    assert any("drivers are left out" in text and "smile" in text for text in losses.losses(obj, "GLTF"))
+    path = written(obj, "GLTF", tmp_path)
+    assert fingerprint(obj) == before
+    assert off("GLTF", path, exact) < CLOSE
+
+
+def add_sleeve(scene, obj):
+    """Another mesh on the same armature."""
+    sleeve = make_arm(scene, "Sleeve")
+    bpy.data.actions.remove(rig_of(sleeve).animation_data.action)
+    bpy.data.objects.remove(rig_of(sleeve))
+    sleeve.modifiers["Armature"].object = rig_of(obj)
+    sleeve.location.x = 0.5
+    bpy.context.view_layer.objects.active = obj
+    return sleeve
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_what_moves_with_the_tissue_is_exported_too(scene, baked, tmp_path, name):
+    obj, _ = baked
+    sleeve = add_sleeve(scene, obj)
+    writer.write_keys(sleeve, hand_made_bake(obj, seed=2), obj)
+    exact, before = posed("Sleeve"), fingerprint(sleeve)
+    path = written(obj, name.split()[0], tmp_path)
+    assert fingerprint(sleeve) == before
+    assert off(name, path, exact, "Sleeve") < CLOSE
+
+
+@pytest.mark.parametrize("name", ["GLTF by pygltflib", "FBX"])
+def test_fewer_keys_are_exported_as_shown(soft_arm, tmp_path, name):
+    bake = hand_made_bake(soft_arm, modes=6)
+    writer.write_keys(soft_arm, keys.with_fewer_keys(bake, 2))
+    path, exact = written(soft_arm, name.split()[0], tmp_path), posed("Arm")
+    assert off(name, path, exact) < CLOSE
+
+
+def more_bones(obj):
+    for group in (obj.vertex_groups.new(name=f"b{i}") for i in range(5)):
+        group.add([0], 0.1, "REPLACE")
+        bpy.context.view_layer.objects.active = rig_of(obj)
+        bpy.ops.object.mode_set(mode="EDIT")
+        bone = rig_of(obj).data.edit_bones.new(group.name)
+        bone.head, bone.tail = (0, 0, 0), (0, 1, 0)
+        bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def bend(obj):
+    rig_of(obj).data.bones["lower"].bbone_segments = 4
+
+
+def subdivide_first(obj):
+    obj.modifiers.new("Subdivision", "SUBSURF")
+    obj.modifiers.move(1, 0)
+
+
+def skin_twice(obj):
+    obj.modifiers.new("Again", "ARMATURE").object = rig_of(obj)
+
+
+def limit(obj):
+    obj.vertex_groups.new(name="Half")
+    key = keys_of(obj).key_blocks["smile"]
+    key.value, key.vertex_group = 0.5, "Half"
+
+
+def make_relative(obj):
+    key = keys_of(obj).key_blocks["smile"]
+    key.value, key.relative_key = 0.5, keys_of(obj).key_blocks["flexed"]
+
+
+def drive(obj):
+    keys_of(obj).key_blocks["smile"].driver_add("value").driver.expression = "0.5"
+
+
+LOSSES = {
+    "modifier 'Subdivision' after the Armature is left out": lambda obj: obj.modifiers.new("Subdivision", "SUBSURF"),
+    "modifier 'Subdivision' before the Armature is left out": subdivide_first,
+    "Preserve Volume": lambda obj: setattr(obj.modifiers["Armature"], "use_deform_preserve_volume", True),
+    "several Armature modifiers": skin_twice,
+    "bendy bones": bend,
+    "1 vertices follow more than 4 bones": more_bones,
+    "no vertex groups of shape keys, .* smile will": limit,
+    "none relative to others than 'Basis': smile will": make_relative,
+    "drivers are left out, .* smile": drive,
+}
+
+
+@pytest.mark.parametrize("words", LOSSES)
+def test_export_check_says_what_is_dropped(baked, words):
+    obj, _ = baked
+    assert list(losses.losses(obj, "GLTF")) == []
+    LOSSES[words](obj)
+    assert any(re.search(words, text) for text in losses.losses(obj, "GLTF"))
+    assert list(losses.losses(obj, "ALEMBIC")) == []
+
+
+@pytest.mark.parametrize("key", ["GLTF", "FBX", "ALEMBIC", "USD"])
+def test_a_hidden_armature_is_named_before_the_export(baked, key):
+    """Which refuses it, after the file was chosen."""
+    obj, _ = baked
+    rig_of(obj).hide_set(True)
+    assert "'Arm Rig' is hidden, so Blender exports nothing of it: show it" in list(losses.losses(obj, key))
+    rig_of(obj).hide_set(False)
+    assert not any("is hidden" in text for text in losses.losses(obj, key))
+
+
+@pytest.mark.parametrize("invoked", [False, True])
+def test_what_the_dialog_has_said_is_not_said_again(baked, invoked):
+    obj, _ = baked
+    said = []
+    operator = types.SimpleNamespace(
+        options=types.SimpleNamespace(is_invoke=invoked),
+        format="GLTF",
+        report=lambda kind, text: said.append((*kind, text)),
+    )
+    drive(obj)
+    operators_export.report_export(operator, obj, Path("arm.glb"))
+    assert said[-1] == ("INFO", "'Arm' written as 'arm.glb'")
+    assert [kind for kind, _ in said[:-1]] == ([] if invoked else ["WARNING"])
+
+
+@pytest.mark.parametrize("smile, remedy", [(0.0, "with Key Limit 8, or use"), (0.5, "with Key Limit 7, or use")])
+def test_export_check_counts_the_morphs_that_move(scene, smile, remedy):
+    obj = make_soft(make_arm(scene))
+    writer.write_keys(obj, hand_made_bake(obj, modes=9))
+    keys_of(obj).key_blocks["smile"].value = smile
+    (text,) = losses.losses(obj, "FBX")
+    assert f"{10 + (smile > 0)} keys move, many engines blend 8 at most" in text and remedy in text
+
+
+def test_export_check_sees_keys_that_stand_at_0_now(baked):
+    obj, _ = baked
+    smile = keys_of(obj).key_blocks["smile"]
+    for frame in (1, 20):
+        smile.value = (frame - 1) / 19
+        smile.keyframe_insert("value", frame=frame)
+    bpy.context.scene.frame_set(1)
+    assert smile.value == 0.0
+    assert list(losses.losses(obj, "RAW")) == ["A raw clip has the bake's keys alone: smile is left out"]
+
+
+def test_a_muted_key_is_not_shown(scene, baked, tmp_path):
+    """FBX knows no muted keys."""
+    obj, _ = baked
+    smile = keys_of(obj).key_blocks["smile"]
+    smile.value, smile.mute = 1.0, True
+    exact = posed("Arm")
+    assert off("FBX", written(obj, "FBX", tmp_path), exact) < CLOSE
+
+
+@pytest.mark.parametrize("key", ["GLTF", "FBX"])
+def test_an_export_leaves_the_values_of_keys(baked, tmp_path, key):
+    """Also of those that no other program knows to be muted."""
+    obj, _ = baked
+    blocks = keys_of(obj).key_blocks
+    blocks["smile"].value, blocks["smile"].mute, blocks["flexed"].value = 0.4, True, 0.7
+    written(obj, key, tmp_path)
+    assert (blocks["smile"].value, blocks["flexed"].value) == pytest.approx((0.4, 0.7))
+
+
+def test_the_button_writes_what_the_format_is_called(baked, tmp_path):
+    obj, _ = baked
+    bpy.context.view_layer.objects.active = obj
+    bpy.ops.dynamorph.export(format="RAW", filepath=str(tmp_path / "arm"))
+    assert [file.name for file in tmp_path.iterdir()] == ["arm.npz"]
+    assert bpy.ops.dynamorph.export_check(format="FBX") == {"FINISHED"}
+    writer.free(obj)
+    with pytest.raises(RuntimeError, match="press Bake first"):
+        bpy.ops.dynamorph.export(format="RAW", filepath=str(tmp_path / "none"))
+    assert not bpy.ops.dynamorph.export_check.poll()
+
+
+def file_menu() -> list[str]:
+    """What the add-on adds to File > Export."""
+    layout = Layout([])
+    operators_export.draw_in_file_menu(types.SimpleNamespace(layout=layout), bpy.context)
+    assert layout.operator_context == "INVOKE_DEFAULT", "a shortcut to the menu would export to the last file"
+    return layout.drawn
+
+
+def test_the_file_menu_exports_a_soft_skin(scene, arm):
+    assert file_menu() == ["dynamorph.export", "Soft Skin Clip"] and not bpy.ops.dynamorph.export.poll()
+    make_soft(arm)
+    assert bpy.ops.dynamorph.export.poll()
+
+
+def test_a_name_keeps_what_only_looks_like_a_suffix():
+    assert exports.named(Path("hero.v002"), "GLTF") == Path("hero.v002.glb")
+    assert exports.named(Path("hero.v002.fbx"), "GLTF") == Path("hero.v002.glb")
+
+
+def test_usd_has_the_frames_that_were_asked_for(baked, tmp_path):
+    """USD's exporter uses the frames of the scene."""
+    usd = pytest.importorskip("pxr.Usd", reason="usd-core is not for this Python")
+    obj, _ = baked
+    export_actions.export(obj, "USD", tmp_path / "part.usdc", (5, 9))
+    stage = usd.Stage.Open(str(tmp_path / "part.usdc"))
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (5.0, 9.0)
+    assert (bpy.context.scene.frame_start, bpy.context.scene.frame_end) == FRAMES
+
+
+@pytest.mark.fault("A07")
+@pytest.mark.parametrize("key", ["GLTF", "FBX", "ALEMBIC", "USD", "RAW"])
+def test_frames_before_0_are_written_or_refused(baked, tmp_path, key):
+    """No scene of Blender has them, whose range most exporters take."""
+    obj, _ = baked
+    path = tmp_path / f"arm{exports.FORMATS[key].suffix}"
+    export = export_actions.export
+    if key in ("ALEMBIC", "RAW"):
+        export(obj, key, path, (-10, 10))
+        assert path.is_file()
+        return
+    with pytest.raises(errors.ExportError, match="no frames before 0, 'Arm' is to begin at -10: choose Alembic"):
+        export(obj, key, path, (-10, 10))
+    assert not path.exists()
+
+
+def test_refused(baked, tmp_path):
+    obj, _ = baked
+    error = errors.ExportError
+    with pytest.raises(error, match="no folder '.*nowhere'"):
+        export_actions.export(obj, "RAW", tmp_path / "nowhere" / "arm.npz", FRAMES)
+    obj.hide_set(True)
+    with pytest.raises(error, match="'Arm' is hidden"):
+        export_actions.export(obj, "USD", tmp_path / "arm.usdc", FRAMES)
+    obj.hide_set(False)
+    writer.free(obj)
+    with pytest.raises(error, match="no bake to export: press Bake"):
+        export_actions.export(obj, "GLTF", tmp_path / "arm.glb", FRAMES)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_dialog_reads_no_weights_when_it_draws_again(baked, monkeypatch):
+    obj, _ = baked
+    export_operators = operators_export
+    looked, original = [], losses.losses
+    monkeypatch.setattr(losses, "losses", lambda *args: looked.append(args) or original(*args))
+
+    def drawn(format="GLTF", clips="SCENE"):
+        out = []
+        dialog = types.SimpleNamespace(format=format, clips=clips, chosen_clips=clips, layout=Layout(out))
+        dialog.bl_rna = types.SimpleNamespace(properties=("format", "clips"))
+        dialog.layout.prop = lambda *_args: None
+        export_operators.DYNAMORPH_OT_export.draw(dialog, bpy.context)
+        return " ".join(out)
+
+    for _ in range(5):
+        assert drawn() == ""
+    assert len(looked) == 1
+    drawn("FBX"), drawn("GLTF", "ACTIONS"), drawn("FBX")
+    assert len(looked) == 3
+    obj.modifiers.new("Smooth", "SMOOTH")
+    obj.update_tag()
+    bpy.context.view_layer.update()
+    for _ in range(3):
+        assert "modifier 'Smooth' after" in drawn()
+    assert len(looked) == 4
