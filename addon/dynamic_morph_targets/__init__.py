@@ -7,8 +7,8 @@ compiled engine is imported when it is first used (see core.engine), so that the
 
 import atexit
 
-_registered = []  # modules, in the order in which they were registered
-_commands = []  # handles that Blender wants back
+_registered: list = []  # modules, in the order in which they were registered
+_commands: list = []  # handles that Blender wants back
 
 
 def _modules():

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender scenes for the tests of the extension, and common questions about such a scene. Programs that build scenes import
-it too, so what needs the extension under its installed name imports it when it is called.
+"""Blender scenes for the extension's tests, and common questions about such a scene.
+
+Programs import it too, so what needs the extension under its installed name imports it when it is called.
 """
 
 import hashlib

@@ -69,6 +69,7 @@ def load_model(obj):
 def _load(session_uid: int, _content_id: str):
     obj = find(session_uid)
     content = stored_model(obj)
+    assert content is not None  # the object has a content id
     try:
         return Model.from_arrays(*model_file.unpack(content))
     except errors.ModelFileError as error:

@@ -7,6 +7,7 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import bpy
 import numpy as np
@@ -152,8 +153,9 @@ class RigSampling:
         skinning = checks.skinned(obj)
         rig = skinning.rig
         self.start, self.substeps = start, substeps
-        self.probe: object | None = None
-        self._nodes = self._target_nodes = None
+        self.probe: Any = None  # a probe.Probe
+        self._nodes: Any = None  # PosedNodes
+        self._target_nodes: Any = None
         self.done, self.count = 0, 1 + (end - start) * substeps
         self._unit = unit_scale()
         self._skeleton = rest_skeleton(rig.data)

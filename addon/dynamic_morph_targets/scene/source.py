@@ -108,6 +108,7 @@ class Source:
     @cached_property
     def to_body(self) -> np.ndarray:
         """The attachment's local space to the body's (4, 4)."""
+        assert self.body is not None
         return inverse(self.body.world) @ self.world
 
     @cached_property

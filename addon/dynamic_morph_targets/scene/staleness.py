@@ -201,7 +201,8 @@ def _target_changes(obj, then: dict, now: dict) -> list[str]:
 def _piece_changes(obj) -> list[str]:
     """The other meshes that do not show what the bake of `obj` should show."""
     wanted, shown = clothes_in(obj), followers(obj)
-    found = [Message('attachment "{name}" is new', name=piece.name) for piece in wanted if piece not in shown]
+    new = (piece.name for piece in wanted if piece not in shown)
+    found: list[str] = [Message('attachment "{name}" is new', name=name) for name in new]
     return found + [
         Message('attachment "{name}" is not with the body any more', name=piece.name)
         for piece in shown

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.app.translations import pgettext_rpt as rpt_
 
@@ -34,6 +36,10 @@ def reported(error: RuntimeError) -> str:
 
 class SoftSkinOperator:
     """Mixin: works on the mesh of the context, which must carry a soft skin, while no job runs."""
+
+    report: Callable  # of bpy.types.Operator
+    poll_message_set: Callable
+    apply: Callable  # (self, obj): the work
 
     bl_options = {"REGISTER", "UNDO"}
 

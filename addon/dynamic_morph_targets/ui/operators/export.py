@@ -114,7 +114,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
             self.clips = "ACTIONS"  # which needs no bake
         else:
             exports.check_bake(obj, self.format)
-        if not self.filepath:
+        if not self.filepath:  # type: ignore[has-type]  # a property of ExportHelper
             name = paths.clean_name(skin.mesh_in(context).name)
             self.filepath = str(Path(bpy.data.filepath).with_name(name)) if bpy.data.filepath else name
         self.filepath = str(self.path())

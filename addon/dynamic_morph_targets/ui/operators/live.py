@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import islice
 
@@ -113,8 +113,15 @@ class PreviewOperator(TissueOperator):
     """
 
     bl_options = {"REGISTER"}  # it leaves nothing that could be undone
+    bl_idname: str
 
-    lasts: float | None = None  # seconds; None: until it is stopped
+    frames: Callable  # (self, obj, tissue): an iterator over what to show
+    passes: Callable  # (self, event): whether an event goes on to Blender
+
+    @property
+    def lasts(self) -> float | None:
+        """Seconds; None: until it is stopped."""
+        return None
 
     def apply(self, obj):
         running = Preview(obj, type(self))

@@ -77,10 +77,10 @@ class FitsBounce(TargetOperator, JobOperator):
     def _fitted(obj, frequency: float, decay: float) -> task.Chunks[tuple]:
         """The result: the index of the target in the list, and its material."""
         index = obj.dynamorph.active_target_index
-        given = model_store.fit_input(obj, obj.dynamorph.active_target)
+        model, character, target = model_store.fit_input(obj, obj.dynamorph.active_target)
 
         def fit(_report):
-            return material_fit.fit_oscillation(*given, frequency, decay)
+            return material_fit.fit_oscillation(model, character, target, frequency, decay)
 
         return index, (yield from task.in_thread(fit, "Fitting the bounce"))
 

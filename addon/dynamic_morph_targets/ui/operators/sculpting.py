@@ -34,7 +34,7 @@ class SculptOperator:
 
     @classmethod
     def disabled_reason(cls, context):
-        disabled_reason = super().disabled_reason(context)
+        disabled_reason = super().disabled_reason(context)  # type: ignore[misc]  # of SoftSkinOperator
         if not disabled_reason and skin.mesh_in(context).dynamorph.sculpt.active:
             return "Press Finish Sculpting first"
         return disabled_reason

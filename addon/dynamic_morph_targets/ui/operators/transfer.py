@@ -34,7 +34,7 @@ class DYNAMORPH_OT_save_setup(SoftSkinOperator, ExportHelper, Operator):
     filter_glob: StringProperty(name="Filter", description="Files that are shown", default="*.json", options={"HIDDEN"})
 
     def invoke(self, context, event):
-        if not self.filepath:
+        if not self.filepath:  # type: ignore[has-type]  # a property of ExportHelper
             name = f"{paths.clean_name(skin.mesh_in(context).name)}{self.filename_ext}"
             self.filepath = str(Path(bpy.data.filepath).with_name(name)) if bpy.data.filepath else name
         return super().invoke(context, event)

@@ -22,8 +22,8 @@ def make_batch(kind: str, points: np.ndarray, indices: np.ndarray | None = None)
     return gpu.types.GPUBatch(type=kind, buf=vertices, elem=gpu.types.GPUIndexBuf(type=kind, seq=indices))
 
 
-def draw(batch, shader: str, color, **uniforms):
-    shader = gpu.shader.from_builtin(shader)
+def draw(batch, shader_name: str, color, **uniforms):
+    shader = gpu.shader.from_builtin(shader_name)
     shader.bind()
     shader.uniform_float("color", color)
     for name, value in uniforms.items():

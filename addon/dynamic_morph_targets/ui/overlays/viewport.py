@@ -124,8 +124,8 @@ def skin_matrices(obj, depsgraph) -> np.ndarray | None:
         return None
     edited = obj.mode == "EDIT" and not modifier.show_in_editmode
     pose = model.rest if edited else rig_motion.pose_matrices(posed, order)
-    worlds = [np.array(moving.matrix_world)[None] for moving in (posed, obj.evaluated_get(depsgraph))]
-    bones = RigSamples(pose[None], *worlds).skin_matrices(model.skeleton, model.to_bind)[0]
+    rig_world, world = (np.array(moving.matrix_world)[None] for moving in (posed, obj.evaluated_get(depsgraph)))
+    bones = RigSamples(pose[None], rig_world, world).skin_matrices(model.skeleton, model.to_bind)[0]
     return bones.astype(np.float32) if np.isfinite(bones).all() else None
 
 
@@ -133,6 +133,7 @@ def skin_matrices(obj, depsgraph) -> np.ndarray | None:
 def _cage_batches(session_uid: int, content_id: str, bones: bytes):
     """Batches of the edges and of the held nodes, world space."""
     cage = _cage(session_uid, content_id)
+    assert cage is not None  # otherwise nothing is drawn
     points = cage.posed(np.frombuffer(bones, np.float32).reshape(-1, 3, 4))
     return make_batch("LINES", points, cage.edges), make_batch("POINTS", points[cage.held])
 
@@ -348,7 +349,7 @@ def _quietly(draw):
     return callback
 
 
-_handles = []
+_handles: list = []
 
 
 @persistent

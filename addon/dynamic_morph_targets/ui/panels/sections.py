@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
@@ -39,6 +40,9 @@ PHYSICS = {"bl_space_type": "PROPERTIES", "bl_region_type": "WINDOW", "bl_contex
 
 class SoftSkinPanel:
     """Mixin: draws one section for the mesh of the context."""
+
+    section: Any  # a Section
+    layout: Any  # of bpy.types.Panel
 
     @classmethod
     def poll(cls, context):

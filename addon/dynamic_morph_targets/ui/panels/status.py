@@ -144,7 +144,7 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
     for problem in checks.problems(skinning):
         yield problem, "ERROR"
     if not settings.targets and settings.follows:
-        text = Message("'{name}' moves with '{body}'", name=obj.name, body=settings.follows.name)
+        text: str = Message("'{name}' moves with '{body}'", name=obj.name, body=settings.follows.name)
         yield Problem(text), "LINKED"
         return
     for problem in body_checks.known(skinning):

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
+from typing import Any
 
 import bpy
 import numpy as np
@@ -54,7 +55,7 @@ def find(obj) -> list[str]:
             added.append(_add(obj, other, "", choice, refusal))
     _leave_something_soft(found)
     for each, touches in zip(found, _touching(found), strict=True):
-        whole = each.obj != obj and each.hard.all() and len(set(each.bones.tolist())) == 1
+        whole = each.obj != obj and bool(each.hard.all()) and len(set(each.bones.tolist())) == 1
         if each.obj != obj and each.obj not in listed:
             added.append(_add_mesh(obj, each, whole, touches, names))
         if not whole:
@@ -90,9 +91,11 @@ def problem(obj, piece) -> str:
     if piece.object and not piece.object.users_scene:
         return Message("'{name}' is gone: remove the attachment", name=piece.name)
     if piece.group:
-        gone = piece.group not in (piece.object or obj).vertex_groups
-        text = "The vertex group '{group}' is gone: choose another, or remove the attachment"
-        return Message(text, group=piece.group) if gone else ""
+        if piece.group in (piece.object or obj).vertex_groups:
+            return ""
+        return Message(
+            "The vertex group '{group}' is gone: choose another, or remove the attachment", group=piece.group
+        )
     if piece.attached_by in {"WITH_BODY", "HELD"} and rig_of(obj):
         return next((each.text for each in checks.follower(Skinning.of(obj), Skinning.of(piece.object))), "")
     return ""
@@ -101,8 +104,8 @@ def problem(obj, piece) -> str:
 def left_alone(obj) -> Iterator[str]:
     """The meshes of a character that no skin moves, one sentence each."""
     rig = rig_of(obj)
-    children = dict.fromkeys([*(rig.children_recursive if rig else ()), *obj.children_recursive])
-    children = [other for other in children if other.users_scene]
+    family = dict.fromkeys([*(rig.children_recursive if rig else ()), *obj.children_recursive])
+    children = [other for other in family if other.users_scene]
     for other in children:
         if other.type != "MESH" or other == obj or armature_modifiers(other):
             continue
@@ -150,7 +153,7 @@ def body_for(obj):
     if rig is None or obj.mode == "EDIT":
         return obj
     areas = {other: _soft_area(other, rig) for other in meshes_on(rig) if _may_be_soft(other, rig)}
-    largest = max(areas, key=areas.get, default=obj)
+    largest = max(areas, key=lambda other: areas[other], default=obj)
     accessory = areas.get(obj, 0.0) <= ACCESSORY * areas.get(largest, 0.0)
     return largest if obj.type == "ARMATURE" or accessory else obj
 
@@ -187,7 +190,7 @@ class _Found:
     bones (parts,): that carry most of each part.
     """
 
-    obj: object
+    obj: Any  # bpy.types.Object
     labels: np.ndarray
     points: np.ndarray
     triangles: np.ndarray

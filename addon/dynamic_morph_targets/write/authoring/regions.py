@@ -151,7 +151,7 @@ def _bones(targets: list) -> set[str]:
 
 def _sharing_bones(targets: list) -> list[list]:
     """The targets in sets, so that those of different sets have no bone in common."""
-    sets = []
+    sets: list[list] = []
     for target in targets:
         joined = [one for one in sets if _bones(one) & _bones([target])]
         sets = [one for one in sets if one not in joined] + [[*(each for one in joined for each in one), target]]

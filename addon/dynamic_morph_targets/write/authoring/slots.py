@@ -7,7 +7,6 @@ from dataclasses import asdict, replace
 
 from ...scene import plain, skin
 from .. import assign
-from .setups import fits
 
 
 def slot_settings(obj) -> dict:
@@ -33,7 +32,7 @@ def put_slot(obj, values: dict):
     simulation = obj.dynamorph.simulation
     properties = simulation.bl_rna.properties
     known = {name: value for name, value in values["simulation"].items() if name in properties}
-    assign.assign(simulation, {name: value for name, value in known.items() if fits(properties[name], value)})
+    assign.assign(simulation, {name: value for name, value in known.items() if plain.fits(properties[name], value)})
     for mode, gain in zip(obj.dynamorph.modes, values["gains"], strict=False):
         if mode.gain != gain:
             mode.gain = gain

@@ -100,7 +100,7 @@ def _axes_read(obj, rig, pose, skeleton) -> dict[str, dict[str, list]]:
         block = next((key for key in keys.key_blocks if curve.data_path == key.path_from_id("value")), None)
         if block is None or block.name in taken:
             continue
-        axes = {}
+        axes: dict = {}
         for variable in curve.driver.variables:
             for bone, turned_about in _turns_read(variable, rig, world_axes):
                 axes.setdefault(bone, []).extend(turned_about)
@@ -165,7 +165,7 @@ class _Trial:
 
     def turn(self, turns, angles):
         """Turn bones by angles (n,), from where they were at first, each about the axis of its turn (bone, axis)."""
-        turned = {}
+        turned: dict = {}
         for (bone, axis), angle in zip(turns, angles, strict=True):
             before = turned.get(bone) or self.bases.setdefault(bone, self.rig.pose.bones[bone].matrix_basis.copy())
             turned[bone] = before @ Quaternion(axis, angle).to_matrix().to_4x4()
@@ -210,7 +210,7 @@ def _turned_until_on(trial: _Trial, key: str, axes: dict[str, list]):
 
 def _distinct(axes) -> list:
     """Without repetitions, to sign."""
-    kept = []
+    kept: list = []
     for axis in axes:
         if not any(abs(abs(axis @ other) - 1.0) < 1e-4 for other in kept):
             kept.append(axis)

@@ -60,7 +60,7 @@ class Before:
 
 def _values(group) -> dict:
     """What is stored in a property group, with the groups and lists within it, by name."""
-    values = {}
+    values: dict = {}
     for name, prop in group.bl_rna.properties.items():
         if name == "rna_type":
             continue

@@ -34,11 +34,11 @@ def unmute_targets(obj, muted):
 
 def leave_to_live(obj):
     """The bake goes while Live plays: Live keeps the targets' keys muted that the bake had muted."""
-    record, blocks = obj.dynamorph, obj.data.shape_keys.key_blocks if obj.data.shape_keys else {}
+    record, keys = obj.dynamorph, obj.data.shape_keys
     for key in record.bake.muted:
-        if key.name in blocks:
+        if keys and key.name in keys.key_blocks:
             left = record.live.muted.add()
-            left.refer_to(blocks, blocks.find(key.name))
+            left.refer_to(keys.key_blocks, keys.key_blocks.find(key.name))
             left.was_muted = key.was_muted
     record.bake.muted.clear()
 

@@ -27,7 +27,7 @@ from ...io import disk, outputs
 try:
     import zstandard  # which Blender brings
 except ImportError:
-    zstandard = None
+    zstandard = None  # type: ignore[assignment]
 
 ZSTANDARD = b"\x28\xb5\x2f\xfd"  # with which a compressed file begins
 FRAME = 2**20  # bytes that are compressed together, as by Blender
@@ -119,7 +119,8 @@ def _is_compressed() -> bool:
 
 def _compress(path: Path):
     """Compress the file in place. Raises OSError."""
-    small, frames = _beside(path), []
+    small = _beside(path)
+    frames: list[tuple[int, int]] = []  # sizes, compressed and not
     try:
         with path.open("rb") as source, small.open("xb") as target:
             while content := source.read(FRAME):
@@ -190,9 +191,9 @@ def _keep(earlier: Path, path: Path, versions: int, newer: int = 0):
     """
     names = [Path(f"{path}{number}") for number in range(newer + 1, versions + 1)]
     try:
-        for older, newer in zip(names[:0:-1], names[-2::-1], strict=True):
-            if newer.exists():
-                disk.replace(newer, older)
+        for older, later in zip(names[:0:-1], names[-2::-1], strict=True):
+            if later.exists():
+                disk.replace(later, older)
         disk.replace(earlier, names[0])
     except OSError:
         others = (Path(f"{path}{number}") for number in count(1))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 from ...core.message import Message
 from ...scene import animation
@@ -114,7 +115,7 @@ def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
             name=obj.name,
             keys=", ".join(driven),
         )
-    blocks = obj.data.shape_keys.key_blocks if moving else ()
+    blocks: Any = obj.data.shape_keys.key_blocks if moving else ()
     whole = [name for name in moving if blocks[name].vertex_group or blocks[name].relative_key != blocks[0]]
     if key == "GLTF" and whole:
         yield Message(

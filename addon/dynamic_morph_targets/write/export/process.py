@@ -52,7 +52,7 @@ def export(format: str, collection: str, path: Path, frames: tuple[int, int], **
         request.write_text(json.dumps(job), encoding="utf-8")
         done = subprocess.run(
             [*_blender(), str(request)],
-            env=os.environ | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder),  # a crash leaves its own there
+            env={**os.environ, "TMPDIR": folder, "TEMP": folder, "TMP": folder},  # a crash leaves its own there
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace",
             creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
             check=False,
