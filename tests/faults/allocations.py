@@ -56,7 +56,7 @@ class Scene:
         self.bones = np.hstack([np.eye(3), np.zeros((3, 1))])[None]
         self.moved = self.bones + 0.01 * np.eye(3, 4)[None]
         self.weights = np.array([0.5, 0.5])
-        self.model_file = (Path(__file__).parents[1] / "fuzz" / "corpus" / "model" / "arm.dynamorph").read_bytes()
+        self.model_file = (Path(__file__).parents[1] / "golden" / "model.dynamorph").read_bytes()
 
         self.simulations = {
             "full": dm.FullSimulation(self.full, 0.01), "reduced": dm.ReducedSimulation(self.reduced, 0.01)
@@ -86,6 +86,7 @@ class Scene:
 
     def response_basis(self):
         basis = dm.make_response_basis(self.full, 3, 2)
+        basis = dm.adapt_response_basis(self.full, basis.U, basis.W)
         return dm.reduce(self.full, basis).lame_mu
 
 
