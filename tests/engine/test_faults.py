@@ -24,7 +24,7 @@ def marked(source: str) -> list[str]:
 
 def test_every_fault_has_a_test_and_every_mark_is_a_fault():
     """A mark names each of its faults once, at the test that shows it."""
-    files = [path for folder in ("engine", "addon") for path in (ROOT / "tests" / folder).glob("test_*.py")]
+    files = [path for folder in ("engine", "addon") for path in (ROOT / "tests" / folder).rglob("test_*.py")]
     shown = Counter(name for path in files for name in marked(path.read_text(encoding="utf-8")))
     assert [name for name in FAULTS if not shown[name]] == []
     assert [name for name in shown if name not in FAULTS] == []

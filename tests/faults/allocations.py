@@ -74,13 +74,13 @@ class Scene:
 
     def step(self, kind: str):
         simulation = self.simulations[kind]
-        simulation.frame_start(self.bones, self.moved, self.weights)
+        simulation.start(self.bones, self.moved, self.weights)
         simulation.advance(self.moved[None], self.weights[None])
         return simulation.coordinates
 
     def grabbed_step(self):
         simulation = self.simulations["reduced"]
-        simulation.frame_start(self.bones, self.moved, self.weights)
+        simulation.start(self.bones, self.moved, self.weights)
         simulation.advance(self.moved[None], self.weights[None], grabs=self.grabs)
         return self.reduced_skin.positions(self.moved, self.weights, simulation.coordinates)
 
