@@ -26,8 +26,6 @@ PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes, 
 def stored_model(obj) -> bytes | None:
     """The packed model of `obj`, or None. Raises ModelFileError when it should exist but does not."""
     packed = obj.get(PACKED)
-    if isinstance(packed, bytes):  # of version 0.1's first files
-        return packed
     if packed is not None:
         return _as_bytes(obj.name, packed)
     content_id = obj.dynamorph.model.content_id
