@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from dynamic_morph_targets.core.model import firmness
+from dynamic_morph_targets.core import firmness
 
 WEIGHTS = np.linspace(0.0, 1.0, 1001)
 

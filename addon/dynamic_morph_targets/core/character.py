@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .firmness import NEUTRAL
 from .geometry import inverse
-from .model.firmness import NEUTRAL
 from .settings import Material, ModelSettings
 
 REGION = "Dynamorph Region "  # how the names of automatic regions' vertex groups begin

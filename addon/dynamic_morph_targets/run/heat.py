@@ -13,9 +13,9 @@ import numpy as np
 
 from ..core import engine, errors
 from ..core.errors import SceneError
+from ..core.firmness import NEUTRAL
 from ..core.geometry import diagonal
 from ..core.message import Message
-from ..core.model.firmness import NEUTRAL
 from ..scene import extract, mesh_data, model_store, references, skin
 from ..write.bake import reading
 from . import live

@@ -14,9 +14,9 @@ import numpy as np
 from ..core import errors
 from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
+from ..core.firmness import NEUTRAL
 from ..core.geometry import interpolated
 from ..core.message import joined
-from ..core.model.firmness import NEUTRAL
 from ..core.motion import rig_samples, simulate
 from ..core.motion.player import Frame, Player, State
 from ..core.motion.rig_samples import RigSamples

@@ -14,9 +14,9 @@ from mathutils import Matrix
 
 from ..core import errors
 from ..core.character import Character, Follower, TargetSet
+from ..core.firmness import NEUTRAL, kept
 from ..core.geometry import diagonal, inverse, vertex_areas
 from ..core.model import rigid
-from ..core.model.firmness import NEUTRAL, kept
 from . import checks, mesh_data, rig_motion
 from .nearest import nearest
 from .skin import clothes_in, parts_in, parts_of

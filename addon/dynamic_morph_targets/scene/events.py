@@ -93,7 +93,7 @@ def redraw(regions: set[tuple[str, str]]):
 
 
 def redraw_status(context):
-    """Let the status bar of a window draw again, where `panels.draw_status` says what runs."""
+    """Let the status bar of a window draw again, where `ui/panels/sections` says what runs."""
     context.workspace.status_text_set(None)
 
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from ..core.character import Skeleton
 from ..core.errors import SceneError
+from ..core.firmness import NEUTRAL
 from ..core.geometry import determinant
-from ..core.model.firmness import NEUTRAL
 from .checks import skinned
 from .references import key_points, rest_skeleton
 from .rig_motion import in_meters, not_a_number, rig_scene

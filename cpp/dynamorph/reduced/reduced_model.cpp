@@ -14,12 +14,6 @@ void pack(const MatrixXd& symmetric, VectorXd& packed) {
     for (Eigen::Index l = k; l < r; ++l, ++p) packed(p) = symmetric(k, l);
 }
 
-void unpack(const VectorXd& packed, Eigen::Ref<MatrixXd> symmetric) {
-  const Eigen::Index r = symmetric.rows();
-  for (Eigen::Index k = 0, p = 0; k < r; ++k)
-    for (Eigen::Index l = k; l < r; ++l, ++p) symmetric(k, l) = symmetric(l, k) = packed(p);
-}
-
 /// y = S x for a packed symmetric S.
 void multiply_packed(const VectorXd& S, const VectorXd& x, VectorXd& y) {
   const Eigen::Index r = x.size();
@@ -64,12 +58,6 @@ TableLayout checked_layout(const std::vector<MorphTarget>& targets, const Reduce
 std::variant<ModalInertia, NodalInertia> inertia_of(const std::shared_ptr<const SoftBody>& body, const MatrixXd& U) {
   if (body->own_transforms) return NodalInertia(body, U);
   return ModalInertia(*body, U);
-}
-
-MatrixXd side_by_side(const MatrixXd& U, const MatrixXd& W) {
-  MatrixXd out(U.rows(), U.cols() + W.cols());
-  out << U, W;
-  return out;
 }
 
 /// W, checked against U (3 free, r); (3 free, 0) if there is none.
@@ -131,7 +119,8 @@ double linearize(const VectorXd& table, const TableLayout& layout, const VectorX
   }
   multiply_packed(constant + linear / 2 + quadratic / 3, v, force);
   stiffness.resize(r, r);
-  unpack(constant + linear + quadratic, stiffness);
+  const VectorXd tangent = constant + linear + quadratic;
+  unpack([&](Eigen::Index p) { return tangent(p); }, stiffness);
   return packed_quadratic(constant / 2 + linear / 6 + quadratic / 12, v);
 }
 
@@ -140,13 +129,14 @@ ReducedModel::ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<Mor
     : body_(std::move(body)),
       targets_(std::move(targets)),
       blending_(blending),
-      basis_(side_by_side(tables.basis, checked_responses(tables))),
+      basis_(tables.basis.rows(), tables.basis.cols() + tables.responses.cols()),
       coordinates_(checked_coordinates(*body_, targets_, tables.basis)),
       layout_(checked_layout(targets_, tables)),
       responses_(tables, targets_, coordinates_, blending_),
       padded_pairs_(whole_chunks(layout_.pairs())),
       inertia_(inertia_of(body_, tables.basis)),
       response_inertia_(body_, tables.basis, checked_responses(tables)) {
+  basis_ << tables.basis, checked_responses(tables);
   check(tables.law);
   check(blending_);
   const Eigen::Index r = layout_.r;
@@ -199,7 +189,7 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
   }
   responses_.blend(w, out.responses);
   if (!out.damping.fits(layout_.r, dofs())) out.damping = zero();
-  unpack(out.packed_damping, out.damping.corner());
+  unpack([&](Eigen::Index p) { return out.packed_damping(p); }, out.damping.corner());
   if (responses_.count() > 0) {
     out.damping.rest() = out.responses.damping;
     out.damping.border() = out.responses.border_damping;

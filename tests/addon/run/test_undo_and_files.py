@@ -354,14 +354,14 @@ def test_the_other_blender_bakes_with_the_stored_model_and_alike(skin, tmp_path)
         pytest.skip(f"needs the environment of Python {environment}: make build")
     bake(skin)
     here = motion(skin)
-    shot, report = tmp_path / "shot.blend", tmp_path / "report.json"
+    shot, baked, report = (tmp_path / name for name in ("shot.blend", "baked.blend", "report.json"))
     bpy.ops.wm.save_as_mainfile(filepath=str(shot))
-    command = [other, "-m", "dynamic_morph_targets", "bake", shot, "--all", "--in-place", "--report", report]
+    command = [other, "-m", "dynamic_morph_targets", "bake", shot, "--all", "-o", baked, "--report", report]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     (character,) = json.loads(report.read_text())["characters"]
     assert character["built"] == []
-    bpy.ops.wm.open_mainfile(filepath=str(shot))
+    bpy.ops.wm.open_mainfile(filepath=str(baked))
     size = np.linalg.norm(np.ptp(here[0], axis=0))
     assert np.abs(here - here[0]).max() > 0.05 * size
     assert np.abs(motion(bpy.data.objects["Arm"]) - here).max() < 1e-6 * size

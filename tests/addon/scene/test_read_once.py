@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import bpy
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.run import bake_input, job
-from bl_ext.user_default.dynamic_morph_targets.ui.panels import status
+from bl_ext.user_default.dynamic_morph_targets.ui import messages
 from figures import make_figure
 from installed import PACKAGE
 from robustness import coarse
@@ -68,6 +68,6 @@ def test_a_mesh_with_two_armature_modifiers_is_read_once(soft_arm):
 
 def test_the_messages_of_a_panel_read_the_modifiers_once(soft_arm):
     with counted() as counts:
-        list(status.messages(soft_arm))
+        list(messages.messages(soft_arm))
     assert counts["armature_modifiers", soft_arm.name] == counts["deforming_bones", soft_arm.name] == 1
     assert not {name for name, _ in counts} & {"VertexGroups.__init__", "worlds_at_start", "rest_points"}

@@ -13,11 +13,12 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from .. import firmness
 from ..character import Character, Target
 from ..engine import dynamorph
 from ..errors import SceneError
 from ..settings import ENGINE, FREE_SETTINGS, TABULATED, ModelSettings
-from . import cage, firmness
+from . import cage
 from .cage import ProgressFn, Report, Stages
 from .model import CAGE_DEPENDENCIES, MESH_DEPENDENCIES, Model, array_hash, engine_hash, morph_targets
 

@@ -12,10 +12,10 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from .. import firmness as paint
 from ..character import Character
 from ..engine import dynamorph
 from ..geometry import diagonal, triangle_areas
-from . import firmness as paint
 from . import pins
 from .hold import Depths, Hold, depths, hold
 

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import firmness as paint
 from ..engine import dynamorph
 from ..geometry import determinant, smooth_step
-from . import firmness as paint
 
 FIRMNESS = 100.0  # of fully held tissue, which then moves like tissue of a tenth of its thickness
 CORE = 0.35, 0.65  # depth over thickness where the hold of the core begins, and where it is full

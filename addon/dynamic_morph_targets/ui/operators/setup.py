@@ -19,8 +19,8 @@ from ...scene.skinning import Skinning, armature_modifiers
 from ...write.authoring import attachments
 from ...write.authoring.fixes import FIXES
 from ...write.bake import writer
+from .. import messages
 from ..base import SoftSkinOperator
-from ..panels import status
 from . import feel
 from .jobs import JobOperator, StartsJob
 
@@ -131,7 +131,7 @@ class DYNAMORPH_OT_fix(SoftSkinOperator, Operator):
 
     def apply(self, obj):
         body_checks.look(obj)
-        if self.problem not in [problem.fix for problem, _ in status.messages(obj)]:
+        if self.problem not in [problem.fix for problem, _ in messages.messages(obj)]:
             raise SceneError(
                 "'{name}' does not have this problem: {label} is not needed",
                 name=obj.name,

@@ -3,23 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ...core import engine
-from ...core.message import Message, joined
-from ...core.result import verdict
 from ...run import batch, live, preview
-from ...scene import body_checks, checks, skin, staleness
-from ...scene.checks import Problem
+from ...scene import checks, skin, staleness
 from ...scene.skinning import Skinning
 from ...write.display import comparison
+from .. import messages
 from ..widgets import draw_problem, line_length, progress_text
 
 ROOM = 28  # characters of a line with which the widest button of the pair has room for an icon too
-MOST_REASONS = 3  # of those for which something is out of date
 
 
 def draw_top(layout, context, obj):
@@ -121,69 +116,8 @@ def is_outdated(obj) -> bool:
 
 def draw_messages(layout, _context, obj):
     """All that is wrong or worth knowing. It is the last section, so that nothing moves when one comes or goes."""
-    found = list(messages(obj))
+    found = list(messages.messages(obj))
     for problem, icon in found:
         draw_problem(layout, problem, icon)
     if not found:
         layout.label(text="Nothing needs attention", icon="CHECKMARK")
-
-
-def messages(obj) -> Iterator[tuple[Problem, str]]:
-    """Each with its icon, the worst first, and none twice."""
-    said = set()
-    for problem, icon in _all_messages(obj):
-        if problem.text not in said:
-            said.add(problem.text)
-            yield problem, icon
-
-
-def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
-    settings, skinning = obj.dynamorph, Skinning.of(obj)
-    if engine.engine_problem():
-        yield Problem(engine.engine_problem()), "ERROR"
-    for problem in checks.problems(skinning):
-        yield problem, "ERROR"
-    if not settings.targets and settings.follows:
-        text: str = Message("'{name}' moves with '{body}'", name=obj.name, body=settings.follows.name)
-        yield Problem(text), "LINKED"
-        return
-    for problem in body_checks.known(skinning):
-        yield problem, "ERROR"
-    if settings.targets:
-        for text in texts(obj):
-            yield Problem(text), "ERROR"
-        for problem in checks.next_steps(obj):
-            yield problem, "INFO"
-    for problem in checks.notes(skinning):
-        yield problem, "INFO"
-    if not settings.targets:
-        return
-    if live.is_on(obj) and not bpy.context.scene.render.use_lock_interface:
-        if live.stood_still(obj):
-            text = "Live stood still in the last render: turn on Lock Interface (Render menu) or bake, and render again"
-            yield Problem(text, "LOCK_INTERFACE"), "ERROR"
-        else:
-            yield Problem("To render Live, turn on Lock Interface", "LOCK_INTERFACE"), "INFO"
-    found = verdict.parsed(settings.bake.verdict)
-    if settings.simulation.rehearsed and (found is None or found.ok):  # a later bake of another shot may move too far
-        yield Problem(settings.simulation.rehearsed), "INFO"
-
-
-def texts(obj) -> Iterator[str]:
-    """What is out of date, what stopped Live, and the warnings of the last build and bake."""
-    model, bake = obj.dynamorph.model, obj.dynamorph.bake
-    if checks.outgrown(obj):
-        yield checks.outgrown(obj)
-    if live.is_on(obj) and live.problem(obj):
-        yield live.problem(obj)
-    if comparison.is_plain(obj):
-        yield "Plain skinning is shown: the soft skin stays hidden until you press Show Soft Skin or save"
-    reasons = list(dict.fromkeys((*staleness.model_age(obj), *staleness.outdated(obj))))
-    if reasons and not batch.running:  # while a job runs they are outdated themselves
-        more = len(reasons) - MOST_REASONS
-        text = "Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}"
-        yield Message(text, reasons=joined(", ", reasons[:MOST_REASONS]), count=more)
-    found = verdict.parsed(bake.verdict)
-    for warning in filter(None, (*model.warnings.split("\n"), *bake.warnings.split("\n"))):
-        if not (found and warning.startswith(found.text)):  # which the section Result says
-            yield warning

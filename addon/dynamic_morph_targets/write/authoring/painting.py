@@ -6,8 +6,8 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from ...core import firmness
 from ...core.errors import SceneError
-from ...core.model import firmness
 from ...scene import checks, mesh_data, references, skin
 from .. import storage
 from ..bake import writer

@@ -2,6 +2,7 @@
 #include "dynamorph/reduced/inertia/nodal_inertia.hpp"
 
 #include "dynamorph/reduced/inertia/nodal_kernels.hpp"
+#include "dynamorph/reduced/modes/table_layout.hpp"
 
 namespace dynamorph {
 
@@ -18,10 +19,10 @@ double sum(const DoubleW& lanes) {
   return out;
 }
 
-void unpack(const LaneVector<DoubleW>& packed, Index r, MatrixXd& out) {
+/// packed: of the upper triangle, with a lane for each of several parts of the sum.
+void unpack_sum(const LaneVector<DoubleW>& packed, Index r, MatrixXd& out) {
   out.resize(r, r);
-  for (Index k = 0, p = 0; k < r; ++k)
-    for (Index l = k; l < r; ++l, ++p) out(k, l) = out(l, k) = sum(packed[p]);
+  unpack([&](Index p) { return sum(packed[p]); }, out);
 }
 
 }  // namespace
@@ -78,9 +79,9 @@ void NodalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
   }
   force.resize(r_);
   for (Index k = 0; k < r_; ++k) force(k) = sum(scratch.force[k]);
-  unpack(scratch.mass, r_, mass);
+  unpack_sum(scratch.mass, r_, mass);
   if (several)
-    unpack(scratch.damped, r_, damped);
+    unpack_sum(scratch.damped, r_, damped);
   else
     damped = densities.damped(0) / densities.density(0) * mass;
 }

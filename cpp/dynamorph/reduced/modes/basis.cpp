@@ -63,7 +63,7 @@ double largest(const MatrixXd& u) {
 /// The inertial loads (3 free, at most kLoads) that bones put on the soft tissue for unit density. Each bone
 /// accelerates along and about each axis. The loads are the strongest combinations of all bones by SVD, scaled by their
 /// strength.
-MatrixXd bone_loads(const SoftBody& body) {
+MatrixXd rigid_bone_loads(const SoftBody& body) {
   constexpr Eigen::Index kLoads = 24;
   const VectorXd mass = body.unit_mass();
   // Nodes with their own transforms are loaded as if one bone moved them.
@@ -231,7 +231,7 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   Basis basis;
   const int k = std::min(std::max(r, 8), model.dofs() / 3);
   report(progress, 0);
-  const MatrixXd loads = bone_loads(model.body());
+  const MatrixXd loads = rigid_bone_loads(model.body());
   const std::vector<int> distinct = distinct_targets(model.targets());
   std::vector<Candidates> all_candidates(distinct.size());
   run_tasks(int(all_candidates.size()), progress,

@@ -16,6 +16,13 @@ inline Eigen::Index pair_index(Eigen::Index r, Eigen::Index k, Eigen::Index l) {
   return k * r - k * (k - 1) / 2 + (l - k);
 }
 
+/// A symmetric matrix (r, r) from its packed upper triangle, rows first; entry(p): the p-th number of that.
+template <class Entry>
+void unpack(const Entry& entry, Eigen::Ref<MatrixXd> symmetric) {
+  for (Eigen::Index k = 0, p = 0; k < symmetric.rows(); ++k)
+    for (Eigen::Index l = k; l < symmetric.rows(); ++l, ++p) symmetric(k, l) = symmetric(l, k) = entry(p);
+}
+
 /// Where the parts of one table lie in its vector: K0 (pairs), K1 (pairs, r), then the lower triangle of the symmetric
 /// K2 (pairs, pairs), column after column. The linear law has K0 alone. Pairs of modes are the packed upper triangle,
 /// rows first. In a product with K2, a pair k < l stands for both its orders.

@@ -46,7 +46,7 @@ Matrix3d own_axes(const SoftBody& body) {
 
 /// The loads (3 free, at most `most`) that accelerated bones put on the tissue for unit density, M w_b (X - c_b, 1) e:
 /// twelve of each bone, as M^-1/2 times their strongest combinations.
-RowMajor bone_loads(const SoftBody& body, Index most) {
+RowMajor affine_bone_loads(const SoftBody& body, Index most) {
   const Index nodes = body.skin.rows(), bones = body.own_transforms ? 1 : body.skin.cols();
   const VectorXd volumes = body.volumes.rowwise().sum();
   MatrixXd weights = MatrixXd::Zero(nodes, bones);  // nodes with their own transforms are loaded as if by one bone
@@ -113,7 +113,7 @@ void count_solves(StaticSolver& solver, Index expected, const ProgressFn& progre
 
 /// The answers of all targets that differ, without bending.
 std::vector<Answers> all_answers(const FullModel& model, const VectorXd& root, Index most, const ProgressFn& progress) {
-  const RowMajor loads = bone_loads(model.body(), 2 * most);
+  const RowMajor loads = affine_bone_loads(model.body(), 2 * most);
   const std::vector<int> targets = distinct_targets(model.targets());
   std::vector<Answers> out(targets.size());
   run_tasks(int(targets.size()), progress, [&](int i, const ProgressFn& done) {

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..geometry import smooth_step
+from .geometry import smooth_step
 
 NEUTRAL = 0.5  # leaves the tissue as it is, and counts wherever nothing is painted
 FIRM = 0.9  # from here on the bones take hold
