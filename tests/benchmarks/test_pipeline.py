@@ -124,12 +124,12 @@ def test_bake(benchmark, pose_evaluation, frames, subdivided):
         runs.append({"total": total, **stages, "extract": total - sum(stages.values())})
 
     benchmark.pedantic(bake, rounds=ROUNDS, warmup_rounds=1)
-    made = build.model.summary
+    made = build.outcome.model.summary
     benchmark.extra_info.update(
         frames=frames,
         substeps=SUBSTEPS,
-        bones=len(build.character.skeleton.names),
-        vertices=len(build.character.vertices),
+        bones=len(build.outcome.character.skeleton.names),
+        vertices=len(build.outcome.character.vertices),
         **{name: made[name] for name in ("nodes", "dofs", "modes", "targets")},
         build=made["seconds"],
         stages=min(runs, key=lambda run: run["total"] - run["pose evaluation"]),

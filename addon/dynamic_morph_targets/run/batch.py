@@ -169,9 +169,9 @@ class Batch:
         return [job.thread for job in self.jobs if job.thread.is_alive()]
 
 
-def run(job: Job, tick: Callable[[Job], object] | None = None) -> None:
-    """The whole job at once. tick(job) is called in the main thread about ten times a second."""
-    run_all(Batch([job], job.request.goal), tick and (lambda _batch: tick(job)))
+def run(job: Job, tick: Callable[[Batch], object] | None = None) -> None:
+    """The whole job at once. tick(its batch) is called in the main thread about ten times a second."""
+    run_all(Batch([job], job.request.goal), tick)
 
 
 def run_all(work: W, tick: Callable[[W], object] | None = None) -> None:
