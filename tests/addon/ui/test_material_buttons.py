@@ -71,7 +71,7 @@ def test_fit_bounce(built_arm):
     poisson, density, content = target.poisson, target.density, built_arm.dynamorph.model.content_id
     assert OPS.fit_material.poll() and OPS.fit_material(frequency=4.0, settle_time=0.75) == {"FINISHED"}
     now = material_fit.bounce(*model_store.fit_input(built_arm, target))
-    assert (now.frequency, now.settle_time) == pytest.approx((4.0, 0.75), rel=1e-4)
+    assert (now.frequency, now.settle) == pytest.approx((4.0, 0.75), rel=1e-4)
     assert (target.poisson, target.density) == (poisson, density)
     assert model_store.stale_reasons(built_arm, extract.character(built_arm)) == []
     assert built_arm.dynamorph.model.content_id == content  # no new build
@@ -87,7 +87,7 @@ def test_the_dialog_begins_with_the_bounce_as_it_is(built_arm):
     target = built_arm.dynamorph.targets[1]
     assert invoked(built_arm, "DYNAMORPH_OT_fit_material", invoke_props_dialog=dialog) == {"CANCELLED"}
     now = fit_module.bounce(*model_store.fit_input(built_arm, target))
-    assert asked == [pytest.approx((now.frequency, now.settle_time), rel=1e-6)]
+    assert asked == [pytest.approx((now.frequency, now.settle), rel=1e-6)]
 
 
 def test_a_fit_needs_a_model_of_the_present_body(built_arm):

@@ -188,17 +188,6 @@ def test_a_damaged_model_is_built_again(soft_arm, stand_in, damage):
     assert stand_in.built == 2 and len(job.input.reasons) == 1
 
 
-def test_a_model_that_was_kept_as_bytes_is_read(soft_arm, stand_in):
-    """The first versions stored bytes, on which Blender's own exporters crash."""
-    bpy.ops.dynamorph.build()
-    packed = model_store.stored_model(soft_arm)
-    del soft_arm[model_store.PACKED]
-    soft_arm[model_store.PACKED] = packed
-    model_store.forget()
-    assert model_store.stored_model(soft_arm) == packed
-    assert model_store.stale_reasons(soft_arm, extract.character(soft_arm)) == []
-
-
 # Errors and canceling change nothing ------------------------------------------------------------------------------
 
 
