@@ -69,6 +69,15 @@ MatrixXd checked_responses(const ReducedTables& tables) {
   return W;
 }
 
+/// U and W (3 free, r + h).
+MatrixXd checked_basis(const ReducedTables& tables) {
+  const MatrixXd& U = tables.basis;
+  const MatrixXd W = checked_responses(tables);
+  MatrixXd all(U.rows(), U.cols() + W.cols());
+  all << U, W;
+  return all;
+}
+
 /// Shifts a table (Taylor) from v = z - z_j to z. Returns the energy at z = 0, and writes the force (r) there.
 double recenter(const TableLayout& layout, const VectorXd& coordinates, VectorXd& table, VectorXd& force) {
   const Eigen::Index r = layout.r, pairs = layout.pairs();
@@ -129,14 +138,13 @@ ReducedModel::ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<Mor
     : body_(std::move(body)),
       targets_(std::move(targets)),
       blending_(blending),
-      basis_(tables.basis.rows(), tables.basis.cols() + tables.responses.cols()),
+      basis_(checked_basis(tables)),
       coordinates_(checked_coordinates(*body_, targets_, tables.basis)),
       layout_(checked_layout(targets_, tables)),
       responses_(tables, targets_, coordinates_, blending_),
       padded_pairs_(whole_chunks(layout_.pairs())),
       inertia_(inertia_of(body_, tables.basis)),
       response_inertia_(body_, tables.basis, checked_responses(tables)) {
-  basis_ << tables.basis, checked_responses(tables);
   check(tables.law);
   check(blending_);
   const Eigen::Index r = layout_.r;

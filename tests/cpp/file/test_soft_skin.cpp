@@ -54,25 +54,26 @@ struct Scene {
     weights.col(0).setOnes();  // of the pinned nodes, whose own are not kept
     for (std::size_t i = 0; i < body->free_nodes.size(); ++i) weights.row(body->free_nodes[i]) = body->skin.row(i);
     const std::int64_t columns = tables.basis.rows();
-    return {{{"nodes", stored(MatrixXd(body->mesh.nodes), {n, 3})},
-             {"tets",
-              stored(std::vector<std::int32_t>(body->mesh.tets.data(), body->mesh.tets.data() + 4 * m), "I32", {m, 4})},
-             {"fill", stored(MatrixXd(body->fill), {m})},
-             {"stiffness", stored(MatrixXd(VectorXd::Ones(m)), {m})},
-             {"region_weights", stored(body->region_weights, {m, 1})},
-             {"pinned", stored(pinned, "BOOL", {n})},
-             {"node_weights", stored(weights, {n, 2})},
-             {"embedding_nodes", stored(std::vector<std::int32_t>{last(0), last(1), last(2), last(3)}, "I32", {1, 4})},
-             {"embedding_weights", stored(MatrixXd(Eigen::RowVector4d(0.5, 0, 0, 0.5)), {1, 4})},
-             {"displacements", stored(displacements, {J, n, 3})},
-             {"residual_shapes", stored(MatrixXd::Constant(J, 3, 0.25), {J, 1, 3})},
-             {"to_bind", stored(MatrixXd(2 * Matrix3d::Identity()), {3, 3})},
-             {"basis", stored(tables.basis, {columns, r})},
-             {"table_lambda", stored(lambda, {J, size})},
-             {"table_mu", stored(mu, {J, size})},
-             {"hold_strength", stored(MatrixXd(0, 0), {0, 0})},
-             {"responses", stored(MatrixXd(0, 0), {0, 0})}},
-            R"({"settings": {"material_model": "STVK", "solver": "REDUCED", "method": "DYNAMIC"}, "bone_names": ["root"]})"};
+    return {
+        {{"nodes", stored(MatrixXd(body->mesh.nodes), {n, 3})},
+         {"tets",
+          stored(std::vector<std::int32_t>(body->mesh.tets.data(), body->mesh.tets.data() + 4 * m), "I32", {m, 4})},
+         {"fill", stored(MatrixXd(body->fill), {m})},
+         {"stiffness", stored(MatrixXd(VectorXd::Ones(m)), {m})},
+         {"region_weights", stored(body->region_weights, {m, 1})},
+         {"pinned", stored(pinned, "BOOL", {n})},
+         {"node_weights", stored(weights, {n, 2})},
+         {"embedding_nodes", stored(std::vector<std::int32_t>{last(0), last(1), last(2), last(3)}, "I32", {1, 4})},
+         {"embedding_weights", stored(MatrixXd(Eigen::RowVector4d(0.5, 0, 0, 0.5)), {1, 4})},
+         {"displacements", stored(displacements, {J, n, 3})},
+         {"residual_shapes", stored(MatrixXd::Constant(J, 3, 0.25), {J, 1, 3})},
+         {"to_bind", stored(MatrixXd(2 * Matrix3d::Identity()), {3, 3})},
+         {"basis", stored(tables.basis, {columns, r})},
+         {"table_lambda", stored(lambda, {J, size})},
+         {"table_mu", stored(mu, {J, size})},
+         {"hold_strength", stored(MatrixXd(0, 0), {0, 0})},
+         {"responses", stored(MatrixXd(0, 0), {0, 0})}},
+        R"({"settings": {"material_model": "STVK", "solver": "REDUCED", "method": "DYNAMIC"}, "bone_names": ["root"]})"};
   }
 };
 
@@ -161,6 +162,7 @@ TEST_CASE("what does not fit together is refused") {
     file::Content spoiled = whole;
     spoiled.arrays.erase(spoiled.arrays.begin() + std::ptrdiff_t(k));
     CHECK_THROWS_AS(file::load_soft_skin(spoiled, scene.targets), Error);
+    if (whole.arrays[k].second.bytes.empty()) continue;  // the model does not have what it holds
     spoiled = whole;
     spoiled.arrays[k].second.dtype = "U16";
     CHECK_THROWS_AS(file::load_soft_skin(spoiled, scene.targets), Error);
