@@ -159,7 +159,8 @@ SoftSkin load_soft_skin(const Content& content, std::vector<MorphTarget> targets
   add_responses(content, tables, J);
   auto model = std::make_shared<ReducedModel>(body, std::move(targets), tables, blending);
   MatrixXd modes = surface_modes(content, *model);
-  return {std::move(model), how.bone_names, std::move(modes), table<double>(content, "residual_shapes", {J, V, 3}).transpose()};
+  return {std::move(model), how.bone_names, std::move(modes),
+          table<double>(content, "residual_shapes", {J, V, 3}).transpose()};
 }
 
 }  // namespace dynamorph::file

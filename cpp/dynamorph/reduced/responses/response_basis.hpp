@@ -20,9 +20,9 @@ struct ResponseBasis {
 /// resists some motion of it (check_no_free_motion), and std::invalid_argument unless h is at least 1.
 ResponseBasis make_response_basis(const FullModel& model, int r, int h, const ProgressFn& progress = {});
 
-/// The modes U and responses W of another stiffness, for the same body and targets: the same modes, and responses of the
-/// same span, which this stiffness decouples. For a picture while the stiffness is painted; amplitudes stay empty. Throws
-/// std::invalid_argument unless both have the model's degrees of freedom, and Error where they do not fit it.
+/// The modes U and responses W of another stiffness, for the same body and targets: the same modes, and responses of
+/// the same span, which this stiffness decouples. For a picture while the stiffness is painted; amplitudes stay empty.
+/// Throws std::invalid_argument unless both have the model's degrees of freedom, and Error where they do not fit it.
 ResponseBasis adapt_response_basis(const FullModel& model, const MatrixXd& U, const MatrixXd& W);
 
 }  // namespace dynamorph
