@@ -94,9 +94,10 @@ import importlib, pkgutil, sys
 sys.modules["dynamorph"] = None
 import dynamic_morph_targets.core as core, dynamic_morph_targets.io as io
 for package in (core, io):
-    for module in pkgutil.iter_modules(package.__path__):
-        importlib.import_module(f"{package.__name__}.{module.name}")
-from dynamic_morph_targets.core import cage, errors
+    for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+        importlib.import_module(module.name)
+from dynamic_morph_targets.core import errors
+from dynamic_morph_targets.core.model import cage
 try:
     cage.dynamorph.embed
 except errors.EngineNotFoundError as error:

@@ -28,7 +28,7 @@ def elbow(radius=0.0):
     empty = np.zeros(0)
     targets = (target("straight", 0.0), target("flexed", 1.0, radius))
     skeleton = Skeleton(("bone",), np.array([-1]), np.eye(4)[None])
-    return Character("arm", *[empty] * 7, skeleton, (TargetSet("arm", targets, empty),))
+    return Character("arm", *[empty] * 5, skeleton, (TargetSet("arm", targets, empty),))
 
 
 def test_a_radius_fades_its_target_out():
