@@ -48,7 +48,7 @@ def test_distances_are_angles():
 def test_a_negative_radius_is_refused():
     character = elbow()
     target_set = character.target_sets[0]
-    bad = replace(target_set, targets=(target_set.targets[0], replace(target_set.targets[1], radius=-1.0)))
+    bad = replace(target_set, targets=(target_set.targets[0], replace(target_set.targets[1], fade_out_angle=-1.0)))
     with pytest.raises(ValueError, match="radius must be"):
         posing.pose_space(replace(character, target_sets=(bad,)))
 
