@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+import traceback
 from pathlib import Path
 
 try:
@@ -157,4 +158,9 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    leave(main())
+    try:
+        code = main()
+    except BaseException:  # Blender 4.5 might never end by itself
+        traceback.print_exc()
+        code = 1
+    leave(code)

@@ -48,7 +48,7 @@ def test_opens_without_an_error(scene, capfd, name):
 def test_the_demo_bakes_and_draws(tmp_path):
     """`make demo`, a newcomer's first command, in a process of its own as there."""
     command = [sys.executable, SAMPLES / "demo.py", "--draft", "--out", tmp_path]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bulging_cylinder.png", "bulging_cylinder_baked.blend"]
     assert "160 frames" in done.stdout
