@@ -231,7 +231,7 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "capture_pose": (posed, {}),
     "check_targets": (built, {}),
     "compare_beside": (baked, {}),
-    "compare_final": (baked, {}),
+    "compare_full": (baked, {}),
     "copy_slot": (target_selected, {}),
     "copy_to_selected": (other_mesh_selected, {}),
     "duplicate_target": (target_selected, {}),

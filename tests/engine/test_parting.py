@@ -153,7 +153,10 @@ def test_the_switch_serves_itself_of_the_same_tetrahedra(monkeypatch):
     np.testing.assert_array_equal(again.nodes, cut.nodes)
     np.testing.assert_array_equal(again.tets, cut.tets)
     assert again.summary["glued"] == cut.summary["glued"]
-    assert not has_cage(cut, glued) and stale_reasons(cut, glued) == ["only the cage is built", "separate changed"]
+    assert not has_cage(cut, glued) and stale_reasons(cut, glued) == [
+        "only the cage is built",
+        "Split Touching Parts changed",
+    ]
     whole = build_cage(glued, previous=cut)
     assert len(cut.nodes) - len(whole.nodes) == cut.summary["glued"]["split_nodes"]
     np.testing.assert_array_equal(build_cage(of, previous=whole).tets, cut.tets)
@@ -273,10 +276,10 @@ def test_a_belt_in_its_own_cage_does_not_feel_the_body():
 
 def test_pieces_are_a_reason_to_build_again():
     of = head_with_eye(0)
-    assert "pieces" in MESH_DEPENDENCIES
+    assert "attachments" in MESH_DEPENDENCIES
     model = build_cage(of)
     assert has_cage(model, of) and not has_cage(model, head_with_eye(-1))
-    assert "pieces changed" in stale_reasons(model, head_with_eye(-1))
+    assert "attachments changed" in stale_reasons(model, head_with_eye(-1))
 
 
 def test_a_triangle_between_pieces_counts_with_the_largest_number():

@@ -22,7 +22,7 @@ from ..core.material import fit, oscillation
 from ..core.result import compare
 from ..core.settings import MOST_SUBSTEPS, VARIANTS, Material, ModelSettings
 from ..io import cache_dir, disk, outputs, paths, point_cache, report_page
-from ..run import batch, expected_error, export_actions, final_comparison
+from ..run import batch, expected_error, export_actions, full_comparison
 from ..run.job import Job
 from ..scene import checks, extract, mesh_data, model_store, run_settings, skin, staleness
 from ..scene.skinning import Skinning
@@ -33,7 +33,7 @@ from ..write.reconcile import reconcile
 from . import signals
 from .record import Done, ProgressPrinter, print_table
 
-SETTABLE = (*(field.name for field in fields(Material)), "fade_out_angle", "influence")  # properties of a target
+SETTABLE = (*(field.name for field in fields(Material)), "fade_out_angle", "amount")  # properties of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
 SIMULATION_SETTINGS = (
     "samples", "integrator", "gravity", "fields", "initial_state", "preroll", "preroll_pose", "loop", "keep_outside",
@@ -102,9 +102,9 @@ def work_on(
         option = "--enable-autoexec" if hasattr(args, "enable_autoexec") else "-y before -c"
         text = "The file has Python, such as drivers, that did not run, so the motion may be another one"
         warnings.append(f"{text}: say {option} if you trust it")
-    if args.compare_final:
-        batch.run_all(final_comparison.FinalComparison(obj), tick)
-        job.outcome.report["off_final"] = obj.dynamorph.bake.off_final
+    if args.compare_full:
+        batch.run_all(full_comparison.FullComparison(obj), tick)
+        job.outcome.report["off_full"] = obj.dynamorph.bake.off_full
     if format_of(args) in exports.FORMATS:
         first, last = job.outcome.bake.frames[[0, -1]] if job.input.is_bake else (0, 0)
         warnings += export(args, obj, files[obj.name], (math.ceil(first), math.floor(last)))
@@ -125,8 +125,8 @@ def apply_settings(args: argparse.Namespace, obj: bpy.types.Object) -> None:
     """Apply the settings of the command line to the object. Raises InputError."""
     for change in args.changes:
         set_property(obj, change)
-    if args.compare_final and (args.clips == "actions" or args.solver == "full"):
-        raise InputError("--compare-final compares a reduced bake: leave --clips actions and --solver full out")
+    if args.compare_full and (args.clips == "actions" or args.solver == "full"):
+        raise InputError("--compare-full compares a reduced bake: leave out --clips actions and --solver full")
     for group, names in SETTINGS.items():
         for name in names:
             if (value := getattr(args, name, None)) is not None:

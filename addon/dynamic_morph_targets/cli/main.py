@@ -183,7 +183,7 @@ def add_bake(command: Callable[..., argparse.ArgumentParser]) -> None:
                       help="actions, for gltf and fbx: one animation per Action of the armature, each simulated on its "
                       "own, instead of the scene's frames")  # fmt: skip
     add_settings(bake, "output", OUTPUT_SETTINGS)
-    bake.add_argument("--compare-final", action="store_true",
+    bake.add_argument("--compare-full", action="store_true",
                       help="also say how far the reduced motion is from that of --solver full")  # fmt: skip
     add_model(bake)
 
@@ -191,7 +191,7 @@ def add_bake(command: Callable[..., argparse.ArgumentParser]) -> None:
 def add_build(command: Callable[..., argparse.ArgumentParser]) -> None:
     build = command("build", run_job, "build models")
     build.set_defaults(goal="BUILD", frames=None, substeps=None, format=None, output_file=None, clips="scene",
-                       compare_final=False)  # fmt: skip
+                       compare_full=False)  # fmt: skip
     add_model(build)
 
 

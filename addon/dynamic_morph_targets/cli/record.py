@@ -122,8 +122,8 @@ def print_table(job: Job, save_seconds: float) -> None:
             rows.append(("keys' error", f"{1000 * report['keys_error']:.3g} mm"))
         if "seam" in report:
             rows.append(("seam", f"{1000 * report['seam']:.3g} mm"))
-        if "off_final" in report:
-            rows.append(("off Full Quality", f"{100 * report['off_final']:.1f} %"))
+        if "off_full" in report:
+            rows.append(("off Full Quality", f"{100 * report['off_full']:.1f} %"))
         if "compression_error" in report:
             rows.append(("compression error", f"{1000 * report['compression_error']:.3g} mm"))
     rows += [(stage, f"{seconds:.2f} s") for stage, seconds in (*job.progress.seconds.items(), ("save", save_seconds))]

@@ -60,9 +60,9 @@ class Measurement:
         hop = self._still.moved(preview.shake_transforms("HOP", self._still, shots[0].player, FRAMES / FPS))
         for shot in shots:
             shot.play(hop)
-        reduced, final = (shot.bake(exact=shot is shots[1])[0] for shot in shots)  # exact reduced ones take memory
+        reduced, full = (shot.bake(exact=shot is shots[1])[0] for shot in shots)  # exact reduced ones take memory
         areas = vertex_areas(character.vertices @ character.to_bind.T, character.triangles)
-        return baked.motion_distance(reduced, final, character.to_bind, areas)
+        return baked.motion_distance(reduced, full, character.to_bind, areas)
 
     def goes_on(self, _fraction: float, _message: str) -> bool:
         """Asked by the simulation, in the thread."""

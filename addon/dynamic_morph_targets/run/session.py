@@ -195,7 +195,7 @@ class Session:
             values += fraction * (self.tissue.values(self._frames[before + 1]) - values)
         if not np.isfinite(values).all():  # Python and drivers can set any value as a gain
             raise errors.SelfCheckError(
-                "'{name}': its motion is not numbers: reset the gains of its modes, or the targets' Amount",
+                "'{name}': its motion is not finite: press Reset Amounts, or set the targets' Amount to 1",
                 name=obj.name,
             )
         return values
@@ -342,7 +342,7 @@ def _gains(obj: bpy.types.Object) -> tuple[float, ...]:
 
 def _motion_amounts(obj: bpy.types.Object, character: Character) -> np.ndarray:
     """The motion amounts of the character's targets (J,), as authored now."""
-    by_name = {name: target.influence for name, target in skin.named_targets(obj)}
+    by_name = {name: target.amount for name, target in skin.named_targets(obj)}
     return np.array([by_name[name] for target_set in character.target_sets for name in _names(target_set)])
 
 

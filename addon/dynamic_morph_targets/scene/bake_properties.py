@@ -242,8 +242,8 @@ class DynamorphBake(PropertyGroup):
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
     lost: StringProperty(name="Lost", description="Point caches that are missing as last seen, one per line")
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
-    off_final: FloatProperty(
-        name="Off Final",
+    off_full: FloatProperty(
+        name="Off Full Quality",
         description="How far the reduced motion is from that of Full Quality, as a fraction of it; negative before "
         "they were compared",
         default=-1.0,

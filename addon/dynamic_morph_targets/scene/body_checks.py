@@ -71,8 +71,8 @@ def unintended(source: Source, points: np.ndarray, to_bind: np.ndarray) -> Itera
     count = int(source.left_behind.sum())
     if count:
         yield Problem(
-            "{count} of the {total} vertices of '{name}' have no bone weight: they stay behind when the armature "
-            "moves; weight them",
+            "{count} of the {total} vertices of '{name}' have no bone weight and stay behind when the armature "
+            "moves: weight them",
             "WEIGHT_LIKE_NEAREST",
             count=count,
             total=len(points),
@@ -127,7 +127,7 @@ def _world(obj) -> np.ndarray:
 
 
 def _state(skinning: Skinning) -> tuple:
-    """What a look depends on and is quickly read. Edits of the mesh are not among it: they call `forget`."""
+    """What a look depends on and is quickly read. Edits of the mesh are not among it: they call `outdate`."""
     obj, targets = skinning.obj, skinning.obj.dynamorph.targets
     rigs = tuple(modifier.object.data.session_uid for modifier in skinning.modifiers)
     scale = tuple(round(side, 5) for side in obj.matrix_world.to_scale())

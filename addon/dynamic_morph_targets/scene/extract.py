@@ -149,7 +149,7 @@ def _target(source: Source, target) -> Target:
             target=target.name,
         )
     return Target(
-        target.name, shape, target.bone_names(), local, rig_world, material, target.fade_out_angle, target.influence,
+        target.name, shape, target.bone_names(), local, rig_world, material, target.fade_out_angle, target.amount,
         target.frequency, target.by_hand,
     )  # fmt: skip
 

@@ -28,9 +28,9 @@ from .skin import clothes_in, followers, named_targets, parts_in
 from .skinning import Skinning
 
 SCULPT = "sculpt"  # in the records of targets; identifies a renamed target
+PAINTED = ("Firmness changed", "what is rigid changed")  # for both of which a stroke of paint is enough
 # Properties of targets on which no result depends: the stiffness and the region contain them, or they only steer the
 # add-on.
-PAINTED = ("Firmness changed", "what is rigid changed")  # for both of which a stroke of paint is enough
 UNUSED = ("rig_world", "frequency", "by_hand", "auto_region", "auto_bones")
 
 

@@ -154,7 +154,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         "reaches until another target is nearer. Set it where the target shows in poses that it is not for",
         default=0.0, min=0.0, soft_max=np.pi, subtype="ANGLE", override=OVERRIDE,
     )  # fmt: skip
-    influence: FloatProperty(  # its name in files; elsewhere `motion_amount`
+    amount: FloatProperty(
         name="Amount",
         description="How much of the motion shows in this target's pose and region. Lower it where a pose must hold "
         "still; 0 shows the sculpted shape alone",

@@ -150,7 +150,7 @@ def test_motion_amount_of_a_target_ends_with_its_region(two_regions, solver, lea
     run(two_regions, solver=solver, modes=40)
     motion = []
     for amount in (1.0, 0.0):
-        two_regions.dynamorph.targets["tip"].influence = amount
+        two_regions.dynamorph.targets["tip"].amount = amount
         job = run(two_regions)
         bake = job.outcome.bake
         motion.append(np.tensordot(bake.coordinates - bake.static, bake.modes, 1))

@@ -105,7 +105,7 @@ def test_more_modes_have_a_smaller_one(coarse):
 def test_a_bake_measures_what_it_built(coarse):
     build(coarse, "DYNAMORPH_OT_bake")
     wait()
-    assert "Expected error" in said(coarse) and coarse.dynamorph.bake.off_final < 0
+    assert "Expected error" in said(coarse) and coarse.dynamorph.bake.off_full < 0
 
 
 @pytest.mark.parametrize(

@@ -360,21 +360,21 @@ def test_gains_and_solo_show_at_once(playing):
 
 def test_motion_amount_of_a_target_shows_at_once_and_as_in_the_bake(playing):
     whole = play(playing, range(1, 21))
-    playing.dynamorph.targets["flexed"].influence = 0.0
+    playing.dynamorph.targets["flexed"].amount = 0.0
     bake, static = baked(playing), session(playing).tissue.player.static
     assert apart(surface(playing), bake[-1]) < 1e-6 < apart(whole[-1], bake[-1])
     _, weights = values_at(playing, 20)
     expected = session(playing).tissue.points(np.concatenate([static(weights), weights])).reshape(-1, 3)
     assert apart(surface(playing), expected) < 1e-6
     assert apart(play(playing, range(1, 21)), bake) < 1e-6
-    playing.dynamorph.targets["flexed"].influence = 1.0
+    playing.dynamorph.targets["flexed"].amount = 1.0
     assert apart(play(playing, range(1, 21)), whole) < 1e-6
 
 
 def test_a_motion_amount_that_is_not_a_number_is_refused(playing):
     play(playing, range(1, 4))
-    playing.dynamorph.targets["flexed"].influence = float("nan")
-    stopped(playing, "reset the gains")
+    playing.dynamorph.targets["flexed"].amount = float("nan")
+    stopped(playing, "press Reset Amounts")
     with pytest.raises(errors.SceneError, match="Amount of target 'flexed' is nan, but must be"):
         baked(playing)
 
@@ -382,7 +382,7 @@ def test_a_motion_amount_that_is_not_a_number_is_refused(playing):
 def test_a_gain_that_is_not_a_number_is_not_shown(playing):
     play(playing, range(1, 4))
     playing.dynamorph.modes[0].gain = float("nan")
-    stopped(playing, "reset the gains")
+    stopped(playing, "press Reset Amounts")
     assert np.isfinite(surface(playing)).all()
     bpy.ops.dynamorph.reset_gains()
     bpy.context.view_layer.update()

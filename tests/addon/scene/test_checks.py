@@ -276,7 +276,7 @@ def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm, capfd):
     assert len(arm.dynamorph.targets) == 1
     shown = " ".join(drawn(arm))  # each is reported once, so that the report stays readable
     assert (
-        shown.count("check the scale") == shown.count("have no bone weight:") == shown.count("'Arm' is skinned by") == 1
+        shown.count("check the scale") == shown.count("have no bone weight") == shown.count("'Arm' is skinned by") == 1
     )
 
 
@@ -298,7 +298,7 @@ def test_vertices_that_stay_behind_are_counted(soft_arm):
     for group in soft_arm.vertex_groups:
         group.remove([3, 4, 5])
     (warning,) = warnings_of(soft_arm)
-    assert warning.startswith("3 of the 272 vertices of 'Arm' have no bone weight: they stay behind")
+    assert warning.startswith("3 of the 272 vertices of 'Arm' have no bone weight and stay behind")
 
 
 # A body that looks unintended, before the click ----------------------------------------------------------------------

@@ -155,7 +155,7 @@ def test_a_new_soft_skin_shows_twelve_controls_at_most(arm, stand_in):
 IN_SIGHT = {
     "feel": ["amount", "bounce", "settle_time", "mass"],
     "firmness": ["firmness_group"],
-    "targets": ["influence"],
+    "targets": ["amount"],
     "attachments": ["hold_head"],
     "bake": [
         "solver",

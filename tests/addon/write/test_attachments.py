@@ -459,7 +459,7 @@ def test_the_choice_of_parts_goes_into_the_character(scene):
     character = extract.character(arm, without_targets=True)
     assert not character.pieces[:body].any() and sorted(character.pieces[body::8]) == [-1, 0, 1, 2]
     other = Character(**{**vars(character), "pieces": None})
-    assert build.dependencies(character)["pieces"] != build.dependencies(other)["pieces"]
+    assert build.dependencies(character)["attachments"] != build.dependencies(other)["attachments"]
     arm.vertex_groups[arm.dynamorph.attachments[0].group].name = "Buckle"
     reconcile.reconcile(arm)
     assert arm.dynamorph.attachments[0].group == "Buckle"

@@ -566,14 +566,14 @@ def test_what_animates_a_target_follows_it_in_the_list(soft_arm, how):
     for name, amount in (("flexed", 0.9), ("smile", 0.2), ("third", 0.3)):
         target = settings.targets[names(soft_arm).index(name)]
         if how == "keyed":
-            target.influence = amount
-            target.keyframe_insert("influence", frame=1)
+            target.amount = amount
+            target.keyframe_insert("amount", frame=1)
         else:
-            target.driver_add("influence").driver.expression = str(amount)
+            target.driver_add("amount").driver.expression = str(amount)
 
     def amounts():
         bpy.context.scene.frame_set(2)
-        return {target.name: round(target.influence, 3) for target in settings.targets[1:]}
+        return {target.name: round(target.amount, 3) for target in settings.targets[1:]}
 
     settings.active_target_index = names(soft_arm).index("third")
     OPS.move_target(direction="UP")

@@ -310,6 +310,24 @@ def _fallback_warnings(fallbacks: dict[str, int], tets: int) -> list[str]:
 
 # What a model depends on -------------------------------------------------------------------------------------------
 
+# What the artist calls them, where that is not their name.
+TITLES = {
+    "basis": "Modes From",
+    "blending": "Between Targets",
+    "cage adaptivity": "Cage Adaptivity",
+    "cage nodes": "Cage Nodes",
+    "cage thickness": "Cage Thickness",
+    "fit to shot": "Fit Modes to Shot",
+    "hold": "Hold",
+    "hold head": "Hold Head",
+    "material model": "Material Model",
+    "method": "Method",
+    "modes": "Detail (Modes)",
+    "pin radius": "Bone Pinning",
+    "separate": "Split Touching Parts",
+    "solver": "Quality",
+}
+
 
 def dependencies(character: Character) -> dict[str, str]:
     """Hashes of everything that a built model depends on, by name. Materials and poses are not among them."""
@@ -319,7 +337,7 @@ def dependencies(character: Character) -> dict[str, str]:
         "object scale": (character.to_bind,),
         "skin weights": (character.weights,),
         "Firmness": (character.firmness,),
-        "pieces": (character.pieces,),
+        "attachments": (character.pieces,),
         "what is rigid": (character.rigidity,),
         "bones at rest": (skeleton.parents, skeleton.rest, character.bone_segments),
         "regions": (
@@ -350,7 +368,7 @@ def stale_reasons(model: Model, character: Character) -> list[str]:
     changed = [name for name in considered if now.get(name) != then.get(name)]
     if model.settings.solver == "REDUCED" and "solver" in changed:  # it serves unreduced simulations too
         changed.remove("solver")
-    names = {f"shape {j}": f"shape of '{target.name}'" for j, target in enumerate(character.targets)}
+    names = TITLES | {f"shape {j}": f"shape of '{target.name}'" for j, target in enumerate(character.targets)}
     if "number of targets" in changed:
         changed = [name for name in changed if not name.startswith("shape ")]
     return ["only the cage is built"] * model.only_cage + [f"{names.get(name, name)} changed" for name in changed]

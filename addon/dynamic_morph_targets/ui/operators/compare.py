@@ -43,7 +43,7 @@ class DYNAMORPH_OT_show_plain(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_swap_slot(SoftSkinOperator, Operator):
-    """Switch to the other of two sets of settings to compare them: materials, simulation and gains of modes"""
+    """Switch to the other of two sets of settings to compare them: materials, simulation and the Amounts of modes"""
 
     bl_idname = "dynamorph.swap_slot"
     bl_label = "Compare A and B"

@@ -10,7 +10,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
 from ...core.message import Message, joined, translated
-from ...run import batch, expected_error, final_comparison, live
+from ...run import batch, expected_error, full_comparison, live
 from ...run.batch import run_all
 from ...run.job import Job
 from ...scene import events, staleness
@@ -203,25 +203,25 @@ def _own_skins(scene) -> list:
     ]
 
 
-class DYNAMORPH_OT_compare_final(JobOperator, Operator):
+class DYNAMORPH_OT_compare_full(JobOperator, Operator):
     """Simulate the shot of the bake in Full Quality too, and say how far the reduced motion is from that"""
 
-    bl_idname = "dynamorph.compare_final"
+    bl_idname = "dynamorph.compare_full"
     bl_label = "Compare with Full Quality"
-    goal = "COMPARE_FINAL"
+    goal = "COMPARE_FULL"
 
     @classmethod
     def disabled_reason(cls, context):
         obj = mesh_in(context)
-        reason = super().disabled_reason(context) or final_comparison.disabled_reason(obj)
+        reason = super().disabled_reason(context) or full_comparison.disabled_reason(obj)
         return reason or ("The bake is out of date: bake again first" if staleness.outdated(obj) else "")
 
     def _batch(self, obj):
-        return final_comparison.FinalComparison(obj)
+        return full_comparison.FullComparison(obj)
 
     def _done(self, batch):
         obj = batch.jobs[0].target()
-        self.report({"INFO"}, translated(joined(": ", [obj.name, final_comparison.summary(obj)]), rpt_))
+        self.report({"INFO"}, translated(joined(": ", [obj.name, full_comparison.summary(obj)]), rpt_))
         return {"FINISHED"}
 
 
@@ -241,7 +241,7 @@ CLASSES = (
     DYNAMORPH_OT_build,
     DYNAMORPH_OT_bake,
     DYNAMORPH_OT_bake_all,
-    DYNAMORPH_OT_compare_final,
+    DYNAMORPH_OT_compare_full,
     DYNAMORPH_OT_delete_bake,
     DYNAMORPH_OT_cancel,
 )

@@ -307,7 +307,7 @@ class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
 
 
 class DYNAMORPH_OT_reset_gains(SoftSkinOperator, Operator):
-    """Set the gain of all modes to 1, and turn solo off"""
+    """Set the Amount of all modes to 1, and turn Solo off"""
 
     bl_idname = "dynamorph.reset_gains"
     bl_label = "Reset Amounts"

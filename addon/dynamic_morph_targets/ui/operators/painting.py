@@ -14,7 +14,7 @@ from ..base import SoftSkinOperator
 
 
 class DYNAMORPH_OT_paint_firmness(SoftSkinOperator, Operator):
-    """Paint Firmness in Weight Paint: 0.5 is as it was, 0 softer, 1 held. Press again to leave Weight Paint"""
+    """Paint the Firmness map in Weight Paint: 0 is softer, 0.5 as it is, 1 held by the bones. Press again to leave"""
 
     bl_idname = "dynamorph.paint_firmness"
     bl_label = "Paint Firmness"

@@ -6,7 +6,7 @@ from __future__ import annotations
 from bpy.app.translations import pgettext_iface as iface_
 
 from ...core.result import verdict
-from ...run import batch, final_comparison
+from ...run import batch, full_comparison
 from ...write.bake import influence as bake_influence
 from ...write.display import comparison
 from ..operators.compare import draw_compare_beside
@@ -76,17 +76,17 @@ def draw_details(layout, context, obj):
         split = column.split(factor=0.55)
         split.label(text=name)
         split.label(text=value, translate=False)
-    draw_off_final(layout, obj)
+    draw_off_full(layout, obj)
     if obj.dynamorph.bake.summary:
         draw_message(layout, obj.dynamorph.bake.summary, icon="CHECKMARK")
 
 
-def draw_off_final(layout, obj):
+def draw_off_full(layout, obj):
     """How far the bake's reduced motion, which Live shows too, is from Full Quality, and the button that finds out."""
-    if not final_comparison.disabled_reason(obj):
-        layout.operator("dynamorph.compare_final")
-    if final_comparison.summary(obj):
-        draw_message(layout, final_comparison.summary(obj), icon="INFO")
+    if not full_comparison.disabled_reason(obj):
+        layout.operator("dynamorph.compare_full")
+    if full_comparison.summary(obj):
+        draw_message(layout, full_comparison.summary(obj), icon="INFO")
 
 
 def draw_bake(layout, _context, obj):

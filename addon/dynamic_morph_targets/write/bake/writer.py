@@ -221,7 +221,7 @@ class NewBake:
         record.had_animation_data = self._had_animation_data
         record.active_index = self._obj.active_shape_key_index
         record.summary = record.warnings = record.verdict = ""
-        record.off_final = -1.0
+        record.off_full = -1.0
 
     def remove_old(self) -> list[Message]:
         """Remove the bake that it has replaced, and take its names. Returns what the artist should know."""
@@ -333,7 +333,7 @@ def _free(obj, names) -> list[Message]:
     record.cache = record.summary = record.warnings = record.verdict = ""
     record.keys.clear()
     record.action = None
-    record.off_final = -1.0
+    record.off_full = -1.0
     return messages
 
 

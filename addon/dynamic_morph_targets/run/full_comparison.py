@@ -44,7 +44,7 @@ class ShotJob(Job):
         self.computation = Computation(given, self.progress)
 
 
-class FinalComparison(Batch):
+class FullComparison(Batch):
     """Simulates the shot of an object's bake in both qualities, and notes with the bake how far they are apart, as
     `baked.motion_distance`. Raises SceneError, as `disabled_reason` says.
     """
@@ -55,20 +55,20 @@ class FinalComparison(Batch):
             raise SceneError("'{name}': {why}", name=obj.name, why=why)
         simulated = records.bake_inputs(obj.dynamorph.bake.inputs)["simulation"]
         frames = simulated["frame_start"], simulated["frame_end"]
-        super().__init__([ShotJob(obj, solver, frames) for solver in ("REDUCED", "FULL")], "COMPARE_FINAL")
+        super().__init__([ShotJob(obj, solver, frames) for solver in ("REDUCED", "FULL")], "COMPARE_FULL")
 
     @property
     def fraction(self) -> float:
-        reduced, final = self.jobs
-        return REDUCED * reduced.progress.fraction + (1.0 - REDUCED) * final.progress.fraction
+        reduced, full = self.jobs
+        return REDUCED * reduced.progress.fraction + (1.0 - REDUCED) * full.progress.fraction
 
     def write(self) -> Iterator[None]:
         yield from super().write()
-        reduced, final = self.jobs
+        reduced, full = self.jobs
         character = reduced.outcome.character
         areas = vertex_areas(character.vertices @ character.to_bind.T, character.triangles)
-        distance = baked.motion_distance(reduced.outcome.bake, final.outcome.bake, character.to_bind, areas)
-        reduced.target().dynamorph.bake.off_final = distance
+        distance = baked.motion_distance(reduced.outcome.bake, full.outcome.bake, character.to_bind, areas)
+        reduced.target().dynamorph.bake.off_full = distance
 
 
 def disabled_reason(obj: bpy.types.Object) -> str:
@@ -85,5 +85,5 @@ def disabled_reason(obj: bpy.types.Object) -> str:
 
 def summary(obj: bpy.types.Object) -> str:
     """What was found, as a sentence; '' before the bake was compared."""
-    distance = obj.dynamorph.bake.off_final
+    distance = obj.dynamorph.bake.off_full
     return Message("Reduced motion: {percent:.1f} % off Full Quality", percent=100 * distance) if distance >= 0 else ""

@@ -10,7 +10,7 @@ import pytest
 from bl_ext.user_default.dynamic_morph_targets.cli import main
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
-from bl_ext.user_default.dynamic_morph_targets.run import final_comparison
+from bl_ext.user_default.dynamic_morph_targets.run import full_comparison
 from bl_ext.user_default.dynamic_morph_targets.scene import staleness
 from builders import hand_made_bake
 from layout import drawn
@@ -103,13 +103,13 @@ def test_distance_counts_each_vertex_by_its_area(soft_arm):
 
 
 def compared(obj) -> float:
-    assert bpy.ops.dynamorph.compare_final() == {"FINISHED"}
-    return obj.dynamorph.bake.off_final
+    assert bpy.ops.dynamorph.compare_full() == {"FINISHED"}
+    return obj.dynamorph.bake.off_full
 
 
 def test_the_panel_says_how_far_a_bake_is_from_final_quality(coarse):
     digest = bake(coarse).target().dynamorph.bake.digest
-    assert "dynamorph.compare_final" in drawn(coarse) and "off Full Quality" not in " ".join(drawn(coarse))
+    assert "dynamorph.compare_full" in drawn(coarse) and "off Full Quality" not in " ".join(drawn(coarse))
     distance = compared(coarse)
     assert 0.01 < distance < 1.0
     assert f"Reduced motion: {100 * distance:.1f} % off Full Quality" in " ".join(drawn(coarse))
@@ -152,11 +152,11 @@ def test_another_bake_was_not_compared(coarse, forget):
     bake(coarse)
     compared(coarse)
     forget(coarse)
-    assert coarse.dynamorph.bake.off_final < 0 and "off Full Quality" not in " ".join(drawn(coarse))
+    assert coarse.dynamorph.bake.off_full < 0 and "off Full Quality" not in " ".join(drawn(coarse))
 
 
 def test_what_cannot_be_compared(coarse):
-    possible = bpy.ops.dynamorph.compare_final.poll
+    possible = bpy.ops.dynamorph.compare_full.poll
     assert not possible()
     bake(coarse)
     assert possible()
@@ -164,12 +164,12 @@ def test_what_cannot_be_compared(coarse):
     assert not possible()  # the bake is out of date
     coarse.dynamorph.model.solver = "FULL"
     bake(coarse)
-    assert not possible() and "dynamorph.compare_final" not in drawn(coarse)
+    assert not possible() and "dynamorph.compare_full" not in drawn(coarse)
 
 
 def test_it_can_be_canceled(coarse):
     bake(coarse)
-    comparison = final_comparison.FinalComparison(coarse)
+    comparison = full_comparison.FullComparison(coarse)
     steps = comparison.steps()
     next(steps)
     assert comparison.fraction < 0.5
@@ -177,7 +177,7 @@ def test_it_can_be_canceled(coarse):
     with pytest.raises(errors.Cancelled):
         list(steps)
     comparison.stop()
-    assert coarse.dynamorph.bake.off_final < 0
+    assert coarse.dynamorph.bake.off_full < 0
 
 
 def test_the_command_line_compares_too(coarse, tmp_path, capfd):
@@ -185,8 +185,8 @@ def test_the_command_line_compares_too(coarse, tmp_path, capfd):
     bpy.ops.wm.save_as_mainfile(filepath=str(file))
     run = main.main
     command = ["bake", str(file), "--object", "Arm", "--frames", "1", "8", "--report", str(report), "--in-place"]
-    assert run([*command, "--compare-final"], opens_file=True) == 0
-    off_final = json.loads(report.read_text())["characters"][0]["bake"]["off_final"]
-    assert f"off Full Quality{100 * off_final:>18.1f} %"[-8:] in capfd.readouterr().out
-    assert bpy.data.objects["Arm"].dynamorph.bake.off_final == pytest.approx(off_final)
-    assert run([*command, "--compare-final", "--solver", "full"], opens_file=True) == 2
+    assert run([*command, "--compare-full"], opens_file=True) == 0
+    off_full = json.loads(report.read_text())["characters"][0]["bake"]["off_full"]
+    assert f"off Full Quality{100 * off_full:>18.1f} %"[-8:] in capfd.readouterr().out
+    assert bpy.data.objects["Arm"].dynamorph.bake.off_full == pytest.approx(off_full)
+    assert run([*command, "--compare-full", "--solver", "full"], opens_file=True) == 2
