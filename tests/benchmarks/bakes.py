@@ -114,7 +114,7 @@ def loops(_folder: Path) -> dict:
 
 LONG = characters.Shot("mh_male_53bones.blend", "gen_run_in_place", (1, 91), {"muscular": 37})
 LENGTHS = (1000, 4000, 10_000)
-LONG_SINKS = ("modes", "pc2")
+LONG_FORMATS = ("modes", "pc2")
 
 
 def long(folder: Path) -> dict:
@@ -129,7 +129,7 @@ def long(folder: Path) -> dict:
     name, about = body.name, {"vertices": len(body.data.vertices), "bones": len(rig.pose.bones)}
     command_line("build", shot, "--object", name, "-o", built)
     opened = command_line("info", built, "--object", name)
-    rows = [long_bake(built, name, sink, frames) for sink in LONG_SINKS for frames in LENGTHS]
+    rows = [long_bake(built, name, kind, frames) for kind in LONG_FORMATS for frames in LENGTHS]
     return about | {"stretch": bake_input.CHUNK_FRAMES, "opened": opened["memory"], "bakes": rows}
 
 
@@ -140,10 +140,10 @@ def repeat_forever(rig):
         curve.modifiers.new("CYCLES")
 
 
-def long_bake(shot: Path, name: str, sink: str, frames: int) -> dict:
+def long_bake(shot: Path, name: str, kind: str, frames: int) -> dict:
     output = shot.with_name("long.blend")
-    more = ["--output-file", shot.with_name(f"{paths.OBJECT}.pc2")] if sink == "pc2" else []
-    arguments = ("--object", name, "--frames", 1, frames, "--format", sink, *more, "-o", output)
+    more = ["--output-file", shot.with_name(f"{paths.OBJECT}.pc2")] if kind == "pc2" else []
+    arguments = ("--object", name, "--frames", 1, frames, "--format", kind, *more, "-o", output)
     run = command_line("bake", shot, *arguments)
     bpy.ops.wm.open_mainfile(filepath=str(output))
     action = bpy.data.objects[name].dynamorph.bake.action
@@ -154,7 +154,7 @@ def long_bake(shot: Path, name: str, sink: str, frames: int) -> dict:
     for cache in caches:
         cache.unlink()
     return {
-        "sink": sink, "frames": frames, "keyframes": points, "keyframe_bytes": points * slider_keys.KEYFRAME_BYTES,
+        "format": kind, "frames": frames, "keyframes": points, "keyframe_bytes": points * slider_keys.KEYFRAME_BYTES,
         "file": file, **run,
     }  # fmt: skip
 

@@ -248,14 +248,14 @@ alone; one to point caches takes {caches} more, and writes {file} more.
 def show_long(found: dict) -> str:
     bakes = found["bakes"]
     rows = [
-        (f"{bake['sink']}, {bake['frames']:,} frames", megabytes(bake["memory"]), f"{bake['keyframes']:,}",
+        (f"{bake['format']}, {bake['frames']:,} frames", megabytes(bake["memory"]), f"{bake['keyframes']:,}",
          megabytes(bake["keyframe_bytes"]), megabytes(bake["file"]) if bake["file"] else "",
          f"{bake['seconds']:.0f}", f"{bake['frames'] / bake['seconds']:.0f}")
         for bake in bakes
     ]  # fmt: skip
 
-    def growth(sink: str, what: str) -> float:
-        *_, before, last = (bake[what] for bake in bakes if bake["sink"] == sink)
+    def growth(kind: str, what: str) -> float:
+        *_, before, last = (bake[what] for bake in bakes if bake["format"] == kind)
         return last - before
 
     return LONG.format(
@@ -322,7 +322,7 @@ differ by {apart}. These are the default steps, and off by {off} with BDF2.
 
 def show_times(found: dict) -> str:
     rows = [
-        (f"{row['scheme']}, {row['fps']} fps", *map(share, row["errors"]), f"{row['order']:.2f}")
+        (f"{row['integrator']}, {row['fps']} fps", *map(share, row["errors"]), f"{row['order']:.2f}")
         for row in found["errors"]
     ]
     fps, substeps = found["finest"]

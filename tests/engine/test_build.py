@@ -129,12 +129,12 @@ def test_a_cage_is_current_until_something_moves_it(cage):
     assert has_cage(cage, bar()) and has_cage(build(bar(), previous=cage), bar())
     assert has_cage(cage, bar(modes=12, method="SINGLE"))
     assert not has_cage(cage, bar(cage_nodes=500)) and not has_cage(cage, bar(pin_radius=0.2))
-    assert "cage nodes changed" in stale_reasons(cage, bar(cage_nodes=500))
+    assert "Cage Nodes changed" in stale_reasons(cage, bar(cage_nodes=500))
 
 
 def test_the_cage_depends_on_its_thickness(cage):
     assert not has_cage(cage, bar(cage_thickness=0.01))
-    assert "cage thickness changed" in stale_reasons(build(bar(), previous=cage), bar(cage_thickness=0.01))
+    assert "Cage Thickness changed" in stale_reasons(build(bar(), previous=cage), bar(cage_thickness=0.01))
 
 
 def test_the_cage_stands_off_and_says_what_it_is_made_of(cage):

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
-from dynamic_morph_targets.core.errors import FileInUseError, SinkError
+from dynamic_morph_targets.core.errors import FileInUseError, WriteError
 from dynamic_morph_targets.io import disk, outputs
 
 SHARING_VIOLATION = 32
@@ -144,7 +144,7 @@ def test_a_path_too_long_for_windows_is_named(tmp_path, monkeypatch):
         raise FileNotFoundError(2, "The system cannot find the path specified", str(path))
 
     monkeypatch.setattr(Path, "open", refused)
-    with pytest.raises(SinkError, match="model' is too long: choose a folder"):
+    with pytest.raises(WriteError, match="model' is too long: choose a folder"):
         disk.save(folder / "model", b"new")
     with pytest.raises(FileNotFoundError):
         disk.save(tmp_path / "model", b"new")

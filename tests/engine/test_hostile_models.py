@@ -222,7 +222,13 @@ def test_a_refusal_says_what_is_wrong():
 
 
 @pytest.mark.parametrize(
-    "shapes", [{"tets": (2**28, 0)}, {"tets": (2**62, 0)}, {"basis": (0, 400), "table_mu": (0, 1_093_567_100)}]
+    "shapes",
+    [
+        {"tets": (2**28, 0)},
+        {"tets": (2**62, 0)},
+        {"basis": (0, 400), "table_mu": (0, 1_093_567_100)},
+        {"nodes": (2**20, 0)},
+    ],
 )
 def test_an_empty_array_with_a_dimension_beyond_the_file(shapes):
     """Whoever reads it would allocate, or count, to that dimension."""

@@ -66,8 +66,8 @@ def other_keys():
     yield from physics("bake")
     for name in ("output.format", "model.solver"):
         yield from properties.choose_other(name)
-    for sink, name, value in (("FRAMES", "output.frame_step", "1"), ("MODES", "output.keys", "16")):
-        output.format = sink
+    for kind, name, value in (("FRAMES", "output.frame_step", "1"), ("MODES", "output.keys", "16")):
+        output.format = kind
         yield from driver.drawn()
         yield from properties.enter(name, value)
         yield from sidebar.press("dynamorph.bake")

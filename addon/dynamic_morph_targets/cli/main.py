@@ -99,7 +99,7 @@ def _run(args: argparse.Namespace, opens_file: bool) -> int:
         signals.ignore()  # the work is done, or has failed
         try:
             disk.save(args.report, json.dumps(record(args, code, error), indent=1).encode() + b"\n")
-        except (OSError, errors.SinkError) as failure:  # the second for a path that is too long
+        except (OSError, errors.WriteError) as failure:  # the second for a path that is too long
             unwritten, text = outcome(failure)
             if text != error:
                 tell(text)
@@ -116,7 +116,7 @@ def tell(error: str) -> None:
             print(f"dynamorph: {error}", file=sys.stderr, flush=True)
 
 
-def outcome(failure: OSError | MemoryError | errors.SinkError) -> tuple[int, str]:
+def outcome(failure: OSError | MemoryError | errors.WriteError) -> tuple[int, str]:
     """The exit code and the message when the system refuses something."""
     text = f"error: {errors.sentence(failure)}"
     if not errors.is_transient(failure):

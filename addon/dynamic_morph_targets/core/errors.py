@@ -93,7 +93,7 @@ class SetupError(DynamorphError):
     """A setup cannot be read. The message says what is wrong in it."""
 
 
-class SinkError(DynamorphError):
+class WriteError(DynamorphError):
     """The result cannot be written here. The message names the data and what to do."""
 
 

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from ..core.errors import FileInUseError, SinkError
+from ..core.errors import FileInUseError, WriteError
 
 ABANDONED = 3600.0  # seconds after which an incomplete file is abandoned
 PATIENCE = 1.0  # seconds for a virus scanner or an indexer to let go of a file
@@ -22,7 +22,7 @@ LONGEST_PATH = 259  # characters, on Windows as it is installed
 
 
 def save(path: str | os.PathLike[str], content: bytes | Iterable[bytes]) -> None:
-    """Writes the file completely or not at all: a crash leaves the old file or the new one. Raises OSError, SinkError
+    """Writes the file completely or not at all: a crash leaves the old file or the new one. Raises OSError, WriteError
     for a path that is too long.
     """
     path = Path(path)
@@ -62,7 +62,7 @@ def remove(path: Path) -> None:
 @contextmanager
 def named(path: Path, temporary: Path) -> Iterator[None]:
     """Makes errors of a file that is written to another path, in a folder that is there, name the path that the user
-    knows. Raises SinkError for one that is too long.
+    knows. Raises WriteError for one that is too long.
     """
     try:
         yield
@@ -70,7 +70,7 @@ def named(path: Path, temporary: Path) -> Iterator[None]:
         raise
     except OSError as error:
         if isinstance(error, FileNotFoundError) and len(str(temporary)) > LONGEST_PATH:
-            raise SinkError("The path '{path}' is too long: choose a folder with a shorter one", path=path) from error
+            raise WriteError("The path '{path}' is too long: choose a folder with a shorter one", path=path) from error
         if error.errno and (not error.filename or str(error.filename).startswith(str(temporary))):
             error.filename, error.filename2 = str(path), None
         raise

@@ -70,7 +70,7 @@ class Request:
 
 
 def read(request: Request) -> BakeInput:
-    """Check and read the character and its settings. Raises SceneError, SinkError, ModelFileError, OSError."""
+    """Check and read the character and its settings. Raises SceneError, WriteError, ModelFileError, OSError."""
     engine.load()
     obj = request.target.find()
     check_local(obj)
@@ -121,7 +121,7 @@ def handles(parts: Sequence[Follower]) -> list[ObjectHandle]:
 
 
 def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -> None:
-    """The form of the bake in Blender. Raises SinkError."""
+    """The form of the bake in Blender. Raises WriteError."""
     given.output = run_settings.output_settings(obj)
     if given.output.format not in point_cache.CACHES:
         return
@@ -219,7 +219,7 @@ def _read_limits(given: BakeInput, chosen: bpy.types.PropertyGroup, request: Req
 
 
 def _read_kept(given: BakeInput, obj: bpy.types.Object) -> None:
-    """The bake into which the frames go, and the run-up to them. Raises SceneError, SinkError."""
+    """The bake into which the frames go, and the run-up to them. Raises SceneError, WriteError."""
     parts = given.character.parts
     meshes = (obj, *(handle.find() for handle in handles(parts)))
     to_body = [np.eye(3), *(np.linalg.inv(part.from_body) for part in parts)]

@@ -28,7 +28,7 @@ from .job_data import BakeInput, Outcome, Progress
 
 def write_all(writers: Sequence[Writer]) -> None:
     """Write the results of several jobs. If anything is refused or fails, nothing of it stays. Raises SceneError,
-    SinkError, ModelFileError, OSError.
+    WriteError, ModelFileError, OSError.
     """
     with ExitStack() as undo:
         for writer in writers:
@@ -78,7 +78,7 @@ class Writer:
         self._new: list[NewBake] = []
 
     def check(self) -> None:
-        """Refuse, before anything is written, what cannot be written. Raises SceneError, SinkError, ModelFileError."""
+        """Refuse, before anything is written, what cannot be written. Raises SceneError, WriteError, ModelFileError."""
         obj = target(self.request, self.given)
         check_local(obj)
         if self.given.is_bake:
@@ -117,7 +117,7 @@ class Writer:
                 beside.keep_bake(obj)
 
     def add_keys(self, undo: ExitStack) -> None:
-        """Write the bakes of all meshes beside the existing ones. Raises SinkError."""
+        """Write the bakes of all meshes beside the existing ones. Raises WriteError."""
         if not self.given.is_bake:
             return
         obj = self.request.target.find()

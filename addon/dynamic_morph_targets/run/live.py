@@ -64,7 +64,7 @@ def turn_on(obj: bpy.types.Object, scene: bpy.types.Scene) -> None:
 
 
 def turn_off(obj: bpy.types.Object) -> None:
-    """Raises SinkError."""
+    """Raises WriteError."""
     sessions.pop(obj.session_uid, None)
     _problems.pop(obj.session_uid, None)
     live_key.remove(obj)
@@ -344,7 +344,7 @@ def _forget() -> None:
 
 
 def remove_soft_skin(obj: bpy.types.Object) -> None:
-    """Remove its targets, model and bake; shape keys and settings stay. Raises SinkError."""
+    """Remove its targets, model and bake; shape keys and settings stay. Raises WriteError."""
     turn_off(obj)
     writer.free(obj)
     targets.show_as_before(obj)

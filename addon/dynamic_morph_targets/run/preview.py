@@ -11,7 +11,7 @@ import numpy as np
 from bpy.types import Operator
 from mathutils import Euler, Matrix
 
-from ..core.errors import SceneError, SinkError
+from ..core.errors import SceneError, WriteError
 from ..core.geometry import smooth_step
 from ..core.motion.player import Player
 from ..core.motion.rig_samples import RigSamples
@@ -29,7 +29,7 @@ DELTAS = ("delta_location", "delta_rotation_euler", "delta_rotation_quaternion")
 
 class Preview:
     """Borrows the live key for something that shows the soft skin in motion for a while; the rig may be moved along.
-    Raises SceneError or SinkError.
+    Raises SceneError or WriteError.
     """
 
     def __init__(self, obj: bpy.types.Object, operator: type[Operator]):
@@ -61,7 +61,7 @@ class Preview:
         live.suspended.discard(self.object.session_uid)
         for mover in self._movers:
             mover.restore()
-        with suppress(SceneError, SinkError):  # it was deleted; or is edited now, and then stays live
+        with suppress(SceneError, WriteError):  # it was deleted; or is edited now, and then stays live
             obj = self.object.find()
             obj.dynamorph.live.lent = obj.dynamorph.live.was_on = False
             if self._was_live:
@@ -82,7 +82,7 @@ def end_recovered() -> None:
         if record.lent:
             was_on, record.lent, record.was_on = record.was_on, False, False
             if not was_on:
-                with suppress(SinkError):  # in Edit Mode it stays live
+                with suppress(WriteError):  # in Edit Mode it stays live
                     live_key.remove(obj)
 
 

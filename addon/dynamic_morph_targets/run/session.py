@@ -95,7 +95,7 @@ class Tissue:
         return self.skin.points(values)
 
     def add_keys(self, obj: bpy.types.Object) -> None:
-        """The live keys of the soft skin `obj` and of what follows it. Raises SinkError."""
+        """The live keys of the soft skin `obj` and of what follows it. Raises WriteError."""
         if comparison.is_plain(obj):  # which muted nothing that Live may count on
             comparison.show(obj, False)
         live_key.add(obj, self.target_names, [surface.object.find() for surface in self.followers])
@@ -110,8 +110,8 @@ class Tissue:
 
     def moved(self, values: np.ndarray) -> float:
         """The largest distance of a point from where the targets' shapes alone would have it: meters."""
-        to_bind, in_cage = self.character.to_bind, zip(self.followers, self.character.parts, strict=False)
-        others = ((surface, to_bind @ np.linalg.inv(part.from_body)) for surface, part in in_cage)
+        to_bind, pairs = self.character.to_bind, zip(self.followers, self.character.parts, strict=True)
+        others = ((surface, to_bind @ np.linalg.inv(part.from_body)) for surface, part in pairs)
         return max(
             float(np.linalg.norm(self.motion(values, surface) @ to_meters.T, axis=1).max(initial=0.0))
             for surface, to_meters in ((self.skin, to_bind), *others)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
@@ -94,7 +95,10 @@ def stale_reasons(obj, character) -> list[str]:
 
 def current_model(obj):
     """(model, character) of an object whose model is up to date, to be simulated as Quality says. Raises SceneError."""
-    character = extract.character(obj)
+    return _current(obj, extract.character(obj))
+
+
+def _current(obj, character):
     reasons = stale_reasons(obj, character)
     if reasons:
         raise SceneError(
@@ -107,14 +111,16 @@ def current_model(obj):
 
 def live_model(obj):
     """`current_model` for Live, which shows the Firmness map as it is painted, without a build."""
-    model, character = load_model(obj), extract.character(obj)
+    character, model = extract.character(obj), None
+    with suppress(errors.ModelFileError):  # `_current` says so
+        model = load_model(obj)
     if model is None or not build.only_paint_changed(model, character):
-        return current_model(obj)
+        return _current(obj, character)
     return build.repainted(model, character).with_settings(character.settings), character
 
 
 def fit_input(obj, target):
-    """The input of the fits in `material_fit`: (model, character, index there) of one of the object's targets.
+    """The input of the fits in core/material/fit: (model, character, index there) of one of the object's targets.
 
     Raises SceneError unless the model is up to date.
     """

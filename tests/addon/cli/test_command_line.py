@@ -289,7 +289,7 @@ def test_ctrl_break_is_how_windows_ends_a_process(shot, run, stand_in, monkeypat
     assert (signal.getsignal(signal.SIGUSR1), signal.getsignal(signal.SIGTERM)) == (before, others)
 
 
-@pytest.mark.parametrize(("name", "code"), [("FileInUseError", 75), ("SinkError", 2)])
+@pytest.mark.parametrize(("name", "code"), [("FileInUseError", 75), ("WriteError", 2)])
 def test_a_report_that_cannot_be_written(shot, run, stand_in, monkeypatch, name, code):
     """As on Windows: its file is in use for long, or has too long a path."""
 

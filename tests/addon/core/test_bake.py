@@ -656,15 +656,15 @@ def test_a_bake_is_made_longer(shot, soft_arm):
     assert np.abs(longer - shown_at(soft_arm, range(1, 25))).max() < 1e-5
 
 
-@pytest.mark.parametrize("sink", ["FRAMES", "PC2"])
-def test_a_range_is_baked_into_other_sinks(shot, soft_arm, tmp_path, sink):
+@pytest.mark.parametrize("kind", ["FRAMES", "PC2"])
+def test_a_range_is_baked_into_other_formats(shot, soft_arm, tmp_path, kind):
     before = shown_at(soft_arm, range(1, 21))
     strip = influence.influence_strip(soft_arm)
     strip.influence = 0.0
     influence.show_influence(soft_arm)
     still = shown_at(soft_arm, range(1, 21))
     strip.influence = 1.0
-    soft_arm.dynamorph.output.format = sink
+    soft_arm.dynamorph.output.format = kind
     rebaked(soft_arm, 8, 15, folder=tmp_path)
     assert soft_arm.data.shape_keys.key_blocks["flexed"].mute
     assert np.abs(shown_at(soft_arm, range(1, 21)) - before).max() < 1e-5
@@ -685,8 +685,8 @@ def test_values_that_are_not_numbers_are_refused_before_keys_are_made(shot, soft
 
     monkeypatch.setattr(simulate.Shot, "bake", spoiled)
     before = fingerprint(soft_arm)
-    for sink in ("MODES", "FRAMES", "PC2"):
-        soft_arm.dynamorph.output.format, soft_arm.dynamorph.output.keys = sink, 4
+    for kind in ("MODES", "FRAMES", "PC2"):
+        soft_arm.dynamorph.output.format, soft_arm.dynamorph.output.keys = kind, 4
         with pytest.raises(errors.SelfCheckError, match="'Arm': the engine's coordinates are not numbers"):
             batch.run(job.Job(soft_arm, goal="BAKE", folder=tmp_path))
     assert fingerprint(soft_arm) == before
@@ -739,7 +739,7 @@ def test_delete_bake_forgets_a_cache_whose_modifier_was_removed(shot, soft_arm, 
 def test_a_point_cache_cannot_be_baked_in_parts(shot, soft_arm, tmp_path):
     soft_arm.dynamorph.output.format = "PC2"
     batch.run(run_job.Job(soft_arm, goal="BAKE", folder=tmp_path))
-    with pytest.raises(errors.SinkError, match="bake to shape keys first"):
+    with pytest.raises(errors.WriteError, match="bake to shape keys first"):
         rebaked(soft_arm, 8, 15, folder=tmp_path)
 
 

@@ -201,12 +201,12 @@ def test_the_template_knows_every_format(addon, run_template, tmp_path):
     known = next(line for line in template.splitlines() if "allowedValues" in line)
     files = {format.lower(): of.suffix for format, of in exports.FORMATS.items()}
     files |= {cache.lower(): f".{cache.lower()}" for cache in point_cache.CACHES}
-    formats = {sink.lower() for sink in commands.bake_formats()} | set(files)
+    formats = {kind.lower() for kind in commands.bake_formats()} | set(files)
     assert set(known.split("[")[1].split("]")[0].split(", ")) == formats | {'""'}
-    for sink in formats:
-        _, bake = run_template(Characters=["Arm"], Format=sink, Options=["--keys", "8"])[2]
-        assert (bake.format, bake.keys) == (sink, 8)
-        assert bake.output_file == (tmp_path / f"out/walk {{object}}{files[sink]}" if sink in files else None)
+    for kind in formats:
+        _, bake = run_template(Characters=["Arm"], Format=kind, Options=["--keys", "8"])[2]
+        assert (bake.format, bake.keys) == (kind, 8)
+        assert bake.output_file == (tmp_path / f"out/walk {{object}}{files[kind]}" if kind in files else None)
 
 
 # Flamenco -------------------------------------------------------------------------------------------------------------

@@ -54,7 +54,7 @@ def test_a_model_built_for_final_quality_keeps_its_cage_when_modes_are_asked_for
     coarse.dynamorph.model.solver = "REDUCED"
     assert staleness.model_changes(coarse) == ["Quality changed"]
     reduced = bake(coarse)
-    assert reduced.input.reasons == ["solver changed"] and reduced.outcome.model.basis.shape[1] == 4
+    assert reduced.input.reasons == ["Quality changed"] and reduced.outcome.model.basis.shape[1] == 4
     assert np.array_equal(final.outcome.model.nodes, reduced.outcome.model.nodes)
 
 

@@ -194,7 +194,7 @@ def test_a_linked_character_plays_and_cannot_be_changed(asset):
     for name in CALLS:
         assert not getattr(OPS, name).poll(), name
     for goal in ("BUILD", "BAKE"):  # as the command line does it
-        with pytest.raises(errors.SinkError, match="Object 'Arm' is linked.*make it local"):
+        with pytest.raises(errors.WriteError, match="Object 'Arm' is linked.*make it local"):
             batch.run(Job(obj, goal=goal, rebuild=True))
     assert state() == before
 
@@ -222,7 +222,7 @@ def test_a_local_object_with_a_linked_mesh_is_refused(asset):
         assert not getattr(OPS, name).poll(), name
     why = jobs.DYNAMORPH_OT_bake.disabled_reason(bpy.context)
     assert why.startswith(f"The mesh of '{obj.name}' is linked") and "make it local" in why
-    with pytest.raises(errors.SinkError, match="Mesh 'Arm' is linked.*make it local"):
+    with pytest.raises(errors.WriteError, match="Mesh 'Arm' is linked.*make it local"):
         bake(obj)
     assert state() == before
 
@@ -241,7 +241,7 @@ def test_an_override_keeps_materials_alone(asset, tmp_path):
     for name in set(CALLS) - {"apply_feel", "apply_material", "fit_bounce", "fit_material"}:
         assert not getattr(OPS, name).poll(), name
     for goal in ("BUILD", "BAKE"):
-        with pytest.raises(errors.SinkError, match="'Arm' is a library override.*make it local"):
+        with pytest.raises(errors.WriteError, match="'Arm' is a library override.*make it local"):
             batch.run(Job(obj, goal=goal, rebuild=True))
     assert state() == before
     reload(tmp_path)
@@ -260,7 +260,7 @@ def test_a_mesh_of_its_own_does_not_make_an_override_safe(asset):
     obj.data = obj.data.copy()
     before = fingerprint(obj)
     assert not OPS.bake.poll()
-    with pytest.raises(errors.SinkError, match="'Arm' is a library override"):
+    with pytest.raises(errors.WriteError, match="'Arm' is a library override"):
         bake(obj)
     assert fingerprint(obj) == before
 

@@ -187,13 +187,13 @@ def test_seams_stay_closed_in_a_bake(figure, hold):
 
 
 @pytest.mark.parametrize(
-    "sink, options",
+    "kind, options",
     [("MODES", {"keys": 3}), ("FRAMES", {"frame_step": 3}), ("FRAMES", {"tolerance": 0.005}), ("PC2", {}), ("MDD", {})],
 )
-def test_seams_stay_closed_whatever_the_bake_becomes(figure, tmp_path, sink, options):
+def test_seams_stay_closed_whatever_the_bake_becomes(figure, tmp_path, kind, options):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "figure.blend"))
     body = figure["Body"]
-    body.dynamorph.output.format = sink
+    body.dynamorph.output.format = kind
     for name, value in options.items():
         setattr(body.dynamorph.output, name, value)
     bake(body)
@@ -418,7 +418,7 @@ def test_loose_parts_on_one_bone_are_rigid(scene):
         bpy.data.objects.remove(found[name])
     OPS.add_soft_skin()
     # The points of the ring coincide with those of the tube, so the two are welded.
-    assert attachments(obj) == [("", "Dynamorph Piece Part", "RIGID")]
+    assert attachments(obj) == [("", "Dynamorph Attachment Part", "RIGID")]
     character = extract.character(obj, without_targets=True)
     assert (character.pieces == -1).sum() == len(horn[0]) and obj.dynamorph.attachments[0].reason.startswith(
         "This loose"

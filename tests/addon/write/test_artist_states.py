@@ -173,7 +173,7 @@ def test_keyframes_on_baked_keys_are_reported(built):
 
 def test_an_animated_mute_of_a_target_is_refused(soft_arm):
     keys_of(soft_arm).key_blocks["flexed"].keyframe_insert("mute", frame=1)
-    with pytest.raises(errors.SinkError, match="is animated.*delete its keyframes"):
+    with pytest.raises(errors.WriteError, match="is animated.*delete its keyframes"):
         baked(soft_arm)
 
 
@@ -187,7 +187,7 @@ def test_an_export_in_tweak_mode_is_refused_and_changes_nothing(soft_arm, tmp_pa
     data.nla_tracks.active = data.nla_tracks[1]
     data.use_tweak_mode = True
     actions = len(bpy.data.actions)
-    with pytest.raises(errors.SinkError, match="tweak mode: leave it first"):
+    with pytest.raises(errors.WriteError, match="tweak mode: leave it first"):
         written(soft_arm, key, tmp_path)
     assert data.use_tweak_mode and data.use_nla and len(bpy.data.actions) == actions
 

@@ -405,7 +405,7 @@ def test_few_loose_parts_are_a_piece_each(scene):
     arm = make_arm_with(((0, 0, 1.9), 0.1, 1.0, 0), ((0.4, 0, 0.3), 0.2, 0.5, 1))
     OPS.find_attachments()
     found = [(piece.group, piece.attached_by) for piece in arm.dynamorph.attachments]
-    assert found == [("Dynamorph Piece Hair", "RIGID"), ("Dynamorph Piece Skin", "RIGID")]
+    assert found == [("Dynamorph Attachment Hair", "RIGID"), ("Dynamorph Attachment Skin", "RIGID")]
     groups = mesh_data.group_weights(arm, [group for group, _ in found])
     body = len(scenes.tube()[0])
     assert (
@@ -419,7 +419,9 @@ def test_many_loose_parts_are_grouped_by_material(scene):
     teeth = [((0.05 * k, -0.5, 1.5), 0.02, 0.5, 0) for k in range(10)]
     arm = make_arm_with(*hair, *teeth, ((0.6, 0, 1.9), 0.3, 1.0, 0))
     OPS.find_attachments()
-    found = [(piece.group.removeprefix("Dynamorph Piece "), piece.attached_by) for piece in arm.dynamorph.attachments]
+    found = [
+        (piece.group.removeprefix("Dynamorph Attachment "), piece.attached_by) for piece in arm.dynamorph.attachments
+    ]
     assert found == [("Skin", "RIGID"), ("Hair", "RIGID"), ("Skin.001", "RIGID")]
     counts = [int(attachments.members(arm, piece.group).sum()) for piece in arm.dynamorph.attachments]
     assert counts == [8, 160, 80]
@@ -476,7 +478,7 @@ def test_a_part_is_selected_in_edit_mode(scene):
     selected = [vertex.select for vertex in arm.data.vertices]
     assert sum(selected) == 8 and all(selected[-8:])
     OPS.remove_attachment()
-    assert not arm.dynamorph.attachments and "Dynamorph Piece Hair" not in arm.vertex_groups
+    assert not arm.dynamorph.attachments and "Dynamorph Attachment Hair" not in arm.vertex_groups
 
 
 def test_what_is_left_alone_is_said(soft_arm):
@@ -500,16 +502,16 @@ def test_what_is_left_alone_is_said(soft_arm):
 def test_setups_have_the_pieces(dressed, tmp_path):
     arm, sleeve = dressed
     path = str(tmp_path / "arm.json")
-    arm.vertex_groups.new(name="Dynamorph Piece Hair")
+    arm.vertex_groups.new(name="Dynamorph Attachment Hair")
     hair = arm.dynamorph.attachments.add()
-    hair.group, hair.attached_by = "Dynamorph Piece Hair", "OWN_CAGE"
+    hair.group, hair.attached_by = "Dynamorph Attachment Hair", "OWN_CAGE"
     add_attachment(arm, make_sleeve(arm, "Cuff"), "RIGID")
     OPS.save_setup(filepath=path)
     arm.dynamorph.attachments.clear()
     bpy.data.objects["Cuff"].name = "Other"
     OPS.load_setup(filepath=path)
     found = [(piece.object, piece.group, piece.attached_by) for piece in arm.dynamorph.attachments]
-    assert found == [(sleeve, "", "WITH_BODY"), (None, "Dynamorph Piece Hair", "OWN_CAGE")]
+    assert found == [(sleeve, "", "WITH_BODY"), (None, "Dynamorph Attachment Hair", "OWN_CAGE")]
 
 
 @pytest.mark.parametrize(
@@ -517,18 +519,18 @@ def test_setups_have_the_pieces(dressed, tmp_path):
 )
 def test_a_setup_with_wrong_pieces_changes_nothing(dressed, piece):
     setup = setups.of_object(dressed[0]) | {"attachments": [piece]}
-    with pytest.raises(errors.SetupError, match="Piece 1"):
+    with pytest.raises(errors.SetupError, match="Attachment 1"):
         setups.check(setup)
 
 
 def test_a_copy_leaves_the_clothes_where_they_are(dressed):
     """An object can follow only one soft skin."""
     arm, sleeve = dressed
-    arm.vertex_groups.new(name="Dynamorph Piece Hair").add(range(100), 1.0, "REPLACE")
-    arm.dynamorph.attachments.add().group = "Dynamorph Piece Hair"
+    arm.vertex_groups.new(name="Dynamorph Attachment Hair").add(range(100), 1.0, "REPLACE")
+    arm.dynamorph.attachments.add().group = "Dynamorph Attachment Hair"
     other = make_sleeve(arm, "Other", away=1.0)
     arm.select_set(True)
     other.select_set(True)
     OPS.copy_to_selected()
-    assert [piece.group for piece in other.dynamorph.attachments] == ["Dynamorph Piece Hair"]
-    assert attachments.members(other, "Dynamorph Piece Hair").sum() == 100
+    assert [piece.group for piece in other.dynamorph.attachments] == ["Dynamorph Attachment Hair"]
+    assert attachments.members(other, "Dynamorph Attachment Hair").sum() == 100

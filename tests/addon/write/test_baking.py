@@ -448,7 +448,7 @@ def test_refused(soft_arm, spoil, words):
     bake = hand_made_bake(soft_arm)
     spoil(soft_arm)
     names = [k.name for k in keys_of(soft_arm).key_blocks]
-    with pytest.raises(errors.SinkError, match=words):
+    with pytest.raises(errors.WriteError, match=words):
         writer.write_keys(soft_arm, bake)
     assert [k.name for k in keys_of(soft_arm).key_blocks] == names
     assert not soft_arm.dynamorph.bake.keys
@@ -462,11 +462,11 @@ def test_linked_data_is_refused(soft_arm, tmp_path):
         wanted.objects = ["Arm"]
     linked = wanted.objects[0]
     bpy.context.scene.collection.objects.link(linked)
-    with pytest.raises(errors.SinkError, match=r"'Arm' is linked.*make it local"):
+    with pytest.raises(errors.WriteError, match=r"'Arm' is linked.*make it local"):
         writer.check(linked)
     override = linked.override_create()
     assert [t.name for t in override.dynamorph.targets] == ["Neutral", "flexed"]
-    with pytest.raises(errors.SinkError, match=r"library override.*make it local"):
+    with pytest.raises(errors.WriteError, match=r"library override.*make it local"):
         writer.check(override)
 
 
@@ -474,7 +474,7 @@ def test_vertex_count_must_match(soft_arm):
     bake = hand_made_bake(soft_arm)
     other = make_mesh(bpy.context.scene, "Other", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
     other.shape_key_add(name="Basis")
-    with pytest.raises(errors.SinkError, match="'Other' has 3 vertices, the bake 272"):
+    with pytest.raises(errors.WriteError, match="'Other' has 3 vertices, the bake 272"):
         writer.write_keys(other, bake)
 
 
@@ -498,7 +498,7 @@ def test_writing_is_fast(scene):
 
 def test_a_key_whose_mute_is_driven_is_refused(soft_arm):
     soft_arm.data.shape_keys.key_blocks["flexed"].driver_add("mute")
-    with pytest.raises(errors.SinkError, match="flexed.*has a driver"):
+    with pytest.raises(errors.WriteError, match="flexed.*has a driver"):
         writer.write_keys(soft_arm, hand_made_bake(soft_arm))
     assert not soft_arm.dynamorph.bake.keys
 

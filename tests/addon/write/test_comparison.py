@@ -32,11 +32,11 @@ def mutes(obj) -> dict[str, bool]:
     return {block.name: block.mute for block in obj.data.shape_keys.key_blocks}
 
 
-@pytest.mark.parametrize("sink", ["MODES", "FRAMES", "PC2"])
-def test_a_bake_is_hidden_and_comes_back(soft_arm, tmp_path, sink):
+@pytest.mark.parametrize("kind", ["MODES", "FRAMES", "PC2"])
+def test_a_bake_is_hidden_and_comes_back(soft_arm, tmp_path, kind):
     soft_arm.data.shape_keys.key_blocks["smile"].value = 0.5
     plain = shown(soft_arm)
-    written(soft_arm, hand_made_bake(soft_arm), tmp_path, format=sink)
+    written(soft_arm, hand_made_bake(soft_arm), tmp_path, format=kind)
     soft, before = shown(soft_arm), fingerprint(soft_arm)
     assert not says_plain(soft_arm) and np.abs(soft - plain).max() > 1e-3
     assert OPS.show_plain() == {"FINISHED"}
@@ -115,10 +115,10 @@ def test_undo(soft_arm):
     assert comparison.is_plain(bpy.data.objects["Arm"])
 
 
-@pytest.mark.parametrize("sink", ["MODES", "PC2"])
-def test_another_bake_is_shown_soft(soft_arm, stand_in, tmp_path, sink):
+@pytest.mark.parametrize("kind", ["MODES", "PC2"])
+def test_another_bake_is_shown_soft(soft_arm, stand_in, tmp_path, kind):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
-    soft_arm.dynamorph.output.format = sink
+    soft_arm.dynamorph.output.format = kind
     OPS.bake()
     soft = shown(soft_arm)
     OPS.show_plain()

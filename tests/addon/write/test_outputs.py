@@ -16,7 +16,7 @@ from bl_ext.user_default.dynamic_morph_targets.write.bake import influence as in
 from bl_ext.user_default.dynamic_morph_targets.write.bake import reading, writer
 from builders import assert_shows, evaluated_points, fingerprint, hand_made_bake, keys_of, make_mesh
 
-SINKS = ("MODES", "FRAMES", "PC2", "MDD")
+FORMATS = ("MODES", "FRAMES", "PC2", "MDD")
 
 
 def smooth_bake(obj, frames=range(1, 21), **more):
@@ -51,11 +51,11 @@ def written(obj, bake, folder, skin=None, to_bind=None, **output):
     return off
 
 
-@pytest.mark.parametrize("sink", SINKS)
-def test_blender_shows_the_surface_with_and_without_the_motion(scene, soft_arm, tmp_path, sink):
+@pytest.mark.parametrize("kind", FORMATS)
+def test_blender_shows_the_surface_with_and_without_the_motion(scene, soft_arm, tmp_path, kind):
     bake = smooth_bake(soft_arm)
     before = fingerprint(soft_arm)
-    assert written(soft_arm, bake, tmp_path, format=sink) < 1e-6
+    assert written(soft_arm, bake, tmp_path, format=kind) < 1e-6
     assert_shows(soft_arm, bake)
     bake_influence = influence_module
     owner, name = bake_influence.influence(soft_arm)
@@ -70,8 +70,8 @@ def test_blender_shows_the_surface_with_and_without_the_motion(scene, soft_arm, 
     assert not soft_arm.dynamorph.bake.exists
 
 
-@pytest.mark.parametrize("second", SINKS)
-@pytest.mark.parametrize("first", SINKS)
+@pytest.mark.parametrize("second", FORMATS)
+@pytest.mark.parametrize("first", FORMATS)
 def test_one_takes_the_place_of_another(soft_arm, tmp_path, first, second):
     before = fingerprint(soft_arm)
     written(soft_arm, smooth_bake(soft_arm, seed=1), tmp_path, format=first)
@@ -130,14 +130,14 @@ def test_keys_are_where_they_are_needed(soft_arm, tmp_path):
     assert counts[0] < counts[-1] < 60
 
 
-@pytest.mark.parametrize("sink", ["PC2", "MDD"])
+@pytest.mark.parametrize("kind", ["PC2", "MDD"])
 @pytest.mark.parametrize("remapped", [False, True])
-def test_point_caches_have_sub_frames(scene, soft_arm, tmp_path, sink, remapped):
+def test_point_caches_have_sub_frames(scene, soft_arm, tmp_path, kind, remapped):
     if remapped:
         scene.render.frame_map_old, scene.render.frame_map_new = 100, 200
     frames = np.arange(10.0, 20.25, 0.25)
     bake = smooth_bake(soft_arm, frames)
-    written(soft_arm, bake, tmp_path, format=sink)
+    written(soft_arm, bake, tmp_path, format=kind)
     basis = mesh_data.rest_points(soft_arm)
     soft_arm.modifiers["Armature"].show_viewport = False
     for row in (0, 1, 6, 23, 40):
@@ -187,14 +187,14 @@ def test_keys_that_a_cache_plays_over_are_named(soft_arm):
 
 @pytest.mark.fault("F14")
 def test_a_cache_needs_a_saved_file(soft_arm):
-    with pytest.raises(errors.SinkError, match="save the .blend first"):
+    with pytest.raises(errors.WriteError, match="save the .blend first"):
         writer.check_cache(soft_arm, None)
 
 
-@pytest.mark.parametrize("sink", ["MODES", "FRAMES"])
-def test_a_bake_is_read_back_as_it_was_written(soft_arm, tmp_path, sink):
+@pytest.mark.parametrize("kind", ["MODES", "FRAMES"])
+def test_a_bake_is_read_back_as_it_was_written(soft_arm, tmp_path, kind):
     bake = smooth_bake(soft_arm)
-    written(soft_arm, bake, tmp_path, format=sink)
+    written(soft_arm, bake, tmp_path, format=kind)
     found = reading.read_back(soft_arm)
     np.testing.assert_array_equal(found.frames, bake.frames)
     for row in range(len(bake.frames)):
@@ -215,8 +215,8 @@ def test_the_influence_goes_along(scene, soft_arm, tmp_path, first, second):
     for frame, influence in ((1, 0.0), (11, 1.0)):
         setattr(owner, name, influence)
         owner.keyframe_insert(name, frame=frame)
-    for sink in (first, second):
-        written(soft_arm, smooth_bake(soft_arm), tmp_path, format=sink)
+    for kind in (first, second):
+        written(soft_arm, smooth_bake(soft_arm), tmp_path, format=kind)
         for frame, influence in ((1, 0.0), (6, 0.5), (11, 1.0), (15, 1.0)):
             scene.frame_set(frame)
             owner, name = bake_influence.influence(soft_arm)

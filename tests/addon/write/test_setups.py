@@ -746,11 +746,11 @@ def test_threads_are_passed_to_the_engine_by_whatever_uses_it_first(soft_arm, mo
     chosen.threads = 3  # nothing is loaded for it
     assert "dynamorph" not in sys.modules
     monkeypatch.setitem(sys.modules, "dynamorph", fake)
-    core_engine.load()
+    assert core_engine.dynamorph.Error is RuntimeError  # what any module does that uses the engine
     assert counts == [3]
     chosen.threads = 0
     assert counts == [3, 0]
-    core_engine.load()
+    assert core_engine.dynamorph.Error is RuntimeError  # what any module does that uses the engine
     assert counts == [3, 0]
 
 

@@ -55,13 +55,13 @@ def state(*objects):
 def test_none_is_written_when_one_is_refused(soft_arm, leg, stand_in):
     leg.data.shape_keys.animation_data_create()
     before = state(soft_arm, leg)
-    with pytest.raises(errors.SinkError, match="NLA is turned off for the shape keys of 'Leg'"):
+    with pytest.raises(errors.WriteError, match="NLA is turned off for the shape keys of 'Leg'"):
         when_computed(baking(soft_arm, leg), stand_in, lambda: refuse(leg))
     assert state(soft_arm, leg) == before
 
 
 def test_no_model_is_stored_with_a_bake_that_is_refused(soft_arm, stand_in):
-    with pytest.raises(errors.SinkError, match="NLA is turned off"):
+    with pytest.raises(errors.WriteError, match="NLA is turned off"):
         when_computed(baking(soft_arm), stand_in, lambda: refuse(soft_arm))
     assert soft_arm.dynamorph.model.content_id == ""
 
@@ -98,7 +98,7 @@ def test_none_is_written_when_the_second_write_fails(soft_arm, leg, stand_in, mo
 def test_a_point_cache_that_nothing_plays_is_removed(soft_arm, leg, stand_in, tmp_path):
     for obj in (soft_arm, leg):
         obj.dynamorph.output.format = "PC2"
-    with pytest.raises(errors.SinkError):
+    with pytest.raises(errors.WriteError):
         when_computed(baking(soft_arm, leg, folder=tmp_path), stand_in, lambda: refuse(leg))
     assert not list(tmp_path.rglob("*.pc2"))
 
@@ -224,11 +224,11 @@ class MainThreadOnly:
         return getattr(self.real, name)
 
 
-@pytest.mark.parametrize("sink", ["MODES", "FRAMES", "PC2"])
-def test_a_job_s_thread_never_asks_blender(soft_arm, tmp_path, monkeypatch, sink):
+@pytest.mark.parametrize("kind", ["MODES", "FRAMES", "PC2"])
+def test_a_job_s_thread_never_asks_blender(soft_arm, tmp_path, monkeypatch, kind):
     pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
     settings = soft_arm.dynamorph
-    settings.model.cage_nodes, settings.model.modes, settings.output.format = 200, 8, sink
+    settings.model.cage_nodes, settings.model.modes, settings.output.format = 200, 8, kind
     for name in ("context", "data", "path", "ops", "app"):
         monkeypatch.setattr(bpy, name, MainThreadOnly(getattr(bpy, name)))
     run_all(baking(soft_arm, folder=tmp_path))

@@ -52,8 +52,7 @@ def build(
     with stages("Target shapes", 0.10):
         _shape_targets(model, body, embedding, character.targets)
     targets = morph_targets(character, model.displacements)
-    law = dynamorph.Law.__members__[character.settings.material_model]
-    full = dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN)
+    full = _full_model(body, targets, character.settings)
     basis: Basis
     if character.settings.solver == "REDUCED":
         if character.settings.fits_shot:
@@ -221,14 +220,19 @@ def repainted(model: Model, character: Character) -> Model:
     )
     if not model.basis.size:
         return model
-    law = dynamorph.Law.__members__[model.settings.material_model]
-    full = dynamorph.FullModel(
-        model.soft_body(), morph_targets(character, model.displacements), law, dynamorph.Blending.EVEN
-    )
+    full = _full_model(model.soft_body(), morph_targets(character, model.displacements), model.settings)
     basis: Basis = model.basis
     if model.responses.size:
         basis = dynamorph.adapt_response_basis(full, model.basis, model.responses)
     return _reduced(model, full, basis, lambda _done: True)
+
+
+def _full_model(
+    body: dynamorph.SoftBody, targets: list[dynamorph.MorphTarget], settings: ModelSettings
+) -> dynamorph.FullModel:
+    """The model from which modes are made."""
+    law = dynamorph.Law.__members__[settings.material_model]
+    return dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN)
 
 
 def _factor(weights: np.ndarray, tets: np.ndarray) -> np.ndarray:

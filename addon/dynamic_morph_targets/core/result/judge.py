@@ -134,7 +134,7 @@ def judge(model: Model, character: Character, bake: Bake) -> Verdict:
         over_thickness=skin.over_thickness(farthest),
         stretch=(float(low.min()), float(high.max())),
         flipped=float(flipped.max()),
-        inverted=_inverted(model, bake, motion, chosen[np.argsort(-displacement[chosen])[:CHECKED]]),
+        inverted=_inverted(model, bake, chosen[np.argsort(-displacement[chosen])[:CHECKED]]),
         frame=float(bake.frames[worst]),
         vertices=skin.place(u),
     )
@@ -197,7 +197,7 @@ class _Skin:
         return tuple(order[near].tolist())
 
 
-def _inverted(model: Model, bake: Bake, motion: np.ndarray, frames: np.ndarray) -> float:
+def _inverted(model: Model, bake: Bake, frames: np.ndarray) -> float:
     """The largest share of the filled volume that the motion, and not the sculpt, turns inside out."""
     if bake.node_modes is None or not len(model.tets):
         return 0.0

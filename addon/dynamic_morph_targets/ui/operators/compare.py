@@ -12,7 +12,7 @@ from bpy.types import Operator
 from mathutils import Quaternion, Vector
 
 from ...core import records
-from ...core.errors import SinkError
+from ...core.errors import WriteError
 from ...run import live
 from ...run.preview import end_preview
 from ...scene import events, skin
@@ -108,7 +108,7 @@ def _before_save(*_args):
     """save_pre: a saved file shows the soft skin wherever it is opened or rendered."""
     for obj in skin.soft_skins(bpy.data.objects):
         if obj.library is None and comparison.is_plain(obj):
-            with suppress(SinkError):  # in Edit Mode the panel keeps saying that plain skinning is shown
+            with suppress(WriteError):  # in Edit Mode the panel keeps saying that plain skinning is shown
                 comparison.show(obj, False)
     _left_out[:] = beside.leave_out_of_file()
 

@@ -21,7 +21,7 @@ from ...scene.skin import parts_of
 from ...scene.skinning import Skinning, armature_modifiers, meshes_on
 from ..bake import writer
 
-PREFIX = "Dynamorph Piece "  # prefix of the vertex groups for loose parts
+PREFIX = "Dynamorph Attachment "  # prefix of the vertex groups for loose parts
 FEW = 8  # up to so many loose parts are separate attachments
 LARGE = 0.02  # fraction of the body's area; larger loose parts are separate attachments
 ACCESSORY = 0.05  # of the soft area of a character's softest mesh; a mesh with less is not the intended soft skin
@@ -208,7 +208,7 @@ def _refusal(obj, other) -> str:
         return problem.text
     try:
         writer.check(other, obj)
-    except errors.SinkError as error:
+    except errors.WriteError as error:
         return str(error)
     return ""
 

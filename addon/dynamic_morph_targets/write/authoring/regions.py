@@ -172,7 +172,7 @@ def _write(obj, together: list, groups, free: set[str]) -> tuple[str, str]:
     name = next((target.region for target in together if target.region in free), "")
     free.discard(name)
     group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=REGION + together[0].name)
-    write_group(obj, group, weights)
+    write_group(group, weights)
     return group.name, _digest(weights)
 
 
@@ -186,7 +186,7 @@ def _remove(obj, names):
             obj.vertex_groups.remove(obj.vertex_groups[name])
 
 
-def write_group(obj, group, weights: np.ndarray):
+def write_group(group, weights: np.ndarray):
     """Give a vertex group of `obj` the weights (V,), without vertices whose weight is 0."""
     group.remove(range(len(weights)))
     for vertex in np.flatnonzero(weights).tolist():

@@ -6,7 +6,7 @@ A setup names shape keys, bones and vertex groups, and holds none of their conte
     format, version
     targets: a list, the neutral one first, each its properties, "bones" (names) and "pose" (rest and local, by bone)
     skin, model, simulation, output: properties by name; modes: a list of such
-    pieces: a list, each its properties and "object", the name of another mesh or ""
+    attachments: a list, each its properties and "object", the name of another mesh or ""
 
 What a file leaves out stays as it is. `check` refuses a setup wholly, before `apply` writes anything.
 """
@@ -253,7 +253,7 @@ def check(setup):
     for i, mode in enumerate(modes):
         _check_values(f"Mode {i + 1}", DynamorphMode, mode)
     for i, piece in enumerate(pieces):
-        _check_piece(f"Piece {i + 1}", piece)
+        _check_piece(f"Attachment {i + 1}", piece)
     for part, kind in PARTS.items():
         _check_values(part.capitalize(), kind, setup.get(part, {}))
 

@@ -109,7 +109,7 @@ def add(obj, block, after: int | None = None):
     target = settings.targets.add()
     target.refer_to(keys, keys.find(block.name))
     start_as(settings.targets[0], target)
-    target.auto_region = settings.model.hold == "THICKNESS"  # otherwise all share the body, as before
+    target.auto_region = settings.model.hold == "THICKNESS"  # with pins all share the body, as in the method's source
     settings.active_target_index = len(settings.targets) - 1
     if after is not None:
         move(obj, settings.active_target_index, after + 1)

@@ -98,7 +98,7 @@ def write(obj, made: Copy, overwrite: bool):
             targets.sculpt_anew(block, shape)
     for name, weights in made.weights.items():
         if overwrite or name not in obj.vertex_groups:
-            regions.write_group(obj, obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name), weights)
+            regions.write_group(obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name), weights)
     obj.data.update_tag()
 
 

@@ -8,7 +8,7 @@ import math
 import bpy
 import numpy as np
 
-from ...core.errors import SinkError
+from ...core.errors import WriteError
 from ...core.motion.baked import Bake
 from ...scene import animation
 from ...scene.references import key_points
@@ -18,7 +18,7 @@ from .influence import MOTION, SHAPES
 
 def read_back(obj, samples: int = 1) -> Bake:
     """The bake of `obj` as its shape keys and curves now have it, at its frames and `samples` times a frame, local
-    space. All keys are modes. Its strips count as they were baked. Raises SinkError.
+    space. All keys are modes. Its strips count as they were baked. Raises WriteError.
     """
     record, keys = obj.dynamorph.bake, obj.data.shape_keys
     reconcile(obj)
@@ -27,7 +27,7 @@ def read_back(obj, samples: int = 1) -> Bake:
     paths = [f"{block.path_from_id()}.value" for block in blocks]
     curves = [curve for curve in (*map(dynamic.get, paths), *map(static.get, paths)) if curve]
     if not curves or record.cache:
-        raise SinkError("'{name}' has no curves of a bake's motion: bake to shape keys first", name=obj.name)
+        raise WriteError("'{name}' has no curves of a bake's motion: bake to shape keys first", name=obj.name)
     render = bpy.context.scene.render
     per_frame = render.frame_map_old / render.frame_map_new
     ends = [end / per_frame for curve in curves for end in curve.range()]

@@ -16,7 +16,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...core.errors import SinkError
+from ...core.errors import WriteError
 from ...core.message import Message
 from ...core.motion import baked
 from ...core.motion.baked import Bake
@@ -36,19 +36,19 @@ LINEAR = 1  # the value of Keyframe.interpolation for foreach_set
 
 
 def check(obj, skin=None):
-    """Refuse, before any work, data to which a bake cannot be written. Raises SinkError.
+    """Refuse, before any work, data to which a bake cannot be written. Raises WriteError.
 
     skin: the soft skin that `obj` is to follow, if it is none itself. Its Basis is created if there is none; that of a
     soft skin if the neutral target is alone.
     """
     if obj.type != "MESH":
-        raise SinkError("'{name}' is not a mesh: select the character's mesh object", name=obj.name)
+        raise WriteError("'{name}' is not a mesh: select the character's mesh object", name=obj.name)
     keys = obj.data.shape_keys
     if keys is None and skin is None and len(obj.dynamorph.targets) != 1:
-        raise SinkError("'{name}' has no shape keys: add a Basis first", name=obj.name)
+        raise WriteError("'{name}' has no shape keys: add a Basis first", name=obj.name)
     check_local(obj, obj.data, *filter(None, [keys]))
     for problem in checks.shared_mesh(obj):
-        raise SinkError(problem.text)
+        raise WriteError(problem.text)
     check_not_edited(obj)
     if not (keys and keys.animation_data):
         return
@@ -69,22 +69,22 @@ def check(obj, skin=None):
     elif keyed is not None:
         text = "'{name}': {key} is animated, so a bake cannot mute the key: delete its keyframes"
     if text:
-        raise SinkError(text, name=obj.name, track=solo, key=driven or keyed)
+        raise WriteError(text, name=obj.name, track=solo, key=driven or keyed)
 
 
 def check_not_tweaked(obj):
-    """Refuse shape keys whose Action Blender lets nobody change. Raises SinkError."""
+    """Refuse shape keys whose Action Blender lets nobody change. Raises WriteError."""
     keys = obj.data.shape_keys
     if keys and keys.animation_data and keys.animation_data.use_tweak_mode:
         text = "The shape keys of '{name}' are in NLA tweak mode: leave it first (Tab in the NLA editor)"
-        raise SinkError(text, name=obj.name)
+        raise WriteError(text, name=obj.name)
 
 
 def check_cache(obj, folder: Path | None):
-    """Refuse a point cache that has no place: folder is that of the .blend. Raises SinkError."""
+    """Refuse a point cache that has no place: folder is that of the .blend. Raises WriteError."""
     if folder is None:
         text = "The point cache of '{name}' goes into a folder beside the .blend: save the .blend first"
-        raise SinkError(text, name=obj.name)
+        raise WriteError(text, name=obj.name)
 
 
 def overwritten_keys(obj) -> list[str]:
@@ -94,17 +94,17 @@ def overwritten_keys(obj) -> list[str]:
 
 
 def check_not_edited(obj):
-    """Refuse Edit Mode, in which Blender removes no shape keys. Raises SinkError."""
+    """Refuse Edit Mode, in which Blender removes no shape keys. Raises WriteError."""
     if obj.mode == "EDIT":
-        raise SinkError("'{name}' is in Edit Mode: leave it first", name=obj.name)
+        raise WriteError("'{name}' is in Edit Mode: leave it first", name=obj.name)
 
 
 def check_local(*blocks):
-    """Refuse data-blocks whose changes would not be saved. Raises SinkError."""
+    """Refuse data-blocks whose changes would not be saved. Raises WriteError."""
     for block in blocks:
         if block.library or block.override_library:
             how = "linked" if block.library else "a library override"
-            raise SinkError(
+            raise WriteError(
                 "{kind} '{name}' is {how}, so what is made here would be lost on save: make it local (Object > "
                 "Relations > Make Local > Selected Objects and Data)",
                 kind=block.bl_rna.name,
@@ -114,7 +114,7 @@ def check_local(*blocks):
 
 
 def write_keys(obj, bake: Bake, skin=None, cache: Path | None = None) -> int:
-    """Write the bake as shape keys and F-curves, replacing the previous bake of `obj`. Raises SinkError.
+    """Write the bake as shape keys and F-curves, replacing the previous bake of `obj`. Raises WriteError.
 
     The old bake goes only when the new one plays; its Influence stays. skin: the soft skin that `obj` follows,
     if it is none itself; its Basis is made if there is none. cache: a point cache (.pc2, .mdd) that plays the motion,
@@ -139,12 +139,12 @@ class NewBake:
     """
 
     def __init__(self, obj, bake: Bake, skin=None, cache: Path | None = None):
-        """Changes nothing yet. Raises SinkError."""
+        """Changes nothing yet. Raises WriteError."""
         check(obj, skin)
         reconcile(obj)
         if bake.modes.shape[1] != len(obj.data.vertices):
             text = "Mesh '{name}' has {count} vertices, the bake {expected}: bake again"
-            raise SinkError(text, name=obj.name, count=len(obj.data.vertices), expected=bake.modes.shape[1])
+            raise WriteError(text, name=obj.name, count=len(obj.data.vertices), expected=bake.modes.shape[1])
         self._obj, self._bake, self._skin, self._cache = obj, bake, skin, cache
         record, keys = obj.dynamorph.bake, obj.data.shape_keys
         self._followed = obj.dynamorph.follows
@@ -299,7 +299,7 @@ def leave(obj):
 
 def free(obj) -> list[Message]:
     """Remove the bake of `obj` and of what follows it, if any, and restore what it changed: keys, order, active key,
-    mute, animation data. Returns what the artist should know. Raises SinkError.
+    mute, animation data. Returns what the artist should know. Raises WriteError.
     """
     baked, messages = (obj, *followers(obj)), []
     for each in baked:
@@ -313,7 +313,7 @@ def free(obj) -> list[Message]:
 
 
 def check_free(obj):
-    """Refuse, before any work, data that a bake cannot be removed from. Raises SinkError."""
+    """Refuse, before any work, data that a bake cannot be removed from. Raises WriteError."""
     if obj.dynamorph.bake.exists and obj.data.shape_keys:  # otherwise the artist has removed everything
         check(obj)
 

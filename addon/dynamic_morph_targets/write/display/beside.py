@@ -29,7 +29,7 @@ def find(body) -> bpy.types.Object | None:
 
 def add(body, right: np.ndarray):
     """Show a copy of `body` with plain skinning, a bit more than its width away. right (3,): the direction, of length
-    1, world space. Raises SceneError, SinkError.
+    1, world space. Raises SceneError, WriteError.
     """
     if not body.visible_get():
         raise SceneError("'{name}' is hidden: show it to compare it", name=body.name)
@@ -96,7 +96,7 @@ def _empties() -> list:
 
 def _fill(empty, body, plain: bool):
     """Let the empty show copies of `body` and of what follows it, as they are now, and what its bones carry along.
-    Raises SinkError, and then nothing is changed.
+    Raises WriteError, and then nothing is changed.
     """
     moving = [body, *(each for each in skin.followers(body) if each.visible_get())]
     for each in moving:

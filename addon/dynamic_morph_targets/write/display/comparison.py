@@ -26,7 +26,7 @@ def can_show(obj) -> bool:
 
 
 def show(obj, plain: bool):
-    """Show `obj` and what follows it plain, or soft again. Raises SinkError in Edit Mode."""
+    """Show `obj` and what follows it plain, or soft again. Raises WriteError in Edit Mode."""
     shown = (obj, *skin.followers(obj))
     for each in shown:
         writer.check_not_edited(each)

@@ -17,7 +17,7 @@ NAME = "Dynamorph Live"
 
 def add(obj, target_names, pieces=()):
     """Add the key at value 1, and mute the keys of these targets: it contains their shapes. A bake stays, without any
-    effect. Raises SinkError.
+    effect. Raises WriteError.
 
     pieces: other meshes that follow the soft skin `obj`; each gets one too.
     """
@@ -48,7 +48,7 @@ def _add(obj, target_names, skin=None):
 def remove(obj):
     """Remove the key of `obj` and of what follows it, where there is one, and restore what it muted and the active key.
 
-    Raises SinkError.
+    Raises WriteError.
     """
     shown = (obj, *followers(obj))
     for each in shown:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Exports a copy of a scene and reads the file back, in a process of its own: both may crash. See `export_process`.
+"""Exports a copy of a scene and reads the file back, in a process of its own: both may crash. See write/export/process.
 
 A script for Blender in the background, or for Python with the bpy wheel; the last argument is the job, a JSON file.
 The extension is not part of it, as it would show Live again.

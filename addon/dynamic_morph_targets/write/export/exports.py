@@ -51,7 +51,7 @@ class Format:
 
 
 def check_place(obj, key: str, path: Path, frames: tuple[int, int]):
-    """Refuse, before any work, what cannot be written. Raises ExportError, SinkError, SceneError, OSError."""
+    """Refuse, before any work, what cannot be written. Raises ExportError, WriteError, SceneError, OSError."""
     chosen = FORMATS[key]
     if not chosen.is_available:
         raise ExportError("This Blender was built without {format}: choose another format", format=chosen.label)
