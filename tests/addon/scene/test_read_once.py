@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import bpy
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.run import bake_input, job
+from bl_ext.user_default.dynamic_morph_targets.scene import model_store
 from bl_ext.user_default.dynamic_morph_targets.ui import messages
 from figures import make_figure
 from installed import PACKAGE
@@ -64,6 +65,15 @@ def test_a_mesh_with_two_armature_modifiers_is_read_once(soft_arm):
     counts = read_for_a_bake(soft_arm)
     assert max(count for key, count in counts.items() if key[0] not in ("rig_of", "rest_skeleton")) <= 2
     assert counts["armature_modifiers", soft_arm.name] == counts["VertexGroups.__init__", soft_arm.name] == 1
+
+
+def test_live_reads_a_character_once(soft_arm):
+    """Whether its Firmness was painted since the build or not."""
+    coarse(soft_arm)
+    bpy.ops.dynamorph.build()
+    with counted() as counts:
+        model_store.live_model(soft_arm)
+    assert counts["rest_points", soft_arm.name] == counts["VertexGroups.__init__", soft_arm.name] == 1
 
 
 def test_the_messages_of_a_panel_read_the_modifiers_once(soft_arm):
