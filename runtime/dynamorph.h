@@ -77,7 +77,8 @@ static const char* dm_array_in(const unsigned char* bytes, size_t size, dm_array
     if (count > size / (size_t)out->shape[axis]) return "the clip is damaged: an array has an impossible shape";
     count *= (size_t)out->shape[axis];
   }
-  if (count != (size - begin) / sizeof(float) || (size - begin) % sizeof(float)) return "the clip is damaged: an array does not fit its shape";
+  if (count != (size - begin) / sizeof(float) || (size - begin) % sizeof(float))
+    return "the clip is damaged: an array does not fit its shape";
   if ((uintptr_t)(bytes + begin) % sizeof(float)) return "the file's bytes must be aligned to four";
   out->data = (const float*)(bytes + begin);
   return NULL;
@@ -110,8 +111,7 @@ static const char* dm_find(const unsigned char* bytes, size_t size, const char* 
 
 /* The clip in the bytes of a .npz, none of which are copied: NULL, or why it cannot be played. */
 static const char* dm_open(dm_clip* clip, const void* bytes, size_t size) {
-  /* "details" holds the residual shapes. */
-  static const char* const names[] = {"vertices.npy",    "modes.npy",   "details.npy",
+  static const char* const names[] = {"vertices.npy",    "modes.npy",   "residual_shapes.npy",
                                       "coordinates.npy", "weights.npy", "fps.npy"};
   static const int axes[] = {2, 3, 3, 2, 2, 1};
   dm_array array[6];

@@ -16,7 +16,7 @@ from dynamic_morph_targets.core.result.compare import Run, Statics
 from subjects import Shot
 
 PLAIN = "plain skinning"  # no run: the skin as the bones move it
-# The methods side by side, each with the scene's own law.
+# The methods side by side, each with the scene's own material model.
 SHOWN: dict[str, dict[str, str]] = {
     "static morphs": {"method": "STATIC"},
     "single material": {"method": "SINGLE", "solver": "REDUCED"},

@@ -36,12 +36,14 @@ except ImportError as error:
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("table", "claims", "accuracy", "sheets")
 CELL = (264, 204)
-LAWS = {"linear": "LINEAR", "StVK": "STVK", "stable StVK": "STABLE_STVK"}
+MATERIAL_MODELS = {"linear": "LINEAR", "StVK": "STVK", "stable StVK": "STABLE_STVK"}
 MODES = (4, 8, 12, 16, 20, 30, 40, 60)
 FITTED_MODES = (8, 16, 20, 30)  # and the scene's own number
 FULL = "DMT full"
 SHOWN_MODES = 40  # shape keys of a full bake that is rendered: what they lose is not seen
-TABLE = {name: changes for name, changes in VARIANTS.items() if changes.get("material_model") in LAWS.values()}
+TABLE = {
+    name: changes for name, changes in VARIANTS.items() if changes.get("material_model") in MATERIAL_MODELS.values()
+}
 ABOUT = {
     claims.PLAIN: "no simulation",
     "static morphs": "geometric morph targets: the shape follows the pose, nothing moves by itself",
@@ -102,7 +104,7 @@ def measure_claims(work: Work) -> dict:
 
 def accuracy(work: Work) -> dict:
     """Reduced against full by number of modes, linear against StVK, and what a tracked vertex does in detail."""
-    full = {key: work.table[f"DMT {law} full"] for law, key in LAWS.items()}
+    full = {key: work.table[f"DMT {material_model} full"] for material_model, key in MATERIAL_MODELS.items()}
     compared = {key: (run.motion, run.static) for key, run in full.items()}
     errors: dict[str, dict] = {}
     shot = work.measured
@@ -150,11 +152,11 @@ def own_error(shot: Shot) -> compare.MotionError:
 def sweep(shot: Shot) -> dict[str, dict]:
     """Reduced variants by number of modes, which must be more than the sculpted shapes."""
     return {
-        f"{law}{', fitted' if fitted else ''} {modes}": {
+        f"{material_model}{', fitted' if fitted else ''} {modes}": {
             "material_model": key, "solver": "REDUCED", "fit_to_shot": fitted, "modes": modes
         }
-        for law, key in LAWS.items()
-        for fitted in ((False, True) if law == "StVK" else (False,))
+        for material_model, key in MATERIAL_MODELS.items()
+        for fitted in ((False, True) if material_model == "StVK" else (False,))
         for modes in (sorted({*FITTED_MODES, shot.character.settings.modes}) if fitted else MODES)
         if modes > shapes(shot)
     }  # fmt: skip
@@ -167,8 +169,8 @@ def tracked(work: Work) -> dict:
     shot = work.shot.part(before, last).every_step()
     free = slice((first - before) * work.shot.settings.substeps, None)
     vertex, direction = subject.tracked(shot.rest), np.array(subject.direction)
-    variants = {f"{law} {solver}": {"material_model": key, "solver": solver.upper()}
-                for law, key in LAWS.items() for solver in ("full", "reduced")}  # fmt: skip
+    variants = {f"{material_model} {solver}": {"material_model": key, "solver": solver.upper()}
+                for material_model, key in MATERIAL_MODELS.items() for solver in ("full", "reduced")}  # fmt: skip
     found = {}
     for name, run in shot.runs(variants).items():
         path = (run.motion - run.static)[free, vertex] @ direction
@@ -296,8 +298,8 @@ def draw_accuracy(name: str, found: dict, folder: Path) -> None:
     kinds = (("rms_total", "RMS error against full", "RMS"), ("max_total", "Largest error against full", "largest"))
     for panel, (kind, title, of) in zip(axes, kinds, strict=False):
         curves = {
-            law: (list(map(int, errors)), [100 * e[kind] for e in errors.values()])
-            for law, errors in found["reduced"].items()
+            material_model: (list(map(int, errors)), [100 * e[kind] for e in errors.values()])
+            for material_model, errors in found["reduced"].items()
         }
         plots.draw(panel, title, curves, "modes", f"% of the {of} displacement", marker="o", ms=4)
         plots.logarithmic(panel)

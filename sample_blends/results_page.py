@@ -292,7 +292,11 @@ def accuracy(found: dict[str, dict]) -> list[str]:
 
 def errors(reduced: dict[str, dict], best: dict[str, float]) -> str:
     kinds = ("RMS total", "RMS dynamic", "max dynamic")
-    head = ("modes", *(f"{law}: {kind}" for law in reduced for kind in kinds), "StVK, at best: RMS total")
+    head = (
+        "modes",
+        *(f"{material_model}: {kind}" for material_model in reduced for kind in kinds),
+        "StVK, at best: RMS total",
+    )
     rows = []
     for modes in sorted({m for by_modes in reduced.values() for m in by_modes}, key=int):
         row = [str(modes)]
@@ -305,14 +309,14 @@ def errors(reduced: dict[str, dict], best: dict[str, float]) -> str:
 
 def verdicts(measured: dict, thesis_modes: int) -> list[str]:
     lines = []
-    for law, by_modes in measured["reduced"].items():
+    for material_model, by_modes in measured["reduced"].items():
         enough = next((m for m, e in by_modes.items() if e["rms_total"] <= CLOSE), None)
         most, last = list(by_modes.items())[-1]
         if enough:
             verdict = f"reduced is within {percent(CLOSE)} RMS of full from {enough} modes"
         else:
             verdict = f"with {most} modes reduced is still {percent(last['rms_total'])} RMS from full"
-        lines.append(f"- {law}: {verdict}; the thesis used {thesis_modes} modes.")
+        lines.append(f"- {material_model}: {verdict}; the thesis used {thesis_modes} modes.")
     lines += [
         f"- Frames {frames}: with the scene's own modes reduced StVK is {percent(e['rms_total'])} RMS from full "
         f"({percent(e['rms_dynamic'])} of the dynamic motion)."

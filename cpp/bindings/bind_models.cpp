@@ -16,7 +16,10 @@ void check_embedding(const Embedding& embedding, Eigen::Index nodes) {
 }
 
 void bind_morph_target(py::module_& m) {
-  py::enum_<Law>(m, "Law").value("LINEAR", Law::linear).value("STVK", Law::stvk).value("STABLE_STVK", Law::stable_stvk);
+  py::enum_<MaterialModel>(m, "MaterialModel")
+      .value("LINEAR", MaterialModel::linear)
+      .value("STVK", MaterialModel::stvk)
+      .value("STABLE_STVK", MaterialModel::stable_stvk);
   py::enum_<Blending>(m, "Blending").value("FORCES", Blending::forces).value("EVEN", Blending::even);
 
   py::class_<MorphTarget>(m, "MorphTarget", "A dynamic morph target: a shape and its elastic properties.")
@@ -72,8 +75,8 @@ void bind_soft_body(py::module_& m) {
 
 void bind_full_model(py::module_& m) {
   py::class_<FullModel, std::shared_ptr<FullModel>> full(m, "FullModel", "The unreduced soft skin.");
-  full.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, Law, Blending>(), "body"_a.none(false),
-           "targets"_a, "law"_a, "blending"_a)
+  full.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, MaterialModel, Blending>(),
+           "body"_a.none(false), "targets"_a, "material_model"_a, "blending"_a)
       .def(
           "linear_modes",
           [](const FullModel& model, int target, int k) {

@@ -46,16 +46,17 @@ void bind_reduced(py::module_& m) {
 
   py::class_<ReducedTables>(m, "ReducedTables",
                             "The tables that a built reduced model stores. They hold geometry only, no material.")
-      .def(py::init([](Law law, const MatrixXd& basis, const std::vector<VectorXd>& lambda,
+      .def(py::init([](MaterialModel material_model, const MatrixXd& basis, const std::vector<VectorXd>& lambda,
                        const std::vector<VectorXd>& mu, const MatrixXd& responses,
                        const std::vector<VectorXd>& response_lambda, const std::vector<VectorXd>& response_mu,
                        const std::vector<MatrixXd>& relaxation) {
-             return ReducedTables{law, basis, lambda, mu, responses, response_lambda, response_mu, relaxation};
+             return ReducedTables{material_model, basis,           lambda,      mu,
+                                  responses,      response_lambda, response_mu, relaxation};
            }),
-           "law"_a, "basis"_a, "lame_lambda"_a, "lame_mu"_a, "responses"_a = MatrixXd(),
+           "material_model"_a, "basis"_a, "lame_lambda"_a, "lame_mu"_a, "responses"_a = MatrixXd(),
            "response_lambda"_a = std::vector<VectorXd>(), "response_mu"_a = std::vector<VectorXd>(),
            "relaxation"_a = std::vector<MatrixXd>())
-      .def_readonly("law", &ReducedTables::law)
+      .def_readonly("material_model", &ReducedTables::material_model)
       .def_readonly("basis", &ReducedTables::basis)
       .def_readonly("lame_lambda", &ReducedTables::lambda, "Per target, for lambda = 1 Pa.")
       .def_readonly("lame_mu", &ReducedTables::mu, "Per target, for mu = 1 Pa.")

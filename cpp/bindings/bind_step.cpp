@@ -124,8 +124,8 @@ template <class Model>
 void bind_simulation_of(py::module_& m, const char* name) {
   using Sim = InTurn<Simulation<Model>>;
   py::class_<Sim>(m, name, "Steps a model through time, in world space and SI units.")
-      .def(py::init([](std::shared_ptr<Model> model, double h, Scheme scheme, const Vector3d& gravity, double tolerance,
-                       int max_iterations, double teleport, const py::object& keep_going) {
+      .def(py::init([](std::shared_ptr<Model> model, double h, Integrator integrator, const Vector3d& gravity,
+                       double tolerance, int max_iterations, double teleport, const py::object& keep_going) {
              std::function<bool()> asked;
              if (!keep_going.is_none())
                asked = [callable = shared(keep_going)] {
@@ -133,10 +133,11 @@ void bind_simulation_of(py::module_& m, const char* name) {
                  return answer("keep_going", (*callable)());
                };
              return std::make_unique<Sim>(
-                 Simulation<Model>(model, {h, scheme, gravity, tolerance, max_iterations, teleport, asked}));
+                 Simulation<Model>(model, {h, integrator, gravity, tolerance, max_iterations, teleport, asked}));
            }),
-           "model"_a.none(false), "h"_a, py::kw_only(), "scheme"_a = Scheme::bdf2, "gravity"_a = Vector3d(0, 0, 0),
-           "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0, "keep_going"_a = py::none(),
+           "model"_a.none(false), "h"_a, py::kw_only(), "integrator"_a = Integrator::bdf2,
+           "gravity"_a = Vector3d(0, 0, 0), "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0,
+           "keep_going"_a = py::none(),
            "h: seconds per step. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, "
            "meters, above which the past is carried along (0: never). keep_going() -> bool is called before every "
            "Newton iteration; returning False raises Cancelled.")
@@ -213,7 +214,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "a reduced model, and meters for a full one.")
       .def_property_readonly(
           "kinetic_energy", [](const Sim& s) { return in_turn(s, [&] { return s.kinetic_energy(); }); },
-          "Kinetic energy of the posed nodes, J, from the scheme's own velocity.")
+          "Kinetic energy of the posed nodes, J, from the integrator's own velocity.")
       .def_property_readonly(
           "elastic_energy", [](const Sim& s) { return in_turn(s, [&] { return s.elastic_energy(); }); },
           "Elastic energy, J, at the target weights of the last step.")
@@ -233,7 +234,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
 }  // namespace
 
 void bind_step(py::module_& m) {
-  py::enum_<Scheme>(m, "Scheme").value("EULER", Scheme::implicit_euler).value("BDF2", Scheme::bdf2);
+  py::enum_<Integrator>(m, "Integrator").value("EULER", Integrator::implicit_euler).value("BDF2", Integrator::bdf2);
   bind_grabs(m);
   bind_simulation_of<FullModel>(m, "FullSimulation");
   bind_simulation_of<ReducedModel>(m, "ReducedSimulation");

@@ -18,7 +18,7 @@ body = dynamorph.SoftBody(mesh, whole, whole, whole[:, None], core, one_bone)
 jelly = dynamorph.MorphTarget(
     "jelly", np.zeros_like(mesh.nodes), lame_lambda=28.6e3, lame_mu=7.14e3, density=1000, stiffness_damping=0.01
 )
-full = dynamorph.FullModel(body, [jelly], dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN)
+full = dynamorph.FullModel(body, [jelly], dynamorph.MaterialModel.STABLE_STVK, dynamorph.Blending.EVEN)
 tables = dynamorph.reduce(full, dynamorph.make_basis(full, 20).U)
 model = dynamorph.ReducedModel(body, [jelly], tables, dynamorph.Blending.EVEN)
 

@@ -76,7 +76,7 @@ def by_numpy(path: Path, _mesh: str, frames) -> np.ndarray:
         surfaces = (
             clip["vertices"]
             + np.tensordot(clip["coordinates"], clip["modes"], 1)
-            + np.tensordot(clip["weights"], clip["details"], 1)
+            + np.tensordot(clip["weights"], clip["residual_shapes"], 1)
         )
         return surfaces[np.searchsorted(clip["frames"], frames)]
 

@@ -120,10 +120,10 @@ accuracy` measures and writes this page and its plot; nothing on it is written b
 Blender {blender}; {machine}.
 Characters at a time: {jobs}; each on one thread.
 
-Every character is as *Add Soft Skin* and *Bake* leave it, with no other setting; the law is {law}. It then plays
-up to {frames} frames of clips that no basis has seen, simulated from the same start with every node of the cage and
-with each reduced model. The sample scenes have settings of their own and play the frames that [Results](results.md)
-compares; only their *fitted modes* have seen them.
+Every character is as *Add Soft Skin* and *Bake* leave it, with no other setting; the material model is
+{material_model}. It then plays up to {frames} frames of clips that no basis has seen, simulated from the same start
+with every node of the cage and with each reduced model. The sample scenes have settings of their own and play the
+frames that [Results](results.md) compares; only their *fitted modes* have seen them.
 
 *Vibration modes*: modes and their derivatives, all with tables of the energy. *Bone responses*: what each bone does to
 the soft tissue, a sixth with such tables and the rest linearly. *Detail* is the number of all together.
@@ -306,7 +306,7 @@ def page(everything: dict[str, dict]) -> str:
             blender=every("blender"),
             machine=every("machine"),
             jobs=max(each["jobs"] for each in found),
-            law=every("law").replace("STABLE_STVK", "stable StVK"),
+            material_model=every("material_model").replace("STABLE_STVK", "stable StVK"),
             frames=FRAMES,
             modes_basis=BASES[MODES],
             responses_basis=BASES[RESPONSES],

@@ -165,7 +165,7 @@ class Timed:
         self.simulation = model.stepper(
             engine,
             settings.step,
-            scheme=dynamorph.Scheme.__members__[settings.integrator],
+            integrator=dynamorph.Integrator.__members__[settings.integrator],
             gravity=settings.gravity,
             teleport=TELEPORT * engine.body.size * settings.step,
         )
@@ -200,7 +200,7 @@ def measure(subject: Subject, shots: Sequence[Shot], rows: Sequence[tuple[str, i
         full = [solve(unreduced, unreduced.engine(shot.character, shot.character.probed), shot) for shot in shots]
         found = {
             "title": subject.title,
-            "law": own.material_model,
+            "material_model": own.material_model,
             "frequency": character.targets[0].frequency,
             "targets": len(character.by_method().targets),
             "default": [basis, own.modes],

@@ -200,7 +200,7 @@ def kills(folder: Path) -> dict:
 # Time -----------------------------------------------------------------------------------------------------------------
 
 RATES = (24, 30, 60)
-SCHEMES = {"BDF2": 2, "EULER": 1}  # and their order
+INTEGRATORS = {"BDF2": 2, "EULER": 1}  # and their order
 SUBSTEPS = (8, 16, 32, 64)
 FINEST = (24, 512)  # frames a second and substeps of what counts as exact
 SAME_STEPS = ((24, 5), (30, 4), (60, 2), (120, 1))
@@ -212,18 +212,18 @@ def times(_folder: Path) -> dict:
     """One motion at several frame rates and substeps: errors are of the largest coordinate."""
     run = test_time.swaying_bar()
 
-    def at(fps: int, substeps: int, scheme="BDF2") -> np.ndarray:
-        return run(fps, substeps, scheme)[:: fps // COMPARED]
+    def at(fps: int, substeps: int, integrator="BDF2") -> np.ndarray:
+        return run(fps, substeps, integrator)[:: fps // COMPARED]
 
     exact, same = at(*FINEST), [at(*rate) for rate in SAME_STEPS]
     scale = np.abs(exact).max()
     errors = [
         {
-            "integrator": scheme,
+            "integrator": integrator,
             "fps": fps,
-            "errors": [float(np.abs(at(fps, n, scheme) - exact).max() / scale) for n in SUBSTEPS],
+            "errors": [float(np.abs(at(fps, n, integrator) - exact).max() / scale) for n in SUBSTEPS],
         }
-        for scheme in SCHEMES
+        for integrator in INTEGRATORS
         for fps in RATES
     ]
     for row in errors:
@@ -244,14 +244,14 @@ def times(_folder: Path) -> dict:
 def draw_errors(rows: list[dict]):
     drawing, (axes,) = plots.figure(1)
     curves = {}
-    for scheme, order in SCHEMES.items():
+    for integrator, order in INTEGRATORS.items():
         points = [
             (1000.0 / (row["fps"] * n), error)
             for row in rows
-            if row["integrator"] == scheme
+            if row["integrator"] == integrator
             for n, error in zip(SUBSTEPS, row["errors"], strict=True)
         ]
-        curves[f"{scheme}, order {order}"] = tuple(zip(*sorted(points), strict=True))
+        curves[f"{integrator}, order {order}"] = tuple(zip(*sorted(points), strict=True))
     plots.draw(axes, "24, 30 and 60 frames a second", curves, "step, ms", "error", marker="o", ms=4)
     axes.set(xscale="log", yscale="log")
     axes.set_xticks(STEPS, [f"{step:g}" for step in STEPS])

@@ -35,7 +35,7 @@ const SparseMatrix& stiffness(int nodes) {
   for (Eigen::Index i = 0; i < mesh.nodes.rows(); ++i) pinned.push_back(mesh.nodes(i, 0) < 1e-9);
   const auto body = std::make_shared<SoftBody>(mesh, ones, ones, ones, pinned, MatrixXd::Ones(mesh.nodes.rows(), 1));
   const MorphTarget neutral{"neutral", 0, VectorXd::Zero(mesh.nodes.size()), {1e5, 5e4}, 1000, 0, 0};
-  return K = FullModel(body, {neutral}, Law::stvk, Blending::even).rest_stiffness(0);
+  return K = FullModel(body, {neutral}, MaterialModel::stvk, Blending::even).rest_stiffness(0);
 }
 
 MatrixXd loads(Eigen::Index dofs, Eigen::Index count) {

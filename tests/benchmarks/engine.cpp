@@ -188,17 +188,17 @@ PoseSpace pose_space(Eigen::Index bones, int targets) {
 
 struct Case {
   int targets = 1, r = 19;
-  Law law = Law::stvk;
+  MaterialModel material_model = MaterialModel::stvk;
   int chain = 4, nodes = 0;
 };
 
-const FullModel& full_model(int targets, Law law, int chain, int nodes) {
-  static std::map<std::tuple<int, Law, int, int>, FullModel> made;
-  const auto key = std::make_tuple(targets, law, chain, nodes);
+const FullModel& full_model(int targets, MaterialModel material_model, int chain, int nodes) {
+  static std::map<std::tuple<int, MaterialModel, int, int>, FullModel> made;
+  const auto key = std::make_tuple(targets, material_model, chain, nodes);
   auto found = made.find(key);
   if (found == made.end()) {
     const auto body = skinned(solid(nodes), chain);
-    found = made.emplace(key, FullModel(body, ::targets(*body, targets), law, Blending::even)).first;
+    found = made.emplace(key, FullModel(body, ::targets(*body, targets), material_model, Blending::even)).first;
   }
   return found->second;
 }
@@ -212,10 +212,10 @@ MatrixXd modes(const FullModel& model, int r) {
 }
 
 std::shared_ptr<const ReducedModel> reduced_model(const Case& c) {
-  static std::map<std::tuple<int, int, Law, int, int>, std::shared_ptr<const ReducedModel>> made;
-  auto& model = made[std::make_tuple(c.targets, c.r, c.law, c.chain, c.nodes)];
+  static std::map<std::tuple<int, int, MaterialModel, int, int>, std::shared_ptr<const ReducedModel>> made;
+  auto& model = made[std::make_tuple(c.targets, c.r, c.material_model, c.chain, c.nodes)];
   if (!model) {
-    const FullModel& full = full_model(c.targets, c.law, c.chain, c.nodes);
+    const FullModel& full = full_model(c.targets, c.material_model, c.chain, c.nodes);
     const ReducedTables tables = reduce(full, modes(full, c.r));
     model = std::make_shared<const ReducedModel>(full.shared_body(), full.targets(), tables, Blending::even);
   }
@@ -276,7 +276,7 @@ BENCHMARK(bandwidth)->ArgName("kB")->ArgsProduct({{16, 256, 3072, 8192, 24576, 2
 
 void polynomials(State& state) {
   const OneCore pinned;
-  const FullModel& model = full_model(1, Law::stvk, 4, 0);
+  const FullModel& model = full_model(1, MaterialModel::stvk, 4, 0);
   const MatrixXd U = modes(model, int(state.range(0)));
   for (auto _ : state) benchmark::DoNotOptimize(reduce(model, U));
 }
@@ -284,7 +284,7 @@ BENCHMARK(polynomials)->ArgName("r")->ArgsProduct({{8, 12, 19, 30, 40, 60}})->It
 
 /// Modes, derivatives, PCA, polynomials and inertia tensors, on all cores.
 void precompute(State& state) {
-  const FullModel& model = full_model(6, Law::stvk, 4, 0);
+  const FullModel& model = full_model(6, MaterialModel::stvk, 4, 0);
   for (auto _ : state) {
     const ReducedTables tables = reduce(model, make_basis(model, 19).U);
     benchmark::DoNotOptimize(ReducedModel(model.shared_body(), model.targets(), tables, Blending::even));
@@ -378,12 +378,12 @@ void iterate(State& state, const Case& c) {
 void iteration(State& state) { iterate(state, sized(state)); }
 BENCHMARK(iteration)->Apply(sizes);
 
-void linear_iteration(State& state) { iterate(state, {int(state.range(0)), 19, Law::linear}); }
+void linear_iteration(State& state) { iterate(state, {int(state.range(0)), 19, MaterialModel::linear}); }
 BENCHMARK(linear_iteration)->ArgName("targets")->Arg(1)->Arg(6);
 
 void linear_step(State& state) {
   const OneCore pinned;
-  measure_steps(state, reduced_model({int(state.range(0)), 19, Law::linear}), one_iteration());
+  measure_steps(state, reduced_model({int(state.range(0)), 19, MaterialModel::linear}), one_iteration());
 }
 BENCHMARK(linear_step)->ArgName("targets")->Arg(1)->Arg(6);
 
@@ -406,16 +406,16 @@ BENCHMARK(solve_with_points)->ArgName("rows")->ArgsProduct({{0, 5, 10, 20, 50, 1
 
 // --- Full steps ------------------------------------------------------------------------------------------------------
 
-void full_step(State& state, Law law, bool all_cores) {
+void full_step(State& state, MaterialModel material_model, bool all_cores) {
   std::optional<OneCore> pinned;
   if (!all_cores) pinned.emplace();
-  const FullModel& model = full_model(6, law, 4, 0);
+  const FullModel& model = full_model(6, material_model, 4, 0);
   const std::shared_ptr<const FullModel> shared(&model, [](const FullModel*) {});  // lives as long as the program
   measure_steps(state, shared, one_iteration());
 }
-BENCHMARK_CAPTURE(full_step, linear, Law::linear, false)->Iterations(32);
-BENCHMARK_CAPTURE(full_step, stvk, Law::stvk, false)->Iterations(16);
-BENCHMARK_CAPTURE(full_step, stvk_all_cores, Law::stvk, true)->Iterations(16)->UseRealTime();
+BENCHMARK_CAPTURE(full_step, linear, MaterialModel::linear, false)->Iterations(32);
+BENCHMARK_CAPTURE(full_step, stvk, MaterialModel::stvk, false)->Iterations(16);
+BENCHMARK_CAPTURE(full_step, stvk_all_cores, MaterialModel::stvk, true)->Iterations(16)->UseRealTime();
 
 // --- The rig: skin frame, inertia and target weights -----------------------------------------------------------------
 
@@ -434,7 +434,7 @@ BENCHMARK(pose_weights)->ArgNames({"chain", "targets"})->Args({kBody, 3})->Args(
 /// What a moving rig costs a step of r = 20, whatever the law: the targets' weights at its pose, and the inertia.
 void rig(State& state) {
   const OneCore pinned;
-  const auto model = reduced_model({3, 20, Law::linear, int(state.range(0)), int(state.range(1))});
+  const auto model = reduced_model({3, 20, MaterialModel::linear, int(state.range(0)), int(state.range(1))});
   const PoseSpace space = pose_space(model->body().skin.cols(), 3);
   const Swing moving = swing(model->body(), 3);
   const VectorXd z = VectorXd::Constant(20, 1e-3);

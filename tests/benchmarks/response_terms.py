@@ -35,12 +35,12 @@ def main() -> int:
     with quiet():
         shot = shots.one_click_shots(subject)[0]
     table = {}
-    for law in ("STABLE_STVK", "LINEAR"):
-        character = shot.character.with_settings(material_model=law)
+    for material_model in ("STABLE_STVK", "LINEAR"):
+        character = shot.character.with_settings(material_model=material_model)
         full, reduced = solve(shot, character)
         mass = np.asarray(full.model.soft_body(character.probed).volumes).sum(axis=1)
-        table[f"error, {law}"] = errors(reduced.motion, full.motion, mass, {}, full.dynamic)["error"]
-        if law == "STABLE_STVK":
+        table[f"error, {material_model}"] = errors(reduced.motion, full.motion, mass, {}, full.dynamic)["error"]
+        if material_model == "STABLE_STVK":
             table |= compare_forces(full, reduced, mass)
     for name, value in table.items():
         print(f"{name}: {value:.1%}", flush=True)

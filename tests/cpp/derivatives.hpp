@@ -14,7 +14,7 @@ namespace scenes {
 
 using namespace dynamorph;
 
-constexpr Law kLaws[] = {Law::linear, Law::stvk, Law::stable_stvk};
+constexpr MaterialModel kMaterialModels[] = {MaterialModel::linear, MaterialModel::stvk, MaterialModel::stable_stvk};
 constexpr Blending kBlendings[] = {Blending::forces, Blending::even};
 
 inline VectorXd random_vector(Eigen::Index size, double amplitude, unsigned seed) {

@@ -85,9 +85,9 @@ inline std::vector<MorphTarget> targets(const SoftBody& body, int last_set = 0) 
 
 /// A body's targets in r modes.
 inline std::shared_ptr<const ReducedModel> reduced_model(std::shared_ptr<const SoftBody> body,
-                                                         std::vector<MorphTarget> targets, Law law, Blending blending,
-                                                         int r) {
-  const FullModel full(body, targets, law, blending);
+                                                         std::vector<MorphTarget> targets, MaterialModel material_model,
+                                                         Blending blending, int r) {
+  const FullModel full(body, targets, material_model, blending);
   return std::make_shared<ReducedModel>(body, targets, reduce(full, make_basis(full, r).U), blending);
 }
 
@@ -98,9 +98,9 @@ struct ResponseScene {
   ReducedTables tables;
   std::shared_ptr<const ReducedModel> model;
 
-  ResponseScene(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, Law law, Blending blending,
-                int r = 10, int h = 20)
-      : full(body, targets, law, blending),
+  ResponseScene(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, MaterialModel material_model,
+                Blending blending, int r = 10, int h = 20)
+      : full(body, targets, material_model, blending),
         basis(make_response_basis(full, r, h)),
         tables(reduce(full, basis)),
         model(std::make_shared<ReducedModel>(body, targets, tables, blending)) {}

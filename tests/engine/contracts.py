@@ -40,8 +40,8 @@ def scene() -> SimpleNamespace:
     s.material = {"lame_lambda": 1e4, "lame_mu": 1e4, "density": 1000.0, "mass_damping": 1.0, "stiffness_damping": 1e-3}
     s.targets = [dynamorph.MorphTarget("rest", 0 * s.shape, **s.material)]
     s.targets.append(dynamorph.MorphTarget("flexed", s.shape, **s.material))
-    s.law, s.blending = dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN
-    s.full = dynamorph.FullModel(s.body, s.targets, s.law, s.blending)
+    s.material_model, s.blending = dynamorph.MaterialModel.STABLE_STVK, dynamorph.Blending.EVEN
+    s.full = dynamorph.FullModel(s.body, s.targets, s.material_model, s.blending)
     s.basis = dynamorph.make_basis(s.full, 6)
     s.tables = dynamorph.reduce(s.full, s.basis.U)
     s.reduced = dynamorph.ReducedModel(s.body, s.targets, s.tables, s.blending)
@@ -87,12 +87,12 @@ def run_on(simulation):
 
 def model_of(body):
     s = scene()
-    return run_on(dynamorph.FullSimulation(dynamorph.FullModel(body, s.targets, s.law, s.blending), 0.01))
+    return run_on(dynamorph.FullSimulation(dynamorph.FullModel(body, s.targets, s.material_model, s.blending), 0.01))
 
 
 def model_with(target):
     s = scene()
-    model = dynamorph.FullModel(s.body, [s.targets[0], target], s.law, s.blending)
+    model = dynamorph.FullModel(s.body, [s.targets[0], target], s.material_model, s.blending)
     return run_on(dynamorph.FullSimulation(model, 0.01))
 
 
@@ -133,7 +133,7 @@ def calls() -> dict[str, tuple[object, dict]]:
     lib, material = dynamorph, s.material
     q, r = np.zeros(s.full.dofs), np.zeros(s.reduced.dofs)
     options = {
-        "h": 0.01, "scheme": lib.Scheme.BDF2, "gravity": np.zeros(3), "tolerance": 1e-6, "max_iterations": 30,
+        "h": 0.01, "integrator": lib.Integrator.BDF2, "gravity": np.zeros(3), "tolerance": 1e-6, "max_iterations": 30,
         "teleport": 0.1,
     }  # fmt: skip
     skin = {"vertices": s.vertices, "triangles": s.triangles}
@@ -158,10 +158,12 @@ def calls() -> dict[str, tuple[object, dict]]:
                            "pinned": s.pinned.tolist(), "weights": np.ones((s.n, 1)), "hold": s.ones}),
         "SoftBody.extend_shapes": (s.body, {"embedding": s.embedding,
                                             "surfaces": np.zeros((2, len(s.embedding.nodes), 3))}),
-        "FullModel": (lib, {"body": s.body, "targets": s.targets, "law": s.law, "blending": s.blending}),
+        "FullModel": (lib, {"body": s.body, "targets": s.targets, "material_model": s.material_model,
+                            "blending": s.blending}),
         "FullModel.fallbacks": (s.full, {"target": 1}),
         "FullModel.linear_modes": (s.full, {"target": 0, "k": 4}),
-        "ReducedTables": (lib, {"law": s.law, **{name: getattr(s.with_responses, name) for name in (
+        "ReducedTables": (lib, {"material_model": s.material_model, **{
+            name: getattr(s.with_responses, name) for name in (
             "basis", "lame_lambda", "lame_mu", "responses", "response_lambda", "response_mu", "relaxation")}}),
         "ReducedModel": (lib, {"body": s.body, "targets": s.targets, "tables": s.tables, "blending": s.blending}),
         "FullSkin": (lib, {"model": s.full, **points}),

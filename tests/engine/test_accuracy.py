@@ -79,8 +79,9 @@ def character(name, *rows):
     clip = {"frames": [1, 48], "substeps": 5, "moves": 0.01, "largest": 0.04, "microseconds": 8000.0,
             "iterations": 2.0, "unconverged": 0, "regions": dict.fromkeys(motion_error.REGIONS, 0.02)}  # fmt: skip
     return {
-        "title": accuracy.SUBJECTS[name].title, "law": "STABLE_STVK", "frequency": 3.5, "targets": 1, "nodes": 2000,
-        "default": ["MODES", 20], "dofs": 6000, "clips": {"walk": clip, "jump": clip}, "rows": list(rows),
+        "title": accuracy.SUBJECTS[name].title, "material_model": "STABLE_STVK", "frequency": 3.5,
+        "targets": 1, "nodes": 2000, "default": ["MODES", 20], "dofs": 6000, "clips": {"walk": clip, "jump": clip},
+        "rows": list(rows),
         "commit": "Measured at commit `0123456` (2026-01-01)", "machine": "a machine", "blender": "4.5", "jobs": 1,
     }  # fmt: skip
 

@@ -168,7 +168,7 @@ def test_a_raw_clip_is_what_numpy_reads():
     assert packed == point_cache.raw(bake, vertices, FPS)
     with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
         again = vertices + np.tensordot(arrays["coordinates"], arrays["modes"], 1)
-        again += np.tensordot(arrays["weights"], arrays["details"], 1)
+        again += np.tensordot(arrays["weights"], arrays["residual_shapes"], 1)
         assert arrays["fps"] == FPS
         np.testing.assert_array_equal(arrays["frames"], bake.frames)
     np.testing.assert_allclose(again, surface(bake, vertices), atol=1e-5)

@@ -20,7 +20,7 @@ def model(nodes, tets, pinned, hold=None):
     mesh = dynamorph.TetMesh(nodes, tets)
     body = dynamorph.SoftBody(mesh, ones, ones, ones[:, None], pinned, np.ones((len(nodes), 1)), hold)
     target = dynamorph.MorphTarget("rest", np.zeros_like(nodes), lame_lambda=1e4, lame_mu=1e4, density=1e3)
-    return dynamorph.FullModel(body, [target], dynamorph.Law.STVK, dynamorph.Blending.EVEN)
+    return dynamorph.FullModel(body, [target], dynamorph.MaterialModel.STVK, dynamorph.Blending.EVEN)
 
 
 def refusal(nodes, tets, pinned, hold=None):

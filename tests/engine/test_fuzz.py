@@ -148,7 +148,7 @@ class Prepared:
         shape = np.where(pinned[:, None], 0.0, 0.01 * nodes)
         targets = [dm.MorphTarget(name, each, **material) for name, each in (("a", 0.0 * shape), ("b", shape))]
         even = dm.Blending.EVEN
-        full = dm.FullModel(body, targets, dm.Law.STABLE_STVK, even)
+        full = dm.FullModel(body, targets, dm.MaterialModel.STABLE_STVK, even)
         basis = dm.make_basis(full, 3)
         tables = dm.reduce(full, basis.U)
         reduced = dm.ReducedModel(body, targets, tables, even)
@@ -172,12 +172,14 @@ class Prepared:
             "TetMesh": (lambda a, b: dm.TetMesh(a, b).volumes, [nodes, tets]),
             "Embedding": (lambda a, b: dm.Embedding(a, b).interpolate(nodes), [embedding.nodes, embedding.weights]),
             "SoftBody": (
-                lambda *a: dm.FullModel(dm.SoftBody(mesh, *a), targets, dm.Law.STVK, even).energy(weights, at_rest),
+                lambda *a: dm.FullModel(
+                    dm.SoftBody(mesh, *a), targets, dm.MaterialModel.STVK, even
+                ).energy(weights, at_rest),
                 [ones, ones, ones[:, None], pinned, np.ones((len(nodes), 1))],
             ),
             "MorphTarget": (
                 lambda d, *m: dm.FullModel(
-                    body, [targets[0], dm.MorphTarget("b", d, *m)], dm.Law.STABLE_STVK, even
+                    body, [targets[0], dm.MorphTarget("b", d, *m)], dm.MaterialModel.STABLE_STVK, even
                 ).linearize(weights, at_rest),
                 [shape, 1e4, 1e4, 1e3, 1.0, 1e-3],
             ),

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scenes import bar
 from scipy.spatial import KDTree
-from test_physics import BLENDINGS, LAWS, bones, lame
+from test_physics import BLENDINGS, MATERIAL_MODELS, bones, lame
 
 CELLS, SIZE = (4, 2, 2), (0.4, 0.2, 0.2)
 
 
-def held_bar(law, blending, hold=200.0, sets=1, cells=CELLS, seed=3):
+def held_bar(material_model, blending, hold=200.0, sets=1, cells=CELLS, seed=3):
     """A bar that nothing but the hold keeps in place: neutral, and a target of another shape and stiffness."""
     nodes, tets = bar(cells, SIZE)
     regions = np.full((len(tets), sets), 1.0 / sets)
@@ -25,13 +25,13 @@ def held_bar(law, blending, hold=200.0, sets=1, cells=CELLS, seed=3):
         for s in range(sets)
         for name, d, young in ((f"rest {s}", 0.0 * nodes, 2e4), (f"shaped {s}", shape, 9e4))
     ]
-    return dynamorph.FullModel(body, targets, law, blending), shape, mesh, fields
+    return dynamorph.FullModel(body, targets, material_model, blending), shape, mesh, fields
 
 
 @pytest.mark.parametrize("blending", BLENDINGS)
-@pytest.mark.parametrize("law", LAWS)
-def test_force_and_stiffness_are_derivatives_of_the_energy(law, blending):
-    model, *_ = held_bar(law, blending)
+@pytest.mark.parametrize("material_model", MATERIAL_MODELS)
+def test_force_and_stiffness_are_derivatives_of_the_energy(material_model, blending):
+    model, *_ = held_bar(material_model, blending)
     random, weights = np.random.default_rng(0), np.array([0.3, 0.7])
     q, direction = 0.01 * random.normal(size=(2, model.dofs))
     _, force, stiffness = model.linearize(weights, q)
@@ -46,10 +46,10 @@ def test_force_and_stiffness_are_derivatives_of_the_energy(law, blending):
 
 
 @pytest.mark.parametrize("blending", BLENDINGS)
-@pytest.mark.parametrize("law", LAWS)
-def test_targets_stay_exact(law, blending):
+@pytest.mark.parametrize("material_model", MATERIAL_MODELS)
+def test_targets_stay_exact(material_model, blending):
     """Each target's shape has no energy and no force at its own weight."""
-    model, shape, *_ = held_bar(law, blending)
+    model, shape, *_ = held_bar(material_model, blending)
     for j, d in enumerate((0.0 * shape, shape)):
         weights = np.eye(2)[j]
         energy, force, stiffness = model.linearize(weights, d.ravel())
@@ -57,9 +57,9 @@ def test_targets_stay_exact(law, blending):
         assert abs(energy) < 1e-12 * scale and np.abs(force).max() < 1e-12 * scale
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_even_blending_is_halfway_in_shape(law):
-    model, shape, *_ = held_bar(law, dynamorph.Blending.EVEN)
+@pytest.mark.parametrize("material_model", MATERIAL_MODELS)
+def test_even_blending_is_halfway_in_shape(material_model):
+    model, shape, *_ = held_bar(material_model, dynamorph.Blending.EVEN)
     simulation = dynamorph.FullSimulation(model, 1e-2)
     found, report = simulation.solve_static(bones(), np.array([0.5, 0.5]), np.zeros_like(shape))
     assert report["converged"]
@@ -67,11 +67,11 @@ def test_even_blending_is_halfway_in_shape(law):
 
 
 @pytest.mark.parametrize("blending", BLENDINGS)
-@pytest.mark.parametrize("law", LAWS)
-def test_the_reduced_model_has_the_same_hold(law, blending):
+@pytest.mark.parametrize("material_model", MATERIAL_MODELS)
+def test_the_reduced_model_has_the_same_hold(material_model, blending):
     """In the span of its basis, at any weights, also of overlapping sets; and after materials have changed."""
     sets = 2 if blending == dynamorph.Blending.EVEN else 1
-    model, shape, *_ = held_bar(law, blending, sets=sets)
+    model, shape, *_ = held_bar(material_model, blending, sets=sets)
     basis = dynamorph.make_basis(model, 8).U
     tables = dynamorph.reduce(model, basis)
     random = np.random.default_rng(1)
@@ -80,7 +80,7 @@ def test_the_reduced_model_has_the_same_hold(law, blending):
         dynamorph.MorphTarget(f"{j}", (j % 2) * shape, density=1000.0, set=j // 2, **lame(3e3 * (1 + j), 0.45))
         for j in range(2 * sets)
     ]
-    again = dynamorph.FullModel(model.body, softer, law, blending)
+    again = dynamorph.FullModel(model.body, softer, material_model, blending)
     for full, targets in ((model, model_targets(shape, sets)), (again, softer)):
         reduced = dynamorph.ReducedModel(model.body, targets, tables, blending)
         z = 0.02 * random.normal(size=basis.shape[1])
@@ -103,7 +103,7 @@ def model_targets(shape, sets):
 
 def test_the_energy_is_the_integral():
     """Of hold mu / 2 |u|^2 over the body, for a displacement that strains nothing."""
-    model, _, mesh, fields = held_bar(dynamorph.Law.LINEAR, dynamorph.Blending.EVEN)
+    model, _, mesh, fields = held_bar(dynamorph.MaterialModel.LINEAR, dynamorph.Blending.EVEN)
     shift = np.array([0.01, -0.02, 0.03])
     mu = lame(2e4, 0.3)["lame_mu"]
     expected = 0.5 * mu * (fields * mesh.volumes).sum() * (shift**2).sum()
@@ -118,7 +118,7 @@ def test_the_frequency_of_what_only_the_hold_keeps():
     none = np.zeros(len(nodes), bool)
     body = dynamorph.SoftBody(mesh, ones, ones, ones[:, None], none, np.ones((len(nodes), 1)), hold)
     target = dynamorph.MorphTarget("rest", 0.0 * nodes, density=900.0, **lame(1e5, 0.2))
-    model = dynamorph.FullModel(body, [target], dynamorph.Law.LINEAR, dynamorph.Blending.EVEN)
+    model = dynamorph.FullModel(body, [target], dynamorph.MaterialModel.LINEAR, dynamorph.Blending.EVEN)
     omega, _ = model.linear_modes(0, 4)
     assert omega[:3] == pytest.approx(np.sqrt(lame(1e5, 0.2)["lame_mu"] * 50.0 / 900.0), rel=1e-6)
 
@@ -135,7 +135,7 @@ def test_the_static_answer_converges_with_the_mesh():
         none = np.zeros(len(nodes), bool)
         body = dynamorph.SoftBody(mesh, ones, ones, ones[:, None], none, np.ones((len(nodes), 1)), hold)
         target = dynamorph.MorphTarget("rest", 0.0 * nodes, density=1000.0, **lame(5e4, 0.2))
-        model = dynamorph.FullModel(body, [target], dynamorph.Law.LINEAR, dynamorph.Blending.EVEN)
+        model = dynamorph.FullModel(body, [target], dynamorph.MaterialModel.LINEAR, dynamorph.Blending.EVEN)
         weight = 1000.0 * 9.81 * body.volumes.sum(axis=1)[:, None] * np.array([0.0, 0.0, -1.0])
         found, _ = dynamorph.FullSimulation(model, 1e-2).solve_static(bones(), np.ones(1), weight)
         answers.append(found.reshape(-1, 3)[KDTree(nodes).query([0.4, 0.1, 0.1])[1], 2])

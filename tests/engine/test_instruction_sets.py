@@ -139,7 +139,9 @@ def save_motion(path: str) -> None:
     """Coordinates of the full and of the reduced model after some steps of a swinging bar."""
     found = {}
     for reduced in (False, True):
-        model, _, _ = test_physics.sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, reduced, cells=(8, 3, 3))
+        model, _, _ = test_physics.sculpted(
+            dynamorph.MaterialModel.STVK, dynamorph.Blending.EVEN, reduced, cells=(8, 3, 3)
+        )
         rig, weights = test_physics.swing(model, 8)
         simulation = test_physics.simulation_of(model)
         simulation.start(rig[0], rig[1], weights[0])

@@ -102,7 +102,7 @@ WRONG = Material(stiffness=8e3, poisson=0.4, density=1050.0, mass_damping=4.0, s
 AT_REST = np.eye(4)[None]
 
 
-def limb(law="STABLE_STVK", solver="REDUCED", regions=False):
+def limb(material_model="STABLE_STVK", solver="REDUCED", regions=False):
     """A flat limb, 20 cm, held at its root: a neutral target and one that bulges and bends; (model, character).
 
     regions: the second target belongs to the outer half, in a set of its own.
@@ -131,7 +131,7 @@ def limb(law="STABLE_STVK", solver="REDUCED", regions=False):
         bone_segments=np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.015]]]),
         skeleton=Skeleton(("root",), np.array([-1]), AT_REST),
         target_sets=sets,
-        settings=ModelSettings(material_model=law, solver=solver, modes=16, cage_nodes=250, pin_radius=0.1),
+        settings=ModelSettings(material_model=material_model, solver=solver, modes=16, cage_nodes=250, pin_radius=0.1),
     )
     return build(character), character
 
@@ -210,17 +210,19 @@ def let_go(model, character, target, push, seconds, h=1 / 600):
 
 
 @pytest.mark.parametrize("target", [0, 1])
-@pytest.mark.parametrize(("law", "solver"), [("LINEAR", "FULL"), ("STVK", "REDUCED"), ("STABLE_STVK", "REDUCED")])
-def test_a_material_is_recovered_from_a_tracked_point(limbs, law, solver, target):
+@pytest.mark.parametrize(
+    ("material_model", "solver"), [("LINEAR", "FULL"), ("STVK", "REDUCED"), ("STABLE_STVK", "REDUCED")]
+)
+def test_a_material_is_recovered_from_a_tracked_point(limbs, material_model, solver, target):
     """From a wrong material: E within 5 %, the damping ratio within 15 %, through 5 % noise."""
-    model, character = limbs(law, solver)
+    model, character = limbs(material_model, solver)
     times, path = let_go(model, made_of(character, TRUE), target, [0.1, 0.0, 0.0], 2.5)
     size = np.linalg.norm(path[0] - path[-1])
     path = path + 0.05 * size * np.random.default_rng(7).normal(size=path.shape)
     video = slice(10, None, 10)  # 60 frames a second
     seen = oscillation.oscillation(times[video], path[video])
     fitted = material_fit.fit_oscillation(model, character, target, seen.frequency, seen.decay)
-    print(law, solver, target, seen, fitted)
+    print(material_model, solver, target, seen, fitted)
     assert fitted.stiffness == pytest.approx(TRUE.stiffness, rel=0.05)
     true_decay = material_fit.bounce(model, made_of(character, TRUE), target).decay
     assert material_fit.bounce(model, made_of(character, fitted), target).decay == pytest.approx(true_decay, rel=0.15)
@@ -263,16 +265,20 @@ def test_a_region_is_fitted_beside_other_flesh(limbs):
 
 @pytest.mark.parametrize("strength", [0.1, 4.0])
 @pytest.mark.parametrize("target", [0, 1])
-@pytest.mark.parametrize(("law", "solver"), [("LINEAR", "FULL"), ("STVK", "REDUCED"), ("STABLE_STVK", "FULL")])
-def test_stiffness_is_recovered_from_force_and_displacement(limbs, law, solver, target, strength):
+@pytest.mark.parametrize(
+    ("material_model", "solver"), [("LINEAR", "FULL"), ("STVK", "REDUCED"), ("STABLE_STVK", "FULL")]
+)
+def test_stiffness_is_recovered_from_force_and_displacement(limbs, material_model, solver, target, strength):
     """Ten pushes with 5 % noise, small or as far as a third of the limb's length: E within 3 %."""
-    model, character = limbs(law, solver)
+    model, character = limbs(material_model, solver)
     rng = np.random.default_rng(5)
     forces = strength * rng.normal(size=(10, 3)) * [1.0, 1.0, 0.3]
     moved, _ = pushed(model, made_of(character, TRUE), target, forces)
     noisy = moved + 0.05 * np.sqrt(np.square(moved).mean()) * rng.normal(size=moved.shape)
     fitted = material_fit.fit_force_displacement(model, character, target, forces, noisy, tip_patch(character))
-    print(law, solver, target, strength, np.linalg.norm(moved, axis=1).max(), fitted.stiffness / TRUE.stiffness)
+    print(
+        material_model, solver, target, strength, np.linalg.norm(moved, axis=1).max(), fitted.stiffness / TRUE.stiffness
+    )
     assert fitted.stiffness == pytest.approx(TRUE.stiffness, rel=0.03)
     assert replace(fitted, stiffness=0.0) == replace(WRONG, stiffness=0.0)
     if strength > 1.0:

@@ -108,10 +108,10 @@ def test_it_grows_with_everything_that_takes_memory():
 
 @pytest.mark.parametrize("modes", [1, 7, 20, 400])
 @pytest.mark.parametrize("basis", ["MODES", "RESPONSES"])
-@pytest.mark.parametrize("law", ["LINEAR", "STVK", "STABLE_STVK"])
+@pytest.mark.parametrize("material_model", ["LINEAR", "STVK", "STABLE_STVK"])
 @pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
-def test_it_is_a_number_for_all_settings(modes, basis, law, solver):
-    settings = ModelSettings(modes=modes, basis=basis, material_model=law, solver=solver)
+def test_it_is_a_number_for_all_settings(modes, basis, material_model, solver):
+    settings = ModelSettings(modes=modes, basis=basis, material_model=material_model, solver=solver)
     for method in ("DYNAMIC", "STATIC"):
         chosen = replace(settings, method=method)
         needs = memory.build_bytes(SIZE, chosen, 1) | memory.bake_bytes(SIZE, chosen, SHOT, None, 100)

@@ -12,9 +12,9 @@ from scipy.linalg import eigh
 from scipy.signal import argrelmax
 from scipy.spatial.transform import Rotation
 
-LAWS = list(dynamorph.Law.__members__.values())
+MATERIAL_MODELS = list(dynamorph.MaterialModel.__members__.values())
 BLENDINGS = list(dynamorph.Blending.__members__.values())
-EULER, BDF2 = dynamorph.Scheme.EULER, dynamorph.Scheme.BDF2
+EULER, BDF2 = dynamorph.Integrator.EULER, dynamorph.Integrator.BDF2
 ONE = np.ones(1)
 
 
@@ -25,7 +25,9 @@ def lame(young, poisson):
     }
 
 
-def cantilever(cells, size, young=1e5, poisson=0.0, law=dynamorph.Law.LINEAR, density=1000.0, **damping):
+def cantilever(
+    cells, size, young=1e5, poisson=0.0, material_model=dynamorph.MaterialModel.LINEAR, density=1000.0, **damping
+):
     """A bar pinned at x = 0 on one bone, with one target: its rest shape."""
     nodes, tets = bar(cells, size)
     count = np.ones(len(tets))
@@ -33,7 +35,7 @@ def cantilever(cells, size, young=1e5, poisson=0.0, law=dynamorph.Law.LINEAR, de
         dynamorph.TetMesh(nodes, tets), count, count, count[:, None], nodes[:, 0] < 1e-9, np.ones((len(nodes), 1))
     )
     target = dynamorph.MorphTarget("rest", np.zeros_like(nodes), density=density, **lame(young, poisson), **damping)
-    return dynamorph.FullModel(body, [target], law, dynamorph.Blending.FORCES), nodes
+    return dynamorph.FullModel(body, [target], material_model, dynamorph.Blending.FORCES), nodes
 
 
 def bones(rotation=None, translation=(0, 0, 0)):
@@ -86,7 +88,7 @@ def test_axial_mode_has_the_rod_s_frequency():
     assert omega[axial] == pytest.approx(np.pi / 2 * np.sqrt(1e6 / 1000), rel=3e-3)
 
 
-def one_mode_oscillator(h, scheme, mode=0):
+def one_mode_oscillator(h, integrator, mode=0):
     """The first mode alone, as a reduced linear model: an undamped oscillator of known frequency."""
     model, _ = cantilever((8, 2, 2), (0.4, 0.1, 0.1), young=5e4)
     omega, shapes = model.linear_modes(0, mode + 1)
@@ -95,18 +97,18 @@ def one_mode_oscillator(h, scheme, mode=0):
     nodes = len(model.displacement(np.zeros(model.dofs)))
     target = dynamorph.MorphTarget("rest", np.zeros((nodes, 3)), density=1000.0, **lame(5e4, 0.0))
     reduced = dynamorph.ReducedModel(model.body, [target], tables, dynamorph.Blending.FORCES)
-    return dynamorph.ReducedSimulation(reduced, h, scheme=scheme, tolerance=1e-12), omega[mode], basis
+    return dynamorph.ReducedSimulation(reduced, h, integrator=integrator, tolerance=1e-12), omega[mode], basis
 
 
-@pytest.mark.parametrize(("scheme", "order"), [(EULER, 1), (BDF2, 2)])
-def test_free_oscillator_converges_to_the_analytic_motion(scheme, order):
-    """z(t) = cos(omega t) after a quarter of the sway and three more, with the order the scheme claims."""
+@pytest.mark.parametrize(("integrator", "order"), [(EULER, 1), (BDF2, 2)])
+def test_free_oscillator_converges_to_the_analytic_motion(integrator, order):
+    """z(t) = cos(omega t) after a quarter of the sway and three more, with the order the integrator claims."""
     errors = []
     for steps in (800, 1600, 3200):
-        _, omega, _ = one_mode_oscillator(1.0, scheme)
+        _, omega, _ = one_mode_oscillator(1.0, integrator)
         end = 3.25 * 2 * np.pi / omega
-        simulation, _, _ = one_mode_oscillator(end / steps, scheme)
-        # A past on the exact trajectory: the scheme's own error alone is measured.
+        simulation, _, _ = one_mode_oscillator(end / steps, integrator)
+        # A past on the exact trajectory: the integrator's own error alone is measured.
         simulation.start(bones(), bones(), ONE)
         _, posed = simulation.state
         simulation.state = ([np.array([np.cos(-k * omega * end / steps)]) for k in range(4)], posed)
@@ -132,12 +134,12 @@ def test_damping_decays_as_rayleigh_s():
     assert peaks[1:3] / peaks[:2] == pytest.approx(np.exp(-2 * np.pi * zeta / np.sqrt(1 - zeta**2)), rel=0.01)
 
 
-@pytest.mark.parametrize("scheme", [EULER, BDF2])
-@pytest.mark.parametrize("law", LAWS)
-def test_energy_never_grows_without_input(law, scheme):
+@pytest.mark.parametrize("integrator", [EULER, BDF2])
+@pytest.mark.parametrize("material_model", MATERIAL_MODELS)
+def test_energy_never_grows_without_input(material_model, integrator):
     """Released from a random deformation at a fixed pose, the total energy stays within 1 % of where it began."""
-    model, _ = cantilever((4, 2, 2), (0.2, 0.1, 0.1), young=2e4, poisson=0.3, law=law)
-    simulation = dynamorph.FullSimulation(model, 1 / 240, scheme=scheme)
+    model, _ = cantilever((4, 2, 2), (0.2, 0.1, 0.1), young=2e4, poisson=0.3, material_model=material_model)
+    simulation = dynamorph.FullSimulation(model, 1 / 240, integrator=integrator)
     rng = np.random.default_rng(5)
     displaced(simulation, 0.01 * rng.standard_normal(model.dofs))
     begin = simulation.elastic_energy + simulation.kinetic_energy
@@ -151,10 +153,10 @@ def test_energy_never_grows_without_input(law, scheme):
 
 
 @pytest.mark.parametrize("blending", BLENDINGS)
-@pytest.mark.parametrize("law", LAWS)
-def test_reduced_energy_never_grows_between_targets(law, blending):
+@pytest.mark.parametrize("material_model", MATERIAL_MODELS)
+def test_reduced_energy_never_grows_between_targets(material_model, blending):
     """The same of a reduced model at blended weights, against the energy of the pose's own static solution."""
-    model, _, _ = sculpted(law, blending, True)
+    model, _, _ = sculpted(material_model, blending, True)
     simulation = simulation_of(model, 1 / 240)
     weights = np.array([0.4, 0.3, 0.3])
     simulation.start(TWO_BONES, TWO_BONES, weights)
@@ -279,10 +281,10 @@ def sculpture(damping=0.5, cells=(8, 2, 2)):
     return body, targets, shapes
 
 
-def sculpted(law, blending, reduced, damping=0.5, modes=12, cells=(8, 2, 2)):
+def sculpted(material_model, blending, reduced, damping=0.5, modes=12, cells=(8, 2, 2)):
     """A model of that bar; (model, displacements, size)."""
     body, targets, shapes = sculpture(damping, cells)
-    model = dynamorph.FullModel(body, targets, law, blending)
+    model = dynamorph.FullModel(body, targets, material_model, blending)
     if reduced:
         tables = dynamorph.reduce(model, dynamorph.make_basis(model, modes).U)
         model = dynamorph.ReducedModel(body, targets, tables, blending)
@@ -300,9 +302,9 @@ FLEXED = np.concatenate([bones(), bones(Rotation.from_euler("y", 70, degrees=Tru
 
 @pytest.mark.parametrize("reduced", [False, True])
 @pytest.mark.parametrize("blending", BLENDINGS)
-@pytest.mark.parametrize("law", LAWS)
-def test_static_solution_at_a_target_is_the_sculpted_shape(law, blending, reduced):
-    model, shapes, size = sculpted(law, blending, reduced)
+@pytest.mark.parametrize("material_model", MATERIAL_MODELS)
+def test_static_solution_at_a_target_is_the_sculpted_shape(material_model, blending, reduced):
+    model, shapes, size = sculpted(material_model, blending, reduced)
     simulation = simulation_of(model, tolerance=1e-9)
     rng = np.random.default_rng(1)
     for j, shape in enumerate(shapes):
@@ -315,10 +317,10 @@ def test_static_solution_at_a_target_is_the_sculpted_shape(law, blending, reduce
 
 
 @pytest.mark.parametrize("reduced", [False, True])
-@pytest.mark.parametrize("law", LAWS)
-def test_a_simulation_comes_to_rest_at_the_target(law, reduced):
+@pytest.mark.parametrize("material_model", MATERIAL_MODELS)
+def test_a_simulation_comes_to_rest_at_the_target(material_model, reduced):
     """From the neutral's pose to the bulge's in 20 steps, then still: the motion dies out at the sculpted shape."""
-    model, shapes, size = sculpted(law, dynamorph.Blending.EVEN, reduced, damping=10.0)
+    model, shapes, size = sculpted(material_model, dynamorph.Blending.EVEN, reduced, damping=10.0)
     simulation = simulation_of(model, 1 / 60)
     simulation.start(TWO_BONES, TWO_BONES, np.eye(3)[0])
     bulged = np.clip(np.arange(1, 401) / 20, 0, 1)[:, None]
@@ -329,7 +331,7 @@ def test_a_simulation_comes_to_rest_at_the_target(law, reduced):
 
 
 def test_balanced_targets_do_not_sag_and_gravity_s_difference_still_acts():
-    model, shapes, size = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, True)
+    model, shapes, size = sculpted(dynamorph.MaterialModel.STABLE_STVK, dynamorph.Blending.EVEN, True)
     simulation = simulation_of(model, gravity=(0, 0, -9.81))
     weights = np.eye(3)[1]
     sagging, _ = simulation.solve_static(FLEXED, weights)
@@ -343,7 +345,7 @@ def test_balanced_targets_do_not_sag_and_gravity_s_difference_still_acts():
 
 def test_stiff_target_answers_a_push_less_than_the_soft_one():
     """The dynamic property of a dynamic morph target: one force, two stiffnesses."""
-    model, shapes, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, False)
+    model, shapes, _ = sculpted(dynamorph.MaterialModel.STVK, dynamorph.Blending.EVEN, False)
     push = np.zeros_like(shapes[0])
     push[-1] = (0, 0, -0.05)
     simulation = simulation_of(model)
@@ -359,7 +361,7 @@ def test_small_swings_about_a_large_sculpt_are_not_lost(h):
     """A tenth of a millimeter about a bend of 12 cm: the default tolerance moves as a tight one does."""
     paths = []
     for tolerance in (1e-6, 1e-12):
-        model, _, _ = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, True, damping=0.0)
+        model, _, _ = sculpted(dynamorph.MaterialModel.STABLE_STVK, dynamorph.Blending.EVEN, True, damping=0.0)
         simulation = simulation_of(model, h, tolerance=tolerance)
         weights = np.eye(3)[2]
         simulation.start(TWO_BONES, TWO_BONES, weights)
@@ -379,8 +381,8 @@ def test_small_swings_about_a_large_sculpt_are_not_lost(h):
 
 def test_reduced_follows_full():
     """A bar swinging far beyond small strain, in 20 modes for three targets, stays close to the unreduced one."""
-    full, _, size = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, False)
-    reduced, _, _ = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, True, modes=20)
+    full, _, size = sculpted(dynamorph.MaterialModel.STABLE_STVK, dynamorph.Blending.EVEN, False)
+    reduced, _, _ = sculpted(dynamorph.MaterialModel.STABLE_STVK, dynamorph.Blending.EVEN, True, modes=20)
     times = np.arange(1, 121) / 120
     swing = 0.2 * np.sin(2 * np.pi * times)
     rig = np.array([np.concatenate([bones(), bones(Rotation.from_euler("y", a))]) for a in swing])
@@ -410,7 +412,7 @@ def swing(model, count):
 @pytest.mark.fault("C01")
 @pytest.mark.parametrize("reduced", [False, True])
 def test_state_resumes_bit_for_bit(reduced):
-    model, _, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.FORCES, reduced)
+    model, _, _ = sculpted(dynamorph.MaterialModel.STVK, dynamorph.Blending.FORCES, reduced)
     rig, weights = swing(model, 20)
     simulation = simulation_of(model)
     simulation.start(rig[0], rig[1], weights[0])
@@ -428,7 +430,7 @@ def test_state_resumes_bit_for_bit(reduced):
 @pytest.mark.fault("A01")
 def test_a_cut_in_the_root_motion_carries_the_past_along():
     """The rig jumps 50 m and turns; with the teleport rule the tissue swings on as if nothing had happened."""
-    model, _, size = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, True)
+    model, _, size = sculpted(dynamorph.MaterialModel.STABLE_STVK, dynamorph.Blending.EVEN, True)
     rig, weights = swing(model, 20)
     jump = np.vstack([bones(Rotation.from_euler("z", 100, degrees=True), (50, 0, 3))[0], [0, 0, 0, 1]])
     cut = rig.copy()
@@ -450,7 +452,7 @@ def test_a_cut_in_the_root_motion_carries_the_past_along():
 
 
 def test_wrong_shapes_name_the_parameter():
-    model, _, _ = sculpted(dynamorph.Law.LINEAR, dynamorph.Blending.EVEN, True)
+    model, _, _ = sculpted(dynamorph.MaterialModel.LINEAR, dynamorph.Blending.EVEN, True)
     simulation = simulation_of(model)
     with pytest.raises(ValueError, match=r"now: expected shape \(any, 3, 4\), got \(2, 4, 4\)"):
         simulation.start(np.zeros((2, 4, 4)), TWO_BONES, np.eye(3)[0])
@@ -479,7 +481,7 @@ def test_wrong_shapes_name_the_parameter():
 
 
 def test_a_force_that_is_not_a_number_is_an_error():
-    model, shapes, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, True)
+    model, shapes, _ = sculpted(dynamorph.MaterialModel.STVK, dynamorph.Blending.EVEN, True)
     simulation = simulation_of(model)
     simulation.start(TWO_BONES, TWO_BONES, np.eye(3)[0])
     with pytest.raises(ValueError, match="external: must be finite"):
@@ -489,7 +491,7 @@ def test_a_force_that_is_not_a_number_is_an_error():
 @pytest.mark.parametrize("reduced", [False, True])
 def test_a_bone_that_collapses_leaves_the_state_finite(reduced):
     """Scaled to zero for one step, as riggers hide things: regularized, not refused."""
-    model, _, size = sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, reduced)
+    model, _, size = sculpted(dynamorph.MaterialModel.STVK, dynamorph.Blending.EVEN, reduced)
     rig, weights = swing(model, 12)
     rig[6, :, :, :3] = 0.0
     simulation = simulation_of(model)
@@ -503,7 +505,7 @@ def test_a_bone_that_collapses_leaves_the_state_finite(reduced):
 @pytest.mark.parametrize("scale", [(1, 1, 0), (1, 0, 0), (1, 1, 1e-9)])
 def test_a_bone_that_is_flat_at_the_start_is_at_rest(scale, single):
     """Scaled to zero along an axis, and turned: the determinant is round-off, and so would be the past."""
-    model, _, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, True, cells=(4, 1, 1), modes=6)
+    model, _, _ = sculpted(dynamorph.MaterialModel.STVK, dynamorph.Blending.EVEN, True, cells=(4, 1, 1), modes=6)
     simulation = simulation_of(model)
     for seed in range(20):
         posed, rest = (turn.as_matrix() for turn in Rotation.random(2, random_state=seed))
@@ -529,7 +531,7 @@ def test_regions_that_do_not_overlap_have_the_body_s_modes():
     targets = [
         dynamorph.MorphTarget("n", np.zeros_like(nodes), density=1000.0, set=s, **lame(2e4, 0.3)) for s in range(2)
     ]
-    full = dynamorph.FullModel(body, targets, dynamorph.Law.LINEAR, dynamorph.Blending.EVEN)
+    full = dynamorph.FullModel(body, targets, dynamorph.MaterialModel.LINEAR, dynamorph.Blending.EVEN)
     simulation = simulation_of(full, gravity=(0, 0, -9.81))
     simulation.balance_targets(np.array([bones(), bones()]))  # each set balances its own half
     assert np.abs(simulation.solve_static(bones(), np.ones(2))[0]).max() < 1e-9
@@ -546,7 +548,7 @@ def test_regions_that_do_not_overlap_have_the_body_s_modes():
 
 
 def test_cancel_stops_a_long_call():
-    model, _, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, False)
+    model, _, _ = sculpted(dynamorph.MaterialModel.STVK, dynamorph.Blending.EVEN, False)
     with pytest.raises(dynamorph.Cancelled):
         dynamorph.make_basis(model, 12, lambda fraction: fraction < 0.3)
 
@@ -557,7 +559,7 @@ def test_cancel_stops_a_long_call():
 @pytest.mark.parametrize("reduced", [True, False])
 def test_energies_are_those_of_the_state_whatever_was_asked_between(reduced):
     """Static solutions and balanced targets pose the model elsewhere; that is not where the simulation is."""
-    model, _, _ = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, reduced)
+    model, _, _ = sculpted(dynamorph.MaterialModel.STABLE_STVK, dynamorph.Blending.EVEN, reduced)
     rig, weights = swing(model, 12)
     simulation = simulation_of(model)
     simulation.start(rig[0], rig[1], weights[0])
@@ -571,13 +573,13 @@ def test_energies_are_those_of_the_state_whatever_was_asked_between(reduced):
     assert simulation.elastic_energy == pytest.approx(model.energy(weights[-1], simulation.coordinates), rel=1e-12)
 
 
-@pytest.mark.parametrize(("scheme", "stencil"), [(EULER, (1.0, -1.0, 0.0)), (BDF2, (1.5, -2.0, 0.5))])
-def test_kinetic_energy_has_the_scheme_s_velocity(scheme, stencil):
+@pytest.mark.parametrize(("integrator", "stencil"), [(EULER, (1.0, -1.0, 0.0)), (BDF2, (1.5, -2.0, 0.5))])
+def test_kinetic_energy_has_the_integrator_s_velocity(integrator, stencil):
     """A bar that is thrown and turned by its bone: 1/2 sum m |v|^2 of the posed nodes."""
     model, nodes = cantilever((3, 1, 1), (0.3, 0.1, 0.1), young=4e4)
     h = 1 / 60
     frames = np.array([bones(Rotation.from_rotvec([0, 0.04 * k**2, 0]), (0.1 * k, 0, 0.02 * k**2)) for k in range(6)])
-    simulation = dynamorph.FullSimulation(model, h, scheme=scheme)
+    simulation = dynamorph.FullSimulation(model, h, integrator=integrator)
     simulation.start(frames[0], frames[1], ONE)
     simulation.advance(frames[1:], np.ones((5, 1)))
     coordinates, posed = simulation.state
@@ -595,7 +597,7 @@ def test_kinetic_energy_has_the_scheme_s_velocity(scheme, stencil):
 
 def test_threads_take_turns_with_one_simulation():
     """What four of them step together is a whole number of steps of one."""
-    model, _, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, True)
+    model, _, _ = sculpted(dynamorph.MaterialModel.STVK, dynamorph.Blending.EVEN, True)
     rig, weights = swing(model, 2)
     alone, shared = simulation_of(model), simulation_of(model)
     for simulation in (alone, shared):
@@ -613,7 +615,7 @@ def test_threads_take_turns_with_one_simulation():
 
 def test_a_step_that_fails_leaves_the_past_where_it_was():
     """Even where the rig jumps, and the past would have been carried along."""
-    model, _, _ = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, True)
+    model, _, _ = sculpted(dynamorph.MaterialModel.STABLE_STVK, dynamorph.Blending.EVEN, True)
     rig, weights = swing(model, 6)
     simulation = dynamorph.ReducedSimulation(model, 1 / 60, teleport=0.2)
     simulation.start(rig[0], rig[1], weights[0])

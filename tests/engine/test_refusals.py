@@ -13,7 +13,7 @@ from scenes import bar
 from test_hold import held_bar
 from test_physics import cantilever
 
-LAW, BLENDING = dynamorph.Law.STVK, dynamorph.Blending.EVEN
+MATERIAL_MODEL, BLENDING = dynamorph.MaterialModel.STVK, dynamorph.Blending.EVEN
 
 
 def reduced(full):
@@ -45,7 +45,7 @@ def rest(full, **changed):
         ("teleport", -1.0),
         ("teleport", np.nan),
         ("gravity", (0.0, np.nan, 0.0)),
-        ("scheme", dynamorph.Scheme(7)),
+        ("integrator", dynamorph.Integrator(7)),
     ],
 )
 def test_options_that_no_step_can_be_taken_with(stepper, option, value):
@@ -85,38 +85,38 @@ def test_poses_that_take_no_bytes_are_counted_first():
     ],
 )
 def test_targets_that_no_model_can_have(solver, changed, message):
-    full, _ = cantilever((2, 1, 1), (0.2, 0.1, 0.1), law=LAW)
+    full, _ = cantilever((2, 1, 1), (0.2, 0.1, 0.1), material_model=MATERIAL_MODEL)
     tables = dynamorph.reduce(full, unit_modes(full, 2))
     with pytest.raises((ValueError, dynamorph.Error), match=message):
         if solver == "full":
-            dynamorph.FullModel(full.body, [rest(full, **changed)], LAW, BLENDING)
+            dynamorph.FullModel(full.body, [rest(full, **changed)], MATERIAL_MODEL, BLENDING)
         else:
             dynamorph.ReducedModel(full.body, [rest(full, **changed)], tables, BLENDING)
 
 
 def test_a_model_needs_a_target_and_known_laws():
-    full, _ = cantilever((2, 1, 1), (0.2, 0.1, 0.1), law=LAW)
+    full, _ = cantilever((2, 1, 1), (0.2, 0.1, 0.1), material_model=MATERIAL_MODEL)
     tables = dynamorph.reduce(full, unit_modes(full, 2))
     with pytest.raises(ValueError, match="targets: at least one"):
-        dynamorph.FullModel(full.body, [], LAW, BLENDING)
-    none = dynamorph.ReducedTables(LAW, tables.basis, [], [])
+        dynamorph.FullModel(full.body, [], MATERIAL_MODEL, BLENDING)
+    none = dynamorph.ReducedTables(MATERIAL_MODEL, tables.basis, [], [])
     with pytest.raises(ValueError, match="targets: at least one"):
         dynamorph.ReducedModel(full.body, [], none, BLENDING)
-    with pytest.raises(ValueError, match="law: "):
-        dynamorph.FullModel(full.body, [rest(full)], dynamorph.Law(7), BLENDING)
+    with pytest.raises(ValueError, match="material_model: "):
+        dynamorph.FullModel(full.body, [rest(full)], dynamorph.MaterialModel(7), BLENDING)
     with pytest.raises(ValueError, match="blending: "):
-        dynamorph.FullModel(full.body, [rest(full)], LAW, dynamorph.Blending(7))
+        dynamorph.FullModel(full.body, [rest(full)], MATERIAL_MODEL, dynamorph.Blending(7))
     with pytest.raises(ValueError, match="blending: "):
         dynamorph.ReducedModel(full.body, [rest(full)], tables, dynamorph.Blending(7))
-    unknown = dynamorph.ReducedTables(dynamorph.Law(7), tables.basis, tables.lame_lambda, tables.lame_mu)
-    with pytest.raises(ValueError, match="law: "):
+    unknown = dynamorph.ReducedTables(dynamorph.MaterialModel(7), tables.basis, tables.lame_lambda, tables.lame_mu)
+    with pytest.raises(ValueError, match="material_model: "):
         dynamorph.ReducedModel(full.body, [rest(full)], unknown, BLENDING)
 
 
 @pytest.mark.parametrize(
     "call",
     [
-        lambda full: dynamorph.FullModel(None, [rest(full)], LAW, BLENDING),
+        lambda full: dynamorph.FullModel(None, [rest(full)], MATERIAL_MODEL, BLENDING),
         lambda full: dynamorph.ReducedModel(None, [rest(full)], dynamorph.reduce(full, unit_modes(full, 2)), BLENDING),
         lambda full: dynamorph.FullSimulation(None, 0.01),
         lambda full: dynamorph.ReducedSimulation(None, 0.01),
@@ -129,9 +129,11 @@ def test_none_is_no_model_and_no_body(call):
 
 
 def test_tables_have_to_be_finite():
-    full, _ = cantilever((2, 1, 1), (0.2, 0.1, 0.1), law=LAW)
+    full, _ = cantilever((2, 1, 1), (0.2, 0.1, 0.1), material_model=MATERIAL_MODEL)
     tables = dynamorph.reduce(full, unit_modes(full, 2))
-    wrong = dynamorph.ReducedTables(LAW, tables.basis, tables.lame_lambda, [np.nan * table for table in tables.lame_mu])
+    wrong = dynamorph.ReducedTables(
+        MATERIAL_MODEL, tables.basis, tables.lame_lambda, [np.nan * table for table in tables.lame_mu]
+    )
     with pytest.raises(ValueError, match="tables: of 'rest' must be finite"):
         dynamorph.ReducedModel(full.body, [rest(full)], wrong, BLENDING)
 
@@ -141,7 +143,7 @@ def test_tables_have_to_be_finite():
 
 @pytest.mark.parametrize("place", ["reduce", "model"])
 def test_a_basis_without_modes_or_of_another_body(place):
-    full, _ = cantilever((2, 1, 1), (0.2, 0.1, 0.1), law=LAW)
+    full, _ = cantilever((2, 1, 1), (0.2, 0.1, 0.1), material_model=MATERIAL_MODEL)
     good = unit_modes(full, 2)
     for basis, message in (
         (good[:, :0], "basis: expected at least one mode"),
@@ -158,7 +160,7 @@ def test_a_basis_without_modes_or_of_another_body(place):
 
 @pytest.mark.parametrize("place", ["reduce", "model"])
 def test_a_basis_that_loses_a_target_s_shape(place):
-    full, shape, *_ = held_bar(LAW, BLENDING)
+    full, shape, *_ = held_bar(MATERIAL_MODEL, BLENDING)
     targets = [rest(full), rest(full, displacement=shape)]
     use(full, targets, dynamorph.make_basis(full, 8).U, place)
     with pytest.raises(ValueError, match="basis: cannot hold the shape of 'rest'"):
@@ -167,7 +169,7 @@ def test_a_basis_that_loses_a_target_s_shape(place):
 
 def test_a_shape_that_is_nearly_another_s_may_lose_what_is_left():
     """Bases leave out what is 1e-9 of the largest shape, which of a small target may be more than 1e-6."""
-    full, shape, *_ = held_bar(LAW, BLENDING)
+    full, shape, *_ = held_bar(MATERIAL_MODEL, BLENDING)
     basis = dynamorph.make_basis(full, 8).U
     small = 1e-4 * shape + 1e-9 * np.abs(shape).max() * np.random.default_rng(0).normal(size=shape.shape)
     use(full, [rest(full), rest(full, displacement=shape), rest(full, displacement=small)], basis, "reduce")
@@ -175,13 +177,13 @@ def test_a_shape_that_is_nearly_another_s_may_lose_what_is_left():
 
 def use(full, targets, basis, place):
     """Reduces a model of these targets in a basis, or loads tables that claim to be of it."""
-    model = dynamorph.FullModel(full.body, targets, LAW, BLENDING)
+    model = dynamorph.FullModel(full.body, targets, MATERIAL_MODEL, BLENDING)
     if place == "reduce":
         return dynamorph.reduce(model, basis)
     r = basis.shape[1]
     coefficients = sum(math.comb(r + k - 1, k) for k in (2, 3, 4))
     zeros = [np.zeros(coefficients) for _ in targets]
-    tables = dynamorph.ReducedTables(LAW, basis, zeros, zeros)
+    tables = dynamorph.ReducedTables(MATERIAL_MODEL, basis, zeros, zeros)
     return dynamorph.ReducedModel(full.body, targets, tables, BLENDING)
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scenes import bar
 from scipy.spatial.transform import Rotation
-from test_physics import BLENDINGS, LAWS, bones, lame, simulation_of
+from test_physics import BLENDINGS, MATERIAL_MODELS, bones, lame, simulation_of
 
 EVEN, FORCES = dynamorph.Blending.EVEN, dynamorph.Blending.FORCES
-STABLE = dynamorph.Law.STABLE_STVK
+STABLE = dynamorph.MaterialModel.STABLE_STVK
 MODES, RESPONSES = 12, 40
 H = 1 / 120
 SIZE = 0.42 * 0.004**0.5  # the norm of coordinates that move the whole bar by its size
@@ -35,7 +35,7 @@ class Character:
         return dynamorph.ReducedModel(self.body, self.targets, dynamorph.reduce(self.full, basis), self.blending)
 
 
-def character(law=STABLE, blending=EVEN, sets=1, turn=None, cells=(10, 3, 3)) -> Character:
+def character(material_model=STABLE, blending=EVEN, sets=1, turn=None, cells=(10, 3, 3)) -> Character:
     """A bar of 0.4 m on three bones with a hold, painted stiffness and three or four targets, all of it turned or
     mirrored by a matrix."""
     random = np.random.default_rng(7)
@@ -63,13 +63,13 @@ def character(law=STABLE, blending=EVEN, sets=1, turn=None, cells=(10, 3, 3)) ->
     hold = random.uniform(0, 300, count)
     mesh = dynamorph.TetMesh(nodes, tets)
     body = dynamorph.SoftBody(mesh, fill, stiffness, regions, list(along < 1e-9), weights, hold)
-    return Character(body, targets, shapes, dynamorph.FullModel(body, targets, law, blending), blending)
+    return Character(body, targets, shapes, dynamorph.FullModel(body, targets, material_model, blending), blending)
 
 
 @cache
-def default_bar(law=STABLE, blending=EVEN, sets=1):
+def default_bar(material_model=STABLE, blending=EVEN, sets=1):
     """A character, its model with 20 modes and 100 responses, that of the same modes alone, and both side by side."""
-    bar = character(law, blending, sets)
+    bar = character(material_model, blending, sets)
     basis = dynamorph.make_response_basis(bar.full, 20, 100)
     return bar, bar.reduced(basis), bar.reduced(basis.U), np.hstack([basis.U, basis.W])
 
@@ -108,19 +108,19 @@ def moved(turn, *options, steps=40):
 
 @pytest.mark.parametrize("sets", [1, 2])
 @pytest.mark.parametrize("blending", BLENDINGS)
-@pytest.mark.parametrize("law", LAWS)
-def test_motion_does_not_depend_on_the_axes_of_the_bind_pose(law, blending, sets):
-    expected = moved(np.eye(3), law, blending, sets)
+@pytest.mark.parametrize("material_model", MATERIAL_MODELS)
+def test_motion_does_not_depend_on_the_axes_of_the_bind_pose(material_model, blending, sets):
+    expected = moved(np.eye(3), material_model, blending, sets)
     for turn in (TURN, Rotation.from_euler("z", 90, degrees=True).as_matrix(), MIRROR, MIRROR @ TURN):
-        found = moved(turn, law, blending, sets)
+        found = moved(turn, material_model, blending, sets)
         assert np.abs(found - expected).max() <= 2e-6 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("sets", [1, 2])
 @pytest.mark.parametrize("blending", BLENDINGS)
-@pytest.mark.parametrize("law", LAWS)
-def test_energy_is_never_negative(law, blending, sets):
-    bar, model, *_ = default_bar(law, blending, sets)
+@pytest.mark.parametrize("material_model", MATERIAL_MODELS)
+def test_energy_is_never_negative(material_model, blending, sets):
+    bar, model, *_ = default_bar(material_model, blending, sets)
     random = np.random.default_rng(3)
     modes = 20
     for _ in range(300):
@@ -152,10 +152,10 @@ def test_a_target_that_comes_within_a_few_steps_is_where_the_body_comes_to_rest(
         assert abs(simulation.elastic_energy) <= 1e-6 * model.energy(np.eye(3)[target], model.target(0))
 
 
-@pytest.mark.parametrize("law", [dynamorph.Law.STVK, STABLE])
-def test_from_afar_the_body_comes_to_rest_at_its_shape_as_with_the_modes_alone(law):
+@pytest.mark.parametrize("material_model", [dynamorph.MaterialModel.STVK, STABLE])
+def test_from_afar_the_body_comes_to_rest_at_its_shape_as_with_the_modes_alone(material_model):
     """Where a body is squeezed, modes soften; the condensed energy must have no minimum of its own there."""
-    bar, model, modes, _ = default_bar(law)
+    bar, model, modes, _ = default_bar(material_model)
     random = np.random.default_rng(1)
     for target in range(3):
         weights = np.eye(3)[target]
@@ -177,9 +177,9 @@ def test_from_afar_the_body_comes_to_rest_at_its_shape_as_with_the_modes_alone(l
 
 @pytest.mark.parametrize("weights", [(0.75, 0.25, 0), (0.5, 0.5, 0), (0.25, 0.75, 0), (0.5, 0, 0.5), (0.25, 0, 0.75),
                                      (0, 0.5, 0.5), (0.3, 0.3, 0.4)])  # fmt: skip
-@pytest.mark.parametrize("law", LAWS)
-def test_between_targets_blended_forces_rest_where_the_full_model_does(law, weights):
-    bar, model, *_ = default_bar(law, FORCES)
+@pytest.mark.parametrize("material_model", MATERIAL_MODELS)
+def test_between_targets_blended_forces_rest_where_the_full_model_does(material_model, weights):
+    bar, model, *_ = default_bar(material_model, FORCES)
     shapes = []
     for each in (bar.full, model):
         found, report = simulation_of(each, H, tolerance=1e-9).solve_static(AT_REST, weights)

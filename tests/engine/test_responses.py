@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 import test_physics
 from test_instruction_sets import available
-from test_physics import BLENDINGS, FLEXED, LAWS, TWO_BONES
+from test_physics import BLENDINGS, FLEXED, MATERIAL_MODELS, TWO_BONES
 from test_threads import run
 
 MODES, RESPONSES = 10, 24
 
 
-def with_responses(law, blending, cells=(8, 2, 2)):
+def with_responses(material_model, blending, cells=(8, 2, 2)):
     """The sculpted bar in modes and responses; (model, targets, full model, basis, tables)."""
     body, targets, _ = test_physics.sculpture(cells=cells)
-    full = dynamorph.FullModel(body, targets, law, blending)
+    full = dynamorph.FullModel(body, targets, material_model, blending)
     basis = dynamorph.make_response_basis(full, MODES, RESPONSES)
     tables = dynamorph.reduce(full, basis)
     return dynamorph.ReducedModel(body, targets, tables, blending), targets, full, basis, tables
@@ -26,7 +26,7 @@ def with_responses(law, blending, cells=(8, 2, 2)):
 def tables_like(tables, **changes):
     """The same tables with some of their arrays changed."""
     given = {
-        "law": tables.law,
+        "material_model": tables.material_model,
         "basis": tables.basis,
         "lame_lambda": tables.lame_lambda,
         "lame_mu": tables.lame_mu,
@@ -48,9 +48,9 @@ def moved(model, steps=30):
 
 
 @pytest.mark.parametrize("blending", BLENDINGS)
-@pytest.mark.parametrize("law", LAWS)
-def test_static_solution_at_a_target_is_the_sculpted_shape(law, blending):
-    model, *_ = with_responses(law, blending)
+@pytest.mark.parametrize("material_model", MATERIAL_MODELS)
+def test_static_solution_at_a_target_is_the_sculpted_shape(material_model, blending):
+    model, *_ = with_responses(material_model, blending)
     _, _, shapes = test_physics.sculpture()
     simulation = test_physics.simulation_of(model, tolerance=1e-9)
     random = np.random.default_rng(1)
@@ -62,7 +62,7 @@ def test_static_solution_at_a_target_is_the_sculpted_shape(law, blending):
 
 
 def test_sizes_and_tables_survive_a_round_trip_through_arrays():
-    model, targets, full, basis, tables = with_responses(dynamorph.Law.STVK, dynamorph.Blending.EVEN)
+    model, targets, full, basis, tables = with_responses(dynamorph.MaterialModel.STVK, dynamorph.Blending.EVEN)
     assert basis.U.shape == (full.dofs, MODES) and basis.W.shape == (full.dofs, RESPONSES)
     assert basis.amplitudes.shape == (MODES,) and np.all(basis.amplitudes > 0)
     assert model.dofs == MODES + RESPONSES
@@ -76,7 +76,7 @@ def test_sizes_and_tables_survive_a_round_trip_through_arrays():
 
 def test_responses_follow_the_full_model_more_closely_than_the_modes_alone():
     """In a small swing about the neutral shape, by the root mean square over all steps."""
-    model, targets, full, basis, _ = with_responses(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN)
+    model, targets, full, basis, _ = with_responses(dynamorph.MaterialModel.STABLE_STVK, dynamorph.Blending.EVEN)
     modes = dynamorph.ReducedModel(full.body, targets, dynamorph.reduce(full, basis.U), dynamorph.Blending.EVEN)
     angles = 0.01 * np.sin(np.arange(90) * 0.12)
     bend = [np.concatenate([test_physics.bones(), test_physics.bones(rotation_about_y(a))]) for a in angles]
@@ -100,7 +100,7 @@ def rotation_about_y(angle):
 
 
 def test_progress_is_reported_and_false_cancels():
-    full, _, _ = test_physics.sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, False)
+    full, _, _ = test_physics.sculpted(dynamorph.MaterialModel.STVK, dynamorph.Blending.EVEN, False)
     seen = []
     basis = dynamorph.make_response_basis(full, MODES, RESPONSES, progress=lambda done: seen.append(done) or True)
     assert seen[0] == 0 and seen[-1] == 1 and seen == sorted(seen)
@@ -111,7 +111,7 @@ def test_progress_is_reported_and_false_cancels():
 
 
 def test_what_does_not_fit_is_refused_by_name():
-    _, targets, full, _, tables = with_responses(dynamorph.Law.STVK, dynamorph.Blending.EVEN)
+    _, targets, full, _, tables = with_responses(dynamorph.MaterialModel.STVK, dynamorph.Blending.EVEN)
     short = [table[:-1] for table in tables.response_mu]
     nowhere = tables.responses.copy()
     nowhere[0, 0] = np.nan
@@ -139,17 +139,17 @@ def test_what_does_not_fit_is_refused_by_name():
 
 def test_responses_adapt_to_another_stiffness():
     """They stay in the span of all modes, orthonormal in the mass, and decouple as those of a build do."""
-    cells, size, law = (8, 2, 2), (0.4, 0.1, 0.1), dynamorph.Law.LINEAR
+    cells, size, material_model = (8, 2, 2), (0.4, 0.1, 0.1), dynamorph.MaterialModel.LINEAR
     body, targets, _ = test_physics.sculpture(cells=cells)
     basis = dynamorph.make_response_basis(
-        dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN), MODES, RESPONSES
+        dynamorph.FullModel(body, targets, material_model, dynamorph.Blending.EVEN), MODES, RESPONSES
     )
     nodes, tets = test_physics.bar(cells, size)
     softer, count, s = 0.25 ** (nodes[tets, 1].mean(axis=1) / size[1]), np.ones(len(tets)), nodes[:, 0] / size[0]
     painted = dynamorph.SoftBody(
         dynamorph.TetMesh(nodes, tets), count, softer, count[:, None], s < 1e-9, np.stack([1 - s, s], axis=1)
     )
-    full = dynamorph.FullModel(painted, targets, law, dynamorph.Blending.EVEN)
+    full = dynamorph.FullModel(painted, targets, material_model, dynamorph.Blending.EVEN)
     found = dynamorph.adapt_response_basis(full, basis.U, basis.W)
     mass = np.repeat(body.volumes.sum(axis=1), 3)[:, None]
     stiffness = full.linearize(np.array([1.0, 0.0, 0.0]), np.zeros(full.dofs))[2]
@@ -167,7 +167,7 @@ def test_responses_adapt_to_another_stiffness():
 
 
 def test_a_state_resumes_bit_for_bit():
-    model, *_ = with_responses(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN)
+    model, *_ = with_responses(dynamorph.MaterialModel.STABLE_STVK, dynamorph.Blending.EVEN)
     rig, weights = test_physics.swing(model, 20)
     first = test_physics.simulation_of(model)
     first.start(rig[0], rig[1], weights[0])
@@ -185,7 +185,7 @@ def test_a_state_resumes_bit_for_bit():
 
 def digest() -> str:
     """Of a basis, its tables and a motion, on a bar that several chunks of work share; for test_threads."""
-    model, _, _, basis, tables = with_responses(dynamorph.Law.STVK, dynamorph.Blending.EVEN, cells=(16, 4, 4))
+    model, _, _, basis, tables = with_responses(dynamorph.MaterialModel.STVK, dynamorph.Blending.EVEN, cells=(16, 4, 4))
     found = hashlib.sha256()
     arrays = (basis.U, basis.W, basis.amplitudes, *tables.response_lambda, *tables.response_mu, *tables.relaxation)
     for array in (*arrays, moved(model, 8)):
@@ -194,7 +194,7 @@ def digest() -> str:
 
 
 def save_motion(path: str) -> None:
-    model, *_ = with_responses(dynamorph.Law.STVK, dynamorph.Blending.EVEN)
+    model, *_ = with_responses(dynamorph.MaterialModel.STVK, dynamorph.Blending.EVEN)
     np.save(path, model.displacement(moved(model, 8)))
 
 

@@ -20,7 +20,9 @@ def bent(angle: float) -> np.ndarray:
     return bones
 
 
-def bar_models(law=dynamorph.Law.STABLE_STVK) -> tuple[dynamorph.FullModel, dynamorph.ReducedModel]:
+def bar_models(
+    material_model=dynamorph.MaterialModel.STABLE_STVK,
+) -> tuple[dynamorph.FullModel, dynamorph.ReducedModel]:
     """A bar that is pinned at x = 0, of two targets, unreduced and in modes and responses."""
     nodes, tets = bar((6, 2, 2), (0.3, 0.1, 0.1))
     ones, along = np.ones(len(tets)), nodes[:, 0] / 0.3
@@ -34,7 +36,7 @@ def bar_models(law=dynamorph.Law.STABLE_STVK) -> tuple[dynamorph.FullModel, dyna
         )
         for name, shape in (("neutral", 0 * nodes), ("bulge", bulge))
     ]
-    full = dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN)
+    full = dynamorph.FullModel(body, targets, material_model, dynamorph.Blending.EVEN)
     tables = dynamorph.reduce(full, dynamorph.make_response_basis(full, 8, 20))
     return full, dynamorph.ReducedModel(body, targets, tables, dynamorph.Blending.EVEN)
 

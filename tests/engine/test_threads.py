@@ -22,12 +22,12 @@ CORES = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
 def digest() -> str:
     """Of a basis, its polynomials, and steps of both models, on a bar that several chunks of work share."""
     found = hashlib.sha256()
-    full, _, _ = test_physics.sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, False, cells=(16, 4, 4))
+    full, _, _ = test_physics.sculpted(dynamorph.MaterialModel.STVK, dynamorph.Blending.EVEN, False, cells=(16, 4, 4))
     basis = dynamorph.make_basis(full, 12).U
     tables = dynamorph.reduce(full, basis)
     for array in (basis, *tables.lame_lambda, *tables.lame_mu):
         found.update(np.ascontiguousarray(array).tobytes())
-    reduced, _, _ = test_physics.sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, True, cells=(16, 4, 4))
+    reduced, _, _ = test_physics.sculpted(dynamorph.MaterialModel.STVK, dynamorph.Blending.EVEN, True, cells=(16, 4, 4))
     for model in (full, reduced):
         rig, weights = test_physics.swing(model, 8)
         simulation = test_physics.simulation_of(model)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One motion, whatever the frame rate: with smaller steps all converge to it, at the order of their scheme."""
+"""One motion, whatever the frame rate: with smaller steps all converge to it, at the order of their integrator."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ def swaying_bar(blending="EVEN"):
     character = replace(bar(material=TISSUE), settings=settings)
     model = build(character)
 
-    def run(fps, substeps, scheme="BDF2"):
+    def run(fps, substeps, integrator="BDF2"):
         times = np.arange(round(SECONDS * fps) * substeps + 1) / (fps * substeps)
         world = np.tile(np.eye(4), (len(times), 1, 1))
         world[:, 0, 3] = 0.05 * (1.0 - np.cos(2.0 * np.pi * 1.5 * times))  # begins at rest
@@ -30,7 +30,7 @@ def swaying_bar(blending="EVEN"):
         world[:, 0, 2], world[:, 2, 0] = np.sin(turn), -np.sin(turn)
         rig = RigSamples(np.tile(np.eye(4), (len(times), 1, 1, 1)), world, world)
         end = round(SECONDS * fps)
-        settings = SimulationSettings(0, end, fps, substeps, scheme, (0.0, 0.0, -9.81), initial_state="REST_SHAPE")
+        settings = SimulationSettings(0, end, fps, substeps, integrator, (0.0, 0.0, -9.81), initial_state="REST_SHAPE")
         return np.array([frame.coordinates for frame in simulate.simulate(model, character, rig, settings)])
 
     return run
@@ -58,12 +58,12 @@ def test_sums_in_single_precision_add_up_to_nothing(swaying):
         assert swaying(24, substeps) == pytest.approx(exact, abs=1e-6 * np.abs(exact).max())
 
 
-@pytest.mark.parametrize("scheme, order", [("BDF2", 2.0), ("EULER", 1.0)])
-def test_steps_converge_to_one_motion(swaying, scheme, order):
+@pytest.mark.parametrize("integrator, order", [("BDF2", 2.0), ("EULER", 1.0)])
+def test_steps_converge_to_one_motion(swaying, integrator, order):
     exact = swaying(24, 512)
     scale = np.abs(exact).max()
     for fps in (24, 30, 60):
-        errors = [np.abs(swaying(fps, n, scheme)[:: fps // 6] - exact[::4]).max() / scale for n in (16, 32, 64)]
+        errors = [np.abs(swaying(fps, n, integrator)[:: fps // 6] - exact[::4]).max() / scale for n in (16, 32, 64)]
         measured = np.log2(np.array(errors[:-1]) / errors[1:])
         assert measured[-1] == pytest.approx(order, abs=0.3)
     assert errors[-1] < 0.02

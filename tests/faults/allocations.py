@@ -45,7 +45,7 @@ class Scene:
         shapes = {"rest": 0.0 * bent, "bent": bent}
         self.targets = [dm.MorphTarget(name, shape, **material) for name, shape in shapes.items()]
         self.body = body
-        self.full = dm.FullModel(body, self.targets, dm.Law.STABLE_STVK, dm.Blending.EVEN)
+        self.full = dm.FullModel(body, self.targets, dm.MaterialModel.STABLE_STVK, dm.Blending.EVEN)
         self.basis = dm.make_basis(self.full, 3)
         self.tables = dm.reduce(self.full, self.basis.U)
         self.reduced = dm.ReducedModel(body, self.targets, self.tables, dm.Blending.EVEN)
@@ -119,7 +119,7 @@ def constructors(scene: Scene) -> dict[str, Callable]:
     even = dm.Blending.EVEN
     return {
         "TetMesh": lambda: dm.TetMesh(scene.nodes, scene.mesh.tets),
-        "FullModel": lambda: dm.FullModel(scene.body, scene.targets, dm.Law.STVK, even),
+        "FullModel": lambda: dm.FullModel(scene.body, scene.targets, dm.MaterialModel.STVK, even),
         "ReducedModel": lambda: dm.ReducedModel(scene.body, scene.targets, scene.tables, even),
         "FullSimulation": lambda: dm.FullSimulation(scene.full, 0.01),
         "ReducedSimulation": lambda: dm.ReducedSimulation(scene.reduced, 0.01),

@@ -37,12 +37,12 @@ VARIANTS: dict[str, dict[str, str]] = {
     "static morphs": {"method": "STATIC"},
     "pose-dependent shape": {"method": "SHAPE"},
     **{
-        f"{material} {law} {solver}": {
+        f"{material} {material_model} {solver}": {
             "method": method,
-            "material_model": law.replace(" ", "_").upper(),
+            "material_model": material_model.replace(" ", "_").upper(),
             "solver": solver.upper(),
         }
-        for law in ("linear", "StVK", "stable StVK")
+        for material_model in ("linear", "StVK", "stable StVK")
         for solver in ("full", "reduced")
         for material, method in (("single", "SINGLE"), ("DMT", "DYNAMIC"))
     },

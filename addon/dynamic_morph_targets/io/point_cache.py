@@ -44,10 +44,10 @@ def raw(bake: Bake, vertices: np.ndarray, fps: float) -> bytes:
     arrays = {
         "vertices": vertices,
         "modes": bake.modes,
-        "details": bake.residual_shapes,  # the name in files from before
+        "residual_shapes": bake.residual_shapes,
         "coordinates": bake.coordinates,
         "weights": bake.weights,
-        "dry": bake.static,
+        "static_coordinates": bake.static,
         "frames": bake.frames,
         "fps": [fps],
     }

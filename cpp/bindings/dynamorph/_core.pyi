@@ -8,7 +8,7 @@ import numpy.typing
 import scipy.sparse
 import typing
 import typing_extensions
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'FullSkin', 'Grabs', 'Law', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'FullSkin', 'Grabs', 'Integrator', 'MaterialModel', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -142,7 +142,7 @@ class PoseSpace:
     @property
     def targets(self) -> int:
         ...
-class Law:
+class MaterialModel:
     """
     Members:
     
@@ -152,12 +152,12 @@ class Law:
     
       STABLE_STVK
     """
-    LINEAR: typing.ClassVar[Law]
-    STABLE_STVK: typing.ClassVar[Law]
-    STVK: typing.ClassVar[Law]
-    __members__: typing.ClassVar[dict[str, Law]]
+    LINEAR: typing.ClassVar[MaterialModel]
+    STABLE_STVK: typing.ClassVar[MaterialModel]
+    STVK: typing.ClassVar[MaterialModel]
+    __members__: typing.ClassVar[dict[str, MaterialModel]]
     @typing.overload
-    def __eq__(self, other: Law) -> bool:
+    def __eq__(self, other: MaterialModel) -> bool:
         ...
     @typing.overload
     def __eq__(self, other: typing.Any) -> bool:
@@ -173,7 +173,7 @@ class Law:
     def __int__(self) -> int:
         ...
     @typing.overload
-    def __ne__(self, other: Law) -> bool:
+    def __ne__(self, other: MaterialModel) -> bool:
         ...
     @typing.overload
     def __ne__(self, other: typing.Any) -> bool:
@@ -272,7 +272,7 @@ class FullModel:
     """
     The unreduced soft skin.
     """
-    def __init__(self, body: SoftBody, targets: collections.abc.Sequence[MorphTarget], law: Law, blending: Blending) -> None:
+    def __init__(self, body: SoftBody, targets: collections.abc.Sequence[MorphTarget], material_model: MaterialModel, blending: Blending) -> None:
         ...
     def displacement(self, q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
         """
@@ -364,7 +364,7 @@ class ReducedTables:
     """
     The tables that a built reduced model stores. They hold geometry only, no material.
     """
-    def __init__(self, law: Law, basis: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], lame_lambda: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], lame_mu: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], responses: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] = ..., response_lambda: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]] = [], response_mu: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]] = [], relaxation: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]] = []) -> None:
+    def __init__(self, material_model: MaterialModel, basis: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], lame_lambda: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], lame_mu: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], responses: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] = ..., response_lambda: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]] = [], response_mu: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]] = [], relaxation: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]] = []) -> None:
         ...
     @property
     def basis(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
@@ -380,7 +380,7 @@ class ReducedTables:
         Per target, for mu = 1 Pa.
         """
     @property
-    def law(self) -> Law:
+    def material_model(self) -> MaterialModel:
         ...
     @property
     def relaxation(self) -> list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]]:
@@ -456,7 +456,7 @@ class ReducedSkin:
         """
         Forces on the coordinates (dofs) that do the work of forces on the points (P, 3), newtons, world space.
         """
-class Scheme:
+class Integrator:
     """
     Members:
     
@@ -464,11 +464,11 @@ class Scheme:
     
       BDF2
     """
-    BDF2: typing.ClassVar[Scheme]
-    EULER: typing.ClassVar[Scheme]
-    __members__: typing.ClassVar[dict[str, Scheme]]
+    BDF2: typing.ClassVar[Integrator]
+    EULER: typing.ClassVar[Integrator]
+    __members__: typing.ClassVar[dict[str, Integrator]]
     @typing.overload
-    def __eq__(self, other: Scheme) -> bool:
+    def __eq__(self, other: Integrator) -> bool:
         ...
     @typing.overload
     def __eq__(self, other: typing.Any) -> bool:
@@ -484,7 +484,7 @@ class Scheme:
     def __int__(self) -> int:
         ...
     @typing.overload
-    def __ne__(self, other: Scheme) -> bool:
+    def __ne__(self, other: Integrator) -> bool:
         ...
     @typing.overload
     def __ne__(self, other: typing.Any) -> bool:
@@ -513,7 +513,7 @@ class FullSimulation:
     """
     Steps a model through time, in world space and SI units.
     """
-    def __init__(self, model: FullModel, h: typing.SupportsFloat | typing.SupportsIndex, *, scheme: Scheme = Scheme.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0, keep_going: typing.Any = None) -> None:
+    def __init__(self, model: FullModel, h: typing.SupportsFloat | typing.SupportsIndex, *, integrator: Integrator = Integrator.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0, keep_going: typing.Any = None) -> None:
         """
         h: seconds per step. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, meters, above which the past is carried along (0: never). keep_going() -> bool is called before every Newton iteration; returning False raises Cancelled.
         """
@@ -550,7 +550,7 @@ class FullSimulation:
     @property
     def kinetic_energy(self) -> float:
         """
-        Kinetic energy of the posed nodes, J, from the scheme's own velocity.
+        Kinetic energy of the posed nodes, J, from the integrator's own velocity.
         """
     @property
     def model(self) -> FullModel:
@@ -567,7 +567,7 @@ class ReducedSimulation:
     """
     Steps a model through time, in world space and SI units.
     """
-    def __init__(self, model: ReducedModel, h: typing.SupportsFloat | typing.SupportsIndex, *, scheme: Scheme = Scheme.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0, keep_going: typing.Any = None) -> None:
+    def __init__(self, model: ReducedModel, h: typing.SupportsFloat | typing.SupportsIndex, *, integrator: Integrator = Integrator.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0, keep_going: typing.Any = None) -> None:
         """
         h: seconds per step. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, meters, above which the past is carried along (0: never). keep_going() -> bool is called before every Newton iteration; returning False raises Cancelled.
         """
@@ -604,7 +604,7 @@ class ReducedSimulation:
     @property
     def kinetic_energy(self) -> float:
         """
-        Kinetic energy of the posed nodes, J, from the scheme's own velocity.
+        Kinetic energy of the posed nodes, J, from the integrator's own velocity.
         """
     @property
     def model(self) -> ReducedModel:

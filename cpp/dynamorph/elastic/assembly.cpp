@@ -161,8 +161,9 @@ Assembly::Elements Assembly::pack(const RestShape& shape, bool absolute) const {
 
 // --- Elements --------------------------------------------------------------------------------------------------------
 
-double Assembly::sum_chunks(Law law, const std::vector<Part>& parts, const VectorXd& x, double* stores) const {
-  const bool stable = law == Law::stable_stvk, tangent = stores != nullptr;
+double Assembly::sum_chunks(MaterialModel material_model, const std::vector<Part>& parts, const VectorXd& x,
+                            double* stores) const {
+  const bool stable = material_model == MaterialModel::stable_stvk, tangent = stores != nullptr;
   const auto& energy_of = stable ? stable_energy : stvk_energy;
   const auto& tangent_of = stable ? stable_tangent : stvk_tangent;
   std::vector<WeightedPart> weighted;
@@ -184,14 +185,14 @@ double Assembly::sum_chunks(Law law, const std::vector<Part>& parts, const Vecto
   return std::accumulate(energies.begin(), energies.end(), 0.0);
 }
 
-double Assembly::energy(Law law, const std::vector<Part>& parts, const VectorXd& x) const {
-  return sum_chunks(law, parts, x, nullptr);
+double Assembly::energy(MaterialModel material_model, const std::vector<Part>& parts, const VectorXd& x) const {
+  return sum_chunks(material_model, parts, x, nullptr);
 }
 
-double Assembly::linearize(Law law, const std::vector<Part>& parts, const VectorXd& x, VectorXd& force,
-                           SparseMatrix& stiffness) const {
+double Assembly::linearize(MaterialModel material_model, const std::vector<Part>& parts, const VectorXd& x,
+                           VectorXd& force, SparseMatrix& stiffness) const {
   std::vector<double> stores(stores_size_);
-  const double energy = sum_chunks(law, parts, x, stores.data());
+  const double energy = sum_chunks(material_model, parts, x, stores.data());
   force.resize(3 * free_);
   const int count = int(blocks_.size());
   parallel_for((count + kSlice - 1) / kSlice, [&](int slice) {

@@ -39,10 +39,10 @@ class Assembly {
   const SparseMatrix& pattern() const { return pattern_; }
 
   /// Energy of StVK or stable StVK at displacements x (3 free).
-  double energy(Law law, const std::vector<Part>& parts, const VectorXd& x) const;
+  double energy(MaterialModel material_model, const std::vector<Part>& parts, const VectorXd& x) const;
 
   /// Computes the force dE/dx and its derivative as well. `stiffness` must have the pattern.
-  double linearize(Law law, const std::vector<Part>& parts, const VectorXd& x, VectorXd& force,
+  double linearize(MaterialModel material_model, const std::vector<Part>& parts, const VectorXd& x, VectorXd& force,
                    SparseMatrix& stiffness) const;
 
  private:
@@ -58,7 +58,8 @@ class Assembly {
     int lower, lower_stride;  ///< the same for the transposed block
   };
   /// Returns the energy. Computes forces and stiffness only if there are stores.
-  double sum_chunks(Law law, const std::vector<Part>& parts, const VectorXd& x, double* stores) const;
+  double sum_chunks(MaterialModel material_model, const std::vector<Part>& parts, const VectorXd& x,
+                    double* stores) const;
   void group_tets(const TetMesh& mesh, const std::vector<int>& free_of_node);
   void place_blocks();
   void build_pattern();

@@ -17,9 +17,11 @@ Matrix3d edges(const Points& x, const Tets& tets, Eigen::Index e) {
 
 }  // namespace
 
-void check(Law law) {
-  if (law != Law::linear && law != Law::stvk && law != Law::stable_stvk)
-    throw std::invalid_argument("law: expected one of Law's values, got " + std::to_string(int(law)));
+void check(MaterialModel material_model) {
+  if (material_model != MaterialModel::linear && material_model != MaterialModel::stvk &&
+      material_model != MaterialModel::stable_stvk)
+    throw std::invalid_argument("material_model: expected one of MaterialModel's values, got " +
+                                std::to_string(int(material_model)));
 }
 
 RestShape rest_shape(const TetMesh& mesh, const VectorXd& displacement, const VectorXd& scale, bool shifted) {

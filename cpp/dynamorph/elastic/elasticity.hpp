@@ -18,10 +18,10 @@
 
 namespace dynamorph {
 
-enum class Law { linear, stvk, stable_stvk };
+enum class MaterialModel { linear, stvk, stable_stvk };
 
-/// Throws std::invalid_argument unless `law` is one of the enumeration's values.
-void check(Law law);
+/// Throws std::invalid_argument unless `material_model` is one of the enumeration's values.
+void check(MaterialModel material_model);
 
 /// Lame's parameters, Pa.
 struct Lame {

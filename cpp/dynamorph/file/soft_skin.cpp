@@ -68,22 +68,22 @@ std::shared_ptr<const SoftBody> soft_body(const Content& content) {
 
 /// How the model was built, according to its description.
 struct Built {
-  Law law;
+  MaterialModel material_model;
   bool shifted;
   std::vector<std::string> bone_names;
 };
 
 Built built(const std::string& meta) {
-  static const std::map<std::string, Law> laws{
-      {"LINEAR", Law::linear}, {"STVK", Law::stvk}, {"STABLE_STVK", Law::stable_stvk}};
+  static const std::map<std::string, MaterialModel> models{
+      {"LINEAR", MaterialModel::linear}, {"STVK", MaterialModel::stvk}, {"STABLE_STVK", MaterialModel::stable_stvk}};
   try {
     const auto description = nlohmann::json::parse(meta);
     const auto& settings = description.at("settings");
     if (settings.at("method") == "STATIC" || settings.at("solver") != "REDUCED")
       throw Error("The model has no modes to step: build it with the solver Reduced");
-    const auto law = laws.find(settings.at("material_model").get<std::string>());
-    if (law == laws.end()) throw incomplete("its law is unknown");
-    return {law->second, settings.at("method") == "SHAPE", description.at("bone_names")};
+    const auto material_model = models.find(settings.at("material_model").get<std::string>());
+    if (material_model == models.end()) throw incomplete("its material model is unknown");
+    return {material_model->second, settings.at("method") == "SHAPE", description.at("bone_names")};
   } catch (const nlohmann::json::exception& error) {
     throw incomplete(error.what());
   }
@@ -143,9 +143,9 @@ SoftSkin load_soft_skin(const Content& content, std::vector<MorphTarget> targets
   const auto shapes = table<double>(content, "displacements", {-1, body->mesh.nodes.rows(), 3});
   if (J != shapes.rows())
     throw std::invalid_argument("targets: expected " + std::to_string(shapes.rows()) + ", got " + std::to_string(J));
-  ReducedTables tables{
-      how.law, table<double>(content, "basis", {3 * Eigen::Index(body->free_nodes.size()), -1}), {}, {}, {}, {}, {},
-      {}};
+  ReducedTables tables;
+  tables.material_model = how.material_model;
+  tables.basis = table<double>(content, "basis", {3 * Eigen::Index(body->free_nodes.size()), -1});
   const Eigen::Index size = tables.layout().distinct();
   const auto lambda = table<double>(content, "table_lambda", {J, size});
   const auto mu = table<double>(content, "table_mu", {J, size});

@@ -16,7 +16,7 @@ MatrixXd extend_shapes(const SoftBody& body, const Embedding& embedding, const M
   auto whole = std::make_shared<SoftBody>(body);
   whole->region_weights.setOnes(body.mesh.tets.rows(), 1);
   whole->hold_stiffness.resize(0, 0);  // the hold acts about the target's shape, which is not known yet
-  const FullModel model(whole, {neutral}, Law::linear, Blending::forces);
+  const FullModel model(whole, {neutral}, MaterialModel::linear, Blending::forces);
   SparseMatrix A = model.rest_stiffness(0);
   const double pull = 1e4 * A.diagonal().mean();
 

@@ -13,13 +13,14 @@ constexpr Eigen::Index kBlended = 2048;  // values blended at a time, so that th
 
 }  // namespace
 
-FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, Law law, Blending blending)
+FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets,
+                     MaterialModel material_model, Blending blending)
     : body_(std::move(body)),
       targets_(std::move(targets)),
-      law_(law),
+      material_model_(material_model),
       blending_(blending),
       assembly_(body_->mesh, body_->free_of_node) {
-  check(law_);
+  check(material_model_);
   check(blending_);
   check_targets(*body_, targets_);
   VectorXd force;
@@ -33,8 +34,9 @@ FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarg
                                  target.shifted));
     elements_.push_back(assembly_.pack(shapes_.back(), false));
     // The linear law's stiffness is StVK's at the rest shape.
-    const Law law = law_ == Law::linear ? Law::stvk : law_;
-    assembly_.linearize(law, {{1, target.lame, &elements_.back()}}, VectorXd::Zero(d.size()), force, K);
+    const MaterialModel material_model =
+        material_model_ == MaterialModel::linear ? MaterialModel::stvk : material_model_;
+    assembly_.linearize(material_model, {{1, target.lame, &elements_.back()}}, VectorXd::Zero(d.size()), force, K);
     for (Eigen::Index i = 0; body_->hold_stiffness.size() > 0 && i < dofs(); ++i)
       K.valuePtr()[diagonal_[i]] += target.lame.mu * body_->hold_stiffness(i / 3, target.set);
     rest_stiffness_.push_back(values(K));
@@ -55,7 +57,7 @@ void FullModel::blend(const VectorXd& w, Blend& out) const {
   out.of = this;
   out.weights = w;
   out.mass.blend(targets_, body_->sets(), w);
-  const bool linear = law_ == Law::linear, even = blending_ == Blending::even;
+  const bool linear = material_model_ == MaterialModel::linear, even = blending_ == Blending::even;
   if (out.damping.nonZeros() != assembly_.pattern().nonZeros()) out.damping = assembly_.pattern();
   if (linear && out.stiffness.nonZeros() != assembly_.pattern().nonZeros()) out.stiffness = assembly_.pattern();
   const Eigen::Index size = out.damping.nonZeros();
@@ -130,20 +132,20 @@ double FullModel::hold_energy(const Blend& blend, const VectorXd& x, VectorXd& p
 }
 
 double FullModel::energy(const Blend& blend, const VectorXd& q, Workspace& workspace) const {
-  if (law_ == Law::linear) return blend.energy + q.dot(0.5 * (blend.stiffness * q) + blend.force);
+  if (material_model_ == MaterialModel::linear) return blend.energy + q.dot(0.5 * (blend.stiffness * q) + blend.force);
   VectorXd& x = workspace.from_shape;
   displacement_from_shape(blend, q, x);
   const double of_hold = body_->hold_stiffness.size() > 0 ? hold_energy(blend, x, workspace.pull) : 0;
-  return assembly_.energy(law_, parts(blend), x) + of_hold;
+  return assembly_.energy(material_model_, parts(blend), x) + of_hold;
 }
 
 double FullModel::linearize(const Blend& blend, const VectorXd& q, Workspace& workspace, VectorXd& force,
                             Matrix& stiffness) const {
   if (stiffness.nonZeros() != assembly_.pattern().nonZeros()) stiffness = assembly_.pattern();
-  if (law_ != Law::linear) {
+  if (material_model_ != MaterialModel::linear) {
     VectorXd& x = workspace.from_shape;
     displacement_from_shape(blend, q, x);
-    const double energy = assembly_.linearize(law_, parts(blend), x, force, stiffness);
+    const double energy = assembly_.linearize(material_model_, parts(blend), x, force, stiffness);
     if (body_->hold_stiffness.size() == 0) return energy;
     const double of_hold = hold_energy(blend, x, workspace.pull);
     force += workspace.pull;

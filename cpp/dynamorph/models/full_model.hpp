@@ -58,12 +58,13 @@ class FullModel {
     VectorXd from_shape, pull;  ///< displacements that the elements take, and the force of the hold
   };
 
-  FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, Law law, Blending blending);
+  FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, MaterialModel material_model,
+            Blending blending);
 
   const SoftBody& body() const { return *body_; }
   const std::shared_ptr<const SoftBody>& shared_body() const { return body_; }
   const std::vector<MorphTarget>& targets() const { return targets_; }
-  Law law() const { return law_; }
+  MaterialModel material_model() const { return material_model_; }
   Blending blending() const { return blending_; }
   const RestShape& shape(int target) const { return shapes_[target]; }
   int dofs() const { return int(3 * body_->free_nodes.size()); }
@@ -104,7 +105,7 @@ class FullModel {
 
   std::shared_ptr<const SoftBody> body_;
   std::vector<MorphTarget> targets_;
-  Law law_;
+  MaterialModel material_model_;
   Blending blending_;
   Assembly assembly_;
   std::vector<RestShape> shapes_;

@@ -145,7 +145,7 @@ ReducedModel::ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<Mor
       padded_pairs_(whole_chunks(layout_.pairs())),
       inertia_(inertia_of(body_, tables.basis)),
       response_inertia_(body_, tables.basis, checked_responses(tables)) {
-  check(tables.law);
+  check(tables.material_model);
   check(blending_);
   const Eigen::Index r = layout_.r;
   for (size_t j = 0; j < targets_.size(); ++j) {

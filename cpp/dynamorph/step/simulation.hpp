@@ -78,7 +78,7 @@ class Simulation {
   void set_state(const State& state);                             ///< throws Error for what is not finite
   const VectorXd& coordinates() const { return state_.q[0]; }
   /// Energies of the state, J, at the target weights of the last start() or step(). The kinetic energy uses the
-  /// scheme's own velocity.
+  /// integrator's own velocity.
   double kinetic_energy() const;
   double elastic_energy() const;
   const typename Model::Blend& blend() const { return blend_; }

@@ -19,8 +19,8 @@ namespace {
 
 void check(const StepOptions& options) {
   if (!(options.h > 0 && std::isfinite(options.h))) refuse("h", "a positive number of seconds", options.h);
-  if (options.scheme != Scheme::implicit_euler && options.scheme != Scheme::bdf2)
-    refuse("scheme", "one of Scheme's values", int(options.scheme));
+  if (options.integrator != Integrator::implicit_euler && options.integrator != Integrator::bdf2)
+    refuse("integrator", "one of Integrator's values", int(options.integrator));
   if (!options.gravity.allFinite()) throw std::invalid_argument("gravity: expected three finite numbers");
   if (!(options.tolerance >= 1e-100 && options.tolerance < 1))  // it divides by it
     refuse("tolerance", "between 1e-100 and 1", options.tolerance);
@@ -29,7 +29,7 @@ void check(const StepOptions& options) {
 }
 
 StepRule::StepRule(const StepOptions& options) {
-  const bool euler = options.scheme == Scheme::implicit_euler;
+  const bool euler = options.integrator == Integrator::implicit_euler;
   past = euler ? std::array<double, 4>{2, -1, 0, 0} : std::array<double, 4>{24 / 9., -22 / 9., 8 / 9., -1 / 9.};
   velocity = euler ? std::array<double, 3>{1, -1, 0} : std::array<double, 3>{1.5, -2, 0.5};
   square = options.h * options.h * (euler ? 1 : 4 / 9.);

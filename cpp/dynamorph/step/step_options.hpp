@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// How a soft skin is stepped through time, and the numbers of each scheme (simulation.hpp has their formulas).
+// How a soft skin is stepped through time, and the numbers of each integrator (simulation.hpp has their formulas).
 #pragma once
 
 #include <array>
@@ -10,11 +10,11 @@
 
 namespace dynamorph {
 
-enum class Scheme { implicit_euler, bdf2 };
+enum class Integrator { implicit_euler, bdf2 };
 
 struct StepOptions {
   double h = 1.0 / 120;  ///< seconds
-  Scheme scheme = Scheme::bdf2;
+  Integrator integrator = Integrator::bdf2;
   Vector3d gravity = Vector3d::Zero();  ///< m/s^2, world
   double tolerance = 1e-6;              ///< on the gradient, relative to the largest force term
   int max_iterations = 30;
@@ -29,7 +29,7 @@ struct StepOptions {
 /// Throws std::invalid_argument, which names the option, unless a step can be taken with these options.
 void check(const StepOptions& options);
 
-/// The numbers of a scheme at one step size.
+/// The numbers of an integrator at one step size.
 struct StepRule {
   explicit StepRule(const StepOptions& options);
   std::array<double, InertialTarget::kMoments> past;  ///< coefficients of x^

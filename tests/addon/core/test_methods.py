@@ -16,7 +16,11 @@ pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
 FULL = {"solver": "FULL"}
 METHODS = [{"method": method} for method in ("DYNAMIC", "SHAPE", "SINGLE", "STATIC")]
-LAWS = [{"material_model": law, **solver} for law in ("LINEAR", "STVK", "STABLE_STVK") for solver in ({}, FULL)]
+MATERIAL_MODELS = [
+    {"material_model": material_model, **solver}
+    for material_model in ("LINEAR", "STVK", "STABLE_STVK")
+    for solver in ({}, FULL)
+]
 
 
 @pytest.fixture
@@ -58,7 +62,7 @@ def displacements(job):
     return np.array([job.outcome.bake.displacement(k) for k in range(len(job.outcome.bake.frames))])
 
 
-@pytest.mark.parametrize("settings", METHODS + LAWS, ids=lambda settings: " ".join(settings.values()))
+@pytest.mark.parametrize("settings", METHODS + MATERIAL_MODELS, ids=lambda settings: " ".join(settings.values()))
 def test_every_method_bakes_what_blender_shows(arm, settings):
     job = run(arm, **settings)
     assert not job.outcome.report["inverted"]

@@ -35,8 +35,8 @@ inline Matrix3d hooke(const Lame& lame, const Matrix3d& strain) {
 }
 
 /// The stable law is StVK with (lambda + mu, 0) and a remainder mu (tr E - det F + 1).
-inline Lame stvk_part(Law law, const Lame& lame) {
-  return law == Law::stable_stvk ? Lame{lame.lambda + lame.mu, 0} : lame;
+inline Lame stvk_part(MaterialModel material_model, const Lame& lame) {
+  return material_model == MaterialModel::stable_stvk ? Lame{lame.lambda + lame.mu, 0} : lame;
 }
 
 inline Matrix3d cofactor(const Matrix3d& F) {
@@ -54,32 +54,32 @@ inline Matrix3d cross_matrix(const Vector3d& c) {
 }
 
 /// Energy density, J/m^3.
-inline double energy_density(Law law, const Lame& lame, const Matrix3d& F) {
-  const Matrix3d strain = law == Law::linear ? linear_strain(F) : green_strain(F);
-  const Lame part = stvk_part(law, lame);
+inline double energy_density(MaterialModel material_model, const Lame& lame, const Matrix3d& F) {
+  const Matrix3d strain = material_model == MaterialModel::linear ? linear_strain(F) : green_strain(F);
+  const Lame part = stvk_part(material_model, lame);
   const double trace = strain.trace();
   double density = 0.5 * part.lambda * trace * trace + part.mu * strain.squaredNorm();
-  if (law == Law::stable_stvk) density += lame.mu * stabilizer(F);
+  if (material_model == MaterialModel::stable_stvk) density += lame.mu * stabilizer(F);
   return density;
 }
 
 /// First Piola-Kirchhoff stress, Pa.
-inline Matrix3d stress(Law law, const Lame& lame, const Matrix3d& F) {
-  if (law == Law::linear) return hooke(lame, linear_strain(F));
-  Matrix3d P = F * hooke(stvk_part(law, lame), green_strain(F));
-  if (law == Law::stable_stvk) P += lame.mu * (F - cofactor(F));
+inline Matrix3d stress(MaterialModel material_model, const Lame& lame, const Matrix3d& F) {
+  if (material_model == MaterialModel::linear) return hooke(lame, linear_strain(F));
+  Matrix3d P = F * hooke(stvk_part(material_model, lame), green_strain(F));
+  if (material_model == MaterialModel::stable_stvk) P += lame.mu * (F - cofactor(F));
   return P;
 }
 
 /// d(force)/du of one element, force = +dE/du, node-major 12 x 12.
-inline void element_stiffness(Law law, const Lame& lame, const Element& element, const Matrix3d& F,
+inline void element_stiffness(MaterialModel material_model, const Lame& lame, const Element& element, const Matrix3d& F,
                               ElementStiffness& K) {
   // The linear law's stiffness is StVK's at the rest shape.
-  const bool linear = law == Law::linear;
+  const bool linear = material_model == MaterialModel::linear;
   const Matrix3d G = linear ? Matrix3d::Identity() : F;
-  const Lame part = stvk_part(law, lame);
+  const Lame part = stvk_part(material_model, lame);
   const Matrix3d S = linear ? Matrix3d(Matrix3d::Zero()) : hooke(part, green_strain(F));
-  const double kappa = law == Law::stable_stvk ? lame.mu : 0;
+  const double kappa = material_model == MaterialModel::stable_stvk ? lame.mu : 0;
 
   const Eigen::Matrix<double, 3, 4>& g = element.gradients;
   const Eigen::Matrix<double, 3, 4> Gg = G * g;

@@ -24,7 +24,7 @@ SparseMatrix jittered_stiffness(int length, int width, bool with_pins, unsigned 
   const auto body = std::make_shared<SoftBody>(mesh, VectorXd::Ones(m), VectorXd::LinSpaced(m, 0.2, 3),
                                                MatrixXd::Ones(m, 1), pinned, MatrixXd::Ones(n, 1));
   const MorphTarget neutral{"neutral", 0, VectorXd::Zero(3 * n), {2e4, 1e4}};
-  SparseMatrix K = FullModel(body, {neutral}, Law::linear, Blending::forces).rest_stiffness(0);
+  SparseMatrix K = FullModel(body, {neutral}, MaterialModel::linear, Blending::forces).rest_stiffness(0);
   for (Eigen::Index i = 0; i < K.rows(); ++i) K.coeffRef(i, i) += 1e3 * body->volumes(i / 3, 0);
   return K;
 }

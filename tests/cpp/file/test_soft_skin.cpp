@@ -33,7 +33,7 @@ file::Array stored(const MatrixXd& m, const Shape& shape) {
 struct Scene {
   std::shared_ptr<const SoftBody> body = scenes::two_bone_bar();
   std::vector<MorphTarget> targets = scenes::targets(*body);
-  FullModel full{body, targets, Law::stvk, Blending::even};
+  FullModel full{body, targets, MaterialModel::stvk, Blending::even};
   ReducedTables tables = reduce(full, make_basis(full, 8).U);
   ReducedModel model{body, targets, tables, Blending::even};
 
@@ -109,7 +109,7 @@ TEST_CASE("a soft skin from a file steps as the one that was stored") {
 
 TEST_CASE("responses from a file move as those that were stored") {
   const Scene scene;
-  const scenes::ResponseScene other(scene.body, scene.targets, Law::stvk, Blending::even, 8, 12);
+  const scenes::ResponseScene other(scene.body, scene.targets, MaterialModel::stvk, Blending::even, 8, 12);
   const Eigen::Index J = 3, size = other.tables.response_mu[0].size();
   file::Content content = scene.content();
   array(content, "basis") = stored(other.tables.basis, {other.tables.basis.rows(), 8});

@@ -33,10 +33,10 @@ Reference element_by_element(const FullModel& model, const VectorXd& w, const Ve
       Eigen::Matrix<double, 3, 4> u;
       for (int a = 0; a < 4; ++a) u.col(a) = all.segment<3>(3 * body.mesh.tets(e, a));
       const Matrix3d F = deformation_gradient(element, u);
-      out.energy += w(j) * element.weight * energy_density(model.law(), lame, F);
-      const ElementForce f = w(j) * element.weight * stress(model.law(), lame, F) * element.gradients;
+      out.energy += w(j) * element.weight * energy_density(model.material_model(), lame, F);
+      const ElementForce f = w(j) * element.weight * stress(model.material_model(), lame, F) * element.gradients;
       ElementStiffness K;
-      element_stiffness(model.law(), lame, element, F, K);
+      element_stiffness(model.material_model(), lame, element, F, K);
       for (int a = 0; a < 4; ++a) {
         const int i = body.free_of_node[body.mesh.tets(e, a)];
         if (i < 0) continue;
@@ -56,9 +56,9 @@ Reference element_by_element(const FullModel& model, const VectorXd& w, const Ve
 TEST_CASE("full model: energy, force and stiffness are the sums of the element laws") {
   const auto body = scenes::two_bone_bar(2);
   std::srand(5);
-  for (Law law : {Law::linear, Law::stvk, Law::stable_stvk})
+  for (MaterialModel material_model : {MaterialModel::linear, MaterialModel::stvk, MaterialModel::stable_stvk})
     for (Blending blending : {Blending::forces, Blending::even}) {
-      const FullModel model(body, scenes::targets(*body, 1), law, blending);
+      const FullModel model(body, scenes::targets(*body, 1), material_model, blending);
       const VectorXd q = 0.01 * VectorXd::Random(model.dofs());
       FullModel::Blend blend;
       for (const Vector3d& w : {Vector3d(0.3, 0.7, 1), Vector3d(0, 1, 0), Vector3d(0.3, 0.7, 1)}) {
@@ -80,7 +80,7 @@ TEST_CASE("full model: energy, force and stiffness are the sums of the element l
 
 TEST_CASE("full model: every call gives the same digits") {
   const auto body = scenes::two_bone_bar();
-  const FullModel model(body, scenes::targets(*body), Law::stable_stvk, Blending::even);
+  const FullModel model(body, scenes::targets(*body), MaterialModel::stable_stvk, Blending::even);
   const VectorXd q = 0.01 * VectorXd::Random(model.dofs());
   FullModel::Blend blend;
   model.blend(Vector3d(0.5, 0.2, 0.3), blend);
@@ -101,8 +101,8 @@ TEST_CASE("a shifted target has the neutral's stiffness about its own shape") {
     target.lame = targets[0].lame;
     target.shifted = true;
   }
-  for (Law law : kLaws) {
-    const FullModel model(body, targets, law, Blending::even);
+  for (MaterialModel material_model : kMaterialModels) {
+    const FullModel model(body, targets, material_model, Blending::even);
     for (int j = 0; j < int(targets.size()); ++j) {
       CHECK(model.shape(j).fallbacks == 0);
       VectorXd w = VectorXd::Zero(targets.size()), force;
@@ -120,8 +120,8 @@ TEST_CASE("a shifted target has the neutral's stiffness about its own shape") {
 TEST_CASE("between targets the stiffness at rest is positive definite for random weights") {
   const auto body = scenes::two_bone_bar();
   const auto targets = scenes::targets(*body);
-  for (Law law : kLaws) {
-    const FullModel model(body, targets, law, Blending::even);
+  for (MaterialModel material_model : kMaterialModels) {
+    const FullModel model(body, targets, material_model, Blending::even);
     for (unsigned seed = 0; seed < 5; ++seed) {
       VectorXd w = random_vector(3, 1, seed).cwiseAbs();
       w /= w.sum();

@@ -78,14 +78,14 @@ void check_skin(std::shared_ptr<const Model> model) {
 TEST_CASE("a skin's positions, forces and rows are those of its nodes, for every model") {
   const auto body = two_bone_bar();
   const auto all = targets(*body);
-  check_skin(std::make_shared<const FullModel>(body, all, Law::stvk, Blending::even));
-  check_skin(reduced_model(body, all, Law::stvk, Blending::even, 12));
-  check_skin(ResponseScene(body, all, Law::stvk, Blending::even).model);
+  check_skin(std::make_shared<const FullModel>(body, all, MaterialModel::stvk, Blending::even));
+  check_skin(reduced_model(body, all, MaterialModel::stvk, Blending::even, 12));
+  check_skin(ResponseScene(body, all, MaterialModel::stvk, Blending::even).model);
 }
 
 TEST_CASE("a skin that does not fit its model is refused") {
   const auto body = two_bone_bar();
-  const auto model = reduced_model(body, targets(*body), Law::linear, Blending::even, 6);
+  const auto model = reduced_model(body, targets(*body), MaterialModel::linear, Blending::even, 6);
   const auto refused = [&](const char* what, const auto& change) {
     Skin skin = skin_of(*body, 3);
     change(skin);

@@ -16,10 +16,10 @@ using Affine = Eigen::Matrix<double, 3, 4, Eigen::RowMajor>;
 template <class Visit>
 void for_each_response_scene(const Visit& visit) {
   for (int sets : {1, 2})
-    for (Law law : kLaws)
+    for (MaterialModel material_model : kMaterialModels)
       for (Blending blending : kBlendings) {
         const auto body = two_bone_bar(sets);
-        visit(ResponseScene(body, targets(*body, sets - 1), law, blending), sets);
+        visit(ResponseScene(body, targets(*body, sets - 1), material_model, blending), sets);
       }
 }
 

@@ -26,9 +26,9 @@ TEST_CASE("full and reduced models: derivatives by finite differences at blended
   const auto targets = scenes::targets(*body, 1);
   VectorXd w(3);
   w << 0.3, 0.7, 1.0;
-  for (Law law : kLaws)
+  for (MaterialModel material_model : kMaterialModels)
     for (Blending blending : kBlendings) {
-      const FullModel full(body, targets, law, blending);
+      const FullModel full(body, targets, material_model, blending);
       FullModel::Blend blend;
       full.blend(w, blend);
       check_derivatives(evaluator(full, blend), random_vector(full.dofs(), 0.01, 4), 1e-4);
@@ -45,9 +45,10 @@ TEST_CASE("full and reduced models: derivatives by finite differences at blended
 TEST_CASE("reduced = U^T F(U z), energy and tangent too, to 1e-12 of the largest force term") {
   const auto body = scenes::two_bone_bar();
   const auto targets = scenes::targets(*body);
-  for (Law law : kLaws) {
-    const FullModel full(body, targets, law, Blending::forces);
-    const int r = law == Law::stvk ? 27 : 12;  // more and fewer pairs than a tile of the sums holds
+  for (MaterialModel material_model : kMaterialModels) {
+    const FullModel full(body, targets, material_model, Blending::forces);
+    const int r =
+        material_model == MaterialModel::stvk ? 27 : 12;  // more and fewer pairs than a tile of the sums holds
     const MatrixXd U = make_basis(full, r).U;
     const ReducedTables tables = reduce(full, U);
     for (int j = 0; j < 3; ++j) {
@@ -73,9 +74,9 @@ TEST_CASE("blended and in single precision, as it is stepped: to 1e-6 of the lar
   const auto targets = scenes::targets(*body, 1);
   VectorXd w(3);
   w << 0.6, 0.4, 1.0;
-  for (Law law : kLaws)
+  for (MaterialModel material_model : kMaterialModels)
     for (Blending blending : kBlendings) {
-      const FullModel full(body, targets, law, blending);
+      const FullModel full(body, targets, material_model, blending);
       const MatrixXd U = make_basis(full, 12).U;
       const ReducedModel reduced(body, targets, reduce(full, U), blending);
       FullModel::Blend big;
@@ -98,7 +99,7 @@ TEST_CASE("blended and in single precision, as it is stepped: to 1e-6 of the lar
 TEST_CASE("no target at all: no force and no energy") {
   const auto body = scenes::two_bone_bar();
   const auto targets = scenes::targets(*body);
-  const FullModel full(body, targets, Law::stvk, Blending::forces);
+  const FullModel full(body, targets, MaterialModel::stvk, Blending::forces);
   const ReducedModel reduced(body, targets, reduce(full, make_basis(full, 10).U), Blending::forces);
   ReducedModel::Blend blend;
   reduced.blend(VectorXd::Zero(3), blend);
@@ -111,7 +112,7 @@ TEST_CASE("no target at all: no force and no energy") {
 TEST_CASE("basis: orthonormal in mass, holds the targets' shapes, zero rank deficiency") {
   const auto body = scenes::two_bone_bar();
   const auto targets = scenes::targets(*body);
-  const FullModel model(body, targets, Law::stvk, Blending::even);
+  const FullModel model(body, targets, MaterialModel::stvk, Blending::even);
   const Basis basis = make_basis(model, 14);
   const VectorXd zero = VectorXd::Zero(model.dofs());
   const Transforms rest = scenes::bent(0);
@@ -149,7 +150,7 @@ TEST_CASE("curvatures are the second derivatives of the force, of all sets toget
   const int neutral_of_other[] = {1, 0, 1, 0};
   for (int trial = 0; trial < 12; ++trial) {
     const int j = trial / 3;
-    const FullModel model(body, targets, kLaws[trial % 3], Blending::even);
+    const FullModel model(body, targets, kMaterialModels[trial % 3], Blending::even);
     VectorXd w = VectorXd::Unit(4, j);
     w(neutral_of_other[j]) = 1;
     FullModel::Blend blend;
@@ -175,9 +176,9 @@ TEST_CASE("a bar in two sets of half the weight each has the modes of the bar in
   const auto one = scenes::two_bone_bar(1), two = scenes::two_bone_bar(2);
   MorphTarget first = scenes::targets(*one)[0], second = first;
   second.set = 1;
-  for (Law law : kLaws) {
-    const MatrixXd U = make_basis(FullModel(one, {first}, law, Blending::even), 20).U;
-    const MatrixXd V = make_basis(FullModel(two, {first, second}, law, Blending::even), 20).U;
+  for (MaterialModel material_model : kMaterialModels) {
+    const MatrixXd U = make_basis(FullModel(one, {first}, material_model, Blending::even), 20).U;
+    const MatrixXd V = make_basis(FullModel(two, {first, second}, material_model, Blending::even), 20).U;
     CHECK(least_cosine(*one, U, V) > 1 - 1e-9);
   }
 }
@@ -188,8 +189,8 @@ TEST_CASE("modes do not depend on the order of the targets") {
   targets.push_back(targets[2]);
   targets[2] = targets[0];
   targets[2].set = 1;  // neutral 0, bulge 0, neutral 1, twist 1
-  const MatrixXd U = make_basis(FullModel(body, targets, Law::stvk, Blending::even), 20).U;
+  const MatrixXd U = make_basis(FullModel(body, targets, MaterialModel::stvk, Blending::even), 20).U;
   std::swap(targets[1], targets[2]);
-  const MatrixXd V = make_basis(FullModel(body, targets, Law::stvk, Blending::even), 20).U;
+  const MatrixXd V = make_basis(FullModel(body, targets, MaterialModel::stvk, Blending::even), 20).U;
   CHECK(least_cosine(*body, U, V) > 1 - 1e-9);
 }

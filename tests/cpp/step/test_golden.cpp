@@ -47,7 +47,7 @@ struct Hash {
 /// coordinates of all steps.
 template <class Model>
 MatrixXd motion(std::shared_ptr<const Model> model, Hash& hash) {
-  Simulation<Model> simulation(model, {1 / 120., Scheme::bdf2, Vector3d(0, 0, -1)});
+  Simulation<Model> simulation(model, {1 / 120., Integrator::bdf2, Vector3d(0, 0, -1)});
   VectorXd weights(3), u;
   weights << 1, 0, 0;
   MatrixXd tip(3, 4);
@@ -79,13 +79,14 @@ TEST_CASE("golden motion") {
   const auto body = scenes::two_bone_bar();
   const auto targets = scenes::targets(*body);
   Hash hash;
-  compare("full", motion(std::make_shared<const FullModel>(body, targets, Law::stable_stvk, Blending::even), hash),
+  compare("full",
+          motion(std::make_shared<const FullModel>(body, targets, MaterialModel::stable_stvk, Blending::even), hash),
           {4.2907784900, -4.1432353815, -10.5704437700, 2.0342396184, -14.1891218249, 23.0424371488, 6.1583872997,
            -5.2701949233, -2.8805689556, 6.7380758993, 2.2699952010, -19.8078284228});
-  compare("reduced", motion(scenes::reduced_model(body, targets, Law::stable_stvk, Blending::even, 12), hash),
+  compare("reduced", motion(scenes::reduced_model(body, targets, MaterialModel::stable_stvk, Blending::even, 12), hash),
           {3.8258928999, -3.5102558841, -5.6998408980, 1.4571716838, -13.2107248959, 24.5016644824, 6.7674225985,
            -3.2465900831, -9.3447091312, 6.7074515960, 1.9153922736, -17.0582826787});
-  const scenes::ResponseScene responses(body, targets, Law::stable_stvk, Blending::even);
+  const scenes::ResponseScene responses(body, targets, MaterialModel::stable_stvk, Blending::even);
   compare("responses", motion(responses.model, hash),
           {5.3634223159, -12.7082282870, -13.7148552961, 4.3396507784, -21.7155667994, 20.1627377762, 6.2176358306,
            -8.2864695924, -0.9062509036, 5.8611776593, 3.0037209100, -14.1837051614});

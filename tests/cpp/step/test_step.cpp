@@ -41,10 +41,10 @@ extern "C" void* malloc(size_t size) {
 TEST_CASE("a step of a reduced model allocates nothing, whatever the law, the pose and the way they change") {
   const auto body = scenes::two_bone_bar(2);
   const auto targets = scenes::targets(*body, 1);
-  for (Law law : {Law::linear, Law::stvk, Law::stable_stvk})
+  for (MaterialModel material_model : {MaterialModel::linear, MaterialModel::stvk, MaterialModel::stable_stvk})
     for (Blending blending : {Blending::forces, Blending::even}) {
-      const auto model = scenes::reduced_model(body, targets, law, blending, 12);
-      StepOptions options{1 / 240., Scheme::bdf2, Vector3d(0, 0, -9.81)};
+      const auto model = scenes::reduced_model(body, targets, material_model, blending, 12);
+      StepOptions options{1 / 240., Integrator::bdf2, Vector3d(0, 0, -9.81)};
       options.teleport = 10;
       Simulation<ReducedModel> simulation(model, options);
       VectorXd w(3);
@@ -68,10 +68,10 @@ TEST_CASE("a step of a reduced model allocates nothing, whatever the law, the po
 
 TEST_CASE("a step of a model with responses allocates nothing") {
   const auto body = scenes::two_bone_bar(2);
-  for (Law law : {Law::linear, Law::stvk, Law::stable_stvk})
+  for (MaterialModel material_model : {MaterialModel::linear, MaterialModel::stvk, MaterialModel::stable_stvk})
     for (Blending blending : {Blending::forces, Blending::even}) {
-      const scenes::ResponseScene scene(body, scenes::targets(*body, 1), law, blending);
-      Simulation<ReducedModel> simulation(scene.model, {1 / 240., Scheme::bdf2, Vector3d(0, 0, -9.81)});
+      const scenes::ResponseScene scene(body, scenes::targets(*body, 1), material_model, blending);
+      Simulation<ReducedModel> simulation(scene.model, {1 / 240., Integrator::bdf2, Vector3d(0, 0, -9.81)});
       VectorXd w(3);
       w << 1, 0, 1;
       Transforms rig = scenes::bent(0);

@@ -39,14 +39,14 @@ TEST_CASE("options that no step can be taken with are refused by name") {
   for (int iterations : {0, -1}) CHECK(refused("max_iterations:", with(&StepOptions::max_iterations, iterations)));
   for (double jump : {-1.0, kNaN}) CHECK(refused("teleport:", with(&StepOptions::teleport, jump)));
   CHECK(refused("gravity:", with(&StepOptions::gravity, Vector3d(0, kNaN, 0))));
-  CHECK(refused("scheme:", with(&StepOptions::scheme, Scheme(7))));
+  CHECK(refused("integrator:", with(&StepOptions::integrator, Integrator(7))));
 }
 
 TEST_CASE("simulations check their options") {
   const auto body = scenes::two_bone_bar();
   const auto targets = scenes::targets(*body);
-  const auto full = std::make_shared<FullModel>(body, targets, Law::linear, Blending::even);
-  const auto reduced = scenes::reduced_model(body, targets, Law::linear, Blending::even, 8);
+  const auto full = std::make_shared<FullModel>(body, targets, MaterialModel::linear, Blending::even);
+  const auto reduced = scenes::reduced_model(body, targets, MaterialModel::linear, Blending::even, 8);
   const StepOptions impossible = with(&StepOptions::tolerance, 0.0);
   CHECK_THROWS_AS(Simulation<FullModel>(full, impossible), std::invalid_argument);
   CHECK_THROWS_AS(Simulation<ReducedModel>(reduced, impossible), std::invalid_argument);

@@ -56,11 +56,11 @@ void check_terms(std::shared_ptr<const Model> model) {
 TEST_CASE("terms: gradients and Hessians are the derivatives of the energies, over models and laws") {
   const auto body = two_bone_bar();
   const auto all = targets(*body);
-  for (Law law : kLaws)
+  for (MaterialModel material_model : kMaterialModels)
     for (Blending blending : kBlendings) {
-      check_terms(std::make_shared<const FullModel>(body, all, law, blending));
-      check_terms(reduced_model(body, all, law, blending, 10));
-      check_terms(ResponseScene(body, all, law, blending).model);
+      check_terms(std::make_shared<const FullModel>(body, all, material_model, blending));
+      check_terms(reduced_model(body, all, material_model, blending, 10));
+      check_terms(ResponseScene(body, all, material_model, blending).model);
     }
 }
 
@@ -72,7 +72,7 @@ void check_rest(std::shared_ptr<const Model> model, double stiffness) {
   const auto skin = std::make_shared<const SkinMap<Model>>(model, skin_of(model->body(), 3));
   const Transforms bones = bent(0.4);
   const std::vector<Grab> grabs{{0, Vector3d(0.45, 0.35, 0.0), stiffness}, {1, Vector3d(0.4, 0.3, 0.05), stiffness}};
-  StepOptions options{1 / 120., Scheme::bdf2};
+  StepOptions options{1 / 120., Integrator::bdf2};
   options.tolerance = 1e-10;
   Simulation<Model> simulation(model, options);
   simulation.set_skin(skin);
@@ -110,17 +110,17 @@ TEST_CASE("grabbed points rest where the springs and the body balance, soft and 
   const auto body = two_bone_bar();
   const auto all = targets(*body);
   for (double stiffness : {10.0, 1e6}) {
-    check_rest(std::make_shared<const FullModel>(body, all, Law::linear, Blending::even), stiffness);
-    check_rest(reduced_model(body, all, Law::linear, Blending::even, 12), stiffness);
-    check_rest(ResponseScene(body, all, Law::linear, Blending::even).model, stiffness);
+    check_rest(std::make_shared<const FullModel>(body, all, MaterialModel::linear, Blending::even), stiffness);
+    check_rest(reduced_model(body, all, MaterialModel::linear, Blending::even, 12), stiffness);
+    check_rest(ResponseScene(body, all, MaterialModel::linear, Blending::even).model, stiffness);
   }
 }
 
 TEST_CASE("a point that is grabbed follows its goal through a step, and what is let go swings back") {
   const auto body = two_bone_bar();
-  const auto model = ResponseScene(body, targets(*body), Law::stable_stvk, Blending::even).model;
+  const auto model = ResponseScene(body, targets(*body), MaterialModel::stable_stvk, Blending::even).model;
   const auto skin = std::make_shared<const SkinMap<ReducedModel>>(model, skin_of(*body, 3));
-  Simulation<ReducedModel> simulation(model, {1 / 120., Scheme::bdf2});
+  Simulation<ReducedModel> simulation(model, {1 / 120., Integrator::bdf2});
   simulation.set_skin(skin);
   const Transforms bones = bent(0);
   const VectorXd neutral = Vector3d(1, 0, 0);
@@ -142,7 +142,7 @@ TEST_CASE("a point that is grabbed follows its goal through a step, and what is 
 
 TEST_CASE("a grab of a point that is not there is refused before anything moves") {
   const auto body = two_bone_bar();
-  const auto model = reduced_model(body, targets(*body), Law::linear, Blending::even, 8);
+  const auto model = reduced_model(body, targets(*body), MaterialModel::linear, Blending::even, 8);
   Simulation<ReducedModel> simulation(model, {1 / 120.});
   const Transforms bones = bent(0);
   const VectorXd neutral = Vector3d(1, 0, 0);
@@ -159,7 +159,7 @@ TEST_CASE("a grab of a point that is not there is refused before anything moves"
   refused("expected points from 0 to 2, got 3", {3, Vector3d::Zero(), 1});
   refused("goals must be finite", {0, Vector3d(0, NAN, 0), 1});
   refused("not negative", {0, Vector3d::Zero(), -1});
-  const auto other = reduced_model(body, targets(*body), Law::linear, Blending::even, 8);
+  const auto other = reduced_model(body, targets(*body), MaterialModel::linear, Blending::even, 8);
   CHECK_THROWS_WITH_AS(simulation.set_skin(std::make_shared<const SkinMap<ReducedModel>>(other, skin_of(*body, 3))),
                        doctest::Contains("another model"), std::invalid_argument);
 }

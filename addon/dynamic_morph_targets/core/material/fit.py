@@ -134,7 +134,7 @@ def fit_force_displacement(
     forces, displacements = _measurements(forces, displacements)
     character, patch = checked(model, character, target, patch)
     press = _Press(model, character, target, patch)
-    linear = _Press(unreduced(model, law="LINEAR"), character, target, patch)
+    linear = _Press(unreduced(model, material_model="LINEAR"), character, target, patch)
     now = character.targets[target].material
     # Exact if the law is linear and no other target shares the tissue; otherwise a first guess.
     answer = linear(now.stiffness, forces)
@@ -281,9 +281,10 @@ def _with_stiffness(character: Character, target: int, stiffness: float) -> Char
     return replace(character, target_sets=sets)
 
 
-def unreduced(model: Model, law: str | None = None) -> Model:
+def unreduced(model: Model, material_model: str | None = None) -> Model:
     return replace(
-        model, settings=replace(model.settings, solver="FULL", material_model=law or model.settings.material_model)
+        model,
+        settings=replace(model.settings, solver="FULL", material_model=material_model or model.settings.material_model),
     )
 
 

@@ -231,8 +231,8 @@ def _full_model(
     body: dynamorph.SoftBody, targets: list[dynamorph.MorphTarget], settings: ModelSettings
 ) -> dynamorph.FullModel:
     """The model from which modes are made."""
-    law = dynamorph.Law.__members__[settings.material_model]
-    return dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN)
+    material_model = dynamorph.MaterialModel.__members__[settings.material_model]
+    return dynamorph.FullModel(body, targets, material_model, dynamorph.Blending.EVEN)
 
 
 def _factor(weights: np.ndarray, tets: np.ndarray) -> np.ndarray:

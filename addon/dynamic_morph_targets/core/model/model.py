@@ -176,15 +176,15 @@ class Model:
         targets = morph_targets(character, self.displacements)
         blending = dynamorph.Blending.__members__[character.settings.blending]
         if self.settings.solver == "FULL":
-            law = dynamorph.Law.__members__[self.settings.material_model]
-            return dynamorph.FullModel(self.soft_body(probed), targets, law, blending)
+            material_model = dynamorph.MaterialModel.__members__[self.settings.material_model]
+            return dynamorph.FullModel(self.soft_body(probed), targets, material_model, blending)
         return dynamorph.ReducedModel(self.soft_body(probed), targets, self._tables(), blending)
 
     def _tables(self) -> dynamorph.ReducedTables:
         lame_lambda = np.hstack([self.response_lambda, self.coupling_lambda])
         lame_mu = np.hstack([self.response_mu, self.coupling_mu])
         return dynamorph.ReducedTables(
-            dynamorph.Law.__members__[self.settings.material_model],
+            dynamorph.MaterialModel.__members__[self.settings.material_model],
             self.basis, list(self.table_lambda), list(self.table_mu),
             self.responses, list(lame_lambda), list(lame_mu), list(self.relaxation),
         )  # fmt: skip

@@ -232,7 +232,7 @@ class Player:
         return self.model.stepper(
             engine,
             settings.step,
-            scheme=dynamorph.Scheme.__members__[settings.integrator],
+            integrator=dynamorph.Integrator.__members__[settings.integrator],
             gravity=settings.gravity,
             teleport=TELEPORT * engine.body.size * settings.step,
             keep_going=self._keep_going if full else None,  # a reduced step takes less time than asking

@@ -105,7 +105,7 @@ MatrixXd rigid_bone_loads(const SoftBody& body) {
 void add_curvatures(const FullModel& model, int j, const RowMajor& modes, RowMajor& sum) {
   const SoftBody& body = model.body();
   // Stable StVK is StVK with (lambda + mu, 0) minus mu det F. The second derivative of det F is the cross product.
-  const bool stable = model.law() == Law::stable_stvk;
+  const bool stable = model.material_model() == MaterialModel::stable_stvk;
   const double mu = model.targets()[j].lame.mu;
   const Lame lame = stable ? Lame{model.targets()[j].lame.lambda + mu, 0} : model.targets()[j].lame;
   const Eigen::Index r = modes.cols(), pairs = r * (r + 1) / 2;
@@ -142,7 +142,8 @@ struct Candidates {
 };
 
 Candidates candidates(const FullModel& model, int target, int k, const MatrixXd& loads, const ProgressFn& progress) {
-  const int bent = model.law() == Law::linear ? 0 : std::min(k, 10);  // stiffer modes bend too little to count
+  const bool linear = model.material_model() == MaterialModel::linear;
+  const int bent = linear ? 0 : std::min(k, 10);  // stiffer modes bend too little to count
   const Eigen::Index pairs = bent * (bent + 1) / 2;
   const double expected = double(k + pairs + loads.cols() + 3 + 4 * k);  // solves; the eigensolver takes a few per mode
   double solves = 0;
@@ -195,7 +196,7 @@ MatrixXd force_curvatures(const FullModel& model, int target, const MatrixXd& mo
   const RowMajor by_node = modes;
   const Eigen::Index pairs = modes.cols() * (modes.cols() + 1) / 2;
   RowMajor sum = RowMajor::Zero(modes.rows(), pairs);
-  if (model.law() == Law::linear) return sum;
+  if (model.material_model() == MaterialModel::linear) return sum;
   for (int j : summed_at(model.targets(), target)) add_curvatures(model, j, by_node, sum);
   return sum;
 }
@@ -203,7 +204,7 @@ MatrixXd force_curvatures(const FullModel& model, int target, const MatrixXd& mo
 MatrixXd force_curvatures_alone(const FullModel& model, int target, const MatrixXd& modes) {
   const RowMajor by_node = modes;
   RowMajor sum = RowMajor::Zero(modes.rows(), modes.cols() * (modes.cols() + 1) / 2);
-  if (model.law() != Law::linear) add_curvatures(model, target, by_node, sum);
+  if (model.material_model() != MaterialModel::linear) add_curvatures(model, target, by_node, sum);
   return sum;
 }
 

@@ -27,12 +27,12 @@ constexpr double kLostOfLargest = 1e-8;  // relative to the largest shape, for a
 /// trace, and the deviator, because E:E = dev:dev + 1/3 tr^2.
 class TargetSums {
  public:
-  TargetSums(Law law, Index r)
-      : law_(law),
-        layout_{r, law != Law::linear},
+  TargetSums(MaterialModel material_model, Index r)
+      : material_model_(material_model),
+        layout_{r, material_model != MaterialModel::linear},
         r_(r),
         pairs_(layout_.pairs()),
-        deviator_cols_(law == Law::stvk ? r + pairs_ : r),
+        deviator_cols_(material_model == MaterialModel::stvk ? r + pairs_ : r),
         trace_(layout_.nonlinear ? r + pairs_ : r),
         deviator_(deviator_cols_),
         determinant_(stable() ? r : 0, pairs_, [r](Index k) { return pair_index(r, k, k); }),
@@ -43,7 +43,7 @@ class TargetSums {
   void add(double volume, const RowMajor& G) {
     trace_row(G.data(), r_, layout_.nonlinear, std::sqrt(volume / 2), row_.data());
     trace_.add(row_.data());
-    deviator_rows(G.data(), r_, law_ == Law::stvk, std::sqrt(volume), row_.data(), deviator_cols_);
+    deviator_rows(G.data(), r_, material_model_ == MaterialModel::stvk, std::sqrt(volume), row_.data(), deviator_cols_);
     for (int c = 0; c < 5; ++c) deviator_.add(row_.data() + c * deviator_cols_);
     if (!stable()) return;
     crosses_of_pairs(G.data(), r_, crosses_.data());
@@ -60,7 +60,7 @@ class TargetSums {
     lambda = table(trace_, layout_);
     // 1/2 mu tr(E)^2 + mu (tr E - det F + 1), which to second order is mu E:E.
     mu = stable() ? lambda : VectorXd(2.0 / 3 * lambda);
-    const TableLayout summed{r_, law_ == Law::stvk};
+    const TableLayout summed{r_, material_model_ == MaterialModel::stvk};
     mu.head(summed.distinct()) = table(deviator_, summed) + 2.0 / 3 * lambda.head(summed.distinct());
     Index at = pairs_;
     if (stable())
@@ -68,7 +68,7 @@ class TargetSums {
   }
 
  private:
-  bool stable() const { return law_ == Law::stable_stvk; }
+  bool stable() const { return material_model_ == MaterialModel::stable_stvk; }
 
   /// Differentiates E = m^T gram m twice, symmetrized over all indices.
   VectorXd table(const GramAccumulator& gram, const TableLayout& layout) const {
@@ -88,7 +88,7 @@ class TargetSums {
     return out;
   }
 
-  Law law_;
+  MaterialModel material_model_;
   TableLayout layout_;
   Index r_, pairs_, deviator_cols_;
   GramAccumulator trace_, deviator_;
@@ -153,7 +153,7 @@ ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn
   const SoftBody& body = model.body();
   target_coordinates(body, model.targets(), U);
   ReducedTables tables;
-  tables.law = model.law();
+  tables.material_model = model.material_model();
   tables.basis = U;
   const int targets = int(model.targets().size());
   const Index tets = body.mesh.tets.rows();
@@ -161,7 +161,7 @@ ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn
   tables.mu.resize(targets);
   run_tasks(targets, progress, [&](int j, const ProgressFn& done) {
     const RowMajor modes = relaxed.empty() ? U : relaxed[j];  // row-major, so that a node's rows are contiguous
-    TargetSums sums(model.law(), U.cols());
+    TargetSums sums(model.material_model(), U.cols());
     RowMajor G;
     for (Index e = 0; e < tets; ++e) {
       if (e % 512 == 0) report(done, double(e) / tets);

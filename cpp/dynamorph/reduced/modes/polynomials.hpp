@@ -18,7 +18,7 @@ namespace dynamorph {
 /// What a built reduced model stores: geometry only. Each target has a table for lambda = 1 Pa and one for mu = 1 Pa,
 /// so that a change of its stiffness is a linear recombination and never needs a new precompute.
 struct ReducedTables {
-  Law law = Law::linear;
+  MaterialModel material_model = MaterialModel::linear;
   MatrixXd basis;                ///< U (3 free, r)
   std::vector<VectorXd> lambda;  ///< per target, the distinct coefficients as `unfolded` takes them
   std::vector<VectorXd> mu;
@@ -28,7 +28,7 @@ struct ReducedTables {
   std::vector<VectorXd> response_lambda, response_mu;
   std::vector<MatrixXd> relaxation;
 
-  TableLayout layout() const { return {basis.cols(), law != Law::linear}; }
+  TableLayout layout() const { return {basis.cols(), material_model != MaterialModel::linear}; }
 };
 
 /// G (9, r): column k is dF/dz_k of tet e for the modes (3 free, r), column-major 3 x 3. Returns false if all its nodes

@@ -248,7 +248,7 @@ ResponseBasis make_response_basis(const FullModel& model, int r, int h, const Pr
   ResponseBasis basis;
   const MatrixXd Y = modes(for_modes(answers, model.dofs()), shapes, r, basis.amplitudes);
   basis.U = inverse.asDiagonal() * Y;
-  if (model.law() != Law::linear) {
+  if (model.material_model() != MaterialModel::linear) {
     const MatrixXd moved = basis.U.rightCols(motions) * basis.amplitudes.tail(motions).asDiagonal();
     add_bending(model, root, moved, most, part_of(progress, 0.5, 0.85), answers);
   }

@@ -15,12 +15,12 @@ namespace {
 FullModel with_lame(const FullModel& model, Lame lame) {
   std::vector<MorphTarget> targets = model.targets();
   for (MorphTarget& target : targets) target.lame = lame;
-  return FullModel(model.shared_body(), std::move(targets), model.law(), model.blending());
+  return FullModel(model.shared_body(), std::move(targets), model.material_model(), model.blending());
 }
 
 /// D, then S of one target, whose relaxed modes are U (3 free, r).
 VectorXd response_table(const FullModel& model, int target, const MatrixXd& U, const MatrixXd& W) {
-  const Index h = W.cols(), r = U.cols(), pairs = model.law() == Law::linear ? 0 : r * (r + 1) / 2;
+  const Index h = W.cols(), r = U.cols(), pairs = model.material_model() == MaterialModel::linear ? 0 : r * (r + 1) / 2;
   VectorXd out(h * (1 + pairs));
   out.head(h) = W.cwiseProduct(model.rest_stiffness(target) * W).colwise().sum();
   if (pairs > 0)

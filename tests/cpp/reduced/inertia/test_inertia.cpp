@@ -17,7 +17,7 @@ using namespace scenes;
 TEST_CASE("modal inertia is U^T A^T M (...) over the nodes: mass, and the force of any motion, rigid or stretched") {
   const auto body = scenes::two_bone_bar(2);
   const auto targets = scenes::targets(*body, 1);
-  const FullModel full(body, targets, Law::linear, Blending::forces);
+  const FullModel full(body, targets, MaterialModel::linear, Blending::forces);
   const MatrixXd U = make_basis(full, 10).U;
   const ReducedModel reduced(body, targets, reduce(full, U), Blending::forces);
   const SetDensities densities{Eigen::Vector2d(700, 1300), Eigen::Vector2d(300, 0)};
@@ -57,7 +57,7 @@ TEST_CASE("modal inertia of many bones: the pairs that are simplified stay withi
   for (int count : {1, 2, 4, 5, 20}) {
     const auto body = scenes::chain_bar(count);
     const std::vector<MorphTarget> neutral{neutral_of(*body)};
-    const FullModel full(body, neutral, Law::linear, Blending::even);
+    const FullModel full(body, neutral, MaterialModel::linear, Blending::even);
     const MatrixXd U = make_basis(full, 10).U;
     const ReducedModel reduced(body, neutral, reduce(full, U), Blending::even);
     for (double bend : {0.0, 1e-3, 0.05, 0.5}) {
@@ -83,11 +83,11 @@ TEST_CASE("inertia of nodes with transforms of their own: as if their bones had 
   for (int sets : {1, 2}) {
     const auto body = scenes::two_bone_bar(sets);
     const auto targets = scenes::targets(*body, sets - 1);
-    const FullModel full(body, targets, Law::linear, Blending::even);
+    const FullModel full(body, targets, MaterialModel::linear, Blending::even);
     const MatrixXd U = make_basis(full, 10).U;
     const auto own = with_own_transforms(*body);
     const ReducedModel reduced(own, targets, reduce(full, U), Blending::even);
-    CHECK(make_basis(FullModel(own, targets, Law::linear, Blending::even), 10).U.cols() == 10);
+    CHECK(make_basis(FullModel(own, targets, MaterialModel::linear, Blending::even), 10).U.cols() == 10);
     Moving moving(U, 1, [](int n) { return Transforms(1.1 * scenes::bent(1.2 - 0.2 * n)); });
     const SetDensities densities{VectorXd::LinSpaced(sets, 700, 1300), VectorXd::LinSpaced(sets, 300, 100)};
     const auto [mass, damped, force] = moving.projected(full, densities);
@@ -161,7 +161,7 @@ TEST_CASE("tensors of bones and of their pairs are the sum over the nodes to 1e-
   for (int count : {2, 4, 20})
     for (int sets : {1, 3}) {
       const auto body = scenes::chain_bar(count, sets);
-      const FullModel full(body, {neutral_of(*body)}, Law::linear, Blending::even);
+      const FullModel full(body, {neutral_of(*body)}, MaterialModel::linear, Blending::even);
       const MatrixXd U = make_basis(full, 10).U;
       const SetDensities densities{VectorXd::LinSpaced(sets, 700, 1300), VectorXd::Ones(sets)};
       for (double bend : {0.0, 0.05, 0.5})

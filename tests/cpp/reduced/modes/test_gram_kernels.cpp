@@ -54,7 +54,7 @@ TEST_CASE("curvatures of pairs are the second derivatives of StVK's nodal forces
   for (int k = 0, p = 0; k < r; ++k)
     for (int l = k; l < r; ++l, ++p) {
       const auto force = [&](double a, double b) -> Eigen::Matrix<double, 3, 4> {
-        return stress(Law::stvk, lame, Matrix3d::Identity() + a * mode(G, k) + b * mode(G, l)) * gradients;
+        return stress(MaterialModel::stvk, lame, Matrix3d::Identity() + a * mode(G, k) + b * mode(G, l)) * gradients;
       };
       const Eigen::Matrix<double, 3, 4> expected =
           (force(h, h) - force(h, -h) - force(-h, h) + force(-h, -h)) / (4 * h * h);

@@ -43,7 +43,7 @@ std::vector<MorphTarget> neutral_of(const SoftBody& body) { return {targets(body
 TEST_CASE("inertia of responses: at rest the mass is the full model's, projected") {
   for (int sets : {1, 2}) {
     const auto body = two_bone_bar(sets);
-    const ResponseScene scene(body, targets(*body, sets - 1), Law::linear, Blending::even);
+    const ResponseScene scene(body, targets(*body, sets - 1), MaterialModel::linear, Blending::even);
     const int r = scene.model->modes(), h = scene.model->dofs() - r;
     const MatrixXd basis = side_by_side(scene.basis);
     const SetDensities densities{VectorXd::LinSpaced(sets, 700, 1300), VectorXd::LinSpaced(sets, 300, 0)};
@@ -66,7 +66,7 @@ TEST_CASE("inertia of responses: at rest the mass is the full model's, projected
 TEST_CASE("inertia of responses: of bones that move as one body it is the full model's, projected") {
   for (int sets : {1, 2}) {
     const auto body = two_bone_bar(sets);
-    const ResponseScene scene(body, targets(*body, sets - 1), Law::linear, Blending::even);
+    const ResponseScene scene(body, targets(*body, sets - 1), MaterialModel::linear, Blending::even);
     const MatrixXd basis = side_by_side(scene.basis);
     const int h = int(scene.basis.W.cols());
     const SetDensities densities{VectorXd::Constant(sets, 900), VectorXd::Constant(sets, 300)};
@@ -87,7 +87,7 @@ TEST_CASE("inertia of responses: nodes with transforms of their own are as if th
   for (int sets : {1, 2}) {
     const auto body = two_bone_bar(sets);
     const auto all = targets(*body, sets - 1);
-    const ResponseScene scene(body, all, Law::linear, Blending::even);
+    const ResponseScene scene(body, all, MaterialModel::linear, Blending::even);
     const auto own = with_own_transforms(*body);
     const ReducedModel nodal(own, all, scene.tables, Blending::even);
     const MatrixXd basis = side_by_side(scene.basis);
@@ -112,7 +112,7 @@ TEST_CASE(
     for (bool blended : {false, true}) {
       const auto whole = chain_bar(4, sets), body = blended ? whole : unblended(*whole);
       const auto all = targets(*body, sets - 1);
-      const ResponseScene scene(body, all, Law::linear, Blending::even);
+      const ResponseScene scene(body, all, MaterialModel::linear, Blending::even);
       const ReducedModel nodal(with_own_transforms(*body), all, scene.tables, Blending::even);
       const MatrixXd basis = side_by_side(scene.basis);
       const int h = int(scene.basis.W.cols());
@@ -145,7 +145,7 @@ TEST_CASE(
 
 TEST_CASE("inertia of responses: the mass is positive definite in poses that bend and stretch") {
   const auto body = two_bone_bar();
-  const ResponseScene scene(body, neutral_of(*body), Law::linear, Blending::even);
+  const ResponseScene scene(body, neutral_of(*body), MaterialModel::linear, Blending::even);
   const MatrixXd basis = side_by_side(scene.basis);
   const SetDensities densities{VectorXd::Constant(1, 1000), VectorXd::Constant(1, 300)};
   const auto least = [&](const Transforms& pose) {
@@ -168,13 +168,13 @@ TEST_CASE("inertia of responses: the mass is positive definite in poses that ben
 TEST_CASE("responses: small motion of a bending rig is that of the whole subspace without simplification") {
   const auto body = two_bone_bar();
   const auto neutral = neutral_of(*body);
-  const ResponseScene scene(body, neutral, Law::stvk, Blending::even, 8, 16);
+  const ResponseScene scene(body, neutral, MaterialModel::stvk, Blending::even, 8, 16);
   // The linear law in modes alone that span the same.
   const VectorXd mass = body->unit_mass();
   const MatrixXd both = side_by_side(scene.basis);
   const MatrixXd inverse =
       MatrixXd(both.transpose() * mass.asDiagonal() * both).llt().matrixL().solve(both.transpose());
-  const FullModel linear(body, neutral, Law::linear, Blending::even);
+  const FullModel linear(body, neutral, MaterialModel::linear, Blending::even);
   const auto reference =
       std::make_shared<ReducedModel>(body, neutral, reduce(linear, inverse.transpose()), Blending::even);
   const auto motion = [&](const auto& model, double angle) {
@@ -210,12 +210,12 @@ TEST_CASE("responses: stiffness, density and damping can change without a rebuil
   after[0].density = 700;
   after[0].mass_damping = 0.3;
   after[0].stiffness_damping = 0.001;
-  for (Law law : kLaws)
+  for (MaterialModel material_model : kMaterialModels)
     for (Blending blending : kBlendings) {
-      const ResponseScene old(body, before, law, blending), rebuilt(body, after, law, blending);
+      const ResponseScene old(body, before, material_model, blending), rebuilt(body, after, material_model, blending);
       const auto retuned = std::make_shared<ReducedModel>(body, after, old.tables, blending);
       const auto motion = [&](const auto& model) {
-        Simulation<ReducedModel> simulation(model, {1 / 120., Scheme::bdf2, Vector3d(0, 0, -9.81), 1e-10});
+        Simulation<ReducedModel> simulation(model, {1 / 120., Integrator::bdf2, Vector3d(0, 0, -9.81), 1e-10});
         simulation.start(bent(0), bent(0.02), VectorXd::Ones(1));
         VectorXd u;
         for (int step = 1; step <= 40; ++step) simulation.step({bent(0.02 * step), VectorXd::Ones(1)});
@@ -229,12 +229,12 @@ TEST_CASE("responses: stiffness, density and damping can change without a rebuil
 }
 
 TEST_CASE("responses: retuned to other ratios of stiffness, the relaxed modes have the full model's energy") {
-  for (Law law : kLaws) {
+  for (MaterialModel material_model : kMaterialModels) {
     const auto body = two_bone_bar();
     auto all = targets(*body);
-    const ResponseScene old(body, all, law, Blending::even);
+    const ResponseScene old(body, all, material_model, Blending::even);
     for (MorphTarget& target : all) std::swap(target.lame.lambda, target.lame.mu);
-    const FullModel full(body, all, law, Blending::even);
+    const FullModel full(body, all, material_model, Blending::even);
     const ReducedModel retuned(body, all, old.tables, Blending::even);
     for (int j = 0; j < 3; ++j) {
       const VectorXd w = VectorXd::Unit(3, j), v = 0.05 * motion_of_size(old, 4);
@@ -256,13 +256,13 @@ TEST_CASE("responses: free motion from afar never gains energy, over 2,000 steps
     const auto body = two_bone_bar(sets);
     auto all = targets(*body, sets - 1);
     for (MorphTarget& target : all) target.mass_damping = target.stiffness_damping = 0;
-    for (Law law : {Law::stvk, Law::stable_stvk})
-      for (Scheme scheme : {Scheme::bdf2, Scheme::implicit_euler}) {
-        const ResponseScene scene(body, all, law, Blending::even);
+    for (MaterialModel material_model : {MaterialModel::stvk, MaterialModel::stable_stvk})
+      for (Integrator integrator : {Integrator::bdf2, Integrator::implicit_euler}) {
+        const ResponseScene scene(body, all, material_model, Blending::even);
         const int r = scene.model->modes();
         const VectorXd w = sets == 1 ? Vector3d(0.7, 0.3, 0) : Vector3d(0.7, 0.3, 1);
         for (double distance : {0.05, 0.3}) {  // of the body's size
-          Simulation<ReducedModel> simulation(scene.model, {1 / 240., scheme});
+          Simulation<ReducedModel> simulation(scene.model, {1 / 240., integrator});
           simulation.start(bent(0), bent(0), w);
           State state = simulation.state();
           const double rest = simulation.elastic_energy();
@@ -317,8 +317,8 @@ TEST_CASE("responses: the energy is lowest at the shape, in any direction and at
 TEST_CASE("responses that do not fit are refused by name") {
   const auto body = two_bone_bar();
   const auto all = targets(*body);
-  for (Law law : {Law::linear, Law::stvk}) {
-    const ResponseScene scene(body, all, law, Blending::even, 8, 12);
+  for (MaterialModel material_model : {MaterialModel::linear, MaterialModel::stvk}) {
+    const ResponseScene scene(body, all, material_model, Blending::even, 8, 12);
     const auto refused = [&](const char* why, const auto& spoil) {
       ReducedTables tables = scene.tables;
       spoil(tables);
@@ -342,7 +342,7 @@ TEST_CASE("responses that do not fit are refused by name") {
 TEST_CASE("tables without responses make a model of modes alone, whatever else they say of responses") {
   const auto body = two_bone_bar();
   const auto all = targets(*body);
-  const ResponseScene scene(body, all, Law::stvk, Blending::even, 8, 12);
+  const ResponseScene scene(body, all, MaterialModel::stvk, Blending::even, 8, 12);
   ReducedTables none = scene.tables;
   none.responses = MatrixXd(none.basis.rows(), 0);
   const ReducedTables plain = reduce(scene.full, scene.basis.U);

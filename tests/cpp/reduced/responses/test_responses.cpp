@@ -148,8 +148,8 @@ TEST_CASE("responses: every target is exact, its force and energy are zero, and 
 TEST_CASE("responses: balanced targets do not sag, and a held body's targets are exact") {
   for (Blending blending : kBlendings) {
     const auto body = two_bone_bar();
-    const ResponseScene scene(body, targets(*body), Law::stable_stvk, blending);
-    Simulation<ReducedModel> simulation(scene.model, {1 / 120., Scheme::bdf2, Vector3d(0, 0, -9.81), 1e-9});
+    const ResponseScene scene(body, targets(*body), MaterialModel::stable_stvk, blending);
+    Simulation<ReducedModel> simulation(scene.model, {1 / 120., Integrator::bdf2, Vector3d(0, 0, -9.81), 1e-9});
     const Transforms pose = bent(0.5);
     VectorXd q, u;
     simulation.solve_static({pose, VectorXd::Unit(3, 1)}, q);
@@ -163,7 +163,7 @@ TEST_CASE("responses: balanced targets do not sag, and a held body's targets are
     }
     for (bool pinned : {true, false}) {
       const auto held = held_bar(pinned);
-      const ResponseScene other(held, targets(*body), Law::stvk, blending);
+      const ResponseScene other(held, targets(*body), MaterialModel::stvk, blending);
       Simulation<ReducedModel> still(other.model, precise());
       for (int j = 0; j < 3; ++j) {
         VectorXd at = other.model->target(j) + 0.02 * other.model->meter() * random_vector(30, 0.05, 9);
@@ -177,9 +177,9 @@ TEST_CASE("responses: balanced targets do not sag, and a held body's targets are
 
 TEST_CASE("response basis: orthonormal in mass, decoupled from the modes in stiffness, exact shapes") {
   for (int sets : {1, 2})
-    for (Law law : kLaws) {
+    for (MaterialModel material_model : kMaterialModels) {
       const auto body = two_bone_bar(sets);
-      const FullModel full(body, targets(*body, sets - 1), law, Blending::even);
+      const FullModel full(body, targets(*body, sets - 1), material_model, Blending::even);
       const ResponseBasis basis = make_response_basis(full, 9, 22);
       const MatrixXd &U = basis.U, &W = basis.W;
       CHECK(U.cols() == 9);
@@ -210,7 +210,7 @@ TEST_CASE("response basis: orthonormal in mass, decoupled from the modes in stif
 
 TEST_CASE("response basis: reports its progress, can be stopped, and refuses what it cannot make") {
   const auto body = two_bone_bar();
-  const FullModel full(body, targets(*body), Law::stvk, Blending::even);
+  const FullModel full(body, targets(*body), MaterialModel::stvk, Blending::even);
   std::vector<double> reported;
   const auto note = [&](double done) {
     reported.push_back(done);
@@ -242,13 +242,13 @@ TEST_CASE("response basis: reports its progress, can be stopped, and refuses wha
       "than 81 modes, or raise Cage Nodes.",
       Error);
   CHECK_THROWS_AS(make_response_basis(full, -3, 12), Error);
-  const FullModel neutral(body, {targets(*body)[0]}, Law::stvk, Blending::even);
+  const FullModel neutral(body, {targets(*body)[0]}, MaterialModel::stvk, Blending::even);
   CHECK(make_response_basis(neutral, 30, 12).U.cols() == 30);  // more than two bones' loads
 }
 
 TEST_CASE("response basis: how the modes bend takes a while, reports progress and can be stopped") {
   const auto body = chain_bar(8, 1, 2);
-  const FullModel full(body, {targets(*body)[0]}, Law::stvk, Blending::even);
+  const FullModel full(body, {targets(*body)[0]}, MaterialModel::stvk, Blending::even);
   const auto bending = [](double done) { return done > 0.5 && done < 0.85; };
   int reports = 0;
   make_response_basis(full, 25, 10, [&](double done) {
@@ -261,8 +261,8 @@ TEST_CASE("response basis: how the modes bend takes a while, reports progress an
 
 TEST_CASE("response basis: of a body that nothing but a hold keeps in place") {
   const auto body = two_bone_bar(), held = held_bar(false);
-  for (Law law : kLaws) {
-    const ResponseScene scene(held, targets(*body), law, Blending::even, 12, 20);
+  for (MaterialModel material_model : kMaterialModels) {
+    const ResponseScene scene(held, targets(*body), material_model, Blending::even, 12, 20);
     const VectorXd mass = held->unit_mass();
     const MatrixXd &U = scene.basis.U, &W = scene.basis.W;
     const SparseMatrix K = scene.full.rest_stiffness(0);
@@ -275,7 +275,7 @@ TEST_CASE("response basis: of a body that nothing but a hold keeps in place") {
 
 TEST_CASE("response basis: a number of responses that is none is refused") {
   const auto body = two_bone_bar();
-  const FullModel full(body, targets(*body), Law::stvk, Blending::even);
+  const FullModel full(body, targets(*body), MaterialModel::stvk, Blending::even);
   for (int h : {0, -1, -100})
     CHECK_THROWS_WITH_AS(make_response_basis(full, 9, h), doctest::Contains("h: expected at least one response"),
                          std::invalid_argument);
@@ -284,7 +284,7 @@ TEST_CASE("response basis: a number of responses that is none is refused") {
 TEST_CASE("responses couple as the second-order part of the full model's force, as far as the modes can pay") {
   int limited = 0;
   for_each_response_scene([&](const ResponseScene& scene, int sets) {
-    const Law law = scene.full.law();
+    const MaterialModel material_model = scene.full.material_model();
     const bool even = scene.full.blending() == Blending::even;
     const ReducedModel& model = *scene.model;
     const MatrixXd &U = scene.basis.U, &W = scene.basis.W;
@@ -311,7 +311,7 @@ TEST_CASE("responses couple as the second-order part of the full model's force, 
           scene.full.linearize(alone, scene.full.target(j) - u, minus, tangent);
           linear += 0.5 * w(j) * u.dot(K * u);
           // The even part of a cubic force about a place where it is zero is its second-order part.
-          if (law != Law::linear) c += w(j) * VectorXd(W.transpose() * (plus + minus) / 2);
+          if (material_model != MaterialModel::linear) c += w(j) * VectorXd(W.transpose() * (plus + minus) / 2);
           b += w(j) * own.cwiseProduct(A * v);
           lent += 0.5 * w(j) * (A * v).dot(own.cwiseProduct(A * v));
           D += w(j) * own;
@@ -331,10 +331,10 @@ TEST_CASE("responses couple as the second-order part of the full model's force, 
 }
 
 TEST_CASE("responses: the modes are as stiff at every target as with all responses free") {
-  for (Law law : kLaws)
+  for (MaterialModel material_model : kMaterialModels)
     for (Blending blending : kBlendings) {
       const auto body = two_bone_bar();
-      const ResponseScene scene(body, targets(*body), law, blending);
+      const ResponseScene scene(body, targets(*body), material_model, blending);
       const MatrixXd basis = side_by_side(scene.basis);
       for (int j = 0; j < 3; ++j) {
         const MatrixXd exact = basis.transpose() * (scene.full.rest_stiffness(j) * basis);
