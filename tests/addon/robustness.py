@@ -6,7 +6,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from bl_ext.user_default.dynamic_morph_targets.core import records
+from bl_ext.user_default.dynamic_morph_targets.core.result.judge import Limits, Verdict
 from bl_ext.user_default.dynamic_morph_targets.run import batch
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import model_store, target_properties
@@ -163,8 +163,7 @@ def baked(obj):
 def judged(obj):
     """A bake whose verdict is that it is too soft."""
     baked(obj)
-    found = {"ok": False, "text": "Too far", "frame": 7, "vertices": [3], "remedy": "STIFFEN", "factor": 1.5}
-    obj.dynamorph.bake.verdict = records.text(found)
+    obj.dynamorph.bake.verdict = Verdict(Limits(0.05), percentile=0.1, frame=7.0, vertices=(3,)).record
 
 
 def captured_on_the_way(obj):

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import json
-
 import bpy
 import driver
 import limb
@@ -53,12 +51,12 @@ def bake():
 
 def found():
     """What the panel says of the bake."""
-    return addon("core.result.verdict").parsed(settings().bake.verdict)
+    return addon("core.result.judge").parsed(settings().bake.verdict)
 
 
 def displacement() -> float:
     """The largest of the bake, of the body's size."""
-    return json.loads(settings().bake.verdict)["displacement"]
+    return found().displacement
 
 
 # Plain against soft --------------------------------------------------------------------------------------------------
@@ -125,7 +123,7 @@ def two_bakes():
 @step("Show the worst frame", picture=view)
 def heat():
     measure("Verdict on the bake", found().text)
-    assert found().ok and not found().remedy and found().figures
+    assert found().is_believable and not found().remedy and found().figures
     yield from sidebar.fold("DYNAMORPH_PT_targets")  # now Details is in sight
     yield from sidebar.unfold("DYNAMORPH_PT_details")
     yield from sidebar.press("dynamorph.show_worst")
@@ -156,10 +154,10 @@ def remedy():
     yield from properties.enter("simulation.max_displacement", f"{0.6 * far:.3f}")
     yield from close("bake")
     yield from bake()
-    assert not found().ok and found().remedy == "REHEARSE"
+    assert not found().is_believable and found().remedy == "REHEARSE"
     yield from sidebar.press("dynamorph.rehearse")
     yield from job_done()
-    assert found().ok and displacement() < far and settings().targets[0].frequency > before
+    assert found().is_believable and displacement() < far and settings().targets[0].frequency > before
     assert "Bounce raised" in settings().simulation.rehearsed
 
 

@@ -20,7 +20,9 @@ from .settings import Material
 VERSION = 1
 BUILD = "The record of the last build cannot be read: press Build Model"
 BAKE = "The record of the last bake cannot be read: bake again"
+VERDICT = "The verdict on this bake cannot be read: bake again"
 SLOT = "The other set of settings cannot be read: press Copy to replace it"
+LAST_FRAME = 1_048_574  # that Blender can show
 MATERIAL = {field.name for field in fields(Material)}
 
 
@@ -57,8 +59,9 @@ def animation(record: str) -> list[tuple[str, str]]:
 
 
 def verdict(record: str) -> dict:
-    """What a bake's judge said. Only `text` is always there."""
-    return _read(record, BAKE, {"text": _is_text}, {})
+    """The fields of a `judge.Verdict`."""
+    values = _read(record, VERDICT, VERDICT_FIELDS, {})
+    return {name: values[name] for name in VERDICT_FIELDS}
 
 
 def slot(record: str) -> dict:
@@ -117,10 +120,27 @@ def _are_numbers(value: object) -> bool:
     return isinstance(value, list) and all(map(is_number, value))
 
 
+def _are_limits(value: object) -> bool:
+    return isinstance(value, dict) and value.keys() == LIMITS and all(map(is_number, value.values()))
+
+
+def _are_indices(value: object) -> bool:
+    return isinstance(value, list) and all(type(index) is int and index >= 0 for index in value)
+
+
 def _is_animation(value: object) -> TypeGuard[list[list[str]]]:
     return isinstance(value, list) and all(
         isinstance(pair, list) and len(pair) == 2 and all(map(_is_text, pair)) for pair in value
     )
 
 
+LIMITS = {"displacement", "thickness"}
+VERDICT_FIELDS: dict[str, Callable[[object], bool]] = {
+    **dict.fromkeys(("displacement", "percentile", "over_thickness", "flipped", "inverted"), is_number),
+    "limits": _are_limits,
+    "can_rehearse": lambda value: isinstance(value, bool),
+    "stretch": lambda value: isinstance(value, list) and len(value) == 2 and _are_numbers(value),
+    "frame": lambda value: is_number(value) and abs(value) <= LAST_FRAME,
+    "vertices": _are_indices,
+}
 SETTINGS = {"model": _is_group, "groups": _is_group, "scene": _is_group}

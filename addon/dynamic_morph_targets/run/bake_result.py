@@ -246,9 +246,7 @@ class Writer:
         record.summary = summary(given, outcome, self.progress.seconds)
         record.warnings = "\n".join(text for text in outcome.warnings if text not in outcome.model.summary["warnings"])
         record.inputs = records.text(outcome.inputs | {"content_id": obj.dynamorph.model.content_id})
-        found = outcome.verdict.as_dict(given.limits, given.can_rehearse)
-        own_vertices = given.character.own_vertices
-        record.verdict = records.text(found | {"vertices": [v for v in found["vertices"] if v < own_vertices.stop]})
+        record.verdict = outcome.verdict.record
         if outcome.rehearsed:
             obj.dynamorph.simulation.rehearsed = outcome.rehearsed
         record.content_id = outcome.content_id

@@ -168,7 +168,7 @@ class Computation:
         rehearsal = Rehearsal(given.rehearsed_from)
         while True:
             attempt = yield from self._attempt()
-            rehearsal.learn(attempt.frequency, attempt.verdict.excess(given.limits))
+            rehearsal.learn(attempt.frequency, attempt.verdict.excess)
             if rehearsal.best == attempt.frequency:
                 best = attempt
             frequency = rehearsal.next()
@@ -178,7 +178,7 @@ class Computation:
             self.progress.fraction = self._shot_from
         if best is not attempt:
             adopt(outcome, best.character)
-        outcome.rehearsed = _rehearsed(rehearsal, best.verdict.is_believable(given.limits))
+        outcome.rehearsed = _rehearsed(rehearsal, best.verdict.is_believable)
         return best
 
     def _attempt(self) -> Generator[int, None, Attempt]:
@@ -201,7 +201,7 @@ class Computation:
         with self.progress.stage("simulate"):
             bake, report = shot.bake(exact=given.output is None or given.output.format != "MODES")
         with self.progress.stage("judge"):
-            verdict = judge.judge(outcome.model, outcome.character, bake)
+            verdict = judge.judge(outcome.model, outcome.character, bake, given.limits, given.can_rehearse)
         report["inverted_volume"] = verdict.inverted
         return Attempt(outcome.character, bake, report, verdict)
 
@@ -265,11 +265,9 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
         outcome.warnings.append(
             Message("The modes were fitted to frames {first} to {last}: press Build Model", first=first, last=last)
         )
-    found = outcome.verdict.as_dict(given.limits, given.can_rehearse)
-    if not found["ok"]:
-        outcome.warnings.append(
-            Message("{verdict}. Raise Bounce or Cage Nodes, or paint Firmness", verdict=found["text"])
-        )
+    if not outcome.verdict.is_believable:
+        text = "{verdict}. Raise Bounce or Cage Nodes, or paint Firmness"
+        outcome.warnings.append(Message(text, verdict=outcome.verdict.text))
 
 
 def of_meshes(character: Character, bake: Bake) -> list[Bake]:

@@ -8,8 +8,9 @@ from collections.abc import Iterator
 import bpy
 
 from ..core import engine
+from ..core.errors import RecordError
 from ..core.message import Message, joined
-from ..core.result import verdict
+from ..core.result import judge
 from ..run import batch, live
 from ..scene import body_checks, checks, staleness
 from ..scene.checks import Problem
@@ -55,9 +56,18 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
             yield Problem(text, "LOCK_INTERFACE"), "ERROR"
         else:
             yield Problem("To render Live, turn on Lock Interface", "LOCK_INTERFACE"), "INFO"
-    found = verdict.parsed(settings.bake.verdict)
-    if settings.simulation.rehearsed and (found is None or found.ok):  # a later bake of another shot may move too far
+    found = verdict(obj)
+    # A later bake of another shot may move too far.
+    if settings.simulation.rehearsed and (found is None or found.is_believable):
         yield Problem(settings.simulation.rehearsed), "INFO"
+
+
+def verdict(obj) -> judge.Verdict | None:
+    """That on the bake; None without one that can be read."""
+    try:
+        return judge.parsed(obj.dynamorph.bake.verdict)
+    except RecordError:
+        return None
 
 
 def texts(obj) -> Iterator[str]:
@@ -74,7 +84,7 @@ def texts(obj) -> Iterator[str]:
         more = len(reasons) - MOST_REASONS
         text = "Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}"
         yield Message(text, reasons=joined(", ", reasons[:MOST_REASONS]), count=more)
-    found = verdict.parsed(bake.verdict)
+    found = verdict(obj)
     for warning in filter(None, (*model.warnings.split("\n"), *bake.warnings.split("\n"))):
         if not (found and warning.startswith(found.text)):  # which the section Result says
             yield warning

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """New soft skins: stiffness from the frequency, the limits of the motion, and what a bake reports."""
 
-import json
 from dataclasses import replace
 
 import bpy
@@ -102,11 +101,11 @@ def test_a_rehearsal_that_does_not_get_there_says_so(new_arm, monkeypatch):
     job = bake(new_arm)
     assert new_arm.dynamorph.targets[0].frequency > 3.5
     assert job.outcome.rehearsed.endswith("and the skin still moves too far")
-    assert not json.loads(new_arm.dynamorph.bake.verdict)["ok"]
+    assert not verdict(new_arm).is_believable
 
 
-def verdict(obj) -> dict:
-    return json.loads(obj.dynamorph.bake.verdict)
+def verdict(obj) -> judge.Verdict:
+    return judge.parsed(obj.dynamorph.bake.verdict)
 
 
 def test_final_quality_takes_over_what_a_rehearsal_found(new_arm):
@@ -117,7 +116,7 @@ def test_final_quality_takes_over_what_a_rehearsal_found(new_arm):
     assert said in " ".join(drawn(new_arm, "DYNAMORPH_PT_physics"))
     job = bake(new_arm)
     assert not job.outcome.rehearsed and new_arm.dynamorph.targets[0].frequency == 3.5
-    assert job.outcome.verdict.excess(job.input.limits) > 1.5 and verdict(new_arm)["remedy"] == "STIFFEN"
+    assert job.outcome.verdict.excess > 1.5 and verdict(new_arm).remedy == "STIFFEN"
     new_arm.dynamorph.model.solver = "REDUCED"
     assert said not in " ".join(drawn(new_arm, "DYNAMORPH_PT_physics"))
     reduced = bake(new_arm)
@@ -136,7 +135,7 @@ def test_the_remedy_is_one_that_helps(new_arm, monkeypatch, by_hand, remedy):
     limit(new_arm, 1e-3)
     new_arm.dynamorph.targets[0].by_hand = by_hand
     bake(new_arm)
-    assert verdict(new_arm)["remedy"] == remedy
+    assert verdict(new_arm).remedy == remedy
 
 
 def test_the_best_of_a_rehearsal_is_kept(new_arm, monkeypatch):
@@ -148,7 +147,7 @@ def test_the_best_of_a_rehearsal_is_kept(new_arm, monkeypatch):
     job = bake(new_arm)
     neutral = new_arm.dynamorph.targets[0]
     assert 3.5 < neutral.frequency < 0.8 * 8.0 * 3.5
-    assert 0.5 < job.outcome.verdict.excess(job.input.limits) <= judge.SLACK
+    assert 0.5 < job.outcome.verdict.excess <= judge.SLACK
     assert job.outcome.character.targets[0].frequency == neutral.frequency
     assert f"to {neutral.frequency:.3g} Hz" in job.outcome.rehearsed
     again = bake(new_arm)
@@ -214,7 +213,7 @@ def test_what_others_have_to_agree_with_is_not_rehearsed(new_arm, how, tmp_path)
     assert settings.targets[0].material() == before
     assert not job.outcome.rehearsed and settings.simulation.rehearsed == ""
     if how != "unlimited":
-        assert not json.loads(settings.bake.verdict)["ok"]
+        assert not verdict(new_arm).is_believable
 
 
 def test_targets_follow_the_neutral_unless_set_by_hand(new_arm):
@@ -258,7 +257,7 @@ def test_the_verdict_measures_what_was_baked(new_arm):
     assert job.outcome.verdict.displacement == pytest.approx(moved.max(), rel=1e-3)
     assert job.outcome.verdict.frame == job.outcome.bake.frames[moved.max(axis=1).argmax()]
     assert moved[moved.max(axis=1).argmax()].argmax() in job.outcome.verdict.vertices
-    assert json.loads(new_arm.dynamorph.bake.verdict)["displacement"] == job.outcome.verdict.displacement
+    assert verdict(new_arm) == job.outcome.verdict
 
 
 def test_wreckage_is_no_success(new_arm):
@@ -267,15 +266,15 @@ def test_wreckage_is_no_success(new_arm):
     bpy.ops.dynamorph.build()
     new_arm.dynamorph.targets[0].bounce = 0.4
     job = bake(new_arm)
-    found = json.loads(new_arm.dynamorph.bake.verdict)
-    assert job.outcome.verdict.is_wreckage and not found["ok"]
-    assert found["remedy"] == "STIFFEN" and found["factor"] > 1.0
-    assert any(text.startswith(found["text"]) for text in job.warnings)
+    found = verdict(new_arm)
+    assert found == job.outcome.verdict and found.is_wreckage and not found.is_believable
+    assert found.remedy == "STIFFEN" and found.factor > 1.0
+    assert any(text.startswith(found.text) for text in job.warnings)
 
 
 def test_a_body_turned_inside_out_is_measured_by_volume():
-    found = judge.Verdict(displacement=0.01, percentile=0.01, inverted=0.2)
     limits = judge.Limits(0.05, 0.6)
-    assert found.is_wreckage and found.excess(limits) > judge.SLACK
-    assert "pressed inside out" in found.text(limits)
-    assert judge.Verdict().excess(judge.Limits()) == 0.0 and judge.Verdict().as_dict(limits, False)["ok"]
+    found = judge.Verdict(limits, displacement=0.01, percentile=0.01, inverted=0.2)
+    assert found.is_wreckage and found.excess > judge.SLACK
+    assert "pressed inside out" in found.text
+    assert judge.Verdict().excess == 0.0 and judge.Verdict(limits).is_believable

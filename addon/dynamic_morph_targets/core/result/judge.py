@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 
 import numpy as np
 
+from .. import records
 from ..character import Character
 from ..geometry import determinant, diagonal, vertex_areas
 from ..model.model import Model
@@ -40,12 +42,17 @@ class Limits:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What was found. displacement: the largest, of the size; percentile: its 99.9th percentile in the worst frame;
-    over_thickness: 99th percentile over the skin of each point's largest displacement over the thickness there;
-    stretch: 0.1th and 99.9th percentile of edges' length over that at rest; flipped: share of the skin turned over;
-    inverted: share of the volume turned inside out; frame: the worst; vertices: of the character, at its worst place.
+    """How believable a bake looks: what was measured, against which limits, and what that means to the artist.
+
+    can_rehearse: whether another bake may find a frequency that keeps the limits. displacement: the largest, of the
+    size; percentile: its 99.9th percentile in the worst frame; over_thickness: 99th percentile over the skin of each
+    point's largest displacement over the thickness there; stretch: 0.1th and 99.9th percentile of edges' length over
+    that at rest; flipped: share of the skin turned over; inverted: share of the volume turned inside out; frame: the
+    worst; vertices: of the character's own mesh, at its worst place.
     """
 
+    limits: Limits = Limits()
+    can_rehearse: bool = False
     displacement: float = 0.0
     percentile: float = 0.0
     over_thickness: float = 0.0
@@ -55,8 +62,10 @@ class Verdict:
     frame: float = 0.0
     vertices: tuple[int, ...] = ()
 
-    def excess(self, limits: Limits) -> float:
+    @property
+    def excess(self) -> float:
         """The factor by which the motion is too large: a rehearsal continues above SLACK. 0 without limits."""
+        limits = self.limits
         if not (limits.displacement or limits.thickness):
             return 0.0
         ratios = [0.0]
@@ -78,12 +87,14 @@ class Verdict:
         low, high = self.stretch
         return max(self.flipped, self.inverted) > TURNED or low < SHRUNK or high > STRETCHED
 
-    def is_believable(self, limits: Limits) -> bool:
-        return not self.is_wreckage and self.excess(limits) <= SHOWS
+    @property
+    def is_believable(self) -> bool:
+        return not self.is_wreckage and self.excess <= SHOWS
 
-    def text(self, limits: Limits) -> str:
+    @property
+    def text(self) -> str:
         """One sentence for the artist, which names the worst fault."""
-        if self.is_believable(limits):
+        if self.is_believable:
             return f"The skin moves believably, most at frame {self.frame:g}"
         low, high = self.stretch
         if self.inverted > TURNED:
@@ -98,22 +109,51 @@ class Verdict:
             fault = "moves farther than Max Displacement allows"
         return f"The skin {fault} at frame {self.frame:g}"
 
-    def as_dict(self, limits: Limits, can_rehearse: bool) -> dict:
-        """The verdict as JSON data, with the texts for the panel.
+    @property
+    def remedy(self) -> str:
+        """What repairs it: REHEARSE, STIFFEN, or nothing."""
+        if self.is_believable:
+            return ""
+        return "REHEARSE" if self.can_rehearse else "STIFFEN"
 
-        can_rehearse: whether another bake may find the frequency.
-        """
-        ok = self.is_believable(limits)
-        remedy = "" if ok else ("REHEARSE" if can_rehearse else "STIFFEN")
-        factor = max(1.15, self.excess(limits) ** 0.75) if not ok else 1.0
-        return asdict(self) | {"ok": ok, "text": self.text(limits), "remedy": remedy, "factor": factor}
+    @property
+    def factor(self) -> float:
+        """On Bounce, to repair it."""
+        return 1.0 if self.is_believable else max(1.15, self.excess**0.75)
+
+    @property
+    def figures(self) -> dict[str, str]:
+        """What was measured, by name, as the panel shows it."""
+        low, high = self.stretch
+        return {
+            "Displacement": f"{self.displacement:.1%} of size",
+            "Of Thickness": f"{self.over_thickness:.2f}",
+            "Inverted Volume": f"{self.inverted:.2%}",
+            "Flipped Skin": f"{self.flipped:.2%}",
+            "Stretch": f"{low:.2f} to {high:.2f}",
+        }
+
+    @property
+    def record(self) -> str:
+        """The verdict as it is stored with the bake, for `parsed`."""
+        return records.text(asdict(self))
 
 
-def judge(model: Model, character: Character, bake: Bake) -> Verdict:
-    """The verdict on a bake of `character` with `model` (model.Model). The bake covers all the character's vertices."""
+@lru_cache(maxsize=16)
+def parsed(record: str) -> Verdict | None:
+    """The verdict that `Verdict.record` stored; None without a record. Raises RecordError."""
+    if not record:
+        return None
+    values = records.verdict(record)
+    stretch, vertices = tuple(values["stretch"]), tuple(values["vertices"])
+    return Verdict(**values | {"limits": Limits(**values["limits"]), "stretch": stretch, "vertices": vertices})
+
+
+def judge(model: Model, character: Character, bake: Bake, limits: Limits, can_rehearse: bool) -> Verdict:
+    """The verdict on a bake of `character` with `model`. The bake covers all the character's vertices."""
     triangles = character.triangles[(character.pieces[character.triangles] >= 0).all(axis=1)]
     if not len(bake.modes) or not len(triangles):
-        return Verdict(frame=float(bake.frames[0]))
+        return Verdict(limits, can_rehearse, frame=float(bake.frames[0]))
     skin = _Skin(character, triangles, model.thickness)
     motion = bake.coordinates - bake.static
     modes = (bake.modes @ character.to_bind.T).reshape(len(bake.modes), -1)
@@ -129,6 +169,8 @@ def judge(model: Model, character: Character, bake: Bake) -> Verdict:
     worst = int(frames[(largest / max(largest.max(), 1e-300) + flipped / max(flipped.max(), TURNED)).argmax()])
     u = (motion[worst] @ modes).reshape(-1, 3)
     return Verdict(
+        limits,
+        can_rehearse,
         displacement=float(largest.max()),
         percentile=float(percentile.max()),
         over_thickness=skin.over_thickness(farthest),
@@ -136,7 +178,7 @@ def judge(model: Model, character: Character, bake: Bake) -> Verdict:
         flipped=float(flipped.max()),
         inverted=_inverted(model, bake, chosen[np.argsort(-displacement[chosen])[:CHECKED]]),
         frame=float(bake.frames[worst]),
-        vertices=skin.place(u),
+        vertices=tuple(vertex for vertex in skin.place(u) if vertex < character.own_vertices.stop),
     )
 
 

@@ -11,7 +11,7 @@ from bpy.types import Operator
 
 from ...core.errors import SceneError
 from ...core.material.feel import FEELS, Feel
-from ...core.result import verdict
+from ...core.result import judge
 from ...run import job, live
 from ...scene.registration import of_classes
 from ..base import SoftSkinOperator
@@ -64,9 +64,9 @@ class DYNAMORPH_OT_apply_feel(SoftSkinOperator, Operator):
 # What the verdict on a bake asks for -------------------------------------------------------------------------------
 
 
-def _verdict(obj) -> verdict.StoredVerdict:
-    """Raises SceneError when there is none."""
-    found = verdict.parsed(obj.dynamorph.bake.verdict)
+def _verdict(obj) -> judge.Verdict:
+    """Raises SceneError when there is none, and RecordError."""
+    found = judge.parsed(obj.dynamorph.bake.verdict)
     if found is None:
         raise SceneError("'{name}' has no verdict: press Bake first", name=obj.name)
     return found
@@ -80,14 +80,12 @@ class DYNAMORPH_OT_show_worst(SoftSkinOperator, Operator):
 
     def apply(self, obj):
         found = _verdict(obj)
-        if found.frame is None:
-            raise SceneError("'{name}': the verdict names no frame: bake again", name=obj.name)
         if obj.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")  # Edit Mode has a selection of its own
         mesh = obj.data
-        # Without the vertices of other meshes in its cage.
         on_mesh = [vertex for vertex in found.vertices if vertex < len(mesh.vertices)]
-        bpy.context.scene.frame_set(found.frame)
+        frame = round(found.frame)
+        bpy.context.scene.frame_set(frame)
         for elements in (mesh.edges, mesh.polygons):
             elements.foreach_set("select", np.zeros(len(elements), bool))
         chosen = np.zeros(len(mesh.vertices), bool)
@@ -96,7 +94,7 @@ class DYNAMORPH_OT_show_worst(SoftSkinOperator, Operator):
         mesh.update()
         bpy.context.window_manager.dynamorph.heat = True
         text = rpt_("Frame {frame}: {count} vertices selected; press Tab to see them in Edit Mode")
-        self.report({"INFO"}, text.format(frame=found.frame, count=len(on_mesh)))
+        self.report({"INFO"}, text.format(frame=frame, count=len(on_mesh)))
 
 
 class DYNAMORPH_OT_rehearse(JobOperator, Operator):

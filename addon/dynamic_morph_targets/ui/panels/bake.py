@@ -5,10 +5,12 @@ from __future__ import annotations
 
 from bpy.app.translations import pgettext_iface as iface_
 
-from ...core.result import verdict
+from ...core.errors import RecordError, sentence
+from ...core.result import judge
 from ...run import batch, full_comparison
 from ...write.bake import influence as bake_influence
 from ...write.display import comparison
+from ..messages import verdict
 from ..operators.compare import draw_compare_beside
 from ..widgets import draw_message
 
@@ -53,10 +55,14 @@ def draw_result(layout, _context, obj):
 
 def draw_verdict(layout, obj):
     """How believable the bake looks, and the button that repairs it."""
-    found = verdict.parsed(obj.dynamorph.bake.verdict)
+    try:
+        found = judge.parsed(obj.dynamorph.bake.verdict)
+    except RecordError as unreadable:
+        draw_message(layout, sentence(unreadable))
+        return
     if found is None:
         return
-    draw_message(layout, found.text, icon="CHECKMARK" if found.ok else "ERROR")
+    draw_message(layout, found.text, icon="CHECKMARK" if found.is_believable else "ERROR")
     if found.remedy:
         operator, icon = REMEDIES[found.remedy]
         layout.operator(operator, icon=icon)
@@ -64,15 +70,15 @@ def draw_verdict(layout, obj):
 
 def draw_details(layout, context, obj):
     """Where the bake looks worst, what was measured, and how far it is from Full Quality."""
-    found = verdict.parsed(obj.dynamorph.bake.verdict)
+    found = verdict(obj)
     row = layout.row(align=True)
     row.use_property_split = False
-    if found and found.frame is not None:
-        text = iface_("Show Frame {frame}").format(frame=found.frame)
+    if found:
+        text = iface_("Show Frame {frame}").format(frame=round(found.frame))
         row.operator("dynamorph.show_worst", text=text, icon="RESTRICT_SELECT_OFF", translate=False)
     row.prop(context.window_manager.dynamorph, "heat", icon="OVERLAY", toggle=True)
     column = layout.column(align=True)
-    for name, value in found.figures if found else ():
+    for name, value in found.figures.items() if found else ():
         split = column.split(factor=0.55)
         split.label(text=name)
         split.label(text=value, translate=False)
