@@ -2,6 +2,7 @@
 #include <chrono>
 #include <memory>
 #include <mutex>
+#include <tuple>
 
 #include "dynamorph/step/simulation.hpp"
 #include "model_interface.hpp"
@@ -53,7 +54,8 @@ void balance_targets_in(InTurn<Stepper>& stepper, const FloatArray& bones) {
 py::dict summary(const StepReport& worst, int steps, double seconds) {
   return py::dict("steps"_a = steps, "iterations"_a = worst.iterations, "converged"_a = worst.converged,
                   "residual"_a = worst.residual, "energy"_a = worst.energy, "teleported"_a = worst.teleported,
-                  "seconds"_a = seconds);
+                  "seconds"_a = seconds, "excess"_a = worst.excess, "excess_bone"_a = worst.excess_bone,
+                  "farthest"_a = worst.farthest);
 }
 
 /// Springs between points of the skin and goals (S, K, 3), one row of goals for each step.
@@ -121,6 +123,36 @@ class External {
 };
 
 template <class Model>
+void bind_limit(py::module_& m, const char* name) {
+  using Limit = MotionLimit<Model>;
+  py::class_<Limit, std::shared_ptr<Limit>>(
+      m, name, "How far a moving rig may drive the skin of a model. Simulations may share it.")
+      .def(py::init([](std::shared_ptr<Model> model, const FloatArray& rest, const Embedding& embedding,
+                       const IndexArray& triangles, const MatrixXd& weights, const VectorXd& distances,
+                       const std::optional<MatrixXd>& groups) {
+             SkinLimits limits{as_points(flat_points("rest", rest, -1)),
+                               embedding,
+                               to_indices<Triangles>(triangles, "triangles"),
+                               weights,
+                               distances,
+                               groups.value_or(MatrixXd())};
+             check_finite("rest", limits.rest);
+             check_finite("weights", weights);
+             check_finite("groups", limits.groups);
+             py::gil_scoped_release release;
+             return std::make_shared<Limit>(model, limits);
+           }),
+           "model"_a.none(false), "rest"_a, "embedding"_a, "triangles"_a, "weights"_a, "distances"_a,
+           "groups"_a = py::none(),
+           "rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the "
+           "soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, "
+           "meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. "
+           "Raises Error if the tissue has no stiffness at rest.")
+      .def_property_readonly("frequency", &Limit::frequency, "Of the neutral tissue, 1/s (angular).")
+      .def_property_readonly("numbers", &Limit::numbers, "How many numbers of a static answer are looked at.");
+}
+
+template <class Model>
 void bind_simulation_of(py::module_& m, const char* name) {
   using Sim = InTurn<Simulation<Model>>;
   py::class_<Sim>(m, name, "Steps a model through time, in world space and SI units.")
@@ -179,6 +211,11 @@ void bind_simulation_of(py::module_& m, const char* name) {
                 worst.residual = std::max(worst.residual, report.residual);
                 worst.energy = report.energy;
                 worst.teleported |= report.teleported;
+                worst.farthest = std::max(worst.farthest, report.farthest);
+                if (report.excess_bone >= 0 && report.excess >= worst.excess) {
+                  worst.excess = report.excess;
+                  worst.excess_bone = report.excess_bone;
+                }
               }
             });
             const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
@@ -187,8 +224,11 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "bones"_a, "weights"_a, "external"_a = py::none(), "grabs"_a = py::none(),
           "Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, "
           "world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on "
-          "the steps: total iterations, converged, "
-          "worst residual, elastic energy at the end, teleported, seconds.")
+          "the "
+          "steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a "
+          "motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which "
+          "bone's; "
+          "farthest, the largest distance of a point from its targets' shape, relative to its limit.")
       .def(
           "solve_static",
           [](Sim& s, const FloatArray& bones, const VectorXd& weights, const std::optional<FloatArray>& external,
@@ -207,6 +247,12 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "set_skin",
           [](Sim& s, std::shared_ptr<SkinMap<Model>> skin) { changing(s, [&] { s.set_skin(std::move(skin)); }); },
           "skin"_a, "The skin whose points `advance` grabs; None for none.")
+      .def(
+          "set_limit",
+          [](Sim& s, std::shared_ptr<MotionLimit<Model>> limit) {
+            changing(s, [&] { s.set_limit(std::move(limit)); });
+          },
+          "limit"_a, "Limits the motion from now on; None for no limit.")
       .def_property_readonly("model", &Sim::shared_model)
       .def_property_readonly(
           "coordinates", [](const Sim& s) { return in_turn(s, [&] { return VectorXd(s.coordinates()); }); },
@@ -222,13 +268,16 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "state",
           [](const Sim& s) {
             const State state = in_turn(s, [&] { return State(s.state()); });
-            return py::make_tuple(state.q, state.bones);
+            return py::make_tuple(state.q, state.bones, state.excess);
           },
-          [](Sim& s, const std::pair<std::array<VectorXd, 4>, std::array<Transforms, 4>>& state) {
-            changing(s, [&] { s.set_state({state.first, state.second}); });
+          [](Sim& s, const std::tuple<std::array<VectorXd, 4>, std::array<Transforms, 4>, VectorXd>& state) {
+            const auto& [q, bones, excess] = state;
+            changing(s, [&] { s.set_state({q, bones, excess}); });
           },
-          "(coordinates, bones' transforms (B, 12)), each now and at the last three steps. Set it to resume a "
-          "simulation; raises Error for what is not finite.");
+          "(coordinates, bones' transforms (B, 12), excess (G)): the first two now and at the last three steps, the "
+          "last of each bone's load, empty without a motion limit. Set it to resume a simulation; raises Error for "
+          "what "
+          "is not finite.");
 }
 
 }  // namespace
@@ -236,6 +285,8 @@ void bind_simulation_of(py::module_& m, const char* name) {
 void bind_step(py::module_& m) {
   py::enum_<Integrator>(m, "Integrator").value("EULER", Integrator::implicit_euler).value("BDF2", Integrator::bdf2);
   bind_grabs(m);
+  bind_limit<FullModel>(m, "FullMotionLimit");
+  bind_limit<ReducedModel>(m, "ReducedMotionLimit");
   bind_simulation_of<FullModel>(m, "FullSimulation");
   bind_simulation_of<ReducedModel>(m, "ReducedSimulation");
 }

@@ -246,6 +246,12 @@ class StandInShot:
     def is_complete(self):
         return self.done == len(self.settings.frames)
 
+    @property
+    def held(self):
+        from bl_ext.user_default.dynamic_morph_targets.core.motion.limits import Held
+
+        return Held()
+
     def play(self, rig):
         engine, settings = self.engine, self.settings
         if engine.fail:

@@ -251,7 +251,6 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "move_target": (two_targets, {"direction": "DOWN"}),
     "new_from_pose": (posed, {"key": "Bent"}),
     "paint_firmness": (target_selected, {}),
-    "rehearse": (target_selected, {}),
     "region_from_sculpt": (target_selected, {}),
     "remove_bone": (target_selected, {"bone": "lower"}),
     "remove_attachment": (piece_listed, {}),

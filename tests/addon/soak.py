@@ -252,7 +252,7 @@ def press_and_cancel(walk: Walk):
     if obj is None:
         return
     go_to(walk, obj)
-    name = walk.one_of([name for name in ("bake", "bake_all", "build", "rehearse") if getattr(OPS, name).poll()])
+    name = walk.one_of([name for name in ("bake", "bake_all", "build") if getattr(OPS, name).poll()])
     if name:
         walk.say(f"{name}, canceled")
         attempt(walk, Pressed, obj, ["ESC"], f"DYNAMORPH_OT_{name}")

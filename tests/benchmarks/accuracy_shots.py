@@ -78,8 +78,6 @@ def one_click_shots(subject: Subject) -> list[Shot]:
     liveliest = believable_bake.choose_clip(rig)["clip"]
     bpy.context.view_layer.objects.active = body
     bpy.ops.dynamorph.add_soft_skin()
-    bpy.ops.dynamorph.bake()  # which rehearses, and so sets the frequency
-    bpy.ops.dynamorph.delete_bake()
     if not subject.clips:
         return [read_shot(body, liveliest.rpartition("|")[2])]
     shots = []

@@ -108,8 +108,8 @@ CONVERGENCE_TEXT = """## The cage converges
 
 The MakeHuman man after one click, {frames} frames of his liveliest clip, without reduction, in cages of more and more
 nodes. *Apart*: RMS over the surface of the motion about its mean less that of the finest cage, as a part of the RMS of
-the latter. A build gives each cage the stiffness with which the body swings at {frequency:.3g} Hz, which the rehearsal
-of the shot has set; *stiffness kept* is the coarsest cage's in all. Asked: {asked:.0%} for the coarsest.
+the latter. A build gives each cage the stiffness with which the body swings at {frequency:.3g} Hz;
+*stiffness kept* is the coarsest cage's in all. Asked: {asked:.0%} for the coarsest.
 
 {commit}.
 

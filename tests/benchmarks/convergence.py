@@ -75,8 +75,6 @@ def shot() -> job.Job:
         believable_bake.choose_clip(characters.armature_of(body))
         bpy.context.view_layer.objects.active = body
         bpy.ops.dynamorph.add_soft_skin()
-        bpy.ops.dynamorph.bake()  # which rehearses, and so sets the frequency
-        bpy.ops.dynamorph.delete_bake()
         job = Job(body, "BAKE", whole=True, stored=False)
         batch.read_rig(job)
     return job

@@ -57,6 +57,15 @@ def scene() -> SimpleNamespace:
     s.points = 0.9 * s.nodes[::2]
     skin = {"rest": s.points, "embedding": s.embedding, "weights": np.ones((len(s.points), 1))}
     s.full_skin, s.reduced_skin = dynamorph.FullSkin(s.full, **skin), dynamorph.ReducedSkin(s.reduced, **skin)
+    faces = s.tets[:, [0, 2, 1]].astype(np.int32)  # inner ones too: any surface has a limit
+    s.limits = {"rest": s.nodes, "embedding": dynamorph.embed(s.mesh, s.nodes), "triangles": faces,
+                "weights": np.ones((s.n, 1)), "distances": np.full(s.n, 0.05)}  # fmt: skip
+    s.full_limit = dynamorph.FullMotionLimit(s.full, **s.limits)
+    s.reduced_limit = dynamorph.ReducedMotionLimit(s.reduced, **s.limits)
+    own = dynamorph.SoftBody(s.mesh, s.ones, s.ones, s.ones[:, None], s.pinned, None)
+    s.own_full = dynamorph.FullModel(own, s.targets, s.material_model, s.blending)
+    s.own_reduced = dynamorph.ReducedModel(own, s.targets, s.tables, s.blending)
+    s.groups = np.ones((len(own.free_nodes), 1))
     s.grabs = dynamorph.Grabs([0, 3], s.points[None, [0, 3]] + 0.01, [10.0, 20.0])
     s.heads, s.tails = np.array([[0.0, 0.0, 0.1]]), np.array([[0.0, 0.0, 1.9]])
     turned = np.repeat(np.eye(4)[None], 2, 0)
@@ -75,6 +84,7 @@ def started(kind: str):
     model = s.full if kind == "FullSimulation" else s.reduced
     simulation = getattr(dynamorph, kind)(model, 0.01)
     simulation.set_skin(s.full_skin if kind == "FullSimulation" else s.reduced_skin)
+    simulation.set_limit(s.full_limit if kind == "FullSimulation" else s.reduced_limit)
     simulation.start(s.bones, s.next, s.weights)
     return simulation
 
@@ -168,6 +178,8 @@ def calls() -> dict[str, tuple[object, dict]]:
         "ReducedModel": (lib, {"body": s.body, "targets": s.targets, "tables": s.tables, "blending": s.blending}),
         "FullSkin": (lib, {"model": s.full, **points}),
         "ReducedSkin": (lib, {"model": s.reduced, **points}),
+        "FullMotionLimit": (lib, {"model": s.own_full, **s.limits, "groups": s.groups}),
+        "ReducedMotionLimit": (lib, {"model": s.own_reduced, **s.limits, "groups": s.groups}),
         "Grabs": (lib, {"points": np.array([0, 3]), "goals": np.zeros((1, 2, 3)), "stiffness": np.ones(2)}),
         "FullSimulation": (lib, {"model": s.full, **options, "keep_going": lambda: True}),
         "ReducedSimulation": (lib, {"model": s.reduced, **options, "keep_going": lambda: True}),
@@ -210,6 +222,7 @@ def calls() -> dict[str, tuple[object, dict]]:
         found |= {
             f"{kind}.advance": (new, {"bones": s.next[None], "weights": s.weights[None], **push, "grabs": s.grabs}),
             f"{kind}.set_skin": (new, {"skin": skin}),
+            f"{kind}.set_limit": (new, {"limit": s.full_limit if kind == "FullSimulation" else s.reduced_limit}),
             f"{kind}.balance_targets": (new, {"bones": np.repeat(s.bones[None], 2, 0)}),
             f"{kind}.solve_static": (new, {"bones": s.bones, "weights": s.weights, **push, "guess": zero}),
             f"{kind}.start": (new, {"now": s.bones, "next": s.next, "weights": s.weights}),
@@ -318,8 +331,12 @@ def bad_sequences(kind: str, good: list) -> Iterator[tuple[str, object]]:
     yield from (("nothing", []), ("one less", good[:-1]), ("one more", [*good, good[-1]]), ("many", good * 500), *BAD)
     whole = kind.startswith("tuple[")
     inner = kind.partition("[")[2][:-1]
-    if whole:  # (coordinates, bones' transforms), each of four
+    if whole:  # (coordinates, bones' transforms, excess), the first two each of four
         for at, part in enumerate(good):
+            if isinstance(part, np.ndarray):
+                for name, value in bad_arrays(part):
+                    yield f"{at} {name}", (*good[:at], value, *good[at + 1 :])
+                continue
             one = "typing.Annotated[numpy, collections.abc.Sequence]"
             for name, value in bad_values(one, part[-1]):
                 yield f"{at} last {name}", (*good[:at], [*part[:-1], value], *good[at + 1 :])

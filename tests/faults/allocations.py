@@ -65,6 +65,16 @@ class Scene:
         self.points = {"rest": points, "embedding": dm.embed(self.mesh, points), "weights": np.ones((len(points), 1))}
         self.reduced_skin = dm.ReducedSkin(self.reduced, **self.points)
         self.simulations["reduced"].set_skin(self.reduced_skin)
+        faces = self.mesh.tets[:, [0, 2, 1]].astype(np.int32)
+        self.limits = {
+            "rest": self.nodes,
+            "embedding": dm.embed(self.mesh, self.nodes),
+            "triangles": faces,
+            "weights": np.ones((len(self.nodes), 1)),
+            "distances": np.full(len(self.nodes), 1e-3),
+        }
+        self.limited = {"full": dm.FullMotionLimit(self.full, **self.limits),
+                        "reduced": dm.ReducedMotionLimit(self.reduced, **self.limits)}  # fmt: skip
         self.grabs = dm.Grabs([0, 1], points[None, :2] + 0.01, [10.0, 20.0])
         self.poses = np.repeat(np.eye(4)[None], 2, 0)
         self.poses[1, 1:3, 1:3] = [[0.6, -0.8], [0.8, 0.6]]
@@ -83,6 +93,14 @@ class Scene:
         simulation.start(self.bones, self.moved, self.weights)
         simulation.advance(self.moved[None], self.weights[None], grabs=self.grabs)
         return self.reduced_skin.positions(self.moved, self.weights, simulation.coordinates)
+
+    def limited_step(self, kind: str):
+        simulation = self.simulations[kind]
+        simulation.set_limit(self.limited[kind])
+        try:
+            return self.step(kind)
+        finally:
+            simulation.set_limit(None)
 
     def response_basis(self):
         basis = dm.make_response_basis(self.full, 3, 2)
@@ -109,6 +127,8 @@ def calls(scene: Scene) -> dict[str, Callable]:
         "full_step": lambda: scene.step("full"),
         "reduced_step": lambda: scene.step("reduced"),
         "grabbed_step": scene.grabbed_step,
+        "limited_full_step": lambda: scene.limited_step("full"),
+        "limited_reduced_step": lambda: scene.limited_step("reduced"),
         "weights": lambda: scene.space.weights(scene.poses[None]),
         "model_file": lambda: dm.unpack_model(scene.model_file)[0]["nodes"],
     }
@@ -124,6 +144,8 @@ def constructors(scene: Scene) -> dict[str, Callable]:
         "FullSimulation": lambda: dm.FullSimulation(scene.full, 0.01),
         "ReducedSimulation": lambda: dm.ReducedSimulation(scene.reduced, 0.01),
         "FullSkin": lambda: dm.FullSkin(scene.full, **scene.points),
+        "FullMotionLimit": lambda: dm.FullMotionLimit(scene.full, **scene.limits),
+        "ReducedMotionLimit": lambda: dm.ReducedMotionLimit(scene.reduced, **scene.limits),
         "MeshCut": lambda: dm.MeshCut(scene.cage, scene.skin, scene.triangles),
         "PoseSpace": lambda: dm.PoseSpace([scene.set]),
     }

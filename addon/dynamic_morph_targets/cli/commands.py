@@ -115,8 +115,6 @@ def say(done: Done) -> None:
     job = done.job
     for reason in job.input.reasons:
         print(f"{job.name}: built: {reason}")
-    if job.outcome.rehearsed:
-        print(f"{job.name}: {job.outcome.rehearsed}")
     for warning in done.warnings:
         print(f"{job.name}: warning: {warning}")
 

@@ -73,8 +73,8 @@ class Target:
     the whole skeleton as `Skeleton.local_transforms`; rig_world (4, 4): where the armature stood then.
     fade_out_angle: joint angle from its pose, radians, at which the target has faded out; 0 for never. motion_amount:
     how much of the tissue's motion shows in its pose, 0 to 1. frequency: Hz that a build gives its stiffness, 0 where
-    the material says it; by_hand: whether the artist has set it, so that no rehearsal changes it and it does not follow
-    the neutral target.
+    the material says it; by_hand: whether the artist has set it, so that it does not follow the neutral
+    target.
     """
 
     name: str

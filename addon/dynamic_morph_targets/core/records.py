@@ -116,12 +116,20 @@ def _are_groups(value: object) -> bool:
     return isinstance(value, dict) and all(map(_is_group, value.values()))
 
 
-def _are_numbers(value: object) -> bool:
+def _are_numbers(value: object) -> TypeGuard[list[float]]:
     return isinstance(value, list) and all(map(is_number, value))
 
 
 def _are_limits(value: object) -> bool:
     return isinstance(value, dict) and value.keys() == LIMITS and all(map(is_number, value.values()))
+
+
+def _is_held(value: object) -> bool:
+    return (
+        isinstance(value, dict)
+        and value.keys() == HELD.keys()
+        and all(fits(value[name]) for name, fits in HELD.items())
+    )
 
 
 def _are_indices(value: object) -> bool:
@@ -135,11 +143,19 @@ def _is_animation(value: object) -> TypeGuard[list[list[str]]]:
 
 
 LIMITS = {"displacement", "thickness"}
+HELD: dict[str, Callable[[object], bool]] = {
+    "bone": _is_text,
+    "excess": is_number,
+    "frames": lambda value: (
+        _are_numbers(value) and len(value) == 2 and all(abs(frame) <= LAST_FRAME for frame in value)
+    ),
+    "reached": is_number,
+}
 VERDICT_FIELDS: dict[str, Callable[[object], bool]] = {
-    **dict.fromkeys(("displacement", "percentile", "over_thickness", "flipped", "inverted"), is_number),
+    **dict.fromkeys(("displacement", "percentile", "over_thickness", "flipped", "inverted", "flicker"), is_number),
     "limits": _are_limits,
-    "can_rehearse": lambda value: isinstance(value, bool),
-    "stretch": lambda value: isinstance(value, list) and len(value) == 2 and _are_numbers(value),
+    "held": _is_held,
+    "stretch": lambda value: _are_numbers(value) and len(value) == 2,
     "frame": lambda value: is_number(value) and abs(value) <= LAST_FRAME,
     "vertices": _are_indices,
 }

@@ -106,7 +106,8 @@ class SimulationSettings:
     shapes without motion at the first frame, SETTLED is in balance and moves with the rig. preroll: frames before
     `frame_start`; preroll_pose: there the rig stands still in its first pose (HELD), or moves as it is animated
     (ANIMATED). loop: the range is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for further
-    modes; amount: on all of it.
+    modes; amount: on all of it. max_displacement, max_thickness: how far the skin may move away from its targets'
+    shapes, as fractions of the body's size and of its thickness there; 0 for no limit.
     """
 
     frame_start: int = 1
@@ -122,6 +123,8 @@ class SimulationSettings:
     loop: bool = False
     gains: tuple[float, ...] = ()
     amount: float = 1.0
+    max_displacement: float = 0.0
+    max_thickness: float = 0.0
 
     def __post_init__(self) -> None:
         if self.substeps % self.samples:

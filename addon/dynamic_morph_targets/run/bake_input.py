@@ -22,7 +22,6 @@ from ..core.errors import SceneError
 from ..core.message import Message, joined
 from ..core.model import build
 from ..core.model.model import Model
-from ..core.result import judge
 from ..core.result.keys import united
 from ..io import outputs, paths, point_cache
 from ..io.cache_dir import CacheDir
@@ -48,8 +47,8 @@ class Request:
     target: the object. goal: "BUILD", "BUILD_CAGE" (the model's tetrahedra alone) or "BAKE", which builds too where
     that is necessary. frames: (start, end), substeps, and changes, by name, override the object's settings of the
     simulation. folder: where large models go. rebuild: build even when the model is up to date. cache_dir: where built
-    models and unfinished bakes are kept for other processes. rehearse: do so although it was done before. cache_files:
-    where point caches go, by mesh, if not where they go by default. whole: the shot is one chunk. stored: the result
+    models and unfinished bakes are kept for other processes. cache_files: where
+    point caches go, by mesh, if not where they go by default. whole: the shot is one chunk. stored: the result
     goes into Blender.
     """
 
@@ -62,7 +61,6 @@ class Request:
     folder: Path | None = None
     rebuild: bool = False
     cache_dir: CacheDir | None = None
-    rehearse: bool = False
     cache_files: Mapping[str, Path] = field(default_factory=dict)
     whole: bool = False
     stored: bool = True
@@ -187,7 +185,6 @@ def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: boo
     given.has_shot, given.settings = True, replace(settings, **request.changes)
     given.inputs = staleness.bake_inputs(skinning, given.settings) | {"animation": animation.animation(skinning)}
     chosen = obj.dynamorph.simulation
-    _read_limits(given, chosen, request)
     is_part = chosen.is_patch or (chosen.keep_outside and request.frames)
     if given.output and is_part and obj.dynamorph.bake.exists:
         _read_kept(given, obj)
@@ -200,22 +197,6 @@ def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: boo
     if given.resumed:
         first = given.settings.first
         given.first = rig_motion.sample_rig(obj, first, first, 1)
-
-
-def _read_limits(given: BakeInput, chosen: bpy.types.PropertyGroup, request: Request) -> None:
-    """How far the skin may move, and whether this bake rehearses the shot; chosen: the settings.
-
-    There is no rehearsal where others must agree with the result: for a part of a shot, a worker of a farm, or values
-    that the artist has set by hand; nor in Full Quality, in which each try would take as long as the bake.
-    """
-    given.limits = judge.Limits(chosen.max_displacement, chosen.max_thickness)
-    model, neutral = given.character.settings, given.character.targets[0]
-    reduced = model.solver == "REDUCED" and model.method != "STATIC"
-    adjustable = neutral.frequency > 0.0 and not neutral.by_hand
-    given.can_rehearse = given.limits != judge.Limits() and reduced and adjustable and not chosen.is_patch
-    alone = given.is_bake and not (request.frames or request.cache_dir)
-    if given.can_rehearse and alone and (request.rehearse or not chosen.rehearsed):
-        given.rehearsed_from = neutral.frequency
 
 
 def _read_kept(given: BakeInput, obj: bpy.types.Object) -> None:

@@ -220,7 +220,7 @@ class Writer:
             self._store_references(obj)
 
     def _store_materials(self, obj: bpy.types.Object) -> None:
-        """Store what a build or a rehearsal has made of the targets' frequencies."""
+        """Store what a build has made of the targets' frequencies."""
         character = self.outcome.character
         for target in obj.dynamorph.targets:
             index = index_in(character, obj, target)
@@ -247,8 +247,6 @@ class Writer:
         record.warnings = "\n".join(text for text in outcome.warnings if text not in outcome.model.summary["warnings"])
         record.inputs = records.text(outcome.inputs | {"content_id": obj.dynamorph.model.content_id})
         record.verdict = outcome.verdict.record
-        if outcome.rehearsed:
-            obj.dynamorph.simulation.rehearsed = outcome.rehearsed
         record.content_id = outcome.content_id
         record.digest = baked.digest(outcome.bake)
         record.lost = ""

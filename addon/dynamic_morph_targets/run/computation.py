@@ -9,7 +9,6 @@ import copy
 import hashlib
 import json
 from collections.abc import Generator, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -27,9 +26,7 @@ from ..core.motion.baked import Bake
 from ..core.motion.rig_samples import RigSamples
 from ..core.motion.simulate import Shot
 from ..core.result import judge
-from ..core.result.judge import Verdict
 from ..core.result.keys import as_keys, splice
-from ..core.result.rehearsal import Rehearsal
 from ..core.settings import OutputSettings
 from ..io import disk, model_file, outputs, paths, point_cache
 from .job_data import BakeInput, Outcome, Progress
@@ -45,26 +42,8 @@ class Sampling(Protocol):
     def samples(self) -> RigSamples: ...
 
 
-@dataclass(frozen=True)
-class Attempt:
-    """A whole shot, simulated with the materials of `character`. report: of the simulation."""
-
-    character: Character
-    bake: Bake
-    report: dict
-    verdict: Verdict
-
-    @property
-    def frequency(self) -> float:
-        """Of the neutral target, Hz."""
-        return self.character.targets[0].frequency
-
-
 class Computation:
     """Computes what a job is for, one chunk of the rig after the other, so that a long shot takes no more memory.
-
-    The first bake of a whole shot is a rehearsal too: while the skin moves further than the limits allow, the tissue is
-    made stiffer and the shot begins again; the stiffness is stored with the targets.
 
     wanted: how many states of the shot come before the next chunk that it needs; None when there is none. rig: the
     chunk that was simulated last. shot: the one that is simulated, or was last.
@@ -128,8 +107,7 @@ class Computation:
             self._build()
         if not given.is_bake or self.progress.canceled:
             return
-        attempt = yield from self._rehearse() if given.rehearsed_from else self._attempt()
-        outcome.bake, outcome.report, outcome.verdict = attempt.bake, attempt.report, attempt.verdict
+        yield from self._bake()
         finish(given, outcome, self.progress)
 
     def _build_cage(self) -> None:
@@ -162,31 +140,9 @@ class Computation:
         with self.progress.stage("store model"):
             self.outcome.model, self.outcome.packed = model, model_file.pack(*model.to_arrays())
 
-    def _rehearse(self) -> Generator[int, None, Attempt]:
-        """One attempt after the other, each with another frequency; the best one is kept."""
-        given, outcome = self.given, self.outcome
-        rehearsal = Rehearsal(given.rehearsed_from)
-        while True:
-            attempt = yield from self._attempt()
-            rehearsal.learn(attempt.frequency, attempt.verdict.excess)
-            if rehearsal.best == attempt.frequency:
-                best = attempt
-            frequency = rehearsal.next()
-            if not frequency:
-                break
-            adopt(outcome, calibration.stiffened(attempt.character, frequency / attempt.frequency))
-            self.progress.fraction = self._shot_from
-        if best is not attempt:
-            adopt(outcome, best.character)
-        outcome.rehearsed = _rehearsed(rehearsal, best.verdict.is_believable)
-        return best
-
-    def _attempt(self) -> Generator[int, None, Attempt]:
+    def _bake(self) -> Generator[int, None, None]:
         """The whole shot with the materials of the outcome's character."""
         given, outcome = self.given, self.outcome
-        if self.shot and not self._has_whole_rig:
-            self.rig = self.shot = None
-            yield 0
         with self.progress.stage("simulate"):
             shot = simulate.Shot(
                 outcome.model, outcome.character, given.settings, self.progress.part(self._shot_from, 1.0)
@@ -199,17 +155,10 @@ class Computation:
             yield shot.done
             self._play(shot)
         with self.progress.stage("simulate"):
-            bake, report = shot.bake(exact=given.output is None or given.output.format != "MODES")
+            outcome.bake, outcome.report = shot.bake(exact=given.output is None or given.output.format != "MODES")
         with self.progress.stage("judge"):
-            verdict = judge.judge(outcome.model, outcome.character, bake, given.limits, given.can_rehearse)
-        report["inverted_volume"] = verdict.inverted
-        return Attempt(outcome.character, bake, report, verdict)
-
-    @property
-    def _has_whole_rig(self) -> bool:
-        """Whether the shot came in one chunk, so that it can begin again without reading the rig again."""
-        settings = self.given.settings
-        return self.rig is not None and len(self.rig) == 1 + (settings.frame_end - settings.first) * settings.substeps
+            outcome.verdict = judge.judge(outcome.model, outcome.character, outcome.bake, given.settings, shot.held)
+        outcome.report["inverted_volume"] = outcome.verdict.inverted
 
     def _play(self, shot: Shot) -> None:
         """Simulate the shot to the end of the rig that was read."""
@@ -219,15 +168,6 @@ class Computation:
             shot.play(rig)
         if given.cache_dir and given.kept and len(rig):  # otherwise nothing was left to do
             given.cache_dir.keep(given.kept, shot, rig.pose[-1])
-
-
-def _rehearsed(rehearsal: Rehearsal, kept: bool) -> Message:
-    """What a rehearsal has changed; kept: whether the skin now stays within the limits."""
-    if rehearsal.best == rehearsal.asked:
-        return Message("Bounce of {frequency:.3g} Hz keeps the skin within Max Displacement", frequency=rehearsal.asked)
-    text = "Bounce raised from {before:.3g} to {frequency:.3g} Hz"
-    text += ": the skin stays within Max Displacement" if kept else ", and the skin still moves too far"
-    return Message(text, before=rehearsal.asked, frequency=rehearsal.best)
 
 
 def adopt(outcome: Outcome, character: Character) -> None:

@@ -13,7 +13,7 @@ from ..core.character import Character
 from ..core.model.model import Model
 from ..core.motion.baked import Bake
 from ..core.motion.rig_samples import RigSamples
-from ..core.result.judge import Limits, Verdict
+from ..core.result.judge import Verdict
 from ..core.settings import OutputSettings, SimulationSettings
 from ..io.cache_dir import CacheDir
 
@@ -82,9 +82,6 @@ class BakeInput:
     settings: SimulationSettings = field(init=False)
     inputs: dict = field(default_factory=dict)
     whole: bool = True  # it is read as one chunk
-    limits: Limits = Limits()  # noqa: RUF009
-    can_rehearse: bool = False  # whether a bake of the whole shot could
-    rehearsed_from: float = 0.0  # the frequency in Hz that a rehearsal begins with; 0: there is none
     before: Bake | None = None
     kept: Path | None = None  # the file that keeps it for other processes while it is unfinished
     resumed: dict = field(default_factory=dict)  # what another process stored there
@@ -112,7 +109,7 @@ class BakeInput:
 class Outcome:
     """What was computed for a job: for a build the model, for a bake everything.
 
-    character: with the materials that a build or a rehearsal has found. bake: of the whole body. written: for
+    character: with the materials that a build has found. bake: of the whole body. written: for
     each mesh its shape keys, and the file of its point cache or None.
     """
 
@@ -125,7 +122,6 @@ class Outcome:
     bake: Bake = field(init=False)
     report: dict = field(default_factory=dict)  # of the simulation
     verdict: Verdict = field(init=False)
-    rehearsed: str = ""  # what the rehearsal has changed, in a sentence
     content_id: str = ""  # hash of everything that the bake was made from
     written: list[tuple[Bake, Path | None]] = field(default_factory=list)
     new_files: list[Path] = field(default_factory=list)  # new files of point caches

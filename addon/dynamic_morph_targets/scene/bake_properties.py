@@ -115,9 +115,9 @@ class DynamorphSimulation(PropertyGroup):
     )  # fmt: skip
     max_displacement: FloatProperty(
         name="Max Displacement",
-        description="How far the skin may move away from the animation, as a fraction of the body's size. The first "
-        "bake of a shot rehearses it and raises Bounce until the skin stays within the limit. Raise it "
-        "for cartoons. 0 is no limit",
+        description="How far the skin may move away from the animation, as a fraction of the body's size. From half "
+        "of it on, bones that move faster than their tissue can follow move it less. Raise it for cartoons. "
+        "0 is no limit",
         default=0.0, min=0.0, max=1.0, soft_max=0.2, precision=3, subtype="FACTOR", override=OVERRIDE,
     )  # fmt: skip
     max_thickness: FloatProperty(
@@ -126,9 +126,6 @@ class DynamorphSimulation(PropertyGroup):
         "place. Lower it where thin parts stretch too far. 0 is no limit",
         default=0.0, min=0.0, max=10.0, soft_max=1.0, precision=2, subtype="FACTOR", override=OVERRIDE,
     )  # fmt: skip
-    rehearsed: StringProperty(
-        name="Rehearsed", description="What the rehearsal of the shot has changed", override=OVERRIDE
-    )
     initial_state: EnumProperty(
         name="Initial State",
         description="The state of the soft tissue at the first frame. Choose Rest Shape where a shot begins with a "

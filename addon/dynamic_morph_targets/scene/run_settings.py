@@ -76,4 +76,6 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
         chosen.loop,
         gains if set(gains) != {1.0} else (),
         chosen.amount,
+        chosen.max_displacement,
+        chosen.max_thickness,
     )

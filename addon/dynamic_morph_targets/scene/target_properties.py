@@ -200,7 +200,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     )  # fmt: skip
     by_hand: BoolProperty(
         name="Set by Hand",
-        description="Whether the artist has set the bounce or the stiffness. No build or rehearsal then changes them",
+        description="Whether the artist has set the bounce or the stiffness. No build then changes them",
         override=OVERRIDE,
     )  # fmt: skip
     # The artist's view, computed from the properties above and from what the last build measured.
@@ -260,7 +260,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         return Material(self.stiffness, self.poisson, self.density, self.mass_damping, self.stiffness_damping)
 
     def set_material(self, material: Material, by_hand=False):
-        """Use this material with its stiffness as it is. by_hand: no rehearsal changes it either."""
+        """Use this material with its stiffness as it is. by_hand: the artist has set it."""
         with as_computed():
             for name, value in asdict(material).items():
                 setattr(self, name, value)

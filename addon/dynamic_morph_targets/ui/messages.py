@@ -56,10 +56,6 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
             yield Problem(text, "LOCK_INTERFACE"), "ERROR"
         else:
             yield Problem("To render Live, turn on Lock Interface", "LOCK_INTERFACE"), "INFO"
-    found = verdict(obj)
-    # A later bake of another shot may move too far.
-    if settings.simulation.rehearsed and (found is None or found.is_believable):
-        yield Problem(settings.simulation.rehearsed), "INFO"
 
 
 def verdict(obj) -> judge.Verdict | None:

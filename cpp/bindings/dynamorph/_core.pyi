@@ -8,7 +8,7 @@ import numpy.typing
 import scipy.sparse
 import typing
 import typing_extensions
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'FullSkin', 'Grabs', 'Integrator', 'MaterialModel', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Embedding', 'Error', 'FullModel', 'FullMotionLimit', 'FullSimulation', 'FullSkin', 'Grabs', 'Integrator', 'MaterialModel', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedMotionLimit', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -509,6 +509,42 @@ class Grabs:
         """
         points (K): of the simulation's skin. goals (S, K, 3): meters, world space, at the end of each step. stiffness (K): N/m.
         """
+class FullMotionLimit:
+    """
+    How far a moving rig may drive the skin of a model. Simulations may share it.
+    """
+    def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], distances: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], groups: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None = None) -> None:
+        """
+        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. Raises Error if the tissue has no stiffness at rest.
+        """
+    @property
+    def frequency(self) -> float:
+        """
+        Of the neutral tissue, 1/s (angular).
+        """
+    @property
+    def numbers(self) -> int:
+        """
+        How many numbers of a static answer are looked at.
+        """
+class ReducedMotionLimit:
+    """
+    How far a moving rig may drive the skin of a model. Simulations may share it.
+    """
+    def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], distances: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], groups: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None = None) -> None:
+        """
+        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. Raises Error if the tissue has no stiffness at rest.
+        """
+    @property
+    def frequency(self) -> float:
+        """
+        Of the neutral tissue, 1/s (angular).
+        """
+    @property
+    def numbers(self) -> int:
+        """
+        How many numbers of a static answer are looked at.
+        """
 class FullSimulation:
     """
     Steps a model through time, in world space and SI units.
@@ -519,11 +555,15 @@ class FullSimulation:
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None) -> dict:
         """
-        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit.
         """
     def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
         Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, so that targets do not sag.
+        """
+    def set_limit(self, limit: FullMotionLimit) -> None:
+        """
+        Limits the motion from now on; None for no limit.
         """
     def set_skin(self, skin: FullSkin) -> None:
         """
@@ -556,12 +596,12 @@ class FullSimulation:
     def model(self) -> FullModel:
         ...
     @property
-    def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"]]:
+    def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
         """
-        (coordinates, bones' transforms (B, 12)), each now and at the last three steps. Set it to resume a simulation; raises Error for what is not finite.
+        (coordinates, bones' transforms (B, 12), excess (G)): the first two now and at the last three steps, the last of each bone's load, empty without a motion limit. Set it to resume a simulation; raises Error for what is not finite.
         """
     @state.setter
-    def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"]]) -> None:
+    def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]]) -> None:
         ...
 class ReducedSimulation:
     """
@@ -573,11 +613,15 @@ class ReducedSimulation:
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None) -> dict:
         """
-        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit.
         """
     def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
         Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, so that targets do not sag.
+        """
+    def set_limit(self, limit: ReducedMotionLimit) -> None:
+        """
+        Limits the motion from now on; None for no limit.
         """
     def set_skin(self, skin: ReducedSkin) -> None:
         """
@@ -610,12 +654,12 @@ class ReducedSimulation:
     def model(self) -> ReducedModel:
         ...
     @property
-    def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"]]:
+    def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
         """
-        (coordinates, bones' transforms (B, 12)), each now and at the last three steps. Set it to resume a simulation; raises Error for what is not finite.
+        (coordinates, bones' transforms (B, 12), excess (G)): the first two now and at the last three steps, the last of each bone's load, empty without a motion limit. Set it to resume a simulation; raises Error for what is not finite.
         """
     @state.setter
-    def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"]]) -> None:
+    def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]]) -> None:
         ...
 def adapt_response_basis(model: FullModel, U: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], W: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]) -> ResponseBasis:
     """

@@ -2,6 +2,7 @@
 #include "dynamorph/step/simulation.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/progress.hpp"
@@ -12,6 +13,7 @@ namespace dynamorph {
 namespace {
 
 constexpr int kStaticIterations = 200;  // needed only once, and gravity moves a soft body far
+constexpr double kWatched = 0.45;       // of its largest distance: a point that is nearer is not pulled in this step
 
 /// Gravity (m/s^2, world) on the soft tissue at the bones, without a past.
 InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3d& gravity) {
@@ -21,6 +23,9 @@ InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3
   inertial.gravity_offset = gravity;
   return inertial;
 }
+
+/// The weight of this step's excess in the mean over a swing (motion_limit.hpp).
+double weight_of_step(double frequency, double h) { return 1 - std::exp(-h * frequency); }
 
 }  // namespace
 
@@ -55,7 +60,8 @@ void Simulation<Model>::pose(const Transforms& bones, const VectorXd& weights) {
 }
 
 template <class Model>
-void Simulation<Model>::load(const InertialTarget& inertial, double square, const VectorXd* external) {
+void Simulation<Model>::load(const InertialTarget& inertial, double square, const VectorXd* external,
+                             const VectorXd* scales) {
   model_->inertia(inertial, blend_.mass, inertia_);
   quadratic_.g = inertia_.force / square;
   if (rest_gravity_.size() > 0) quadratic_.g.noalias() += rest_gravity_ * blend_.weights;
@@ -68,9 +74,46 @@ void Simulation<Model>::load(const InertialTarget& inertial, double square, cons
   frame_.bones = *inertial.bones[0];
   pose_nodes(model_->body().skin, frame_);
   nodal_ = *external;
+  if (scales) nodal_.array() *= at_coordinates(model_->body().skin * *scales).array();
   pull_back(frame_, nodal_);
   model_->project_force(nodal_, projected_);
   quadratic_.g -= projected_;
+}
+
+template <class Model>
+void Simulation<Model>::hold_back(const InertialTarget& inertial, double square, const StepInput& input,
+                                  const VectorXd& own, bool lasting) {
+  driven_ = own - quadratic_.g;
+  limit_->excess(driven_, input.weights, answers_, excess_);
+  if (!lasting) excess_ = state_.excess + weight_of_step(limit_->frequency(), options_.h) * (excess_ - state_.excess);
+  if (limit_->scales(excess_, scales_)) load(scaled(inertial, square), square, input.external, &scales_);
+}
+
+template <class Model>
+InertialTarget Simulation<Model>::scaled(InertialTarget inertial, double square) {
+  // Gravity is an acceleration like any other: a shift of the newest past. Without a past, one is made up.
+  if (inertial.coefficients.isZero(0)) inertial.coefficients.row(0).head<2>() << 1, -1;
+  const double newest = inertial.coefficients.col(1).sum();
+  const Transforms& now = *inertial.bones[0];
+  for (int n = 1; n < InertialTarget::kPoses; ++n) {
+    Transforms& slowed = slowed_[std::size_t(n - 1)];
+    slowed = *inertial.bones[std::size_t(n)];
+    for (Eigen::Index t = 0; t < slowed.rows(); ++t)
+      if (scales_(t) < 1) slowed.row(t) = now.row(t) + scales_(t) * (slowed.row(t) - now.row(t));
+    inertial.bones[std::size_t(n)] = &slowed;
+  }
+  for (Eigen::Index t = 0; t < now.rows(); ++t) {
+    if (scales_(t) == 1) continue;
+    Vector3d gravity = options_.gravity;  // less that of the targets' own poses, in this one
+    if (rest_directions_.size() > 0) {
+      const Matrix3d pose = transform(now, t).leftCols<3>();
+      const Vector3d own = rest_directions_.middleRows<3>(3 * t) * blend_.weights / model_->body().sets();
+      gravity -= pose * own * (3 / std::max(pose.squaredNorm(), 1e-12));
+    }
+    const Vector3d shift = (1 - scales_(t)) * square / newest * gravity;
+    for (int axis = 0; axis < 3; ++axis) slowed_[0](t, 4 * axis + 3) += shift(axis);
+  }
+  return inertial;
 }
 
 template <class Model>
@@ -80,6 +123,7 @@ void Simulation<Model>::balance_targets(const std::vector<Transforms>& bones) {
     throw std::invalid_argument("bones: expected one skin frame for each of " + std::to_string(targets.size()) +
                                 " targets, got " + std::to_string(bones.size()));
   MatrixXd loads(model_->dofs(), targets.size()), before;
+  MatrixXd directions(3 * model_->body().skin.cols(), targets.size());
   before.swap(rest_gravity_);  // must not act meanwhile, and is restored when a rig is refused
   const VectorXd rest = VectorXd::Zero(model_->dofs());
   try {
@@ -89,18 +133,29 @@ void Simulation<Model>::balance_targets(const std::vector<Transforms>& bones) {
       pose(bones[j], alone);
       load(at_rest(rest, bones[j], options_.gravity), 1, nullptr);
       loads.col(j) = -quadratic_.g;
+      for (Eigen::Index t = 0; t < bones[j].rows(); ++t)
+        directions.block<3, 1>(3 * t, j) = transform(bones[j], t).leftCols<3>().transpose() * options_.gravity;
     }
   } catch (...) {
     rest_gravity_.swap(before);
     throw;
   }
   rest_gravity_ = loads;
+  rest_directions_ = directions;
 }
 
 template <class Model>
 void Simulation<Model>::set_skin(std::shared_ptr<const SkinMap<Model>> skin) {
   if (skin && &skin->model() != model_.get()) throw std::invalid_argument("skin: it belongs to another model");
   skin_ = std::move(skin);
+}
+
+template <class Model>
+void Simulation<Model>::set_limit(std::shared_ptr<const MotionLimit<Model>> limit) {
+  if (limit && &limit->model() != model_.get()) throw std::invalid_argument("limit: it belongs to another model");
+  limit_ = std::move(limit);
+  state_.excess.setZero(limit_ ? limit_->bones() : 0);
+  excess_ = state_.excess;
 }
 
 template <class Model>
@@ -115,8 +170,11 @@ StepReport Simulation<Model>::solve_static(const StepInput& input, VectorXd& q) 
       if (weights(j) != 0) q += weights(j) * model_->target(int(j));
   }
   if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
-  load(at_rest(q, input.bones, options_.gravity), 1, input.external);
+  const InertialTarget gravity = at_rest(q, input.bones, options_.gravity);
+  load(gravity, 1, input.external);
+  if (limit_) hold_back(gravity, 1, input, VectorXd::Zero(model_->dofs()), true);
   grabs_.begin(skin_.get(), input);
+  far_.begin(limit_.get(), weights, q, 0);
   forget();
   values(quadratic_.H).setZero();
   quadratic_.origin = VectorXd::Zero(model_->dofs());
@@ -132,6 +190,7 @@ StepReport Simulation<Model>::start(const Transforms& now, const Transforms& nex
   VectorXd q;
   const StepReport report = solve_static({now, weights}, q);
   weights_ = weights;
+  state_.excess = excess_;
   for (int k = 0; k < InertialTarget::kMoments; ++k) {
     state_.q[k] = q;
     state_.bones[k] = extrapolate_back(now, next, k);
@@ -149,7 +208,14 @@ void Simulation<Model>::set_state(const State& state) {
     if (bones.rows() != model_->body().skin.cols()) throw std::invalid_argument("state: it belongs to another model");
     if (!bones.allFinite()) throw Error("The state has a bone transform that is not a finite number");
   }
+  const Eigen::Index limited = limit_ ? limit_->bones() : 0;
+  if (state.excess.size() != limited && state.excess.size() != 0)
+    throw std::invalid_argument("state: expected the excess of " + std::to_string(limited) + " bones, got " +
+                                std::to_string(state.excess.size()));
+  if (!(state.excess.array() >= 0).all() || !state.excess.allFinite())
+    throw Error("The state has an excess that is not a finite number");
   state_ = state;
+  if (state_.excess.size() == 0) state_.excess.setZero(limited);
 }
 
 template <class Model>
@@ -192,7 +258,15 @@ StepReport Simulation<Model>::advance(const StepInput& input) {
   inertial.coefficients = rule.coefficients();
   inertial.gravity_offset = rule.square * options_.gravity;
   load(inertial, rule.square, input.external);
+  if (limit_) {
+    own_ = next_;
+    for (int m = 0; m < InertialTarget::kMoments; ++m) own_ -= rule.past[std::size_t(m)] * state_.q[std::size_t(m)];
+    multiply(inertia_.mass, own_, driven_);
+    own_ = driven_ / rule.square;
+    hold_back(inertial, rule.square, input, own_, false);
+  }
   grabs_.begin(skin_.get(), input);
+  far_.begin(limit_.get(), input.weights, next_, kWatched);
 
   // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h and a constant, symmetric, positive C.
   values(damped_) = values(inertia_.damped) + values(blend_.damping);
@@ -211,6 +285,7 @@ StepReport Simulation<Model>::advance(const StepInput& input) {
   std::rotate(state_.bones.rbegin(), state_.bones.rbegin() + 1, state_.bones.rend());
   state_.q[0] = next_;
   state_.bones[0] = bones;
+  state_.excess = excess_;
   weights_ = input.weights;
   return report;
 }
@@ -224,7 +299,8 @@ void Simulation<Model>::require_pose() const {
 template <class Model>
 StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   elastic_.begin(*model_, blend_, quadratic_.origin.norm(), options_.tolerance);
-  Potential<Matrix, decltype(quadratic_), decltype(elastic_), decltype(grabs_)> potential(quadratic_, elastic_, grabs_);
+  Potential<Matrix, decltype(quadratic_), decltype(elastic_), decltype(grabs_), decltype(far_)> potential(
+      quadratic_, elastic_, grabs_, far_);
   const auto ask = [&] {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();
   };
@@ -238,6 +314,8 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   report.converged = found.converged;
   report.residual = found.residual;
   report.energy = elastic_.value();
+  report.farthest = far_.farthest();
+  if (excess_.size() > 0) report.excess = excess_.maxCoeff(&report.excess_bone);
   if (found.unseen) {  // the last step is short: its third power does not count
     multiply(elastic_.hessian(), newton_.direction, resistance_);
     report.energy += newton_.direction.dot(elastic_.gradient() + 0.5 * resistance_);

@@ -22,11 +22,12 @@
 
 namespace dynamorph {
 
-/// Where a soft skin is: its coordinates and the bones' transforms, now and at the last three steps. Copy it to undo,
-/// resume or fork a simulation.
+/// Where a soft skin is: its coordinates and the bones' transforms, now and at the last three steps; and with a motion
+/// limit, how far each bone's load has lately exceeded it. Copy it to undo, resume or fork a simulation.
 struct State {
   std::array<VectorXd, InertialTarget::kMoments> q;
   std::array<Transforms, InertialTarget::kMoments> bones;
+  VectorXd excess;  ///< rbar of motion_limit.hpp (G); empty without a limit
 };
 
 /// Throws std::invalid_argument unless the weights of every target set are >= 0 and sum to one.
@@ -40,6 +41,9 @@ struct StepReport {
   double residual = 0;  ///< gradient relative to the largest force term
   double energy = 0;    ///< elastic energy, J
   bool teleported = false;
+  double excess = 0;     ///< the largest of the state's; above 1/2 the load of that bone was held back
+  int excess_bone = -1;  ///< whose it is; -1 without a motion limit
+  double farthest = 0;   ///< of a point from its targets' shape, relative to its limit, before Newton's method
 };
 
 template <class Model>
@@ -66,6 +70,9 @@ class Simulation {
   /// The skin whose points can be grabbed; null for none. Its model must be this one.
   void set_skin(std::shared_ptr<const SkinMap<Model>> skin);
 
+  /// Limits the motion from now on; null for no limit. Its model must be this one.
+  void set_limit(std::shared_ptr<const MotionLimit<Model>> limit);
+
   /// Drops the factors of earlier steps, which save time: the steps that follow depend on the state alone, to the last
   /// bit. Call it where the state is copied, and after it is set.
   void forget() { newton_.solver.forget(); }
@@ -75,7 +82,8 @@ class Simulation {
   const StepOptions& options() const { return options_; }
   const State& state() const { return state_; }
   const MatrixXd& rest_gravity() const { return rest_gravity_; }  ///< gravity in the targets' poses (dofs, J), or empty
-  void set_state(const State& state);                             ///< throws Error for what is not finite
+  /// Without excess, its motion limit has not acted lately. Throws Error for what is not finite.
+  void set_state(const State& state);
   const VectorXd& coordinates() const { return state_.q[0]; }
   /// Energies of the state, J, at the target weights of the last start() or step(). The kinetic energy uses the
   /// integrator's own velocity.
@@ -91,7 +99,15 @@ class Simulation {
   StepReport advance(const StepInput& input);
   /// Sets g of the quadratic term to the forces at its origin: inertia's toward `inertial` divided by `square` s^2,
   /// external forces on the nodes if there are any, and gravity in the targets' own poses.
-  void load(const InertialTarget& inertial, double square, const VectorXd* external);
+  /// scales: of the transforms' loads (T), for external forces.
+  void load(const InertialTarget& inertial, double square, const VectorXd* external, const VectorXd* scales = nullptr);
+  /// Scales the load down where the rig drives the tissue too far. own: inertia's force from the tissue's own motion
+  /// alone; lasting: the load has lasted, as in a static solution.
+  void hold_back(const InertialTarget& inertial, double square, const StepInput& input, const VectorXd& own,
+                 bool lasting);
+  /// The same inertial target with the accelerations of the transforms, and of gravity, scaled: the past x^ becomes
+  /// x_in + s (x^ - x_in), where x_in is the past without the motion of the bones.
+  InertialTarget scaled(InertialTarget inertial, double square);
   /// Moves q to the minimum of the sum of the terms.
   StepReport minimize(VectorXd& q, int max_iterations);
   void require_pose() const;
@@ -109,10 +125,16 @@ class Simulation {
   QuadraticTerm<Matrix> quadratic_;
   ElasticTerm<Model> elastic_;
   GrabTerm<Model> grabs_;
+  MaxDistanceTerm<Model> far_;
   std::shared_ptr<const SkinMap<Model>> skin_;
+  std::shared_ptr<const MotionLimit<Model>> limit_;
+  typename MotionLimit<Model>::Scratch answers_;
+  VectorXd own_, driven_, excess_, scales_;                  ///< of the limit: forces, rbar at the end of the step, s
+  std::array<Transforms, InertialTarget::kMoments> slowed_;  ///< bones of a scaled past
   NewtonScratch<Matrix> newton_;
-  MatrixXd rest_gravity_;  ///< gravity in each target's own pose (dofs, J), or empty
-  SkinFrame frame_;        ///< of the nodes, where external forces act
+  MatrixXd rest_gravity_;     ///< gravity in each target's own pose (dofs, J), or empty
+  MatrixXd rest_directions_;  ///< the same at each transform, A^T g (3T, J)
+  SkinFrame frame_;           ///< of the nodes, where external forces act
   VectorXd nodal_, projected_;
 };
 

@@ -3,10 +3,12 @@
 // terms in Simulation.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 
 #include "dynamorph/core/types.hpp"
 #include "dynamorph/models/skin.hpp"
+#include "dynamorph/step/motion_limit.hpp"
 #include "dynamorph/step/newton.hpp"
 #include "dynamorph/step/step_input.hpp"
 
@@ -149,6 +151,96 @@ struct GrabTerm {
   PointRows numbers_, scratch_;
   VectorXd from_goal_, offset_, force_, gradient_;  ///< from the goals at q = 0 and at q, meters; stiffness times that
   double magnitude_ = 0, length_ = 0;               ///< of the forces that cancel in `force_`
+};
+
+/// sum_p k_p ramp(|u_p(q) - d_p|) over points that are far from their targets' shape d (motion_limit.hpp).
+template <class Model>
+struct MaxDistanceTerm {
+  using Points = PointStiffness<typename Model::Matrix>;
+
+  /// limit: null for none. The points that it can act on are those that are at least `watched` of their limit away at
+  /// the `predicted` coordinates.
+  void begin(const MotionLimit<Model>* limit, const VectorXd& weights, const VectorXd& predicted, double watched) {
+    limit_ = limit;
+    watched_.clear();
+    points_.stiffness.resize(0);
+    farthest_ = 0;
+    if (!limit) return;
+    limit->shape(weights, shape_);
+    from_shape_ = predicted - shape_;
+    limit->offsets(from_shape_, scratch_, offset_);
+    numbers_.clear();
+    for (Eigen::Index p = 0; p < limit->distances().size(); ++p) {
+      const double far = offset_.segment<3>(3 * p).norm() / limit->distances()(p);
+      farthest_ = std::max(farthest_, far);
+      if (far < watched) continue;
+      watched_.push_back(p);
+      for (int axis = 0; axis < 3; ++axis) {
+        numbers_.add_row();
+        numbers_.add(int(p), Vector3d::Unit(axis));
+      }
+    }
+    if (!watched_.empty()) limit->points().rows(numbers_, rows_);
+  }
+
+  /// Distance of the point that is farthest at the predicted coordinates, relative to its limit.
+  double farthest() const { return farthest_; }
+
+  void at(const VectorXd& q) {
+    gradient_.setZero(q.size());
+    value_ = pull_ = 0;
+    if (watched_.empty()) return;
+    from_shape_ = q - shape_;
+    multiply(rows_, from_shape_, offset_);
+    force_.resize(offset_.size());
+    for (std::size_t k = 0; k < watched_.size(); ++k) {
+      const Vector3d u = offset_.segment<3>(3 * Eigen::Index(k));
+      const double stiffness = limit_->stiffness()(watched_[k]);
+      const Ramp at = ramp(u.norm(), limit_->distances()(watched_[k]));
+      value_ += stiffness * at.energy;
+      force_.segment<3>(3 * Eigen::Index(k)) = stiffness * at.across * u;
+      pull_ += stiffness * at.across * u.norm();
+    }
+    add_transposed_product(rows_, force_, gradient_);
+  }
+  double value() const { return value_; }
+  const VectorXd& gradient() const { return gradient_; }
+
+  /// Along the pull and across it, for every point that is pulled.
+  const Points& hessian() {
+    numbers_.clear();
+    pulled_.clear();
+    for (std::size_t k = 0; k < watched_.size(); ++k) {
+      const Vector3d u = offset_.segment<3>(3 * Eigen::Index(k));
+      const Ramp at = ramp(u.norm(), limit_->distances()(watched_[k]));
+      if (at.along == 0) continue;
+      const Vector3d along = u.normalized(), across = along.unitOrthogonal();
+      for (const Vector3d& direction : {along, across, Vector3d(along.cross(across))}) {
+        numbers_.add_row();
+        numbers_.add(int(watched_[k]), direction);
+      }
+      const double stiffness = limit_->stiffness()(watched_[k]);
+      pulled_.insert(pulled_.end(), {stiffness * at.along, stiffness * at.across, stiffness * at.across});
+    }
+    points_.stiffness = Eigen::Map<const VectorXd>(pulled_.data(), Eigen::Index(pulled_.size()));
+    if (!pulled_.empty()) limit_->points().rows(numbers_, points_.rows);
+    return points_;
+  }
+  RoundOff round_off() const {
+    if (pull_ == 0) return {};
+    return {gradient_.norm(), 1e-15 * pull_, from_shape_.norm() + shape_.norm()};
+  }
+
+ private:
+  const MotionLimit<Model>* limit_ = nullptr;
+  std::vector<Eigen::Index> watched_;
+  typename Model::SkinPoints::Rows rows_;  ///< the watched points' offsets
+  PointRows numbers_;
+  typename MotionLimit<Model>::Scratch scratch_;
+  Points points_;
+  std::vector<double> pulled_;
+  VectorXd shape_, from_shape_, offset_, force_, gradient_;
+  double value_ = 0, pull_ = 0, farthest_ = 0;
 };
 
 }  // namespace dynamorph

@@ -75,7 +75,7 @@ def as_stored(value: float) -> float:
 
 
 def stored(target: Target) -> dict[str, float]:
-    """The properties of a target that a build or a rehearsal may change, by name."""
+    """The properties of a target that a build may change, by name."""
     material = target.material
     return {
         "stiffness": material.stiffness,

@@ -45,16 +45,12 @@ class NeutralTarget(Protocol):
 class Simulation(Protocol):
     """What of the simulation's properties a feel sets."""
 
-    rehearsed: bool
     max_displacement: float
     max_thickness: float
 
 
 def active(neutral: NeutralTarget, simulation: Simulation) -> str:
-    """Which of FEELS the neutral target and the simulation settings of a soft skin match; "" if none.
-
-    It is still the same feel when a rehearsal has raised the frequency since.
-    """
+    """Which of FEELS the neutral target and the simulation settings of a soft skin match; "" if none."""
     if neutral.by_hand:
         return ""
     for key, feel in FEELS.items():
@@ -63,6 +59,6 @@ def active(neutral: NeutralTarget, simulation: Simulation) -> str:
             (simulation.max_displacement, feel.max_displacement),
             (simulation.max_thickness, feel.max_thickness),
         ]
-        if all(isclose(*pair, rel_tol=1e-5) for pair in pairs[1 if simulation.rehearsed else 0 :]):
+        if all(isclose(*pair, rel_tol=1e-5) for pair in pairs):
             return key
     return ""

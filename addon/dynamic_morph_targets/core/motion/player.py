@@ -15,6 +15,7 @@ from ..geometry import diagonal
 from ..model.model import EngineModel, EngineSimulation, Model
 from ..settings import SimulationSettings
 from .amounts import Amounts
+from .limits import motion_limit
 from .posing import Posing
 from .rig_samples import RigSamples
 
@@ -29,9 +30,13 @@ STEP = (
     "energy",
     "teleported",
     "seconds",
+    "excess",
+    "excess_bone",
+    "farthest",
 )  # statistics of a frame's steps
-NO_STEPS = dict.fromkeys(STEP, 0) | {"converged": True}
-State = tuple[Sequence[np.ndarray], Sequence[np.ndarray]]  # of the engine: coordinates, bones' transforms
+NO_STEPS = dict.fromkeys(STEP, 0) | {"converged": True, "excess_bone": -1}
+# Of the engine: coordinates, bones' transforms, and how far the bones' loads exceed their limit.
+State = tuple[Sequence[np.ndarray], Sequence[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,7 @@ class Player:
 
     @past.setter
     def past(self, coordinates: np.ndarray) -> None:
-        self.state = list(coordinates), self.state[1]
+        self.state = list(coordinates), *self.state[1:]
 
     @property
     def probed(self) -> bool:
@@ -116,7 +121,7 @@ class Player:
         self._balance_targets(rig[:1])
         bones, weights = self.posing.posed(rig[:2])  # or of the nodes, if they are probed
         if self.settings.initial_state == "REST_SHAPE":
-            self.state = [self.static(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4
+            self.state = [self.static(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4, np.zeros(0)
             begun = NO_STEPS
         else:
             after = bones[0] if self.settings.still_frames else bones[-1]
@@ -139,11 +144,11 @@ class Player:
         """
         first, last = self._ends(rig)
         turn, shift = _rigid_fit(last, first)
-        coordinates, bones = self.state
+        coordinates, bones, excess = self.state
         moved = [turn @ past.reshape(-1, 3, 4) for past in bones]
         for past in moved:
             past[:, :, 3] += shift
-        self.state = coordinates, [past.reshape(-1, 12) for past in moved]
+        self.state = coordinates, [past.reshape(-1, 12) for past in moved], excess
         self.number, self.passes = self.settings.frame_start, self.passes + 1
         return Frame(self.number, frame.coordinates, self.posing.posed(rig[:1])[1][0], NO_STEPS)
 
@@ -202,7 +207,8 @@ class Player:
         other.number, other.passes = self.number, self.passes
         if self._first is not None:
             other._balance_targets(self._first)
-            other.state = self.state
+            coordinates, bones, excess = self.state
+            other.state = coordinates, bones, excess if len(excess) == len(other.state[2]) else np.zeros(0)
         return other
 
     def follow(self, settings: SimulationSettings, motion_amounts: np.ndarray) -> None:
@@ -229,7 +235,7 @@ class Player:
 
     def _stepper(self, engine: EngineModel) -> EngineSimulation:
         settings, full = self.settings, self.model.settings.solver == "FULL"
-        return self.model.stepper(
+        simulation = self.model.stepper(
             engine,
             settings.step,
             integrator=dynamorph.Integrator.__members__[settings.integrator],
@@ -237,6 +243,8 @@ class Player:
             teleport=TELEPORT * engine.body.size * settings.step,
             keep_going=self._keep_going if full else None,  # a reduced step takes less time than asking
         )
+        simulation.set_limit(motion_limit(self.model, engine, self.character, settings))
+        return simulation
 
     def _balance_targets(self, first: RigSamples) -> None:
         """Sculpted shapes are what the artist saw under gravity, so each one is balanced in its own pose."""
@@ -260,7 +268,7 @@ class _NothingMoves:
     """Replaces the engine's simulation for static morph targets, which have no coordinates."""
 
     coordinates = np.zeros(0)
-    state: State = (), ()
+    state: State = (), (), np.zeros(0)
 
     def start(self, _now: np.ndarray, _next: np.ndarray, _weights: np.ndarray) -> dict:
         return NO_STEPS

@@ -17,6 +17,7 @@ from ..model.cage import ProgressFn, Report
 from ..model.model import Model
 from ..settings import ModelSettings, SimulationSettings
 from .baked import Bake
+from .limits import Held, held
 from .loops import cycle, loop_warnings
 from .player import STEP, Frame, Player
 from .rig_samples import RigSamples
@@ -126,20 +127,29 @@ class Shot:
 
     def kept(self) -> dict[str, np.ndarray]:
         """Everything that `resume` needs."""
-        coordinates, bones = self.player.state
+        coordinates, bones, excess = self.player.state
         return {
             "coordinates": np.concatenate(self._coordinates),
             "weights": np.concatenate(self._weights),
             "steps": np.concatenate(self._steps),
             "past": np.array(coordinates),
             "bones": np.array(bones),
+            "excess": excess,
         }
 
     def resume(self, kept: dict[str, np.ndarray], first: RigSamples) -> None:
         """Continues after the frames of another instance of the same shot; first: the sample of the first frame."""
         self._coordinates, self._weights, self._steps = ([kept[name]] for name in ("coordinates", "weights", "steps"))
         self.done = len(kept["coordinates"])
-        self.player.resume(first, (list(kept["past"]), list(kept["bones"])))
+        self.player.resume(first, (list(kept["past"]), list(kept["bones"]), kept["excess"]))
+
+    @property
+    def held(self) -> Held:
+        """Where the limits worked hardest in what was played, without the run-up."""
+        settings = self.player.settings
+        kept = slice(settings.run_up * settings.samples, None)
+        steps = dict(zip(STEP, np.concatenate(self._steps)[kept].T, strict=True))
+        return held(settings.times[kept][: len(steps["steps"])], steps, self.player.model.bone_names)
 
     def bake(self, exact: bool = False) -> tuple[Bake, dict]:
         """The bake and its report, when all is played. exact: an unreduced one has as many modes as it takes for all of

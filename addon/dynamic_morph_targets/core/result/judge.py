@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How believable a bake looks, and how much stiffer the tissue must be so that it stays within limits. No bpy.
+"""How believable a bake looks. No bpy.
 
 Everything is measured in bind space, where a body that turns does not count as motion of its tissue, against the
 targets' shapes. Lengths are relative to the body's size, the diagonal of its box at rest, or to its local thickness.
@@ -16,17 +16,20 @@ import numpy as np
 from .. import records
 from ..character import Character
 from ..geometry import determinant, diagonal, vertex_areas
+from ..message import Message
 from ..model.model import Model
 from ..motion.baked import Bake
+from ..motion.limits import THINNEST, Held
+from ..settings import SimulationSettings
 
 LOOKED_AT = 32  # at most so many frames, those that move most
 CHECKED = 10  # of these, frames whose tetrahedra are checked
 SHRUNK, STRETCHED = 0.6, 1.6  # of their length at rest; edges beyond that look torn
 TURNED = 1e-3  # share of the skin that may be flipped, and of the volume that may be inverted
-SLACK = 0.94  # of the limits, so that other ways of measuring agree
+FLICKERS = 0.1  # of `flicker`; what turns more often flickers, a slow swing is near -1
+HELD_BACK = 2.0  # of the largest excess of a load; below, the artist is not told
 SHOWS = 1.05  # of the limits; a bake that exceeds them by more is not as requested
 SPLINTER = 1e-4  # of the size; shorter edges are not used to measure stretch
-THINNEST = 0.02  # of the size; thinner parts count as this thick
 SHOWN = 200  # vertices that mark the worst place
 
 
@@ -44,27 +47,28 @@ class Limits:
 class Verdict:
     """How believable a bake looks: what was measured, against which limits, and what that means to the artist.
 
-    can_rehearse: whether another bake may find a frequency that keeps the limits. displacement: the largest, of the
-    size; percentile: its 99.9th percentile in the worst frame; over_thickness: 99th percentile over the skin of each
-    point's largest displacement over the thickness there; stretch: 0.1th and 99.9th percentile of edges' length over
-    that at rest; flipped: share of the skin turned over; inverted: share of the volume turned inside out; frame: the
-    worst; vertices: of the character's own mesh, at its worst place.
+    held: where the limits worked hardest. displacement: the largest, of the size; percentile: its 99.9th percentile in
+    the worst frame; over_thickness: 99th percentile over the skin of each point's largest displacement over the
+    thickness there; stretch: 0.1th and 99.9th percentile of edges' length over that at rest; flipped: share of the skin
+    turned over; inverted: share of the volume turned inside out; flicker: how often the motion turns, see `_flicker`;
+    frame: the worst; vertices: of the character's own mesh, at its worst place.
     """
 
     limits: Limits = Limits()
-    can_rehearse: bool = False
+    held: Held = Held()  # noqa: RUF009
     displacement: float = 0.0
     percentile: float = 0.0
     over_thickness: float = 0.0
     stretch: tuple[float, float] = (1.0, 1.0)
     flipped: float = 0.0
     inverted: float = 0.0
+    flicker: float = -1.0
     frame: float = 0.0
     vertices: tuple[int, ...] = ()
 
     @property
     def excess(self) -> float:
-        """The factor by which the motion is too large: a rehearsal continues above SLACK. 0 without limits."""
+        """The factor by which the motion is too large. 0 without limits."""
         limits = self.limits
         if not (limits.displacement or limits.thickness):
             return 0.0
@@ -88,8 +92,13 @@ class Verdict:
         return max(self.flipped, self.inverted) > TURNED or low < SHRUNK or high > STRETCHED
 
     @property
+    def is_too_large(self) -> bool:
+        """What a higher Bounce repairs."""
+        return self.is_wreckage or self.excess > SHOWS
+
+    @property
     def is_believable(self) -> bool:
-        return not self.is_wreckage and self.excess <= SHOWS
+        return not self.is_too_large and self.flicker <= FLICKERS
 
     @property
     def text(self) -> str:
@@ -105,21 +114,32 @@ class Verdict:
             fault = "is stretched too far"
         elif low < SHRUNK:
             fault = "is squeezed too far"
-        else:
+        elif self.is_too_large:
             fault = "moves farther than Max Displacement allows"
+        else:
+            return "The skin flickers: it turns at nearly every frame"
         return f"The skin {fault} at frame {self.frame:g}"
 
     @property
-    def remedy(self) -> str:
-        """What repairs it: REHEARSE, STIFFEN, or nothing."""
-        if self.is_believable:
-            return ""
-        return "REHEARSE" if self.can_rehearse else "STIFFEN"
+    def held_back(self) -> Message | None:
+        """Where bones move faster than their tissue can follow; None where they hardly do."""
+        if self.held.excess < HELD_BACK:
+            return None
+        first, last = self.held.frames
+        frames = Message("frame {number}", number=first)
+        if last > first:
+            frames = Message("frames {first} to {last}", first=first, last=last)
+        return Message(
+            "'{bone}' moves {factor:.0f} times faster than its tissue can follow at {frames}: held back",
+            bone=self.held.bone,
+            factor=self.held.excess,
+            frames=frames,
+        )
 
     @property
     def factor(self) -> float:
         """On Bounce, to repair it."""
-        return 1.0 if self.is_believable else max(1.15, self.excess**0.75)
+        return max(1.15, self.excess**0.75) if self.is_too_large else 1.0
 
     @property
     def figures(self) -> dict[str, str]:
@@ -131,6 +151,9 @@ class Verdict:
             "Inverted Volume": f"{self.inverted:.2%}",
             "Flipped Skin": f"{self.flipped:.2%}",
             "Stretch": f"{low:.2f} to {high:.2f}",
+            "Flicker": f"{self.flicker:+.2f}",
+            "Largest Load": f"{self.held.excess:.1f} of limit",
+            "Between Frames": f"{self.held.reached:.0%} of limit",
         }
 
     @property
@@ -144,16 +167,17 @@ def parsed(record: str) -> Verdict | None:
     """The verdict that `Verdict.record` stored; None without a record. Raises RecordError."""
     if not record:
         return None
-    values = records.verdict(record)
-    stretch, vertices = tuple(values["stretch"]), tuple(values["vertices"])
-    return Verdict(**values | {"limits": Limits(**values["limits"]), "stretch": stretch, "vertices": vertices})
+    values = {name: tuple(v) if isinstance(v, list) else v for name, v in records.verdict(record).items()}
+    held = Held(**values["held"] | {"frames": tuple(values["held"]["frames"])})
+    return Verdict(**values | {"limits": Limits(**values["limits"]), "held": held})
 
 
-def judge(model: Model, character: Character, bake: Bake, limits: Limits, can_rehearse: bool) -> Verdict:
-    """The verdict on a bake of `character` with `model`. The bake covers all the character's vertices."""
+def judge(model: Model, character: Character, bake: Bake, settings: SimulationSettings, held: Held) -> Verdict:
+    """The verdict on a bake of `character` with `model` and these settings. It covers all the character's vertices."""
+    limits = Limits(settings.max_displacement, settings.max_thickness)
     triangles = character.triangles[(character.pieces[character.triangles] >= 0).all(axis=1)]
     if not len(bake.modes) or not len(triangles):
-        return Verdict(limits, can_rehearse, frame=float(bake.frames[0]))
+        return Verdict(limits, held, frame=float(bake.frames[0]))
     skin = _Skin(character, triangles, model.thickness)
     motion = bake.coordinates - bake.static
     modes = (bake.modes @ character.to_bind.T).reshape(len(bake.modes), -1)
@@ -170,12 +194,13 @@ def judge(model: Model, character: Character, bake: Bake, limits: Limits, can_re
     u = (motion[worst] @ modes).reshape(-1, 3)
     return Verdict(
         limits,
-        can_rehearse,
+        held,
         displacement=float(largest.max()),
         percentile=float(percentile.max()),
         over_thickness=skin.over_thickness(farthest),
         stretch=(float(low.min()), float(high.max())),
         flipped=float(flipped.max()),
+        flicker=_flicker(motion[:: settings.samples], modes, skin.areas),
         inverted=_inverted(model, bake, chosen[np.argsort(-displacement[chosen])[:CHECKED]]),
         frame=float(bake.frames[worst]),
         vertices=tuple(vertex for vertex in skin.place(u) if vertex < character.own_vertices.stop),
@@ -190,7 +215,7 @@ class _Skin:
         self.triangles = triangles
         self.normals = self._normals(rest)
         self.areas = vertex_areas(rest, triangles)
-        self.size = diagonal(rest[np.unique(triangles)])
+        self.size = diagonal(rest)
         edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
         edges = np.unique(edges, axis=0)
         lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
@@ -256,6 +281,21 @@ def _inverted(model: Model, bake: Bake, frames: np.ndarray) -> float:
         )
         worst = max(worst, float(filled[(moved <= 0.0) & (sculpted > 0.0)].sum() / filled.sum()))
     return worst
+
+
+def _flicker(motion: np.ndarray, modes: np.ndarray, areas: np.ndarray) -> float:
+    """How often the skin turns: minus the correlation of its change from one frame with that to the next, over its
+    areas (V,). A slow swing is near -1, a swing of a quarter of the frame rate 0, up and down at every other frame 1.
+
+    motion (F, r): coordinates about the targets' shapes; modes (r, 3V).
+    """
+    products = (modes * np.repeat(areas, 3)) @ modes.T
+    change = np.diff(motion, axis=0)
+    squares = np.einsum("fi,ij,fj->f", change, products, change)
+    if len(change) < 2 or not squares.any():
+        return -1.0
+    turns = np.einsum("fi,ij,fj->f", change[1:], products, change[:-1]).sum()
+    return float(-turns / (squares.sum() * (len(change) - 1) / len(change)))
 
 
 def _quantiles(values: np.ndarray, weights: np.ndarray, shares: Sequence[float]) -> list[float]:

@@ -12,10 +12,10 @@ from bpy.types import Operator
 from ...core.errors import SceneError
 from ...core.material.feel import FEELS, Feel
 from ...core.result import judge
-from ...run import job, live
+from ...run import live
 from ...scene.registration import of_classes
 from ..base import SoftSkinOperator
-from .jobs import JobOperator, StartsJob
+from .jobs import StartsJob
 
 
 def give_feel(obj, feel: Feel):
@@ -33,7 +33,6 @@ def give_feel(obj, feel: Feel):
             target.set_computed_stiffness(target.stiffness * neutral.stiffness / before)
     simulation = settings.simulation
     simulation.max_displacement, simulation.max_thickness = feel.max_displacement, feel.max_thickness
-    simulation.rehearsed = ""
 
 
 class DYNAMORPH_OT_apply_feel(SoftSkinOperator, Operator):
@@ -97,17 +96,6 @@ class DYNAMORPH_OT_show_worst(SoftSkinOperator, Operator):
         self.report({"INFO"}, text.format(frame=frame, count=len(on_mesh)))
 
 
-class DYNAMORPH_OT_rehearse(JobOperator, Operator):
-    """Rehearse the shot, raise Bounce until the skin stays within its limits, and bake. Values set by hand stay"""
-
-    bl_idname = "dynamorph.rehearse"
-    bl_label = "Rehearse and Bake"
-    goal = "BAKE"
-
-    def _jobs(self, obj):
-        return [job.Job(obj, "BAKE", rehearse=True)]
-
-
 class DYNAMORPH_OT_stiffen(StartsJob, Operator):
     """Raise Bounce by as much as the verdict on the bake asks for, even where it was set by hand, and bake again"""
 
@@ -132,7 +120,6 @@ class DYNAMORPH_OT_stiffen(StartsJob, Operator):
 CLASSES = (
     DYNAMORPH_OT_apply_feel,
     DYNAMORPH_OT_show_worst,
-    DYNAMORPH_OT_rehearse,
     DYNAMORPH_OT_stiffen,
 )
 register, unregister = of_classes(CLASSES)

@@ -128,8 +128,6 @@ class JobOperator(SoftSkinOperator):
             reasons = joined("; ", job.input.reasons)
             message = Message(text, name=job.name, result=job.summary(), reasons=reasons)
             self.report({"INFO"}, translated(message, rpt_))
-            if job.outcome.rehearsed:
-                self.report({"INFO"}, translated(joined(": ", [job.name, job.outcome.rehearsed]), rpt_))
         for job in batch.jobs:
             for warning in job.warnings:  # last, because the status bar shows the last report
                 self.report({"WARNING"}, translated(warning, rpt_))

@@ -14,11 +14,6 @@ from ..messages import verdict
 from ..operators.compare import draw_compare_beside
 from ..widgets import draw_message
 
-REMEDIES = {
-    "REHEARSE": ("dynamorph.rehearse", "PLAY"),
-    "STIFFEN": ("dynamorph.stiffen", "FORCE_HARMONIC"),
-}
-
 
 def draw_trying(layout, _context, obj):
     """Motion without keyframes, and what it is compared with."""
@@ -63,9 +58,10 @@ def draw_verdict(layout, obj):
     if found is None:
         return
     draw_message(layout, found.text, icon="CHECKMARK" if found.is_believable else "ERROR")
-    if found.remedy:
-        operator, icon = REMEDIES[found.remedy]
-        layout.operator(operator, icon=icon)
+    if found.is_too_large:
+        layout.operator("dynamorph.stiffen", icon="FORCE_HARMONIC")
+    if found.held_back:
+        draw_message(layout, found.held_back, icon="INFO")
 
 
 def draw_details(layout, context, obj):
@@ -101,7 +97,6 @@ def draw_bake(layout, _context, obj):
     simulation, output = settings.simulation, settings.output
     layout.enabled = batch.running is None
     layout.prop(settings.model, "solver")
-    draw_unrehearsed(layout, settings)
     layout.prop(simulation, "max_displacement")
     layout.prop(simulation, "use_scene_range")
     column = layout.column(align=True)
@@ -120,15 +115,6 @@ def draw_bake(layout, _context, obj):
         row.active = output.tolerance == 0.0
         row.prop(output, "frame_step")
     layout.operator("dynamorph.bake_all")
-
-
-def draw_unrehearsed(layout, settings):
-    """Full Quality keeps no limits by itself."""
-    simulation, neutral = settings.simulation, settings.targets[0]
-    limited = simulation.max_displacement or simulation.max_thickness
-    adjustable = neutral.frequency > 0.0 and not neutral.by_hand
-    if settings.model.solver == "FULL" and limited and adjustable and not simulation.rehearsed:
-        draw_message(layout, "Full Quality is not rehearsed: bake in Reduced first to keep Max Displacement", "INFO")
 
 
 # To and from files ---------------------------------------------------------------------------------------------------

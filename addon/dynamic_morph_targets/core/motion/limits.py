@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How far each point of the skin may move away from its targets' shape. Never touches bpy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..character import Character
+from ..engine import dynamorph
+from ..geometry import diagonal
+from ..model.model import EngineModel, Model
+from ..settings import SimulationSettings
+
+THINNEST = 0.02  # of the body's size; thinner parts count as this thick
+
+
+def largest_distances(model: Model, character: Character, settings: SimulationSettings) -> np.ndarray:
+    """The limit (V,) in meters of each vertex; infinite without one."""
+    size = diagonal(character.vertices @ character.to_bind.T)
+    out = np.full(len(character.vertices), settings.max_displacement * size or np.inf)
+    if settings.max_thickness and len(model.thickness):
+        thickness = np.maximum(2.0 * model.thickness, THINNEST * size)
+        out = np.minimum(out, settings.max_thickness * thickness)
+    return out
+
+
+def motion_limit(
+    model: Model, engine: EngineModel, character: Character, settings: SimulationSettings
+) -> dynamorph.ReducedMotionLimit | dynamorph.FullMotionLimit | None:
+    """What limits the engine's motion of a model; None without limits, or where no skin is soft."""
+    distances = largest_distances(model, character, settings)
+    soft = character.triangles[(character.pieces[character.triangles] >= 0).all(axis=1)]
+    if not np.isfinite(distances).all() or not len(soft):
+        return None
+    kind = dynamorph.FullMotionLimit if model.settings.solver == "FULL" else dynamorph.ReducedMotionLimit
+    return kind(
+        engine,
+        character.vertices @ character.to_bind.T,
+        dynamorph.Embedding(model.embedding_nodes, model.embedding_weights),
+        soft,
+        character.weights,
+        distances,
+        model.node_weights[model.free] if character.probed else None,
+    )
+
+
+@dataclass(frozen=True)
+class Held:
+    """Where the limits worked hardest in a shot. bone: whose load exceeded its limit most, and excess: by which factor;
+    frames: the first and last about that one in which it exceeded it by half as much. reached: the largest distance of
+    a point from its targets' shape over its limit, between frames too.
+    """
+
+    bone: str = ""
+    excess: float = 0.0
+    frames: tuple[int, int] = (0, 0)
+    reached: float = 0.0
+
+
+def held(times: np.ndarray, steps: dict[str, np.ndarray], bones: Sequence[str]) -> Held:
+    """Of the steps' statistics by name, each (F,), to each of the times (F,)."""
+    excess, bone = steps["excess"], steps["excess_bone"].astype(int)
+    worst = int(excess.argmax())
+    reached = float(steps["farthest"].max(initial=0.0))
+    if not 0 <= bone[worst] < len(bones):
+        return Held(reached=reached)
+    less = np.flatnonzero((excess < 0.5 * excess[worst]) | (bone != bone[worst]))
+    first, last = less[less < worst].max(initial=-1) + 1, less[less > worst].min(initial=len(times)) - 1
+    frames = int(np.floor(times[first])), int(np.ceil(times[last]))
+    return Held(bones[bone[worst]], float(excess[worst]), frames, reached)

@@ -1,0 +1,505 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/step/motion_limit.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <set>
+#include <string>
+
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/mesh/surface.hpp"
+#include "dynamorph/reduced/modes/polynomial_kernels.hpp"
+#include "dynamorph/reduced/modes/table_layout.hpp"
+
+namespace dynamorph {
+
+using Eigen::Index;
+
+namespace {
+
+constexpr double kSlack = 1.25;       // a static answer of so many limits counts as 1: what swings goes farther
+constexpr double kStretch = 0.6;      // of an edge's length, by which a static answer may change it
+constexpr double kPercentile = 0.97;  // of a bone's skin; spikes and slivers that only ride along must not decide
+constexpr double kEdgePercentile = 0.998;
+constexpr int kPoints = 200, kLeastPoints = 4;  // sampled on the skin, of a bone with tissue
+constexpr int kCriticalEdges = 2;               // of each of a bone's loads
+constexpr double kOwn = 0.25;                   // a bone with more weight than that owns the skin
+constexpr double kTissue = 1e-3;                // of the mass; bones with less have no edges and need no points
+constexpr double kSplinter = 1e-4;              // of the size; shorter edges do not count
+constexpr double kPull = 20;                    // of the stiffness that gives a point's mass the tissue's frequency
+
+/// The soft skin: where it is, how large, and which edges it has.
+struct SoftSkin {
+  VectorXd areas;  ///< (P); 0 for points that do not count
+  double size;     ///< diagonal of its box
+  std::vector<Edge> edges;
+};
+
+SoftSkin soft_skin(const SkinLimits& limits) {
+  SoftSkin skin{VectorXd::Zero(limits.rest.rows()), 0, {}};
+  Eigen::AlignedBox3d box;
+  for (Index t = 0; t < limits.triangles.rows(); ++t) {
+    const std::array<int, 3> c = {limits.triangles(t, 0), limits.triangles(t, 1), limits.triangles(t, 2)};
+    const Vector3d p = limits.rest.row(c[0]), q = limits.rest.row(c[1]), r = limits.rest.row(c[2]);
+    const double area = (q - p).cross(r - p).norm() / 6;
+    for (int k = 0; k < 3; ++k) {
+      skin.areas(c[k]) += area;
+      skin.edges.push_back(undirected(c[k], c[(k + 1) % 3]));
+      box.extend(Vector3d(limits.rest.row(c[k])));
+    }
+  }
+  if (!(skin.areas.sum() > 0) || !std::isfinite(skin.areas.sum()))
+    throw std::invalid_argument("triangles: their area must be finite and above zero");
+  skin.size = box.diagonal().norm();
+  std::sort(skin.edges.begin(), skin.edges.end());
+  skin.edges.erase(std::unique(skin.edges.begin(), skin.edges.end()), skin.edges.end());
+  const auto splinter = [&](const Edge& e) {
+    return (limits.rest.row(e.first) - limits.rest.row(e.second)).norm() <= kSplinter * skin.size;
+  };
+  skin.edges.erase(std::remove_if(skin.edges.begin(), skin.edges.end(), splinter), skin.edges.end());
+  return skin;
+}
+
+void check(const SkinLimits& limits, const SoftBody& body) {
+  const Index P = limits.rest.rows(), transforms = body.skin.cols();
+  check_size("embedding", limits.embedding.nodes.rows(), P);
+  check_size("weights", limits.weights.rows(), P);
+  check_size("distances", limits.distances.size(), P);
+  check_triangles(limits.rest, limits.triangles);
+  if (P > 0 && (limits.embedding.nodes.minCoeff() < 0 || limits.embedding.nodes.maxCoeff() >= body.mesh.nodes.rows()))
+    throw std::invalid_argument("embedding: it belongs to another mesh");
+  if (!(limits.distances.array() > 0).all() || !limits.distances.allFinite())
+    throw std::invalid_argument("distances: must be finite and above zero");
+  if (body.own_transforms != (limits.groups.size() > 0))
+    throw std::invalid_argument("groups: needed where the nodes have transforms of their own, and only there");
+  if (body.own_transforms) check_size("groups", limits.groups.rows(), transforms);
+  if (limits.weights.cols() != (body.own_transforms ? limits.groups.cols() : transforms))
+    throw std::invalid_argument("weights: expected those of " +
+                                std::to_string(body.own_transforms ? limits.groups.cols() : transforms) +
+                                " bones, got " + std::to_string(limits.weights.cols()));
+}
+
+/// Points as far from each other as possible (farthest point sampling), at least a few of each bone in `needed`.
+class Sampling {
+ public:
+  Sampling(const Points& points, const VectorXd& areas) : points_(points), areas_(areas), nearest_(points.rows()) {
+    for (Index p = 0; p < points.rows(); ++p) nearest_(p) = areas(p) > 0 ? kInfinity : -1;
+    owner_.assign(std::size_t(points.rows()), 0);
+  }
+  void add(int count) {
+    Index farthest = 0;
+    while (int(chosen_.size()) < count && nearest_.size() > 0 && nearest_.maxCoeff(&farthest) > 0) take(farthest);
+  }
+  /// More where the weight of a bone is largest, until it owns so many.
+  void add(const Eigen::Ref<const VectorXd>& weight, int count) {
+    int owned = 0;
+    for (int p : chosen_) owned += weight(p) > kOwn;
+    for (; owned < count; ++owned) {
+      Index farthest = 0;
+      if (!((weight.array() > kOwn).select(nearest_.array(), -1.0).maxCoeff(&farthest) > 0)) return;
+      take(farthest);
+    }
+  }
+  const std::vector<int>& chosen() const { return chosen_; }
+  /// Of values at all points: at each chosen point, the sum over those that are nearest to it.
+  VectorXd sums(const VectorXd& values) const {
+    VectorXd out = VectorXd::Zero(Index(chosen_.size()));
+    for (Index p = 0; p < values.size(); ++p)
+      if (areas_(p) > 0) out(owner_[std::size_t(p)]) += values(p);
+    return out;
+  }
+
+ private:
+  void take(Index point) {
+    const int number = int(chosen_.size());
+    chosen_.push_back(int(point));
+    for (Index p = 0; p < points_.rows(); ++p) {
+      if (nearest_(p) < 0) continue;
+      const double distance = (points_.row(p) - points_.row(point)).squaredNorm();
+      if (distance < nearest_(p)) {
+        nearest_(p) = distance;
+        owner_[std::size_t(p)] = number;
+      }
+    }
+  }
+  const Points& points_;
+  const VectorXd& areas_;
+  VectorXd nearest_;  ///< square of the distance from the nearest chosen point
+  std::vector<int> owner_, chosen_;
+};
+
+/// The same for values (n) at other places (3n).
+VectorXd sums_at_nearest(const Points& chosen, const VectorXd& places, const VectorXd& values) {
+  VectorXd out = VectorXd::Zero(chosen.rows());
+  for (Index i = 0; i < values.size(); ++i) {
+    Index nearest = 0;
+    (chosen.rowwise() - places.segment<3>(3 * i).transpose()).rowwise().squaredNorm().minCoeff(&nearest);
+    out(nearest) += values(i);
+  }
+  return out;
+}
+
+/// Sorts numbers, each of which stays once.
+void make_unique(std::vector<int>& numbers) {
+  std::sort(numbers.begin(), numbers.end());
+  numbers.erase(std::unique(numbers.begin(), numbers.end()), numbers.end());
+}
+
+/// Coordinates of the targets' shapes blended by the weights (J).
+template <class Model>
+void blended_shape(const Model& model, const VectorXd& weights, VectorXd& q) {
+  q.setZero(model.dofs());
+  for (Index j = 0; j < weights.size(); ++j)
+    if (weights(j) != 0) q += weights(j) * model.target(int(j));
+}
+
+Embedding of_points(const Embedding& all, const std::vector<int>& chosen) {
+  return {all.nodes(chosen, Eigen::all), all.weights(chosen, Eigen::all), VectorXd::Zero(Index(chosen.size()))};
+}
+
+/// The edges (places in `edges`) whose stretch under an answer u (3P) is nearest to its percentile, where bone weights
+/// them.
+void add_critical(const VectorXd& u, const std::vector<Edge>& edges, const Points& rest, const VectorXd& weight,
+                  const std::vector<int>& own, std::set<int>& critical) {
+  std::vector<std::pair<double, int>> stretch;
+  double total = 0;
+  const auto length = [&](int e) { return (rest.row(edges[e].first) - rest.row(edges[e].second)).norm(); };
+  const auto part = [&](int e) { return length(e) * (weight(edges[e].first) + weight(edges[e].second)); };
+  for (int e : own) {
+    const auto [a, b] = edges[e];
+    const Vector3d along = (rest.row(a) - rest.row(b)).transpose() / length(e);
+    stretch.push_back({std::abs(along.dot(u.segment<3>(3 * a) - u.segment<3>(3 * b))) / length(e), e});
+    total += part(e);
+  }
+  std::sort(stretch.begin(), stretch.end());
+  double sum = 0;
+  std::size_t at = 0;
+  while (at + 1 < stretch.size() && (sum += part(stretch[at].second)) < kEdgePercentile * total) ++at;
+  for (std::size_t k = 0; k < kCriticalEdges && k <= at; ++k) critical.insert(stretch[at - k].second);
+}
+
+/// The mass (free) of the nodes at the neutral targets.
+VectorXd neutral_mass(const SoftBody& body, const std::vector<MorphTarget>& targets, const VectorXd& weights) {
+  SetDensities densities;
+  densities.blend(targets, body.sets(), weights);
+  return body.volumes * densities.density;
+}
+
+/// One for the first target of each set.
+VectorXd neutral_weights(const SoftBody& body, const std::vector<MorphTarget>& targets) {
+  VectorXd out = VectorXd::Zero(Index(targets.size()));
+  for (int s = 0; s < body.sets(); ++s)
+    for (std::size_t j = 0; j < targets.size(); ++j)
+      if (targets[j].set == s) {
+        out(Index(j)) = 1;
+        break;
+      }
+  return out;
+}
+
+/// Solves K x = b.
+class NeutralFactor {
+ public:
+  bool compute(const SparseMatrix& K) { return nodal_.factorize(K); }
+  bool compute(const ArrowMatrix& K) { return modal_.compute(K); }
+  void solve(const SparseMatrix&, const VectorXd& b, VectorXd& x) { nodal_.solve(b, x, scratch_); }
+  void solve(const ArrowMatrix&, const VectorXd& b, VectorXd& x) { modal_.solve(b, x); }
+  BlockCholesky<float> nodal() && { return std::move(nodal_); }
+
+ private:
+  BlockCholesky<float> nodal_;
+  ArrowFactor modal_;
+  std::vector<float> scratch_;
+};
+
+/// The tissue at the neutral targets.
+template <class Model>
+struct Neutral {
+  const Model& model;
+  VectorXd weights;  ///< (J)
+  VectorXd mass;     ///< of the free nodes
+  typename Model::Matrix K;
+  NeutralFactor factor;
+
+  explicit Neutral(const Model& of)
+      : model(of),
+        weights(neutral_weights(of.body(), of.targets())),
+        mass(neutral_mass(of.body(), of.targets(), weights)),
+        K(of.zero()) {
+    typename Model::Blend blend;
+    model.blend(weights, blend);
+    VectorXd rest, force;
+    blended_shape(model, weights, rest);
+    model.linearize(blend, rest, force, K);
+    if (!factor.compute(K)) throw Error("The soft skin has no stiffness at rest. Check its material.");
+  }
+
+  /// The static answer (dofs) to a load on the free nodes (3 free).
+  VectorXd answer(const VectorXd& nodal) {
+    VectorXd load, q;
+    model.project_force(nodal, load);
+    factor.solve(K, load, q);
+    return q;
+  }
+};
+
+/// Loads (3 free): what is `carried` (free) of the nodes' mass, accelerated along an axis, or turned about one through
+/// its center.
+VectorXd accelerated(const VectorXd& carried, int axis) {
+  VectorXd out = VectorXd::Zero(3 * carried.size());
+  for (Index i = 0; i < carried.size(); ++i) out(3 * i + axis) = carried(i);
+  return out;
+}
+VectorXd turned(const VectorXd& carried, const VectorXd& rest, int axis) {
+  Vector3d center = Vector3d::Zero();
+  for (Index i = 0; i < carried.size(); ++i) center += carried(i) / carried.sum() * rest.segment<3>(3 * i);
+  VectorXd out(rest.size());
+  for (Index i = 0; i < carried.size(); ++i)
+    out.segment<3>(3 * i) = carried(i) * Vector3d::Unit(axis).cross(rest.segment<3>(3 * i) - center);
+  return out;
+}
+
+/// The edges (places in skin.edges) of which a bone has the `weight` (P) that its loads stretch most: those of what it
+/// has `carried` (free) of the mass, and of the whole body (answers `of_body`).
+template <class Model>
+std::set<int> critical_edges(Neutral<Model>& neutral, const SkinLimits& limits, const SoftSkin& skin,
+                             const VectorXd& weight, const VectorXd& carried, const std::array<VectorXd, 3>& of_body) {
+  std::vector<int> own, vertices;
+  for (std::size_t e = 0; e < skin.edges.size(); ++e)
+    if (const auto [a, b] = skin.edges[e]; weight(a) + weight(b) > 2 * kOwn) {
+      own.push_back(int(e));
+      vertices.insert(vertices.end(), {a, b});
+    }
+  make_unique(vertices);
+  const auto points = neutral.model.skin_points(of_points(limits.embedding, vertices));
+  std::set<int> critical;
+  VectorXd moved, u = VectorXd::Zero(3 * limits.rest.rows());
+  const auto add = [&](const VectorXd& answer) {
+    points.displacement(answer, moved);
+    for (std::size_t v = 0; v < vertices.size(); ++v) u.segment<3>(3 * vertices[v]) = moved.segment<3>(3 * Index(v));
+    add_critical(u, skin.edges, limits.rest, weight, own, critical);
+  };
+  for (int axis = 0; axis < 3 && !own.empty(); ++axis) {
+    add(of_body[std::size_t(axis)]);
+    add(neutral.answer(accelerated(carried, axis)));
+    add(neutral.answer(turned(carried, neutral.model.body().rest, axis)));
+  }
+  return critical;
+}
+
+/// The numbers over few points, and which points (P) these are.
+std::pair<PointRows, std::vector<int>> packed(const PointRows& numbers) {
+  std::vector<int> used;
+  for (int k = 0; k < numbers.parts(); ++k) used.push_back(numbers.point(k));
+  make_unique(used);
+  PointRows out;
+  for (int row = 0; row < numbers.size(); ++row) {
+    out.add_row();
+    for (int k = numbers.first(row); k < numbers.first(row + 1); ++k)
+      out.add(int(std::lower_bound(used.begin(), used.end(), numbers.point(k)) - used.begin()), numbers.direction(k));
+  }
+  return {out, used};
+}
+
+/// The free nodes as points: each in one of its tets.
+Embedding free_nodes(const SoftBody& body) {
+  const Index free = Index(body.free_nodes.size());
+  Embedding out{Tets::Zero(free, 4), {}, VectorXd::Zero(free)};
+  out.weights.setZero(free, 4);
+  for (Index t = 0; t < body.mesh.tets.rows(); ++t)
+    for (int k = 0; k < 4; ++k)
+      if (const int node = body.free_of_node[std::size_t(body.mesh.tets(t, k))]; node >= 0) {
+        out.nodes.row(node) = body.mesh.tets.row(t);
+        out.weights.row(node) = Eigen::RowVector4d::Unit(k);
+      }
+  return out;
+}
+
+/// Values at points of the skin, extended to the free nodes.
+VectorXd at_free_nodes(const SoftBody& body, const Embedding& embedding, const VectorXd& values) {
+  const MatrixXd nodes = extend_to_nodes(body.mesh, embedding, values);
+  VectorXd out(Index(body.free_nodes.size()));
+  for (Index i = 0; i < out.size(); ++i)
+    out(i) = std::clamp(nodes(body.free_nodes[std::size_t(i)], 0), values.minCoeff(), values.maxCoeff());
+  return out;
+}
+
+}  // namespace
+
+double load_scale(double excess) {
+  if (excess <= 0.5) return 1;
+  return (0.5 + 0.5 * std::tanh(2 * excess - 1)) / excess;
+}
+
+Ramp ramp(double r, double limit) {
+  const double width = (1 - kRampBegins) * limit, over = r - kRampBegins * limit;
+  if (over <= 0) return {0, 0, 0};
+  const double x = std::min(over, width), y = over - x;
+  const double force = x * x / (2 * width) + y;
+  return {x * x * x / (6 * width) + (x * x / (2 * width) + y / 2) * y, over < width ? x / width : 1, force / r};
+}
+
+SingleRows::SingleRows(const Eigen::Ref<const MatrixXd>& rows)
+    : size_(rows.rows()), padded_(whole_chunks(rows.rows())), table_(std::size_t(padded_ * rows.cols()), 0.0F) {
+  for (Index column = 0; column < rows.cols(); ++column)
+    for (Index row = 0; row < size_; ++row) table_[std::size_t(column * padded_ + row)] = float(rows(row, column));
+}
+
+void SingleRows::multiply(const VectorXd& x, std::vector<float>& scratch, VectorXd& out) const {
+  scratch.assign(x.data(), x.data() + x.size());
+  out.setZero(padded_);
+  add_short_product(table_.data(), padded_, scratch.data(), x.size(), out.data());
+}
+
+void NodalAnswers::multiply(const VectorXd& load, std::vector<float>& scratch, VectorXd& out) const {
+  VectorXd x;
+  factor_.solve(load, x, scratch);
+  dynamorph::multiply(rows_, x, out);
+}
+
+template <class Model>
+MotionLimit<Model>::MotionLimit(std::shared_ptr<const Model> model, const SkinLimits& limits)
+    : model_(std::move(model)), groups_(limits.groups), points_(model_->skin_points({})) {
+  const SoftBody& body = model_->body();
+  check(limits, body);
+  Neutral<Model> neutral(*model_);
+  const VectorXd& mass = neutral.mass;
+  neutral_stiffness_.resize(body.sets());
+  for (std::size_t j = 0; j < model_->targets().size(); ++j)
+    if (const MorphTarget& target = model_->targets()[j]; neutral.weights(Index(j)) == 1)
+      neutral_stiffness_(target.set) = target.lame.mu;
+
+  // The static answers to accelerations of the whole body, and the frequency of what follows from them by one inverse
+  // iteration (Rayleigh's quotient).
+  std::array<VectorXd, 3> of_body;
+  double slowest = kInfinity;
+  for (int axis = 0; axis < 3; ++axis) {
+    of_body[std::size_t(axis)] = neutral.answer(accelerated(mass, axis));
+    VectorXd u, again;
+    model_->displacement(of_body[std::size_t(axis)], u);
+    const VectorXd load = at_coordinates(mass).cwiseProduct(u);
+    model_->displacement(neutral.answer(load), again);
+    slowest = std::min(slowest, again.dot(load) / again.cwiseAbs2().dot(at_coordinates(mass)));
+  }
+  frequency_ = std::sqrt(slowest);
+
+  const SkinWeights carried = groups_.size() > 0 ? SkinWeights(groups_.sparseView()) : body.skin;  // (free, G)
+  const VectorXd carried_mass = carried.transpose() * mass;
+  const auto has_tissue = [&](Index bone) { return carried_mass(bone) > kTissue * mass.sum(); };
+  const SoftSkin skin = soft_skin(limits);
+  Sampling sampling(limits.rest, skin.areas);
+  sampling.add(kPoints);
+  for (Index b = 0; b < carried_mass.size(); ++b)
+    if (has_tissue(b)) sampling.add(limits.weights.col(b), kLeastPoints);
+  const std::vector<int>& chosen = sampling.chosen();
+  sampled_ = int(chosen.size());
+  const VectorXd area = sampling.sums(skin.areas);
+  PointRows numbers;
+  for (int p : chosen)
+    for (int axis = 0; axis < 3; ++axis) {
+      numbers.add_row();
+      numbers.add(p, Vector3d::Unit(axis) / (kSlack * limits.distances(p)));
+    }
+
+  const MatrixXd volumes = carried.transpose() * body.volumes;  // (G, S)
+  bones_.resize(std::size_t(carried_mass.size()));
+  for (Index b = 0; b < carried_mass.size(); ++b) {
+    Bone& bone = bones_[std::size_t(b)];
+    const VectorXd weight = limits.weights.col(b);
+    bone.share = volumes.row(b).transpose() / std::max(volumes.row(b).sum(), 1e-300);
+    for (int k = 0; k < sampled_; ++k)
+      if (const double w = weight(chosen[std::size_t(k)]); w > kOwn) {
+        bone.points.push_back({k, w * area(k)});
+        bone.above += (1 - kPercentile) * w * area(k);
+      }
+    bone.first_edge = numbers.size();
+    if (has_tissue(b))
+      for (int e : critical_edges(neutral, limits, skin, weight, carried.col(b).cwiseProduct(mass), of_body)) {
+        const auto [first, second] = skin.edges[std::size_t(e)];
+        const Vector3d edge = limits.rest.row(first) - limits.rest.row(second);
+        numbers.add_row();
+        numbers.add(first, edge / (kStretch * edge.squaredNorm()));
+        numbers.add(second, -edge / (kStretch * edge.squaredNorm()));
+      }
+    bone.last_edge = numbers.size();
+  }
+
+  const auto [few, used] = packed(numbers);
+  typename Model::SkinPoints::Rows rows;
+  model_->skin_points(of_points(limits.embedding, used)).rows(few, rows);
+  // Pulled back are of a mesh its nodes; of few coordinates the sampled points, with the mass of the nodes nearby.
+  if constexpr (kNodal) {
+    answers_ = std::make_unique<Answers>(std::move(neutral.factor).nodal(), std::move(rows));
+    points_ = model_->skin_points(free_nodes(body));
+    distances_ = at_free_nodes(body, limits.embedding, limits.distances);
+    stiffness_ = kPull * slowest * mass;
+  } else {
+    answers_ = std::make_unique<Answers>(neutral.K.dense().ldlt().solve(rows.transpose()).transpose());
+    points_ = model_->skin_points(of_points(limits.embedding, chosen));
+    offsets_ = std::make_unique<SingleRows>(points_.basis());
+    distances_ = limits.distances(chosen);
+    stiffness_ = kPull * slowest * sums_at_nearest(limits.rest(chosen, Eigen::all), body.rest, mass);
+  }
+}
+
+template <class Model>
+void MotionLimit<Model>::excess(const VectorXd& load, const VectorXd& weights, Scratch& scratch, VectorXd& out) const {
+  VectorXd &answers = scratch.answers, &stiffness = scratch.stiffness;
+  answers_->multiply(load, scratch.single, answers);
+  stiffness.setZero(neutral_stiffness_.size());
+  const auto& targets = model_->targets();
+  for (std::size_t j = 0; j < targets.size(); ++j)
+    stiffness(targets[j].set) += weights(Index(j)) * targets[j].lame.mu / neutral_stiffness_(targets[j].set);
+  for (int p = 0; p < sampled_; ++p) answers(p) = answers.segment<3>(3 * p).norm();
+  out.resize(bones());
+  for (Index b = 0; b < bones(); ++b) {
+    const Bone& bone = bones_[std::size_t(b)];
+    double largest = percentile(bone, scratch);
+    for (int e = bone.first_edge; e < bone.last_edge; ++e) largest = std::max(largest, std::abs(answers(e)));
+    out(b) = largest / std::max(bone.share.dot(stiffness), 1e-300);
+  }
+}
+
+template <class Model>
+double MotionLimit<Model>::percentile(const Bone& bone, Scratch& scratch) const {
+  auto& sorted = scratch.sorted;
+  sorted.clear();
+  for (const auto& [point, weight] : bone.points) sorted.push_back({scratch.answers(point), weight});
+  const auto largest = std::max_element(sorted.begin(), sorted.end());
+  if (largest == sorted.end() || largest->second >= bone.above) return largest == sorted.end() ? 0 : largest->first;
+  std::sort(sorted.rbegin(), sorted.rend());
+  double above = 0;
+  for (const auto& [value, weight] : sorted)
+    if ((above += weight) >= bone.above) return value;
+  return sorted.back().first;
+}
+
+template <class Model>
+bool MotionLimit<Model>::scales(const VectorXd& excess, VectorXd& out) const {
+  if (!(excess.array() > 0.5).any()) return false;
+  const VectorXd of_bones = excess.unaryExpr(&load_scale);
+  if (groups_.size() > 0)
+    out = groups_ * of_bones;
+  else
+    out = of_bones;
+  return true;
+}
+
+template <class Model>
+void MotionLimit<Model>::shape(const VectorXd& weights, VectorXd& q) const {
+  blended_shape(*model_, weights, q);
+}
+
+template <class Model>
+void MotionLimit<Model>::offsets(const VectorXd& q, Scratch& scratch, VectorXd& out) const {
+  if constexpr (kNodal)
+    points_.displacement(q, out);
+  else
+    offsets_->multiply(q, scratch.single, out);
+}
+
+template class MotionLimit<FullModel>;
+template class MotionLimit<ReducedModel>;
+
+}  // namespace dynamorph

@@ -1,0 +1,145 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// How far a moving rig may drive the tissue. Two limits, both local and both smooth:
+//
+// 1. On the load. The load f of a step is what the rig's acceleration, gravity's difference from the targets' own poses
+//    and force fields do to the tissue. Its static answer y = K^-1 f (K: the neutral stiffness) says how far it would
+//    carry the skin if it lasted. For each bone b
+//
+//      r_b     = max(97th percentile of |y_i| / (1.25 L_i) over its skin,  largest |e . dy| / (0.6 l) over its edges)
+//      rbar_b += (1 - exp(-h w)) (r_b - rbar_b)
+//      s_b     = 1 where rbar_b <= 1/2,  otherwise (1/2 + 1/2 tanh(2 rbar_b - 1)) / rbar_b
+//
+//    with L_i the largest distance of a point from its targets' shape, l the length of an edge, and w the tissue's own
+//    angular frequency. The load of bone b is scaled by s_b: the tissue is driven less hard, and swings as it would.
+//    The mean over 1 / w is there because rigs with a key at each frame accelerate in one substep after it.
+//
+// 2. On the distance itself, for what a bounded load can build up (resonance): from 0.6 L on a point is pulled back,
+//
+//      E_p = 20 m_p w^2 ramp(|u_p - d_p|),  ramp: cubic from 0.6 L to L, then quadratic.
+//
+// Below half of the first limit and 0.6 of the second, neither changes a bit of the motion.
+#pragma once
+
+#include <memory>
+#include <type_traits>
+#include <vector>
+
+#include "dynamorph/elastic/sparse_cholesky.hpp"
+#include "dynamorph/models/full_model.hpp"
+#include "dynamorph/reduced/reduced_model.hpp"
+#include "dynamorph/simd/lane_vector.hpp"
+
+namespace dynamorph {
+
+/// How far P points of the skin may be from their targets' shape. Bind space, meters.
+struct SkinLimits {
+  Points rest;          ///< X (P, 3)
+  Embedding embedding;  ///< (P)
+  Triangles triangles;  ///< of the soft skin; points without one do not count
+  MatrixXd weights;     ///< (P, G): skin weights of the bones
+  VectorXd distances;   ///< L (P) > 0; infinite for no limit
+  /// (T, G): each transform's part in the bones, where the body's transforms (T) are its nodes' own; otherwise (0, 0).
+  MatrixXd groups;
+};
+
+/// Rows (k, dofs) in single precision, which is enough to compare lengths with limits.
+class SingleRows {
+ public:
+  explicit SingleRows(const Eigen::Ref<const MatrixXd>& rows);
+  /// out = rows x (k, and zeros up to whole chunks). scratch: x in single precision.
+  void multiply(const VectorXd& x, std::vector<float>& scratch, VectorXd& out) const;
+  Eigen::Index size() const { return size_; }
+
+ private:
+  Eigen::Index size_, padded_;
+  LaneVector<float> table_;  ///< column by column
+};
+
+/// Rows J of static answers J K^-1 f over the nodes of a mesh.
+class NodalAnswers {
+ public:
+  NodalAnswers(BlockCholesky<float> factor, SparseRows rows) : factor_(std::move(factor)), rows_(std::move(rows)) {}
+  void multiply(const VectorXd& load, std::vector<float>& scratch, VectorXd& out) const;
+  Eigen::Index size() const { return rows_.rows(); }
+
+ private:
+  BlockCholesky<float> factor_;
+  SparseRows rows_;
+};
+
+/// The limits of a model's motion. Immutable: simulations may share it.
+template <class Model>
+class MotionLimit {
+ public:
+  /// Throws std::invalid_argument unless the limits' arrays fit each other and the model, and Error if the tissue has
+  /// no stiffness at rest.
+  MotionLimit(std::shared_ptr<const Model> model, const SkinLimits& limits);
+
+  const Model& model() const { return *model_; }
+  Eigen::Index bones() const { return Eigen::Index(bones_.size()); }  ///< G
+  double frequency() const { return frequency_; }                     ///< w, of the neutral tissue, 1/s
+  Eigen::Index numbers() const { return answers_->size(); }           ///< of a static answer that are looked at
+
+  /// Nothing is allocated after the first time.
+  struct Scratch {
+    std::vector<float> single;
+    VectorXd answers, stiffness;                    ///< of each target set, relative to its neutral target
+    std::vector<std::pair<double, double>> sorted;  ///< values of a bone's points, and weights
+  };
+
+  /// r (G) of a load (dofs) at target weights (J): 1 where it would carry a bone's skin as far as it may go.
+  void excess(const VectorXd& load, const VectorXd& weights, Scratch& scratch, VectorXd& out) const;
+
+  /// s (T) of the body's transforms from rbar (G). Returns whether any is below 1.
+  bool scales(const VectorXd& excess, VectorXd& out) const;
+
+  // The points p that are pulled back.
+  const typename Model::SkinPoints& points() const { return points_; }
+  const VectorXd& distances() const { return distances_; }  ///< L
+  const VectorXd& stiffness() const { return stiffness_; }  ///< 20 m_p w^2, N/m
+  /// Coordinates of the blended targets' shape.
+  void shape(const VectorXd& weights, VectorXd& q) const;
+  /// Their displacements (3p, and perhaps zeros) at coordinates q, to about 1e-6.
+  void offsets(const VectorXd& q, Scratch& scratch, VectorXd& out) const;
+
+ private:
+  static constexpr bool kNodal = std::is_same_v<typename Model::Matrix, SparseMatrix>;
+  using Answers = std::conditional_t<kNodal, NodalAnswers, SingleRows>;
+  /// The numbers of one bone.
+  struct Bone {
+    std::vector<std::pair<int, double>> points;  ///< with their weights in the percentile
+    double above = 0;                            ///< the weight of those beyond it
+    int first_edge = 0, last_edge = 0;           ///< numbers from the first to before the last
+    VectorXd share;                              ///< of its tissue in each target set; adds up to one
+  };
+
+  /// Of the lengths of the answers at a bone's points.
+  double percentile(const Bone& bone, Scratch& scratch) const;
+
+  std::shared_ptr<const Model> model_;
+  std::vector<Bone> bones_;
+  int sampled_ = 0;  ///< points, whose three numbers each come first
+  MatrixXd groups_;
+  VectorXd neutral_stiffness_;  ///< mu of each set's neutral target
+  double frequency_ = 0;
+  std::unique_ptr<Answers> answers_;
+  typename Model::SkinPoints points_;
+  std::unique_ptr<SingleRows> offsets_;  ///< of a model with few coordinates
+  VectorXd distances_, stiffness_;
+};
+
+/// s of rbar.
+double load_scale(double excess);
+
+/// The ramp of the second limit at a distance r from the shape, for a stiffness of one: its energy, and the stiffness
+/// along and across the pull.
+struct Ramp {
+  double energy, along, across;
+};
+constexpr double kRampBegins = 0.6;  ///< of L
+Ramp ramp(double r, double limit);
+
+extern template class MotionLimit<FullModel>;
+extern template class MotionLimit<ReducedModel>;
+
+}  // namespace dynamorph

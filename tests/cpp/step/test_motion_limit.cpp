@@ -1,0 +1,139 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The limits of a motion: their formulas and derivatives. What they do to a motion is in
+// tests/engine/test_motion_limit.py.
+#include <doctest/doctest.h>
+
+#include <cmath>
+#include <map>
+
+#include "check_term.hpp"
+#include "dynamorph/step/simulation.hpp"
+#include "scenes.hpp"
+
+using namespace dynamorph;
+using namespace scenes;
+
+namespace {
+
+/// The surface of a body. Each node may move by `distance` meters.
+SkinLimits limits_of(const SoftBody& body, double distance) {
+  std::map<std::array<int, 3>, std::array<int, 3>> faces;  // those of one tet alone, by their sorted corners
+  for (Eigen::Index t = 0; t < body.mesh.tets.rows(); ++t)
+    for (const std::array<int, 3>& k : {std::array{0, 2, 1}, {0, 1, 3}, {1, 2, 3}, {0, 3, 2}}) {
+      const std::array<int, 3> face{body.mesh.tets(t, k[0]), body.mesh.tets(t, k[1]), body.mesh.tets(t, k[2])};
+      std::array<int, 3> sorted = face;
+      std::sort(sorted.begin(), sorted.end());
+      if (!faces.emplace(sorted, face).second) faces.erase(sorted);
+    }
+  SkinLimits out;
+  out.rest = body.mesh.nodes;
+  out.embedding = embed(body.mesh, out.rest);
+  out.triangles.resize(Eigen::Index(faces.size()), 3);
+  Eigen::Index row = 0;
+  for (const auto& [_, face] : faces) out.triangles.row(row++) << face[0], face[1], face[2];
+  out.weights = MatrixXd::Zero(out.rest.rows(), body.skin.cols());
+  for (Eigen::Index i = 0; i < out.rest.rows(); ++i)
+    if (const int free = body.free_of_node[std::size_t(i)]; free >= 0)
+      out.weights.row(i) = body.skin.row(free);
+    else
+      out.weights(i, 0) = 1;
+  out.distances = VectorXd::Constant(out.rest.rows(), distance);
+  return out;
+}
+
+const VectorXd kBetween = Vector3d(0.2, 0.5, 0.3);
+
+/// The term at a distance from other coordinates, where its derivatives are checked: its second ones have kinks.
+template <class Term>
+struct Around {
+  Term& term;
+  VectorXd center;
+  void at(const VectorXd& q) { term.at(center + q); }
+  double value() { return term.value(); }
+  const VectorXd& gradient() { return term.gradient(); }
+  decltype(auto) hessian() { return term.hessian(); }
+  RoundOff round_off() { return term.round_off(); }
+};
+
+/// Its derivatives where the limit lets go of some points and pulls others.
+template <class Model>
+void check_far_term(std::shared_ptr<const Model> model) {
+  const MotionLimit<Model> limit(model, limits_of(model->body(), 0.02));
+  typename Model::Blend blend;
+  model->blend(kBetween, blend);
+  typename Model::Matrix K = model->zero();
+  VectorXd force, shape;
+  model->linearize(blend, VectorXd::Zero(model->dofs()), force, K);
+  const VectorXd scales = K.diagonal().cwiseAbs().cwiseSqrt().cwiseInverse();
+  limit.shape(kBetween, shape);
+  MaxDistanceTerm<Model> far;
+  const VectorXd moved = shape + scales.cwiseProduct(random_vector(scales.size(), 1, 5));
+  far.begin(&limit, kBetween, moved, 0.4);
+  Around<MaxDistanceTerm<Model>> around{far, moved};
+  check_term<typename Model::Matrix>(around, scales, 1e-5);
+  CHECK(far.hessian().stiffness.size() > 0);
+
+  far.begin(&limit, kBetween, shape, 0.4);  // in the targets' shape nothing is far
+  far.at(scales);
+  CHECK(far.value() == 0);
+  CHECK(far.gradient().isZero(0));
+  CHECK(far.hessian().stiffness.size() == 0);
+}
+
+}  // namespace
+
+TEST_CASE("the scale of a load is one up to half of the limit, and what it lets through saturates smoothly") {
+  CHECK(load_scale(0) == 1);
+  CHECK(load_scale(0.5) == 1);
+  double before = 0.5;
+  for (double excess = 0.51; excess < 40; excess *= 1.02) {
+    const double through = load_scale(excess) * excess;
+    CHECK(load_scale(excess) < 1);
+    CHECK(through > before - 1e-12);
+    CHECK(through <= 1);
+    before = through;
+  }
+  CHECK(before == doctest::Approx(1));
+  constexpr double e = 1e-3;  // slope and curvature are continuous where it begins: through = excess up to third order
+  CHECK(load_scale(0.5 + e) * (0.5 + e) == doctest::Approx(0.5 + e).epsilon(1e-8));
+}
+
+TEST_CASE("the ramp of the largest distance: stiffness along and across the pull are derivatives of its energy") {
+  constexpr double limit = 0.3, e = 1e-6;
+  for (double r : {0.1, 0.18, 0.2, 0.25, 0.299, 0.301, 0.5, 2.0}) {
+    const Ramp at = ramp(r, limit), less = ramp(r - e, limit), more = ramp(r + e, limit);
+    CHECK((more.energy - less.energy) / (2 * e) == doctest::Approx(at.across * r).epsilon(1e-6));
+    CHECK((more.across * (r + e) - less.across * (r - e)) / (2 * e) == doctest::Approx(at.along).epsilon(1e-4));
+  }
+  CHECK(ramp(0.6 * limit, limit).energy == 0);
+  CHECK(ramp(limit - 1e-12, limit).along == doctest::Approx(1));
+  CHECK(ramp(limit + 1e-12, limit).along == 1);
+}
+
+TEST_CASE("the pull of points that are far out has the derivatives of its energy, over models") {
+  const auto body = two_bone_bar();
+  const auto all = targets(*body);
+  check_far_term(std::make_shared<const FullModel>(body, all, MaterialModel::stable_stvk, Blending::even));
+  check_far_term(reduced_model(body, all, MaterialModel::stable_stvk, Blending::even, 10));
+  check_far_term(ResponseScene(body, all, MaterialModel::stable_stvk, Blending::even).model);
+}
+
+TEST_CASE("limits that do not fit are refused") {
+  const auto body = two_bone_bar();
+  const auto model = reduced_model(body, targets(*body), MaterialModel::linear, Blending::even, 8);
+  const auto refused = [&](const char* what, auto change) {
+    SkinLimits limits = limits_of(*body, 0.02);
+    change(limits);
+    CHECK_THROWS_WITH_AS(MotionLimit<ReducedModel>(model, limits), doctest::Contains(what), std::invalid_argument);
+  };
+  refused("distances: must be finite and above zero", [](SkinLimits& l) { l.distances(0) = 0; });
+  refused("distances: must be finite and above zero", [](SkinLimits& l) { l.distances(0) = kInfinity; });
+  refused("weights: expected those of 2 bones, got 1", [](SkinLimits& l) { l.weights = l.weights.col(0).eval(); });
+  refused("groups: needed where", [](SkinLimits& l) { l.groups = l.weights; });
+  refused("embedding: it belongs to another mesh", [](SkinLimits& l) { l.embedding.nodes(0, 0) = 1 << 20; });
+  const auto other = reduced_model(body, targets(*body), MaterialModel::linear, Blending::even, 8);
+  Simulation<ReducedModel> simulation(model, {1 / 120.});
+  CHECK_THROWS_WITH_AS(
+      simulation.set_limit(std::make_shared<const MotionLimit<ReducedModel>>(other, limits_of(*body, 0.02))),
+      doctest::Contains("another model"), std::invalid_argument);
+}

@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the limits of a motion do to it: nothing below half of them, never far beyond, whatever the rig does."""
+
+from __future__ import annotations
+
+import dynamorph
+import numpy as np
+import pytest
+from scenes import bar
+from scipy.spatial.transform import Rotation
+
+SIZE = (0.8, 0.2, 0.2)
+GRAVITY = 9.81
+KINDS = ["full", "responses"]
+
+
+def surface(tets: np.ndarray) -> np.ndarray:
+    """The triangles of one tet alone."""
+    faces = np.concatenate([tets[:, corners] for corners in ([0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2])])
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[first[count == 1]]
+
+
+class Bar:
+    """A bar that its bones hold in the middle, with tissue on both sides: the first bone carries its left half, the
+    second its right half. One target, or with `sets` = 2 one in each of two sets that share it.
+    """
+
+    def __init__(self, kind="responses", law=dynamorph.MaterialModel.LINEAR, own_transforms=False, sets=1, stiff=1.0):
+        self.nodes, tets = bar((12, 3, 3), SIZE)
+        mesh, ones = dynamorph.TetMesh(self.nodes, tets), np.ones(len(tets))
+        along = self.nodes[:, 0] / SIZE[0]
+        self.weights = np.stack([along < 0.5, along >= 0.5], axis=1).astype(float)
+        pinned = np.abs(along - 0.5) < 0.05
+        body = dynamorph.SoftBody(
+            mesh, ones, ones, np.repeat(ones[:, None] / sets, sets, axis=1), pinned,
+            None if own_transforms else self.weights,
+        )  # fmt: skip
+        material = {"density": 1000.0, "stiffness_damping": 0.004, "lame_lambda": 4e4, "lame_mu": 3e4}
+        targets = [dynamorph.MorphTarget(f"rest {s}", 0 * self.nodes, set=s, **material) for s in range(sets)]
+        hard = {name: value * (stiff if "lame" in name else 1.0) for name, value in material.items()}
+        targets.append(dynamorph.MorphTarget("hard", 0 * self.nodes, set=0, **hard))
+        full = dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN)
+        self.full = full
+        self.model = full
+        if kind != "full":
+            tables = dynamorph.reduce(full, dynamorph.make_response_basis(full, 10, 30))
+            self.model = dynamorph.ReducedModel(body, targets, tables, dynamorph.Blending.EVEN)
+        self.neutral = np.array([1.0] * sets + [0.0])
+        self.embedding, self.triangles = dynamorph.embed(mesh, self.nodes), surface(tets)
+        self.free = ~pinned
+        self.own = own_transforms
+
+    def limit(self, distance: float):
+        kind = dynamorph.FullMotionLimit if self.model is self.full else dynamorph.ReducedMotionLimit
+        return kind(
+            self.model, self.nodes, self.embedding, self.triangles, self.weights,
+            np.full(len(self.nodes), distance), self.weights[self.free] if self.own else None,
+        )  # fmt: skip
+
+    def simulation(self, distance=0.0, h=1 / 120, **options):
+        kind = dynamorph.FullSimulation if self.model is self.full else dynamorph.ReducedSimulation
+        made = kind(self.model, h, **options)
+        if distance:
+            made.set_limit(self.limit(distance))
+        return made
+
+    def bones(self, frames: np.ndarray) -> np.ndarray:
+        """The engine's transforms (S, T, 3, 4) of two bones (S, 2, 3, 4)."""
+        return np.einsum("nb,sbij->snij", self.weights[self.free], frames) if self.own else frames
+
+    def run(self, simulation, frames: np.ndarray, weights=None) -> np.ndarray:
+        """The largest displacement in each step (S,), from rest."""
+        frames, weights = self.bones(frames), self.neutral if weights is None else weights
+        simulation.start(frames[0], frames[1], weights)
+        out = [0.0]
+        for frame in frames[1:]:
+            simulation.advance(frame[None], weights[None])
+            moved = self.model.displacement(simulation.coordinates)
+            out.append(np.linalg.norm(moved, axis=1).max())
+        return np.array(out)
+
+
+def moving(z: np.ndarray, second: np.ndarray | None = None) -> np.ndarray:
+    """Both bones (S, 2, 3, 4) at heights z (S,); the second one elsewhere."""
+    frames = np.tile(np.eye(3, 4), (len(z), 2, 1, 1))
+    frames[:, 0, 2, 3] = z
+    frames[:, 1, 2, 3] = z if second is None else second
+    return frames
+
+
+@pytest.fixture(scope="module")
+def limited():
+    """Bars by kind, with the distance by which gravity alone would move each."""
+    found = {}
+    for kind in KINDS:
+        made = Bar(kind)
+        q, _ = made.simulation(gravity=(0, 0, -GRAVITY)).solve_static(moving(np.zeros(1))[0], made.neutral)
+        found[kind] = made, float(np.linalg.norm(made.model.displacement(q), axis=1).max())
+    return found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_small_motion_stays_as_it_is_to_the_last_bit(limited, kind):
+    made, sag = limited[kind]
+    t = np.arange(60) / 120
+    frames = moving(0.002 * np.sin(2 * np.pi * 2 * t))
+    within, free = (made.simulation(distance, gravity=(0, 0, -0.3 * GRAVITY)) for distance in (4.0 * sag, 0.0))
+    for simulation in (within, free):
+        made.run(simulation, frames)
+    assert 0.0 < within.state[2].max() < 0.5
+    np.testing.assert_array_equal(within.coordinates, free.coordinates)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("share", [0.3, 1.0, 3.0, 20.0])
+def test_a_lasting_load_is_scaled_as_the_formula_says(limited, kind, share):
+    """A linear body under gravity, whose static answer is `share` of what it may be: it moves by s of that answer."""
+    made, sag = limited[kind]
+    still = moving(np.zeros(1))[0]
+    unlimited, _ = made.simulation(gravity=(0, 0, -GRAVITY)).solve_static(still, made.neutral)
+    simulation = made.simulation(2.0 * sag, gravity=(0, 0, -share * GRAVITY))
+    simulation.start(still, still, made.neutral)
+    excess = simulation.state[2]
+    assert excess[0] == pytest.approx(excess[1], rel=0.05)  # both halves hang alike
+    assert excess.max() == pytest.approx(share / 2.0 / 1.25, rel=0.2)  # the percentile is a little below the largest
+    scale = np.where(excess <= 0.5, 1.0, (0.5 + 0.5 * np.tanh(2.0 * excess - 1.0)) / excess).mean()
+    found, expected = (
+        made.model.displacement(simulation.coordinates),
+        share * scale * made.model.displacement(unlimited),
+    )
+    if share <= 1.0:  # nothing is as far as 0.6 of its distance
+        assert np.abs(found - expected).max() < 0.02 * np.abs(expected).max()
+    else:  # it is pulled back, too
+        assert 0.6 * 2.0 * sag < np.abs(found).max() < 0.9 * np.abs(expected).max() < 1.3 * 2.0 * sag
+    simulation.advance(np.repeat(still[None], 400, axis=0), np.repeat(made.neutral[None], 400, axis=0))
+    after = made.model.displacement(simulation.coordinates)
+    assert np.abs(after - found).max() < 2e-3 * np.abs(found).max()  # it started at rest
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_targets_are_free_of_gravity_in_their_own_poses(limited, kind):
+    made, sag = limited[kind]
+    turned = Rotation.from_euler("x", 70, degrees=True).as_matrix()
+    posed = moving(np.zeros(1))[0]
+    posed[:, :, :3] = turned
+    simulation = made.simulation(0.2 * sag, gravity=(0, 0, -GRAVITY))
+    simulation.balance_targets(np.repeat(posed[None], 2, axis=0))
+    simulation.start(posed, posed, made.neutral)
+    assert np.abs(made.model.displacement(simulation.coordinates)).max() < 1e-6 * sag
+    assert simulation.state[2].max() < 1e-6
+    posed[:, :, :3] = -turned  # upside down: twice gravity, and the limit lets a fifth of a sag through
+    posed[:, :, 0] *= -1
+    simulation.start(posed, posed, made.neutral)
+    assert np.linalg.norm(made.model.displacement(simulation.coordinates), axis=1).max() < 0.35 * sag
+
+
+@pytest.mark.parametrize("law", [dynamorph.MaterialModel.LINEAR, dynamorph.MaterialModel.STABLE_STVK])
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_blow_no_resonance_moves_it_far_beyond_its_limit(kind, law):
+    made = Bar(kind, law)
+    distance, hz = 0.04, made.limit(0.04).frequency / (2 * np.pi)
+    t = np.arange(240) / 120
+    shaken = {
+        "blow": np.where(t > 0.1, 4.0 * (t - 0.1), 0.0),
+        "resonance": 0.3 * np.sin(2 * np.pi * hz * t),
+        "buzz": 0.2 * np.sin(2 * np.pi * 11.0 * t),
+        "glitch": np.where(np.arange(240) == 60, 2.0, 0.0),
+    }
+    for name, z in shaken.items():
+        simulation = made.simulation(distance)
+        far = made.run(simulation, moving(z))
+        assert 0.3 * distance < far.max() < 2.0 * distance, name
+        assert np.isfinite(simulation.coordinates).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_only_the_bone_that_is_driven_too_far_is_held_back(limited, kind):
+    made, sag = limited[kind]
+    t = np.arange(120) / 120
+    calm, wild = 0.002 * np.sin(2 * np.pi * 2 * t), 0.3 * np.sin(2 * np.pi * 6 * t)
+    simulation = made.simulation(2.0 * sag)
+    made.run(simulation, moving(calm, wild))
+    left, right = simulation.state[2]
+    assert right > 1.0 and left < 0.5
+    alone = made.simulation()
+    made.run(alone, moving(calm, calm))
+    ends = made.nodes[:, 0] < 0.3 * SIZE[0]
+    with_both, quiet = (made.model.displacement(each.coordinates)[ends] for each in (simulation, alone))
+    assert np.abs(with_both - quiet).max() < 0.15 * np.abs(made.model.displacement(simulation.coordinates)).max()
+
+
+@pytest.mark.parametrize("jump", [1.0, 3.0, 10.0])
+def test_the_peak_of_a_blow_does_not_depend_on_the_step(limited, jump):
+    made, sag = limited["responses"]
+    peaks = []
+    for rate in (60, 120, 240, 480):
+        t = np.arange(int(0.6 * rate)) / rate
+        frames = moving(np.maximum(t - 0.1, 0.0) * jump * 0.1)
+        peaks.append(made.run(made.simulation(0.3 * sag, h=1 / rate), frames).max())
+    assert np.ptp(peaks[1:]) < 0.08 * np.mean(peaks[1:])
+    assert np.ptp(peaks) < 0.16 * np.mean(peaks)  # at 60 steps a second the blow itself is coarse
+
+
+def test_a_state_resumes_to_the_last_bit(limited):
+    made, sag = limited["responses"]
+    t = np.arange(80) / 120
+    frames = moving(0.3 * np.sin(2 * np.pi * 5 * t))
+    whole = made.simulation(sag)
+    made.run(whole, frames)
+    first, second = made.simulation(sag), made.simulation(sag)
+    made.run(first, frames[:40])
+    second.state = first.state
+    for frame in frames[40:]:
+        second.advance(frame[None], made.neutral[None])
+    np.testing.assert_array_equal(second.coordinates, whole.coordinates)
+    np.testing.assert_array_equal(second.state[2], whole.state[2])
+    second.state = (*first.state[:2], np.zeros(0))  # of a simulation without a limit
+    np.testing.assert_array_equal(second.state[2], np.zeros(2))
+    with pytest.raises(ValueError, match="expected the excess of 2 bones, got 3"):
+        second.state = (*first.state[:2], np.zeros(3))
+    with pytest.raises(dynamorph.Error, match="excess that is not a finite number"):
+        second.state = (*first.state[:2], np.array([0.0, np.nan]))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nodes_with_transforms_of_their_own_are_limited_like_their_bones(kind):
+    """Skinning that is not linear in the bones' matrices, here with what linear skinning would say."""
+    t = np.arange(90) / 120
+    frames = moving(0.3 * np.sin(2 * np.pi * 5 * t), 0.1 * np.sin(2 * np.pi * 3 * t))
+    by_bones, by_nodes = (Bar(kind, own_transforms=own) for own in (False, True))
+    far = [made.run(made.simulation(0.03, gravity=(0, 0, -3.0)), frames) for made in (by_bones, by_nodes)]
+    # The inertia of responses with transforms of their own is summed otherwise.
+    np.testing.assert_allclose(far[1], far[0], atol=(1e-6 if kind == "full" else 0.02) * far[0].max())
+
+
+def test_forces_on_the_nodes_are_part_of_the_load(limited):
+    """Gravity as a force field, against gravity."""
+    made, sag = limited["full"]
+    mass = np.zeros((len(made.nodes), 3))
+    mass[made.free, 2] = made.full.body.volumes.sum(axis=1) * 1000.0 * -4.0 * GRAVITY
+    still = moving(np.zeros(1))
+    falling = made.simulation(sag, gravity=(0, 0, -4.0 * GRAVITY))
+    falling.start(still[0], still[0], made.neutral)
+    pushed = made.simulation(sag)
+    pushed.start(still[0], still[0], made.neutral)
+    for _ in range(1200):  # until its swing has died down
+        pushed.advance(still, made.neutral[None], mass)
+    assert falling.state[2].max() > 1.0
+    np.testing.assert_allclose(pushed.state[2], falling.state[2], rtol=1e-3)
+    np.testing.assert_allclose(pushed.coordinates, falling.coordinates, atol=0.02 * np.abs(falling.coordinates).max())
+
+
+def test_stiffer_targets_and_several_sets_count_with_their_stiffness():
+    """What is three times as stiff goes a third as far, so a load exceeds its limit by a third."""
+    still = moving(np.zeros(1))[0]
+    made = Bar(stiff=3.0)
+    simulation = made.simulation(0.02, gravity=(0, 0, -GRAVITY))
+    simulation.start(still, still, made.neutral)
+    soft = simulation.state[2]
+    simulation.start(still, still, np.array([0.0, 1.0]))
+    np.testing.assert_allclose(simulation.state[2], soft / 3.0, rtol=1e-6)
+    both = Bar(sets=2, stiff=3.0)
+    simulation = both.simulation(0.02, gravity=(0, 0, -GRAVITY))
+    simulation.start(still, still, both.neutral)
+    np.testing.assert_allclose(simulation.state[2], soft, rtol=2e-2)
+    simulation.start(still, still, np.array([0.0, 1.0, 1.0]))  # half of the tissue is three times as stiff
+    np.testing.assert_allclose(simulation.state[2], soft / 2.0, rtol=2e-2)
+
+
+def test_a_report_names_the_bone_that_was_held_back_most(limited):
+    made, sag = limited["responses"]
+    t = np.arange(60) / 120
+    simulation = made.simulation(sag)
+    frames = moving(np.zeros(60), 0.3 * np.sin(2 * np.pi * 6 * t))
+    simulation.start(frames[0], frames[1], made.neutral)
+    report = simulation.advance(frames[1:], np.repeat(made.neutral[None], 59, axis=0))
+    assert report["excess_bone"] == 1 and report["excess"] > 1.0
+    free = made.simulation()
+    free.start(frames[0], frames[1], made.neutral)
+    assert free.advance(frames[1:], np.repeat(made.neutral[None], 59, axis=0))["excess_bone"] == -1
