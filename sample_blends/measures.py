@@ -29,7 +29,7 @@ def posed(vertices: np.ndarray, weights: np.ndarray, matrices: np.ndarray) -> np
 
 def static_shapes(character, weights: np.ndarray) -> np.ndarray:
     """The blended shapes of a character's targets (..., V, 3), local space, at weights (..., T)."""
-    return np.tensordot(weights, np.array([target.shape for target in character.by_method().targets]), 1)
+    return np.tensordot(weights, np.array([target.shape for target in character.targets]), 1)
 
 
 def patch_displacement(motion: np.ndarray, patch: np.ndarray, direction: np.ndarray) -> np.ndarray:

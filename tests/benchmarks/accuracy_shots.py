@@ -200,7 +200,7 @@ def measure(subject: Subject, shots: Sequence[Shot], rows: Sequence[tuple[str, i
             "title": subject.title,
             "material_model": own.material_model,
             "frequency": character.targets[0].frequency,
-            "targets": len(character.by_method().targets),
+            "targets": len(character.targets),
             "default": [basis, own.modes],
             "nodes": len(unreduced.nodes),
             "dofs": full[0].engine.dofs,

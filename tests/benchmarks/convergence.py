@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_convergence_")  # before bpy is imported
@@ -29,6 +30,7 @@ import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
+from dynamic_morph_targets.core.character import Target  # noqa: E402
 from dynamic_morph_targets.core.material import calibration  # noqa: E402
 from dynamic_morph_targets.core.motion import simulate  # noqa: E402
 from dynamic_morph_targets.run import batch, job  # noqa: E402
@@ -100,14 +102,15 @@ def simulated(job: job.Job, size: int, stiffness: float | None) -> dict:
     own_motion = motion(job, model, character)
     fixed = own_motion
     if stiffness is not None:
-        scaled = character.with_materials(
-            lambda _index, target: replace(target.material, stiffness=target.material.stiffness * stiffness / own)
-        )
-        fixed = motion(job, model, scaled)
+        fixed = motion(job, model, character.with_targets(partial(stiffened, stiffness / own)))
     figures["seconds"] = time.perf_counter() - began
     np.savez(CACHE / f"{size}.npz", own=own_motion, fixed=fixed, areas=areas(character))
     (CACHE / f"{size}.json").write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
     return figures
+
+
+def stiffened(factor: float, _index: int, target: Target) -> Target:
+    return replace(target, material=replace(target.material, stiffness=target.material.stiffness * factor))
 
 
 def motion(job: job.Job, model, character) -> np.ndarray:

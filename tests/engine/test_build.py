@@ -35,7 +35,7 @@ def bar(firmness=0.5, material=TISSUE, **settings):
         firmness=every * (firmness(vertices[:, 2]) if callable(firmness) else firmness),
         bone_segments=np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.05]]]),
         skeleton=Skeleton(("root",), np.array([-1]), at_rest),
-        target_sets=(TargetSet("Bar", (neutral,), every),),
+        authored_sets=(TargetSet("Bar", (neutral,), every),),
         settings=ModelSettings(
             **{"material_model": "LINEAR", "solver": "FULL", "cage_nodes": 900, "modes": 8, **settings}
         ),
@@ -97,7 +97,7 @@ def test_every_method_and_region_keeps_the_paint(cage, method):
     upper = np.clip(bar().vertices[:, 2] / LENGTH, 0.0, 1.0)
     (whole,) = bar().target_sets
     regions = (replace(whole, region_weights=1.0 - upper), replace(whole, name="upper", region_weights=upper))
-    character = replace(bar(firmness=lambda z: 0.5 + 0.4 * z / LENGTH, method=method), target_sets=regions)
+    character = replace(bar(firmness=lambda z: 0.5 + 0.4 * z / LENGTH, method=method), authored_sets=regions)
     model = build(character, previous=cage)
     assert model.stiffness.min() < 1.5 and model.stiffness.max() > 3.5
     assert model.engine(character).dofs == 3 * (len(model.nodes) - model.pinned.sum())

@@ -306,7 +306,7 @@ def soft(body: Body, cage_nodes: int) -> Character:
         weights=np.column_stack([weights, 0.0 * every]),
         bone_segments=body.bones,
         skeleton=Skeleton(("root", "tip"), np.array([-1, 0]), rest),
-        target_sets=(TargetSet("Body", (neutral,), every),),
+        authored_sets=(TargetSet("Body", (neutral,), every),),
         settings=ModelSettings(method="SINGLE", cage_nodes=cage_nodes, modes=6),
     )
 

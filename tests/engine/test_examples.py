@@ -58,7 +58,9 @@ def muscle():
     relaxed = replace(neutral, material=material(28.6e3, 7.14e3))
     flexed = Target("Flexed", bulge, (), neutral.local, neutral.rig_world, material(114e3, 28.6e3))
     return replace(
-        plain, to_bind=np.diag([1.0, 1.2, 0.9]), target_sets=(TargetSet("Bar", (relaxed, flexed), one.region_weights),)
+        plain,
+        to_bind=np.diag([1.0, 1.2, 0.9]),
+        authored_sets=(TargetSet("Bar", (relaxed, flexed), one.region_weights),),
     )
 
 

@@ -70,7 +70,7 @@ def refused_or_usable(kind: str, arrays: dict, meta: dict) -> bool:
     if len(model.nodes):
         assert np.isfinite(model.at_nodes(np.ones((model.residual_shapes.shape[1], 1)))).all()
         model.surface(model.displacements)
-    if kind not in ("static", "cage") and len(model.displacements) == len(who.by_method().targets):
+    if kind not in ("static", "cage") and len(model.displacements) == len(who.targets):
         engine = model.engine(who)
         bones = np.tile(np.eye(3, 4), (model.node_weights.shape[1], 1, 1))
         simulation = model.stepper(engine, 0.01)

@@ -130,7 +130,7 @@ def limb(material_model="STABLE_STVK", solver="REDUCED", regions=False):
         rigidity=np.where(vertices[:, 2] < 0.02, 1.0, 0.0),
         bone_segments=np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.015]]]),
         skeleton=Skeleton(("root",), np.array([-1]), AT_REST),
-        target_sets=sets,
+        authored_sets=sets,
         settings=ModelSettings(material_model=material_model, solver=solver, modes=16, cage_nodes=250, pin_radius=0.1),
     )
     return build(character), character
@@ -154,7 +154,7 @@ def made_of(character, material):
     sets = tuple(
         replace(s, targets=tuple(replace(t, material=material) for t in s.targets)) for s in character.target_sets
     )
-    return replace(character, target_sets=sets)
+    return replace(character, authored_sets=sets)
 
 
 TIP = -12  # the vertices of the last ring
@@ -256,7 +256,7 @@ def test_a_region_is_fitted_beside_other_flesh(limbs):
     assert fitted.stiffness < 0.75 * WRONG.stiffness
     sets = character.target_sets
     bent = replace(sets[1].targets[1], material=fitted)
-    fitted_character = replace(character, target_sets=(sets[0], replace(sets[1], targets=(sets[1].targets[0], bent))))
+    fitted_character = replace(character, authored_sets=(sets[0], replace(sets[1], targets=(sets[1].targets[0], bent))))
     again = material_fit.bounce(model, fitted_character, 2)
     assert again.frequency == pytest.approx(0.9 * seen.frequency, rel=0.02)  # up to the others' damping
     with pytest.raises(FitError, match="sets the pace"):

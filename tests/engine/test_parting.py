@@ -77,7 +77,7 @@ def character(skin, soft, pieces=None, **settings):
         rigidity=1.0 - soft(vertices),
         bone_segments=np.full((1, 2, 3), 50.0),
         skeleton=Skeleton(("root",), np.array([-1]), at_rest),
-        target_sets=(TargetSet("Fork", (neutral,), every),),
+        authored_sets=(TargetSet("Fork", (neutral,), every),),
         settings=ModelSettings(
             **{"material_model": "LINEAR", "solver": "FULL", "cage_nodes": 500, "modes": 8, **settings}
         ),
@@ -224,7 +224,7 @@ def test_a_rigid_eyeball_stays_put_while_the_head_jiggles():
     shape = 0.01 * of.vertices
     target = replace(of.target_sets[0].targets[0], name="Bigger", shape=shape)
     sets = (replace(of.target_sets[0], targets=(*of.target_sets[0].targets, target)),)
-    model = build(replace(of, target_sets=sets))
+    model = build(replace(of, authored_sets=sets))
     assert not model.embedding_weights[eye].any()
     np.testing.assert_allclose(model.residual_shapes[1][eye], shape[eye])  # the sculpt shows nevertheless
     moved = pushed(build(of), of, of.vertices[:, 2] > 0.15)

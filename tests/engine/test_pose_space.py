@@ -50,7 +50,7 @@ def test_a_negative_radius_is_refused():
     target_set = character.target_sets[0]
     bad = replace(target_set, targets=(target_set.targets[0], replace(target_set.targets[1], fade_out_angle=-1.0)))
     with pytest.raises(ValueError, match="radius must be"):
-        posing.pose_space(replace(character, target_sets=(bad,)))
+        posing.pose_space(replace(character, authored_sets=(bad,)))
 
 
 def test_threads_cannot_be_fewer_than_none():

@@ -44,7 +44,7 @@ def character():
         weights=weights,
         bone_segments=np.array([[[0, 0, 0], [0, 0, 1]], [[0, 0, 1], [0, 0, 2]]], float),
         skeleton=SKELETON,
-        target_sets=(TargetSet("Tube", targets, every),),
+        authored_sets=(TargetSet("Tube", targets, every),),
         settings=ModelSettings(modes=8, cage_nodes=150),
     )
 
@@ -77,6 +77,15 @@ def test_only_a_single_material_misses_the_sculpted_target(compared, character):
     bulge = np.linalg.norm(character.targets[1].shape, axis=1).max()
     for name, row in compared["variants"].items():
         assert row["residuals"]["flexed"] == pytest.approx(bulge if "single" in name else 0.0, abs=1e-6)
+
+
+def test_every_method_is_compared_whichever_the_scene_has_chosen(character, rig, compared):
+    name = "DMT StVK reduced"
+    single = character.with_settings(method="SINGLE")
+    assert [target.name for target in single.targets] == ["Neutral"]
+    row = compare.compare(single, rig, SHOT, {name: VARIANTS[name]})["variants"][name]
+    for key in ("dofs", "targets", "residuals", "dynamic_rms"):
+        assert row[key] == compared["variants"][name][key], key
 
 
 def test_static_morphs_do_not_move_by_themselves(compared):

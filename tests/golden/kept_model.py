@@ -40,7 +40,7 @@ def bar() -> Character:
         firmness=0.5 + 0.4 * vertices[:, 2] / LENGTH,
         bone_segments=np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, JOINT]], [[0.0, 0.0, JOINT], [0.0, 0.0, LENGTH]]]),
         skeleton=Skeleton(("lower", "upper"), np.array([-1, 0]), rest),
-        target_sets=(TargetSet("Bar", targets, every),),
+        authored_sets=(TargetSet("Bar", targets, every),),
         settings=ModelSettings(hold="THICKNESS", basis="RESPONSES", modes=16, cage_nodes=120),
     )
 

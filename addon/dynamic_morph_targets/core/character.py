@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import count
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -126,7 +127,7 @@ class OwnCage(NamedTuple):
 
 @dataclass(frozen=True)
 class Character:
-    """One soft skin, as authored.
+    """One soft skin: as authored, and by `target_sets` as its method simulates it.
 
     vertices (V, 3) local space, triangles (T, 3); to_bind (3, 3): bind = to_bind @ local; weights (V, B + 1): skin
     weights as Blender normalizes them, last column 1 for vertices that no bone moves; bone_segments (D, 2, 3): heads
@@ -147,7 +148,7 @@ class Character:
     weights: np.ndarray
     bone_segments: np.ndarray
     skeleton: Skeleton
-    target_sets: tuple[TargetSet, ...]
+    authored_sets: tuple[TargetSet, ...]
     settings: ModelSettings = field(default_factory=ModelSettings)
     probed: bool = False
     cage: OwnCage | None = None
@@ -172,38 +173,44 @@ class Character:
         """The vertices of the soft skin's own mesh."""
         return slice(0, self.parts[0].members.start if self.parts else len(self.vertices))
 
+    @cached_property
+    def target_sets(self) -> tuple[TargetSet, ...]:
+        """What is simulated: of the method Single, the neutral target alone."""
+        if self.settings.method != "SINGLE":
+            return self.authored_sets
+        neutral = self.authored_sets[0].targets[0]
+        return (TargetSet(self.name, (neutral,), np.ones(len(self.vertices))),)
+
     @property
     def targets(self) -> list[Target]:
-        """All targets, set after set: the order of every (..., J) array."""
-        return [target for target_set in self.target_sets for target in target_set.targets]
+        """All simulated targets, set after set: the order of every (..., J) array."""
+        return _in_order(self.target_sets)
+
+    @property
+    def authored_targets(self) -> list[Target]:
+        """All targets, set after set, whichever the method simulates."""
+        return _in_order(self.authored_sets)
+
+    def material(self, target: int) -> Material:
+        """With which a target is simulated, index into `targets`: of the method Shape, the neutral target's."""
+        return self.targets[0 if self.settings.method == "SHAPE" else target].material
 
     def with_settings(self, **changes: Any) -> Character:
         """The same character with other settings."""
         return replace(self, settings=replace(self.settings, **changes))
 
-    def with_materials(self, change: Callable[[int, Target], Material]) -> Character:
-        """The same character with materials change(index, target) -> Material, index into `targets`."""
-        sets, index = [], 0
-        for target_set in self.target_sets:
-            numbered = enumerate(target_set.targets, index)
-            sets.append(replace(target_set, targets=tuple(replace(t, material=change(i, t)) for i, t in numbered)))
-            index += len(target_set.targets)
-        return replace(self, target_sets=tuple(sets))
+    def with_targets(self, change: Callable[[int, Target], Target]) -> Character:
+        """The same character with the targets change(index, target), index into `authored_targets`."""
+        index = count()
+        sets = (
+            replace(target_set, targets=tuple(change(next(index), target) for target in target_set.targets))
+            for target_set in self.authored_sets
+        )
+        return replace(self, authored_sets=tuple(sets))
 
-    def by_method(self) -> Character:
-        """The character that its method simulates: with the neutral target alone, or with the neutral target's
-        material.
-        """
-        neutral = self.target_sets[0].targets[0]
-        if self.settings.method == "SINGLE":
-            return replace(self, target_sets=(TargetSet(self.name, (neutral,), np.ones(len(self.vertices))),))
-        if self.settings.method == "SHAPE":
-            sets = tuple(
-                replace(s, targets=tuple(replace(target, material=neutral.material) for target in s.targets))
-                for s in self.target_sets
-            )
-            return replace(self, target_sets=sets)
-        return self
+
+def _in_order(target_sets: Sequence[TargetSet]) -> list[Target]:
+    return [target for target_set in target_sets for target in target_set.targets]
 
 
 @dataclass(frozen=True)

@@ -233,11 +233,10 @@ class Writer:
 
     def _store_references(self, obj: bpy.types.Object) -> None:
         character, references = self.outcome.character, self.outcome.references
-        measured = character.by_method().targets
         for target in obj.dynamorph.targets:
             index = index_in(character, obj, target)
             bounce, volume = references[index] if index is not None else (0.0, 0.0)
-            target.set_references(bounce, volume, measured[index or 0].material.poisson)
+            target.set_references(bounce, volume, character.material(index or 0).poisson)
 
     def _record(self, obj: bpy.types.Object) -> None:
         """Store what the panels show about the bake."""
@@ -285,8 +284,7 @@ def model_summary(given: BakeInput, model: Model) -> str:
 
 def _authored_targets(given: BakeInput) -> str:
     """The number of targets in the panel's list; each set has the neutral one."""
-    sets = given.character.by_method().target_sets
-    count = 1 + sum(len(target_set.targets) - 1 for target_set in sets)
+    count = 1 + sum(len(target_set.targets) - 1 for target_set in given.character.target_sets)
     return f"{count} target{'s' * (count > 1)}"
 
 

@@ -46,7 +46,7 @@ class Tissue:
         self.probe = probe.Probe(obj, self.model, self.character) if self.player.probed else None
         self.dofs = len(self.player.amounts.gains)
         self.modes = self.dofs if self.model.settings.solver == "REDUCED" else 0  # that can be shown one by one
-        self.target_names = [target.name for target in self.character.by_method().targets]
+        self.target_names = [target.name for target in self.character.targets]
         character, own_vertices = self.character, self.character.own_vertices
         self.skin = self._mesh(skin.ObjectHandle.of(obj), character.vertices[own_vertices], own_vertices, np.eye(3))
         self.followers = [
@@ -365,12 +365,8 @@ def _placing(obj: bpy.types.Object) -> tuple[str, list[tuple]]:
 
 
 def _with_materials(character: Character, materials: dict[str, Material]) -> Character:
-    sets = []
-    for target_set in character.target_sets:
-        named = zip(_names(target_set), target_set.targets, strict=True)
-        targets = (replace(target, material=materials[name]) for name, target in named)
-        sets.append(replace(target_set, targets=tuple(targets)))
-    return replace(character, target_sets=tuple(sets))
+    names = [name for target_set in character.authored_sets for name in _names(target_set)]
+    return character.with_targets(lambda index, target: replace(target, material=materials[names[index]]))
 
 
 def painted(obj: bpy.types.Object) -> bytes:

@@ -67,7 +67,7 @@ def joined(source: Source, single: Character) -> Character:
         triangles=whole.triangles,
         weights=whole.weights,
         bone_segments=source.bone_segments(list(joint_bones)),
-        target_sets=whole.target_sets(same),
+        authored_sets=whole.target_sets(same),
         probed=single.probed or any(mesh.skinning.beyond_bones for mesh in meshes),
         pieces=pieces,
         rigidity=_most(rigidity, same),
@@ -117,7 +117,7 @@ class _Whole:
 
     def target_sets(self, same: np.ndarray) -> tuple[TargetSet, ...]:
         """The target sets of all meshes; same (V,): see `Character.coincident`."""
-        body, *regions = self.single.target_sets
+        body, *regions = self.single.authored_sets
         weights = [self._carried(target_set.region_weights, 0.0)[same] for target_set in regions]
         rest = (1.0 - sum(weights, np.zeros(len(same)))).clip(0.0)
         rest[self.slices[0]] = body.region_weights
@@ -129,7 +129,7 @@ class _Whole:
                     replace(target, shape=self._carried(target.shape, 0.0)[same]) for target in target_set.targets
                 ),
             )
-            for target_set, own_weights in zip(self.single.target_sets, [rest, *weights], strict=True)
+            for target_set, own_weights in zip(self.single.authored_sets, [rest, *weights], strict=True)
         )
 
 

@@ -135,7 +135,7 @@ def fit_input(obj, target):
 
 def index_in(character, obj, target) -> int | None:
     """The index of one of the object's targets among those of the simulated character; None if it is not there."""
-    names = [each.name for each in character.by_method().targets]
+    names = [each.name for each in character.targets]
     first = 0 if target == obj.dynamorph.targets[0] else 1  # a shape key may be called like the neutral target
     return names.index(target.name, first) if target.name in names[first:] else None
 

@@ -45,7 +45,7 @@ class Probe:
         points = (self.rest + shifts[:, None]) @ np.linalg.inv(model.to_bind).T
         self._mesh = _weighted(points.reshape(-1, 3), np.tile(np.hstack([weights * kept, masks]), (4, 1)))
         self._skeleton = character.skeleton
-        self.poses = character.skeleton.pose(np.array([target.local for target in character.by_method().targets]))
+        self.poses = character.skeleton.pose(np.array([target.local for target in character.targets]))
 
     def mesh(self):
         """A new mesh of the nodes, for an object that `dress` makes look like the body."""

@@ -67,7 +67,7 @@ def test_exchange_goes_on_with_other_materials(shot):
     same = player.exchange(shot.outcome.character)
     sets = shot.outcome.character.target_sets[0]
     soft = tuple(replace(t, material=replace(t.material, stiffness=2e3)) for t in sets.targets)
-    other = player.exchange(replace(shot.outcome.character, target_sets=(replace(sets, targets=soft),)))
+    other = player.exchange(replace(shot.outcome.character, authored_sets=(replace(sets, targets=soft),)))
     assert np.array_equal(other.past[0], before[-1])
     unchanged, softer = played(same, shot, range(11, 21)), played(other, shot, range(11, 21))
     assert np.allclose(unchanged, shot.outcome.bake.coordinates[10:], rtol=0, atol=1e-9 * np.abs(unchanged).max())
@@ -126,7 +126,7 @@ def test_motion_amounts_of_the_targets_say_how_much_shows(shot, change):
     def motion(*amounts):
         sets = character.target_sets[0]
         targets = tuple(replace(t, motion_amount=value) for t, value in zip(sets.targets, amounts, strict=True))
-        shown = replace(character, target_sets=(replace(sets, targets=targets),))
+        shown = replace(character, authored_sets=(replace(sets, targets=targets),))
         assert build.stale_reasons(model, shown) == []
         bake, _ = simulate.bake(model, shown, shot.computation.rig, shot.input.settings)
         return np.tensordot(bake.coordinates - bake.static, bake.modes, 1), bake.weights
@@ -442,7 +442,7 @@ def test_a_loop_closes_in_velocity_too(shot):
     sets = shot.outcome.character.target_sets[0]
     springy = {"stiffness": 1e6, "mass_damping": 0.0, "stiffness_damping": 0.0}
     targets = tuple(replace(t, material=replace(t.material, **springy)) for t in sets.targets)
-    character = replace(shot.outcome.character, target_sets=(replace(sets, targets=targets),))
+    character = replace(shot.outcome.character, authored_sets=(replace(sets, targets=targets),))
     settings = replace(shot.input.settings, frame_end=12, loop=True)
 
     player = Player(shot.outcome.model, character, settings)
@@ -522,7 +522,7 @@ def test_a_loop_closes_whatever_its_targets_hide(shot):
     """Even where the targets hide the motion at the seam it must be periodic, because it shows elsewhere."""
     sets = shot.outcome.character.target_sets[0]
     hidden = tuple(replace(t, motion_amount=k) for k, t in enumerate(sets.targets))
-    character = replace(shot.outcome.character, target_sets=(replace(sets, targets=hidden),))
+    character = replace(shot.outcome.character, authored_sets=(replace(sets, targets=hidden),))
     rig, settings = (
         cyclic(shot),
         replace(shot.input.settings, frame_end=shot.input.settings.frame_start + 11, loop=True),

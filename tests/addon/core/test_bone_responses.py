@@ -243,9 +243,10 @@ def test_a_shot_in_chunks_is_the_whole_shot(skin, baked, monkeypatch):
 
 
 def test_materials_change_without_a_build(baked):
-    stiffer = baked.outcome.character.with_materials(
-        lambda _index, target: replace(target.material, stiffness=4.0 * target.material.stiffness)
-    )
+    def stiffened(_index, target):
+        return replace(target, material=replace(target.material, stiffness=4.0 * target.material.stiffness))
+
+    stiffer = baked.outcome.character.with_targets(stiffened)
     assert build.stale_reasons(baked.outcome.model, stiffer) == []
     rebuilt = build.build(stiffer, previous=baked.outcome.model)
     quick, slow = (

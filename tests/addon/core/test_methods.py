@@ -9,7 +9,7 @@ from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.motion import rig_samples
 from bl_ext.user_default.dynamic_morph_targets.run import batch
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store, references
+from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store, references, staleness
 from builders import activate, add_key, assert_shows, rig_of
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
@@ -88,6 +88,17 @@ def test_single_material_does_not_know_the_targets(arm):
     assert job.outcome.bake.target_names == ("Neutral",)
     arm.dynamorph.targets["flexed"].stiffness *= 10
     assert np.array_equal(displacements(run(arm)), displacements(job))
+
+
+def test_single_material_leaves_other_targets_as_they_are(arm):
+    """A build that changes the neutral stiffness is no reason to bake again."""
+    neutral, flexed = arm.dynamorph.targets
+    for target in (neutral, flexed):
+        target.set_frequency(5.0, (0.0, 0.01))
+    before, stiffness = neutral.stiffness, flexed.stiffness
+    run(arm, method="SINGLE")
+    assert neutral.stiffness != before and flexed.stiffness == stiffness
+    assert [text for text in staleness.outdated(arm) if "flexed" in text] == []
 
 
 def test_single_material_needs_no_targets(arm):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Clothes, eyes and other pieces of a character: other meshes that the tissue carries along, and parts of the mesh."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import bpy
@@ -8,7 +9,6 @@ import numpy as np
 import pytest
 import scenes
 from bl_ext.user_default.dynamic_morph_targets.core import errors, geometry
-from bl_ext.user_default.dynamic_morph_targets.core.character import Character
 from bl_ext.user_default.dynamic_morph_targets.core.model import build
 from bl_ext.user_default.dynamic_morph_targets.run.batch import Batch
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
@@ -108,7 +108,7 @@ def test_a_sleeve_shows_what_the_tissue_around_it_does(dressed):
         residual = np.tensordot(job.outcome.bake.weights[frame - 1], job.outcome.bake.residual_shapes[:, members], 1)
         moved += residual @ character.to_bind.T
         local = (vertices + moved) @ np.linalg.inv(character.to_bind).T
-        worn = Character(**{**vars(character), "vertices": local, "weights": weights})
+        worn = replace(character, vertices=local, weights=weights)
         expected = skinned(worn, job.computation.rig[(frame - 1) * job.input.settings.substeps :][:1])[0]
         assert np.abs(shown - expected).max() < 1e-5
         assert frame == 1 or np.abs(shown - before).max() > 0.01
@@ -460,7 +460,7 @@ def test_the_choice_of_parts_goes_into_the_character(scene):
     reconcile.reconcile(arm)
     character = extract.character(arm, without_targets=True)
     assert not character.pieces[:body].any() and sorted(character.pieces[body::8]) == [-1, 0, 1, 2]
-    other = Character(**{**vars(character), "pieces": None})
+    other = replace(character, pieces=None)
     assert build.dependencies(character)["attachments"] != build.dependencies(other)["attachments"]
     arm.vertex_groups[arm.dynamorph.attachments[0].group].name = "Buckle"
     reconcile.reconcile(arm)

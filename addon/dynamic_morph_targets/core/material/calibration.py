@@ -12,8 +12,7 @@ import numpy as np
 from ..character import Character, Target
 from ..geometry import determinant
 from ..model.model import Model
-from ..settings import Material
-from .fit import checked, full_engine, natural_frequency, target_indices
+from .fit import checked_patch, full_engine, natural_frequency, target_indices
 from .oscillation import stiffness_for
 
 
@@ -24,7 +23,6 @@ def references(model: Model, character: Character) -> Iterator[tuple[float, floa
     For another stiffness or density it follows from `swing`, exactly where no other target shares the tissue. Zeros for
     a target without tissue of its own, or whose modes cannot be found.
     """
-    character = character.by_method()
     if not len(model.tets):
         yield from [(0.0, 0.0)] * len(character.targets)
         return
@@ -33,17 +31,17 @@ def references(model: Model, character: Character) -> Iterator[tuple[float, floa
     corners = model.nodes[model.tets]
     volumes = model.fill * determinant(corners[:, 1:] - corners[:, :1]) / 6.0
     neutral_only = character.settings.method == "SHAPE"
-    for s, indices in enumerate(target_indices(character)):
+    for s, indices in enumerate(target_indices(character.target_sets)):
         for target in indices:
             neutral = target == indices[0]
             if neutral_only and not neutral:
                 yield 0.0, 0.0
                 continue
             try:
-                omega = natural_frequency(model, engine, target, checked(model, character, target, None)[1])
+                omega = natural_frequency(model, engine, target, checked_patch(model, character, target, None))
             except RuntimeError:  # raised by the engine for a sculpt whose modes cannot be found
                 omega = 0.0
-            material = character.targets[target].material
+            material = character.material(target)
             weights = 1.0 if neutral else model.region_weights[:, s]
             yield omega / (2 * pi) / sqrt(material.stiffness / material.density), float((volumes * weights).sum())
 
@@ -52,21 +50,21 @@ def calibrated(character: Character, found: list[tuple[float, float]]) -> Charac
     """The character with the stiffness that its targets' frequencies require; found: its `references`. Targets that the
     artist has not set by hand keep their ratio to the neutral one.
     """
-    neutral = character.targets[0]
+    neutral = character.authored_targets[0]
     before, after = neutral.material.stiffness, _stiffness_of(neutral, found[0][0])
-    neutrals = {indices[0] for indices in target_indices(character)}
+    neutrals = {indices[0] for indices in target_indices(character.authored_sets)}
 
-    def material(index: int, target: Target) -> Material:
+    def with_stiffness(index: int, target: Target) -> Target:
         stiffness = target.material.stiffness
         if index in neutrals:
             stiffness = after
-        elif target.by_hand and len(found) == len(character.targets):
+        elif target.by_hand and index < len(found):  # of the method Single, only the neutral one's
             stiffness = _stiffness_of(target, found[index][0])
         elif target.frequency:
             stiffness *= after / before
-        return replace(target.material, stiffness=as_stored(stiffness))
+        return replace(target, material=replace(target.material, stiffness=as_stored(stiffness)))
 
-    return character.with_materials(material)
+    return character.with_targets(with_stiffness)
 
 
 def as_stored(value: float) -> float:
@@ -96,25 +94,16 @@ def stiffened(character: Character, factor: float) -> Character:
     ratio stays.
     """
 
-    def material(_index: int, target: Target) -> Material:
-        old = target.material
+    def stiffer(_index: int, target: Target) -> Target:
         if target.by_hand or not target.frequency:
-            return old
-        return replace(
+            return target
+        old = target.material
+        material = replace(
             old,
             stiffness=as_stored(old.stiffness * factor**2),
             mass_damping=as_stored(old.mass_damping * factor),
             stiffness_damping=as_stored(old.stiffness_damping / factor),
         )
+        return replace(target, material=material, frequency=as_stored(target.frequency * factor))
 
-    sets = tuple(
-        replace(
-            target_set,
-            targets=tuple(
-                target if target.by_hand else replace(target, frequency=as_stored(target.frequency * factor))
-                for target in target_set.targets
-            ),
-        )
-        for target_set in character.with_materials(material).target_sets
-    )
-    return replace(character, target_sets=sets)
+    return character.with_targets(stiffer)

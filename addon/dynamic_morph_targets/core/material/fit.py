@@ -17,14 +17,14 @@ tissue. `references` measures a built model once, so that they can be shown and 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import exp, hypot, log, pi
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from ..character import Character
+from ..character import Character, Target, TargetSet
 from ..errors import FitError
 from ..geometry import interpolated
 from ..model.model import Model
@@ -50,9 +50,9 @@ def bounce(model: Model, character: Character, target: int, patch: np.ndarray | 
     target: index into character.targets; patch (V,): weights of the observed surface vertices, by default the target's
     region. Raises FitError or dynamorph.Error.
     """
-    character, patch = checked(model, character, target, patch)
+    patch = checked_patch(model, character, target, patch)
     engine = full_engine(model, character)
-    return damped(natural_frequency(model, engine, target, patch), character.targets[target].material)
+    return damped(natural_frequency(model, engine, target, patch), character.material(target))
 
 
 def fit_oscillation(
@@ -74,8 +74,8 @@ def fit_oscillation(
         raise FitError(
             "frequency {frequency} Hz, decay {decay} 1/s: give numbers above zero", frequency=frequency, decay=decay
         )
-    character, patch = checked(model, character, target, patch)
-    now = character.targets[target].material
+    patch = checked_patch(model, character, target, patch)
+    now = character.material(target)
     omega_now = natural_frequency(model, full_engine(model, character), target, patch)
     if mass_share is None:
         total = now.mass_damping + now.stiffness_damping * omega_now**2
@@ -98,7 +98,7 @@ def _stiffness_for(
     omega^2 over log E follow.
     """
     wanted, slope = 2 * log(omega), 1.0
-    stiffness, reached = log(character.targets[target].material.stiffness), 2 * log(omega_now)
+    stiffness, reached = log(character.material(target).stiffness), 2 * log(omega_now)
     for _ in range(30):
         if abs(wanted - reached) < 1e-8:
             return exp(stiffness)
@@ -132,10 +132,10 @@ def fit_force_displacement(
     density and damping stay. Raises FitError when no stiffness fits the measurements.
     """
     forces, displacements = _measurements(forces, displacements)
-    character, patch = checked(model, character, target, patch)
+    patch = checked_patch(model, character, target, patch)
     press = _Press(model, character, target, patch)
     linear = _Press(unreduced(model, material_model="LINEAR"), character, target, patch)
-    now = character.targets[target].material
+    now = character.material(target)
     # Exact if the law is linear and no other target shares the tissue; otherwise a first guess.
     answer = linear(now.stiffness, forces)
     along = (answer * displacements).sum()
@@ -225,12 +225,11 @@ def with_bounce(reference: float, material: Material, frequency: float) -> Mater
 # What both fits share ----------------------------------------------------------------------------------------------
 
 
-def checked(model: Model, character: Character, target: int, patch: np.ndarray | None) -> tuple[Character, np.ndarray]:
-    """The simulated character, and the weights (V,) of its surface vertices, by default the target's region.
+def checked_patch(model: Model, character: Character, target: int, patch: np.ndarray | None) -> np.ndarray:
+    """The weights (V,) of the observed surface vertices, with sum 1; by default the target's region.
 
-    The neutral target belongs to all sets, so its region is the whole body.
+    The neutral target belongs to all sets, so its region is the whole body. Raises FitError, ValueError.
     """
-    character = character.by_method()
     if not len(model.tets):
         raise FitError(
             "'{name}': the model simulates nothing, so no material can be fitted: choose another Method and build it",
@@ -239,7 +238,7 @@ def checked(model: Model, character: Character, target: int, patch: np.ndarray |
     if not 0 <= target < len(character.targets):
         raise ValueError(f"target: expected 0 to {len(character.targets) - 1}, got {target}")
     if patch is None:
-        sets = zip(character.target_sets, target_indices(character), strict=True)
+        sets = zip(character.target_sets, target_indices(character.target_sets), strict=True)
         region, neutral = next((s.region_weights, indices[0]) for s, indices in sets if target in indices)
         patch = np.ones(len(character.vertices)) if target == neutral else region
     patch = np.asarray(patch, float)
@@ -247,19 +246,20 @@ def checked(model: Model, character: Character, target: int, patch: np.ndarray |
         raise ValueError(f"patch: expected a weight of 0 or more for each of {len(character.vertices)} vertices")
     if not patch.any():
         raise FitError("the patch is empty: paint the vertices that were measured")
-    return character, patch / patch.sum()
+    return patch / patch.sum()
 
 
-def target_indices(character: Character) -> list[range]:
+def target_indices(target_sets: Sequence[TargetSet]) -> list[range]:
     """The index of each target set's targets among all targets; the first of each is the neutral one."""
-    ends = np.cumsum([len(target_set.targets) for target_set in character.target_sets]).tolist()
+    ends = np.cumsum([len(target_set.targets) for target_set in target_sets]).tolist()
     return [range(begin, end) for begin, end in zip([0, *ends], ends, strict=False)]
 
 
 def _at_target(character: Character, target: int) -> np.ndarray:
     """Weights (J,) at a target's own pose; the sets without it are neutral."""
     weights = np.zeros(len(character.targets))
-    weights[[target if target in indices else indices[0] for indices in target_indices(character)]] = 1.0
+    ranges = target_indices(character.target_sets)
+    weights[[target if target in indices else indices[0] for indices in ranges]] = 1.0
     return weights
 
 
@@ -267,18 +267,15 @@ def _with_stiffness(character: Character, target: int, stiffness: float) -> Char
     """The character with another Young's modulus at one target. The artist sees the neutral targets of all sets
     as one.
     """
-    ranges = target_indices(character)
-    neutrals = [indices[0] for indices in ranges]
+    neutrals = [indices[0] for indices in target_indices(character.authored_sets)]
     if character.settings.method == "SHAPE" and target not in neutrals:
         raise FitError("with the Method Shape the material is the neutral target's everywhere: fit that target")
-    targets = list(character.targets)
-    for index in neutrals if target in neutrals else [target]:
-        targets[index] = replace(targets[index], material=replace(targets[index].material, stiffness=stiffness))
-    sets = tuple(
-        replace(target_set, targets=tuple(targets[indices.start : indices.stop]))
-        for target_set, indices in zip(character.target_sets, ranges, strict=True)
-    )
-    return replace(character, target_sets=sets)
+    changed = neutrals if target in neutrals else [target]
+
+    def with_stiffness(index: int, each: Target) -> Target:
+        return replace(each, material=replace(each.material, stiffness=stiffness)) if index in changed else each
+
+    return character.with_targets(with_stiffness)
 
 
 def unreduced(model: Model, material_model: str | None = None) -> Model:

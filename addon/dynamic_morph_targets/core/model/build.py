@@ -43,7 +43,6 @@ def build(
     SceneError with advice when the mesh or the targets cannot be used.
     """
     authored = dependencies(character)
-    character = character.by_method()
     if character.settings.method == "STATIC":
         return _static_model(character, authored)
     stages = Stages(progress)
@@ -86,7 +85,7 @@ def build_cage(character: Character, progress: ProgressFn | None = None, previou
     stages = Stages(progress, CAGE_SHARE)
     mesh = _reusable(previous, authored)
     of_cage = {name: authored[name] for name in CAGE_DEPENDENCIES if name in authored}
-    model, _ = _with_tissue(character.by_method(), of_cage, mesh, stages)
+    model, _ = _with_tissue(character, of_cage, mesh, stages)
     model.summary.update(modes=0, seconds=stages.seconds)
     return model
 
@@ -205,7 +204,6 @@ def repainted(model: Model, character: Character) -> Model:
     """The model of another Firmness map, for a picture while it is painted. The cage and the span of the modes stay.
     Only what depends on the stiffness is computed again. A build finds modes for the map, so this is never stored.
     """
-    character = character.by_method()
     mesh = dynamorph.TetMesh(model.nodes, model.tets)
     embedding = dynamorph.Embedding(model.embedding_nodes, model.embedding_weights)
     weights, rigidity = cage.painted(character, mesh, embedding)
@@ -345,17 +343,17 @@ def dependencies(character: Character) -> dict[str, str]:
         "what is rigid": (character.rigidity,),
         "bones at rest": (skeleton.parents, skeleton.rest, character.bone_segments),
         "regions": (
-            np.array([len(target_set.targets) for target_set in character.target_sets]),
-            *(target_set.region_weights for target_set in character.target_sets),
+            np.array([len(target_set.targets) for target_set in character.authored_sets]),
+            *(target_set.region_weights for target_set in character.authored_sets),
         ),
-        "number of targets": (np.array([len(character.targets)]),),
+        "number of targets": (np.array([len(character.authored_targets)]),),
     }
-    for j, target in enumerate(character.targets):
+    for j, target in enumerate(character.authored_targets):
         parts[f"shape {j}"] = (target.shape,)
     if character.cage:
         parts["cage object"] = character.cage[1:]
     if settings.cage_adaptivity:
-        parts["how far targets move"] = (cage.moved(character.by_method()),)
+        parts["how far targets move"] = (cage.moved(character),)
     for name, value in asdict(settings).items():
         if name not in FREE_SETTINGS:
             parts[name.replace("_", " ")] = (np.frombuffer(str(value).encode(), np.uint8),)
@@ -372,7 +370,7 @@ def stale_reasons(model: Model, character: Character) -> list[str]:
     changed = [name for name in considered if now.get(name) != then.get(name)]
     if model.settings.solver == "REDUCED" and "solver" in changed:  # it serves unreduced simulations too
         changed.remove("solver")
-    names = TITLES | {f"shape {j}": f"shape of '{target.name}'" for j, target in enumerate(character.targets)}
+    names = TITLES | {f"shape {j}": f"shape of '{target.name}'" for j, target in enumerate(character.authored_targets)}
     if "number of targets" in changed:
         changed = [name for name in changed if not name.startswith("shape ")]
     return ["only the cage is built"] * model.only_cage + [f"{names.get(name, name)} changed" for name in changed]

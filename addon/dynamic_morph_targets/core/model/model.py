@@ -170,7 +170,6 @@ class Model:
         """The engine's model with the materials and blending of `character`. Raises SceneError if the model is not that
         character's. probed: as for `soft_body`.
         """
-        character = character.by_method()
         if len(character.targets) != len(self.displacements):
             raise SceneError("'{name}' has other targets than its model: build it again", name=character.name)
         targets = morph_targets(character, self.displacements)
@@ -236,8 +235,8 @@ def morph_targets(character: Character, displacements: np.ndarray) -> list[dynam
     sets = [s for s, target_set in enumerate(character.target_sets) for _ in target_set.targets]
     shifted = character.settings.method == "SHAPE"
     out = []
-    for target, s, displacement in zip(character.targets, sets, displacements, strict=True):
-        material = target.material
+    for j, (target, s, displacement) in enumerate(zip(character.targets, sets, displacements, strict=True)):
+        material = character.material(j)
         lame_lambda, lame_mu = material.lame()
         out.append(
             dynamorph.MorphTarget(

@@ -71,7 +71,7 @@ class Player:
         self.number, self.passes = settings.first, 0
         self.engine: EngineModel | None = None
         self._keep_going = keep_going
-        self.character = character.by_method()
+        self.character = character
         self._first: RigSamples | None = None  # the first sample
         self._shapes = np.zeros((len(self.character.targets), 0))
         self._simulation: EngineSimulation | _NothingMoves = _NothingMoves()

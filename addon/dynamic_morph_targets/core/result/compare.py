@@ -47,7 +47,7 @@ class Run:
     @property
     def static(self) -> np.ndarray:
         """Displacement (F, V, 3) of the targets' shapes, blended by their weights."""
-        shapes = np.array([target.shape for target in self.character.by_method().targets])
+        shapes = np.array([target.shape for target in self.character.targets])
         return np.tensordot(self.bake.weights, shapes, 1)
 
 
@@ -185,18 +185,18 @@ def figures(run: Run, authored: Character) -> dict:
 
 
 def residuals(
-    model: Model, authored: Character, report: Callable[[float], object] = lambda _fraction: None
+    model: Model, character: Character, report: Callable[[float], object] = lambda _fraction: None
 ) -> dict[str, float]:
     """For each authored target, how far the skin at rest in its captured pose is from the shape sculpted for it.
 
     The largest distance over the surface, meters, without gravity. report(fraction) is called after each target.
     """
-    simulated = authored.by_method()
+    authored = character.with_settings(method="DYNAMIC")  # which leaves out no target
     poses = np.array([target.local for target in authored.targets])
     shapes = np.array([target.shape for target in authored.targets])
     sculpted = np.tensordot(posing.pose_space(authored).weights(poses), shapes, 1)
-    weights = posing.pose_space(simulated).weights(poses)
-    statics, to_meters = Statics(model, authored), authored.to_bind.T
+    weights = posing.pose_space(character).weights(poses)
+    statics, to_meters = Statics(model, character), character.to_bind.T
     found = {}
     for j, target in enumerate(authored.targets):
         miss = (statics.surface(weights[j]) - sculpted[j]) @ to_meters

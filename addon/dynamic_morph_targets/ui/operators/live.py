@@ -331,7 +331,7 @@ class DYNAMORPH_OT_check_targets(JobOperator, Operator):
     def _misses(obj) -> task.Chunks[list[str]]:
         model, character = model_store.current_model(obj)
         misses = yield from task.in_thread(partial(compare.residuals, model, character), "Checking targets")
-        labels = zip(target_labels(character.target_sets), character.targets, strict=True)
+        labels = zip(target_labels(character.authored_sets), character.authored_targets, strict=True)
         return [f"{label}: {1000 * misses[target.name]:.3f} mm" for label, target in labels]
 
     def _done(self, task):

@@ -77,12 +77,17 @@ def blended_shape(obj, local: np.ndarray) -> np.ndarray:
     if not active or engine.engine_problem():
         return np.zeros((len(obj.data.vertices), 3))
     reconcile(obj)
-    return _blend(extract.character(obj), local)
+    return _blend(_authored(obj), local)
+
+
+def _authored(obj) -> Character:
+    """With all its targets, whichever its method simulates. Raises SceneError."""
+    return extract.character(obj).with_settings(method="DYNAMIC")
 
 
 def _blend(character: Character, local: np.ndarray) -> np.ndarray:
     """The shape (V, 3), local space, of a character's blended targets in a pose (B, 4, 4)."""
-    if not character.target_sets:
+    if not character.authored_sets:
         return np.zeros_like(character.vertices)
     weights = posing.pose_space(character).weights(local[None])[0]
     return np.tensordot(weights, [target.shape[character.own_vertices] for target in character.targets], 1)
@@ -300,12 +305,12 @@ def _is_in_pose(obj, target, depsgraph) -> bool:
 def _with_sets(obj, name: str, with_set: bool) -> Character:
     """The character without a target and, unless `with_set`, without its whole set."""
     reconcile(obj)
-    character, sets = extract.character(obj), []
-    for target_set in character.target_sets:
+    character, sets = _authored(obj), []
+    for target_set in character.authored_sets:
         others = tuple(target for target in target_set.targets[1:] if target.name != name)
         if with_set or len(others) == len(target_set.targets) - 1:
             sets.append(replace(target_set, targets=(target_set.targets[0], *others)))
-    return replace(character, target_sets=tuple(sets))
+    return replace(character, authored_sets=tuple(sets))
 
 
 def _make_active(obj):
