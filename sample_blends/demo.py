@@ -117,14 +117,14 @@ def swing(job: job.Job, first: int, last: int) -> float:
 def print_table(variants: dict[str, job.Job]) -> None:
     """One column for each variant, every figure measured in this run."""
     made = {name: job.outcome.model.summary for name, job in variants.items()}
-    lines = [(label, [str(made[name][key]) for name in variants]) for label, key in
+    lines = [(label, [str(getattr(made[name], key)) for name in variants]) for label, key in
              (("DOF", "dofs"), ("modes", "modes"), ("targets", "targets"))]  # fmt: skip
-    lines.append(("precompute", [f"{sum(made[name]['seconds'].values()):.2f} s" for name in variants]))
+    lines.append(("precompute", [f"{sum(made[name].seconds.values()):.2f} s" for name in variants]))
     lines.append(("steps per second", [f"{job.outcome.report['steps_per_second']:.0f}" for job in variants.values()]))
     for label, (first, last) in SWINGS.items():
         lines.append((f"swing, {label}", [f"{1000 * swing(job, first, last):.1f} mm" for job in variants.values()]))
     lines.append(("", [""] * len(variants)))
-    stages = {name: {**made[name]["seconds"], **job.progress.seconds} for name, job in variants.items()}
+    stages = {name: {**made[name].seconds, **job.progress.seconds} for name, job in variants.items()}
     for name in variants:
         del stages[name]["build"]  # its own stages are listed
     for stage in next(reversed(stages.values())):

@@ -195,8 +195,10 @@ class StandIn:
         tets, thickness = (), np.zeros(0)
 
         def __init__(self, arrays, meta):
+            from bl_ext.user_default.dynamic_morph_targets.core.model.summary import Summary
+
             self.arrays, self.meta = arrays, meta
-            self.summary = meta["summary"]
+            self.summary = Summary.from_stored(meta["summary"])
 
         @classmethod
         def from_arrays(cls, arrays, meta):
@@ -223,12 +225,14 @@ class StandIn:
         return [f"{name} changed" for name in now if model.meta["dependencies"].get(name) != now[name]]
 
     def build_for(self, character, rig, settings, progress=None, previous=None):
+        from bl_ext.user_default.dynamic_morph_targets.core.model.summary import Summary
+
         self.built += 1
         for i in range(5):
             assert progress(i / 5, "Modes")
-        counts = {"nodes": 10, "tets": 20, "pinned": 4, "dofs": 30, "modes": 3, "targets": len(character.targets)}
-        summary = {**counts, "held": 0.4, "fallbacks": {}, "seconds": {"modes": 0.5}, "warnings": []}
-        meta = {"dependencies": self.dependencies(character), "summary": summary}
+        counts = {"nodes": 10, "tets": 20, "pinned": 4, "dofs": 30, "modes": 3, "tabulated": 3}
+        made = Summary(**counts, held=0.4, targets=len(character.targets))
+        meta = {"dependencies": self.dependencies(character), "summary": made.stored}
         return self.Model({"a": np.zeros(self.bytes // 8)}, meta)
 
     def Shot(self, model, character, settings, progress):  # stands in for a class

@@ -130,7 +130,7 @@ def of_job(job: job.Job) -> dict:
     return {
         "nodes": len(job.outcome.model.nodes),
         "tets": tets,
-        "modes": job.outcome.model.summary["modes"],
+        "modes": job.outcome.model.summary.modes,
         "inverted_tets": job.outcome.report["inverted"],
         "inverted": job.outcome.report.get("inverted_volume", job.outcome.report["inverted"] / max(tets, 1)),
         "warnings": job.warnings,
@@ -140,7 +140,7 @@ def of_job(job: job.Job) -> dict:
 
 def of_stages(job: job.Job) -> dict[str, float]:
     """Seconds by stage of the job and, as "build: ...", of what a build consists of."""
-    built = {f"build: {stage}": seconds for stage, seconds in job.outcome.model.summary["seconds"].items()}
+    built = {f"build: {stage}": seconds for stage, seconds in job.outcome.model.summary.seconds.items()}
     return job.progress.seconds | built
 
 

@@ -66,7 +66,7 @@ def compare_forces(full: shots.Solved, reduced: shots.Solved, mass: np.ndarray) 
     found = np.linalg.lstsq(weighted, target, rcond=None)[0].T
     rest = target - target.mean(axis=1, keepdims=True)
     left = rest - weighted @ np.linalg.lstsq(weighted, rest, rcond=None)[0]
-    tabulated = reduced.model.summary["tabulated"]
+    tabulated = reduced.model.summary.tabulated
     stiffness = basis.T @ (full.engine.linearize(WEIGHT, np.zeros(full.engine.dofs))[2] @ basis)
     squares: dict[str, float] = defaultdict(float)
     for coordinates in found[::EVERY]:

@@ -166,7 +166,7 @@ def write_page() -> None:
 
 
 def mesh_row(baked: characters.Baked) -> list[str]:
-    mesh, found = baked.body.data, baked.job.outcome.model.summary.get("defects", {})
+    mesh, found = baked.body.data, baked.job.outcome.model.summary.defects
     counts = [len(mesh.vertices), len(mesh.polygons), *(found.get(key) for key in DEFECTS.values())]
     return [ABSENT if count is None else f"{count:,}" for count in counts]
 
@@ -181,8 +181,8 @@ def cage_row(baked: characters.Baked) -> list[str]:
         f"{angles.min():.1f}°",
         f"{100 * np.mean(angles < 5.0):.2f} %",
         f"{100 * baked.inside.mean():.1f} %",
-        str(known.get("glued", {}).get("tets", ABSENT)),
-        str(known.get("held_parts", ABSENT)),
+        str(known.glued.get("tets", ABSENT)),
+        str(known.held_parts),
     ]
 
 

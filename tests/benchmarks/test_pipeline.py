@@ -130,8 +130,8 @@ def test_bake(benchmark, pose_evaluation, frames, subdivided):
         substeps=SUBSTEPS,
         bones=len(build.outcome.character.skeleton.names),
         vertices=len(build.outcome.character.vertices),
-        **{name: made[name] for name in ("nodes", "dofs", "modes", "targets")},
-        build=made["seconds"],
+        **{name: getattr(made, name) for name in ("nodes", "dofs", "modes", "targets")},
+        build=made.seconds,
         stages=min(runs, key=lambda run: run["total"] - run["pose evaluation"]),
     )
 

@@ -115,7 +115,7 @@ def test_paint_is_a_reason_to_build_again(cage):
 
 
 def test_only_the_cage_is_built_and_then_built_on(cage, monkeypatch):
-    assert len(cage.tets) and cage.summary["nodes"] == len(cage.nodes) and 0 < cage.summary["pinned"] < len(cage.nodes)
+    assert len(cage.tets) and cage.summary.nodes == len(cage.nodes) and 0 < cage.summary.pinned < len(cage.nodes)
     assert stale_reasons(cage, bar()) == ["only the cage is built"]
     stored = building.Model.from_arrays(*model_file.unpack(model_file.pack(*cage.to_arrays())))
     monkeypatch.setattr(dynamorph, "mesh_body", None)  # must not be needed
@@ -140,8 +140,8 @@ def test_the_cage_depends_on_its_thickness(cage):
 def test_the_cage_stands_off_and_says_what_it_is_made_of(cage):
     thick = build_cage(bar(cage_thickness=0.1, cage_nodes=300))
     assert np.ptp(thick.nodes, axis=0).min() > np.ptp(cage.nodes, axis=0).min() + 0.1
-    assert thick.summary["defects"]["components"] == 1 and not thick.summary["defects"]["open_edges"]
-    assert 0 < thick.summary["quality"]["min_dihedral"] < 60
+    assert thick.summary.defects["components"] == 1 and not thick.summary.defects["open_edges"]
+    assert 0 < thick.summary.quality["min_dihedral"] < 60
 
 
 def test_firmer_skin_is_held_otherwise_in_the_same_tetrahedra(cage):

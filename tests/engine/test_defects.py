@@ -358,7 +358,7 @@ def test_each_defect_alone(name, defect):
 
 def test_a_skin_that_is_there_twice_is_not_cut_from_itself():
     body = spoiled(ball(), [("coincident_layers", 0.02, 1)])  # joined where the first has a seam
-    assert build(soft(body, 120)).summary["glued"]["tets"] == 0
+    assert build(soft(body, 120)).summary.glued["tets"] == 0
 
 
 DEFECT = st.tuples(st.sampled_from(sorted(DEFECTS)), st.sampled_from([0.02, 0.1, 0.3, 0.6, 1.0]), st.integers(0, 10**6))

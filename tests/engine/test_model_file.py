@@ -4,14 +4,17 @@
 import hashlib
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from costs import cost
 from dynamic_morph_targets.core.errors import ModelFileError
+from dynamic_morph_targets.core.model import schema
 from dynamic_morph_targets.core.model.build import build, stale_reasons
 from dynamic_morph_targets.core.model.model import Model
+from dynamic_morph_targets.core.model.summary import Summary
 from dynamic_morph_targets.io import model_file
 from dynamic_morph_targets.io.model_file import pack, unpack
 
@@ -244,6 +247,18 @@ def test_the_kept_file_is_read_and_written_alike():
     moved, again = kept_model.settled(model), kept_model.settled(build(bar, previous=model))
     assert np.abs(moved).max() > 1e-3
     np.testing.assert_allclose(moved, again, atol=1e-4 * np.abs(moved).max())
+
+
+def test_a_summary_is_stored_without_its_seconds():
+    full = Summary(
+        nodes=4, tets=1, pinned=2, held=0.5, held_parts=1, defects={"components": 2}, quality={"under_5": 0.25},
+        glued={"tets": 3}, dofs=12, modes=6, tabulated=5, targets=2, fallbacks={"flexed": 1}, fitted=(1, 20),
+        warnings=("The brace { stays",), seconds={"modes": 0.5},
+    )  # fmt: skip
+    assert all(getattr(full, name) != value for name, value in vars(Summary()).items())
+    read = Summary.from_stored(json.loads(json.dumps(full.stored)))
+    assert read == replace(full, seconds={})
+    assert full.stored.keys() == schema.SUMMARY.keys()
 
 
 def test_other_format_says_so():

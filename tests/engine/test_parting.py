@@ -112,9 +112,9 @@ def test_one_prong_moves_without_the_other(gap):
         tips, lower = of.vertices[:, 0] > 0.9, np.arange(len(of.vertices)) < len(of.vertices) / 2
         moved = np.abs(pushed(model, of, tips & lower))[:, 1]
         follows[separate] = moved[tips & ~lower].mean() / moved[tips & lower].mean()
-        assert model.summary["glued"]["tets"] > 20
-        assert (model.summary["glued"]["split_nodes"] > 0) == separate
-        assert bool(model.summary["warnings"]) != separate
+        assert model.summary.glued["tets"] > 20
+        assert (model.summary.glued["split_nodes"] > 0) == separate
+        assert bool(model.summary.warnings) != separate
     assert follows[False] > 0.5
     assert follows[True] < 0.1  # through the bend, where the prongs are soft and joined
 
@@ -127,7 +127,7 @@ def test_a_skin_whose_faces_look_inward_is_cut_alike(skin):
 
     def glued(triangles):
         made = character((both[0], triangles), lambda points: np.zeros(len(points)), cage_nodes=400)
-        return build_cage(made).summary["glued"]["tets"]
+        return build_cage(made).summary.glued["tets"]
 
     part, some = both[1].copy(), both[1].copy()
     part[: len(triangles)] = part[: len(triangles), ::-1]
@@ -139,7 +139,7 @@ def test_a_skin_whose_faces_look_inward_is_cut_alike(skin):
 def test_a_fork_that_is_open_is_left_as_it_was():
     of = held_at_bend(0.4)
     with_it, without = build_cage(of), build_cage(of.with_settings(separate=False))
-    assert with_it.summary["glued"] == {"tets": 0, "split_nodes": 0} and not without.summary["warnings"]
+    assert with_it.summary.glued == {"tets": 0, "split_nodes": 0} and not without.summary.warnings
     for name in ("nodes", "tets", "pinned", "embedding_nodes", "embedding_weights"):
         np.testing.assert_array_equal(getattr(with_it, name), getattr(without, name))
 
@@ -152,13 +152,13 @@ def test_the_switch_serves_itself_of_the_same_tetrahedra(monkeypatch):
     again = build_cage(of, previous=cut)
     np.testing.assert_array_equal(again.nodes, cut.nodes)
     np.testing.assert_array_equal(again.tets, cut.tets)
-    assert again.summary["glued"] == cut.summary["glued"]
+    assert again.summary.glued == cut.summary.glued
     assert not has_cage(cut, glued) and stale_reasons(cut, glued) == [
         "only the cage is built",
         "Split Touching Parts changed",
     ]
     whole = build_cage(glued, previous=cut)
-    assert len(cut.nodes) - len(whole.nodes) == cut.summary["glued"]["split_nodes"]
+    assert len(cut.nodes) - len(whole.nodes) == cut.summary.glued["split_nodes"]
     np.testing.assert_array_equal(build_cage(of, previous=whole).tets, cut.tets)
 
 
@@ -169,8 +169,8 @@ def test_a_part_that_nothing_holds_stays_with_its_bones():
     skin = join(tube([[x, 0, 0] for x in np.linspace(0, 1, 21)], 0.1), ball(0.15, (0.5, 0.0, 0.6)))
     of = character(skin, lambda vertices: vertices[:, 0] > 0.1)
     model = build(of)
-    assert model.summary["held_parts"] == 1
-    (warning,) = model.summary["warnings"]
+    assert model.summary.held_parts == 1
+    (warning,) = model.summary.warnings
     assert "222 vertices at 'root'" in warning and "Firmness with 1" in warning
     afloat = of.vertices[:, 2] > 0.3
     moved = pushed(model, of, of.vertices[:, 0] > 0.9)
@@ -202,7 +202,7 @@ def test_a_part_that_could_spin_about_its_bone_stays_with_it():
     of = pinned_along_a_bone(limb, ball(0.15, (0.5, 0.0, 0.6)))
     of = replace(of, rigidity=np.where(of.vertices[:, 2] > 0.7, 1.0, 0.0))
     model = build(of)
-    (warning,) = model.summary["warnings"]
+    (warning,) = model.summary.warnings
     assert f"{len(limb[0])} vertices at 'root' is pinned only along a line" in warning
     on_limb = of.vertices[:, 2] < 0.3
     moved = pushed(model, of, ~on_limb)
@@ -266,8 +266,8 @@ def test_a_belt_in_its_own_cage_does_not_feel_the_body():
     model = build(of)
     belt = of.pieces == 1
     both = np.isin(model.embedding_nodes[belt], model.embedding_nodes[~belt])
-    assert not both.any() and model.summary["held_parts"] == 0
-    assert model.summary["nodes"] == pytest.approx(600, rel=0.35)
+    assert not both.any() and model.summary.held_parts == 0
+    assert model.summary.nodes == pytest.approx(600, rel=0.35)
     moved = pushed(model, of, of.vertices[:, 0] > 0.95)
     assert np.abs(moved[~belt]).max() > 1e-3 and np.abs(moved[belt]).max() < 1e-12
     sagging = pushed(model, of, belt & (of.vertices[:, 2] < -0.1))

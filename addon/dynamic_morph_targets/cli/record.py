@@ -54,7 +54,7 @@ def character_record(done: Done) -> dict:
         "name": job.name,
         "built": job.input.reasons,
         "model": find_model(job.name).content_id,
-        "summary": job.outcome.model.summary,
+        "summary": vars(job.outcome.model.summary),
         "seconds": {stage: round(seconds, 4) for stage, seconds in job.progress.seconds.items()},
         "warnings": done.warnings,
     }
@@ -103,9 +103,9 @@ class ProgressPrinter:
 
 def print_table(job: Job, save_seconds: float) -> None:
     made, report = job.outcome.model.summary, job.outcome.report
-    rows = [(name, made[name.lower()]) for name in ("Nodes", "DOFs", "Modes", "Targets")]
-    if made["seconds"]:  # it was built now
-        rows.append(("precompute", f"{sum(made['seconds'].values()):.2f} s"))
+    rows = [(name, getattr(made, name.lower())) for name in ("Nodes", "DOFs", "Modes", "Targets")]
+    if made.seconds:  # it was built now
+        rows.append(("precompute", f"{sum(made.seconds.values()):.2f} s"))
     if job.input.is_bake:
         rows.append(
             (

@@ -97,7 +97,7 @@ def _check_memory(given: BakeInput) -> None:
     """Refuse, before any work, what there is not enough memory for. Raises SceneError, MemoryShortError."""
     character, model = given.character, given.model or given.cached_model
     settings = character.settings
-    nodes = settings.cage_nodes if model is None else model.summary["nodes"]
+    nodes = settings.cage_nodes if model is None else model.summary.nodes
     size = memory.Size(len(character.vertices), len(character.targets), len(character.skeleton.names), nodes)
     if given.reasons and model is None:
         changes = {"solver": "FULL"} if given.only_cage else {"modes": settings.rehearsed_modes}

@@ -211,12 +211,12 @@ class Writer:
             record.summary = "" if given.only_cage else f"{model_summary(given, model)}, {size}"
             record.cage = cage_summary(model)
             record.vertices = given.character.own_vertices.stop
-            record.warnings = "\n".join(model.summary["warnings"])
+            record.warnings = "\n".join(model.summary.warnings)
         if given.reasons or not given.only_cage:
             record.stale, record.built = "only the cage is built" if given.only_cage else "", given.built_from
         if given.reasons and not given.only_cage:
             obj.dynamorph.live.checks = ""
-            fit_modes(obj, model.summary.get("tabulated", model.summary["modes"]))
+            fit_modes(obj, model.summary.tabulated)
             self._store_references(obj)
 
     def _store_materials(self, obj: bpy.types.Object) -> None:
@@ -243,7 +243,7 @@ class Writer:
         given, outcome = self.given, self.outcome
         record = obj.dynamorph.bake
         record.summary = summary(given, outcome, self.progress.seconds)
-        record.warnings = "\n".join(text for text in outcome.warnings if text not in outcome.model.summary["warnings"])
+        record.warnings = "\n".join(text for text in outcome.warnings if text not in outcome.model.summary.warnings)
         record.inputs = records.text(outcome.inputs | {"content_id": obj.dynamorph.model.content_id})
         record.verdict = outcome.verdict.record
         record.content_id = outcome.content_id
@@ -275,11 +275,11 @@ def summary(given: BakeInput, outcome: Outcome, seconds: dict[str, float]) -> st
 
 def model_summary(given: BakeInput, model: Model) -> str:
     made, targets = model.summary, _authored_targets(given)
-    if not made["tets"]:
+    if not made.tets:
         return f"{targets}, nothing to simulate"
-    kept = sum(made["fallbacks"].values())
+    kept = sum(made.fallbacks.values())
     crushed = f", crushed tetrahedra: {kept}" if kept else ""
-    return f"{made['nodes']} nodes, {made['modes']} modes, {targets}{crushed}"
+    return f"{made.nodes} nodes, {made.modes} modes, {targets}{crushed}"
 
 
 def _authored_targets(given: BakeInput) -> str:
@@ -290,7 +290,7 @@ def _authored_targets(given: BakeInput) -> str:
 
 def cage_summary(model: Model) -> str:
     made = model.summary
-    if not made["tets"]:
+    if not made.tets:
         return ""
-    by = " by bones" if made["pinned"] else ""
-    return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {made['held']:.0%} held{by}"
+    by = " by bones" if made.pinned else ""
+    return f"{made.nodes} nodes, {made.tets} tetrahedra, {made.held:.0%} held{by}"

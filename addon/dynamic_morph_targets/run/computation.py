@@ -134,7 +134,7 @@ class Computation:
                     return
         adopt(outcome, calibration.calibrated(given.character, outcome.references))
         self.progress.fraction = self._shot_from = built
-        outcome.warnings += model.summary["warnings"]
+        outcome.warnings += model.summary.warnings
 
     def _take_model(self, model: Model) -> None:
         with self.progress.stage("store model"):
@@ -199,7 +199,7 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
             outcome.content_id = _content_id(given, outcome)
     outcome.warnings += outcome.report["warnings"]
     settings = given.settings
-    first, last = outcome.model.summary.get("fitted", (settings.frame_start, settings.frame_end))
+    first, last = outcome.model.summary.fitted or (settings.frame_start, settings.frame_end)
     uses_modes = outcome.model.settings.solver == "REDUCED"
     if uses_modes and (settings.frame_start < first or settings.frame_end > last):
         outcome.warnings.append(

@@ -62,7 +62,7 @@ def test_new_soft_skins_have_them_and_others_keep_their_modes(arm, soft_arm):
 def test_a_sixth_is_tabulated(baked):
     model = baked.outcome.model
     assert (model.basis.shape[1], model.responses.shape[1]) == (10, 50)
-    assert (model.summary["modes"], model.summary["tabulated"]) == (60, 10)
+    assert (model.summary.modes, model.summary.tabulated) == (60, 10)
     assert len(baked.request.target.find().dynamorph.modes) == 10  # gains are of those
 
 
@@ -226,12 +226,12 @@ def test_a_loop_closes(skin):
 def test_they_are_not_fitted_to_a_shot(skin, baked):
     skin.dynamorph.model.fit_to_shot = True
     job = bake(skin)
-    assert "fitted" not in job.outcome.model.summary and np.array_equal(
+    assert job.outcome.model.summary.fitted is None and np.array_equal(
         job.outcome.model.responses, baked.outcome.model.responses
     )
     skin.dynamorph.model.basis = "MODES"
     skin.dynamorph.model.modes = 12
-    assert bake(skin).outcome.model.summary["fitted"] == [1, 20]
+    assert bake(skin).outcome.model.summary.fitted == (1, 20)
 
 
 def test_a_shot_in_chunks_is_the_whole_shot(skin, baked, monkeypatch):

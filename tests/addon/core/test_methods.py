@@ -224,7 +224,7 @@ def test_modes_fitted_to_the_shot_follow_it_more_closely(arm):
     apart = {}
     for fitted in (False, True):
         job = run(arm, solver="REDUCED", modes=10, fit_to_shot=fitted)
-        assert job.outcome.model.summary["modes"] == 10
+        assert job.outcome.model.summary.modes == 10
         apart[fitted] = np.abs(displacements(job) - full).max()
     assert apart[True] < 0.5 * apart[False]
 
@@ -234,7 +234,7 @@ def test_a_model_is_fitted_to_the_scene_s_range_when_it_is_built(arm):
     arm.dynamorph.model.fit_to_shot = True
     assert bpy.ops.dynamorph.build() == {"FINISHED"}
     model = model_store.load_model(arm)
-    assert model.summary["fitted"] == [1, 20]
+    assert model.summary.fitted == (1, 20)
     still = model.basis.T @ (np.repeat(model.soft_body().volumes.sum(axis=1), 3)[:, None] * model.basis)
     assert np.allclose(still, np.eye(6), atol=1e-10)
     job = Job(arm, goal="BAKE")

@@ -99,8 +99,8 @@ def test_belly_swings_upright_and_holds_in_the_tuck(herbert):
     pytest.importorskip("dynamorph", reason="needs the engine")
     job = Job(herbert, goal="BAKE")
     batch.run(job)
-    assert job.outcome.model.summary["modes"] == 12
-    assert job.outcome.model.summary["dofs"] == pytest.approx(603, rel=0.1)
+    assert job.outcome.model.summary.modes == 12
+    assert job.outcome.model.summary.dofs == pytest.approx(603, rel=0.1)
     assert job.outcome.report["inverted"] <= 10
     assert not any("converge" in warning for warning in job.warnings)
 

@@ -122,8 +122,8 @@ def test_soft_when_straight_and_hard_when_flexed(limb):
     job = Job(limb, goal="BAKE")
     batch.run(job)
     assert job.warnings == []
-    assert job.outcome.model.summary["dofs"] == pytest.approx(918, rel=0.02)
-    assert job.outcome.model.summary["modes"] == 13
+    assert job.outcome.model.summary.dofs == pytest.approx(918, rel=0.02)
+    assert job.outcome.model.summary.modes == 13
 
     def swing(first, last):
         shapes = np.array([target.shape for target in job.outcome.character.targets])

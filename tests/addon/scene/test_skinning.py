@@ -465,7 +465,7 @@ def test_a_cage_is_made_before_the_rig_is_read_and_serves_the_model(small_arm):
     job = run_job.Job(small_arm, "BAKE")
     seen = []
     batch.run(job, lambda work: seen.append(work.fraction))
-    assert seen == sorted(seen) and job.outcome.model.summary["seconds"]["meshing"] < 0.01
+    assert seen == sorted(seen) and job.outcome.model.summary.seconds["meshing"] < 0.01
     stages = {"build", "sample rig", "measure", "simulate", "judge", "make keys", "store model", "write keys"}
     assert set(job.progress.seconds) == stages
     for goal in ("BUILD", "BAKE"):
@@ -532,7 +532,7 @@ def test_methods_are_compared(small_arm):
 def test_modes_are_fitted_to_a_shot(small_arm):
     twisting(small_arm)
     small_arm.dynamorph.model.fit_to_shot = True
-    assert run(small_arm, goal="BUILD").outcome.model.summary["fitted"] == [1, 20]
+    assert run(small_arm, goal="BUILD").outcome.model.summary.fitted == (1, 20)
 
 
 # Live --------------------------------------------------------------------------------------------------------------

@@ -21,6 +21,7 @@ from ..settings import ENGINE, FREE_SETTINGS, TABULATED, ModelSettings
 from . import cage
 from .cage import ProgressFn, Report, Stages
 from .model import CAGE_DEPENDENCIES, MESH_DEPENDENCIES, Model, array_hash, engine_hash, morph_targets
+from .summary import Summary
 
 SimulateShot = Callable[[Model, Report], tuple[np.ndarray, np.ndarray]]
 FITTED_IN_FULL = 1500  # degrees of freedom up to which a shot is simulated unreduced, to fit modes to it
@@ -62,17 +63,15 @@ def build(
         with stages("Polynomials", 0.20) as report:
             model = _reduced(model, full, basis, report)
     fallbacks = _fallbacks(full, character.targets)
-    model.summary.update(
+    return model.with_summary(
         dofs=full.dofs,
         modes=model.modes.shape[1],
+        tabulated=model.basis.shape[1],
         targets=len(targets),
         fallbacks=fallbacks,
-        warnings=model.summary["warnings"] + _fallback_warnings(fallbacks, len(model.tets)),
+        warnings=(*model.summary.warnings, *_fallback_warnings(fallbacks, len(model.tets))),
         seconds=stages.seconds,
     )
-    if model.responses.size:
-        model.summary["tabulated"] = model.basis.shape[1]
-    return model
 
 
 def build_cage(character: Character, progress: ProgressFn | None = None, previous: Model | None = None) -> Model:
@@ -86,8 +85,7 @@ def build_cage(character: Character, progress: ProgressFn | None = None, previou
     mesh = _reusable(previous, authored)
     of_cage = {name: authored[name] for name in CAGE_DEPENDENCIES if name in authored}
     model, _ = _with_tissue(character, of_cage, mesh, stages)
-    model.summary.update(modes=0, seconds=stages.seconds)
-    return model
+    return model.with_summary(seconds=stages.seconds)
 
 
 def _reusable(previous: Model | None, authored: dict[str, str]) -> dynamorph.TetMesh | None:
@@ -184,12 +182,7 @@ def _static_model(character: Character, authored: dict[str, str]) -> Model:
         authored,
         region_weights=np.zeros((0, len(character.target_sets))),
         residual_shapes=np.array([target.shape for target in targets]),
-        summary={
-            **dict.fromkeys(("nodes", "tets", "pinned", "dofs", "modes"), 0),
-            "targets": len(targets),
-            "warnings": [],
-            "seconds": {},
-        },
+        summary=Summary(targets=len(targets)),
     )
 
 
@@ -248,7 +241,7 @@ def _model(character: Character, authored: dict[str, str], **known: Any) -> Mode
         "bone_names": character.skeleton.names,
         "settings": character.settings,
         "dependencies": authored,
-        "summary": {},
+        "summary": Summary(),
     }
     return Model(**(empty | taken | known))
 
@@ -278,7 +271,7 @@ def _with_tissue(
         embedding_weights=tissue.embedding.weights,
         displacements=np.zeros((len(character.targets), len(tissue.mesh.nodes), 3)),
         residual_shapes=np.zeros((len(character.targets), len(character.vertices), 3)),
-        summary=asdict(tissue.summary),
+        summary=tissue.summary,
     )
     return model, tissue.embedding
 

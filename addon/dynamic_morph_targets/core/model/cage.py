@@ -18,6 +18,7 @@ from ..engine import dynamorph
 from ..geometry import diagonal, triangle_areas
 from . import pins
 from .hold import Depths, Hold, depths, hold
+from .summary import Summary
 
 ProgressFn = Callable[[float, str], bool]  # of a build: how much is done, and what is at hand
 Report = Callable[[float], bool]  # of a stage of it
@@ -48,26 +49,7 @@ class Cage:
     pinned: np.ndarray
     node_weights: np.ndarray
     hold: Hold | None
-    summary: CageSummary
-
-
-@dataclass(frozen=True)
-class CageSummary:
-    """Facts for the report, stored with the model under these names.
-
-    pinned: number of nodes; held: mean of the hold, or fraction of the nodes that are pinned; defects: of the skin;
-    held_parts: number of loose parts that are pinned.
-    """
-
-    nodes: int
-    tets: int
-    pinned: int
-    held: float
-    defects: dict[str, int]
-    quality: dict[str, float]
-    glued: dict[str, int]
-    held_parts: int
-    warnings: list[str]
+    summary: Summary
 
 
 def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages) -> Cage:
@@ -99,8 +81,8 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
             pinned, warned = np.zeros(len(mesh.nodes), bool), []
             of_thickness = held_by_thickness(character, mesh, inherited.firmness, inherited.rigidity, fill)
     glued = {name: sum(cage.glued[name] for cage in cages) for name in cages[0].glued}
-    warnings = [*(text for cage in cages for text in cage.warnings), *_glued_warnings(character, glued), *warned]
-    summary = CageSummary(
+    warnings = (*(text for cage in cages for text in cage.warnings), *_glued_warnings(character, glued), *warned)
+    summary = Summary(
         nodes=len(mesh.nodes),
         tets=len(mesh.tets),
         pinned=int(pinned.sum()),

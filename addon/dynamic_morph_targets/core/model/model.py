@@ -17,6 +17,7 @@ from ..errors import ModelFileError, SceneError
 from ..geometry import interpolated
 from ..settings import Material, ModelSettings
 from . import schema
+from .summary import Summary
 
 # The tetrahedra of a model depend on these, named as in `Model.dependencies`.
 MESH_DEPENDENCIES = (
@@ -77,7 +78,7 @@ class Model:
     bone_names: tuple[str, ...]
     settings: ModelSettings
     dependencies: dict[str, str]
-    summary: dict
+    summary: Summary
 
     def __post_init__(self) -> None:
         """Lays the arrays out as a stored model's are. NumPy sums another layout in another order, and a bake would
@@ -91,12 +92,12 @@ class Model:
         return [field.name for field in fields(cls) if field.type == "np.ndarray"]
 
     def to_arrays(self) -> tuple[dict[str, np.ndarray], dict]:
-        """(arrays, metadata) for `model_file`. The same model gives the same bytes: the build times are left out."""
+        """(arrays, metadata) for `model_file`. The same model gives the same bytes."""
         meta = {
             "settings": asdict(self.settings),
             "bone_names": list(self.bone_names),
             "dependencies": self.dependencies,
-            "summary": {name: value for name, value in self.summary.items() if name != "seconds"},
+            "summary": self.summary.stored,
         }
         return {name: getattr(self, name) for name in self.array_names()}, meta
 
@@ -109,12 +110,13 @@ class Model:
             described: dict[str, Any] = {
                 "bone_names": meta["bone_names"],
                 "dependencies": {**meta["dependencies"]},
-                "summary": {"seconds": {}, **meta["summary"]},
+                "summary": meta["summary"],
             }
         except (KeyError, TypeError) as error:
             raise ModelFileError("The stored model is incomplete ({error}): build it again", error=error) from error
         schema.check(known, settings, described, set(described["dependencies"]) <= set(CAGE_DEPENDENCIES))
         described["bone_names"] = tuple(described["bone_names"])
+        described["summary"] = Summary.from_stored(described["summary"])
         model = cls(**known, **described, settings=settings)
         try:
             model._check_with_engine()
@@ -193,6 +195,10 @@ class Model:
         simulation.
         """
         return replace(self, settings=settings)
+
+    def with_summary(self, **changes: Any) -> Model:
+        """The same model with other facts in its summary."""
+        return replace(self, summary=replace(self.summary, **changes))
 
     @property
     def unpainted(self) -> Model:

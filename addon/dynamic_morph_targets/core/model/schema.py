@@ -143,32 +143,25 @@ def _by_text(fits: Callable[[object], bool]) -> Callable[[object], bool]:
 
 
 def _is_summary(summary: object) -> bool:
-    if not isinstance(summary, dict):
+    if not isinstance(summary, dict) or summary.keys() != SUMMARY.keys():
         return False
-    counted = all(_is_count(summary.get(name)) for name in ("nodes", "tets", "pinned", "modes"))
-    needed = {"warnings", "held"} if summary.get("tets") else {"warnings"}
-    needed |= {"fallbacks"} if summary.get("modes") else set()
-    return (
-        counted
-        and summary.keys() >= needed
-        and all(fits(summary[name]) for name, fits in SUMMARY.items() if name in summary)
-    )
+    return all(fits(summary[name]) for name, fits in SUMMARY.items())
 
 
 def _is_range(value: object) -> bool:
-    return isinstance(value, list) and len(value) == 2 and all(type(frame) is int for frame in value)
+    """Of frames; None: of none."""
+    ends = isinstance(value, (list, tuple)) and len(value) == 2 and all(type(frame) is int for frame in value)
+    return value is None or ends
 
 
-# Of what the add-on reads in a summary.
+# The fields of a stored `summary.Summary`.
 SUMMARY: dict[str, Callable[[object], bool]] = {
-    "warnings": _are_texts,
-    "seconds": _by_text(is_number),
-    "fallbacks": _by_text(_is_count),
-    "dofs": _is_count,
-    "targets": _is_count,
-    "tabulated": _is_count,
+    **dict.fromkeys(("nodes", "tets", "pinned", "held_parts", "dofs", "modes", "tabulated", "targets"), _is_count),
+    **dict.fromkeys(("defects", "glued", "fallbacks"), _by_text(_is_count)),
     "held": is_number,
+    "quality": _by_text(is_number),
     "fitted": _is_range,
+    "warnings": _are_texts,
 }
 DESCRIPTION: dict[str, Callable[[object], bool]] = {
     "bone_names": _are_texts,

@@ -75,9 +75,8 @@ def build_for(
         return np.array([frame.coordinates for frame in frames]), np.array([frame.weights for frame in frames])
 
     model = build(character, progress, previous, simulate_shot)
-    if "rehearsal" in model.summary["seconds"]:
-        model.summary["fitted"] = [settings.frame_start, settings.frame_end]
-    return model
+    fitted = "rehearsal" in model.summary.seconds
+    return model.with_summary(fitted=(settings.frame_start, settings.frame_end)) if fitted else model
 
 
 class Shot:

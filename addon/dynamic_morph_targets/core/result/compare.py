@@ -103,10 +103,9 @@ def runs(
         with one_core():
             made = simulate.build_for(varied, rig, settings, building, model)
             baked, report = simulate.bake(made, varied, rig, settings, baking)
-        if made.summary["tets"]:
-            shared = model or made
-            made.summary["seconds"]["meshing"] = shared.summary["seconds"]["meshing"]
-            model = shared
+        if made.summary.tets:
+            model = model or made
+            made = made.with_summary(seconds=made.summary.seconds | {"meshing": model.summary.seconds["meshing"]})
         yield name, Run(varied, made, baked, report)
 
 
@@ -162,10 +161,10 @@ def figures(run: Run, authored: Character) -> dict:
     """The figures of one run; meters and seconds. authored: the character with its own settings."""
     made, apart = run.model.summary, np.linalg.norm(run.motion - run.static, axis=2)
     row = {
-        "dofs": made["dofs"],
-        "modes": made["modes"],
-        "targets": made["targets"],
-        "precompute": made["seconds"],
+        "dofs": made.dofs,
+        "modes": made.modes,
+        "targets": made.targets,
+        "precompute": made.seconds,
         "steps": run.report["steps"],
         "steps_per_second": run.report["steps_per_second"],
         "iterations": run.report["iterations"],
@@ -174,7 +173,7 @@ def figures(run: Run, authored: Character) -> dict:
         "dynamic_max": float(apart.max()),
         "dynamic_rms": _rms(apart),
         "residuals": residuals(run.model, run.character),
-        "warnings": [*made["warnings"], *run.report["warnings"]],
+        "warnings": [*made.warnings, *run.report["warnings"]],
     }
     if run.character.settings.solver == "FULL" and run.report["steps"]:
         lost = slice(authored.settings.modes, None)
@@ -211,7 +210,7 @@ class Statics:
     def __init__(self, model: Model, character: Character):
         self.model = model
         self.simulation = None
-        if model.summary["tets"]:
+        if model.summary.tets:
             self.engine = model.engine(character)
             self.simulation = model.stepper(self.engine, 1.0)
 
