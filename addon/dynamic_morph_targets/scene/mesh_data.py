@@ -15,8 +15,7 @@ from ..core.character import Skeleton
 from ..core.errors import SceneError
 from ..core.firmness import NEUTRAL
 from ..core.geometry import determinant
-from .checks import skinned
-from .references import key_points, rest_skeleton
+from .references import key_points
 from .rig_motion import in_meters, not_a_number, rig_scene
 from .skin import unit_scale
 
@@ -85,17 +84,8 @@ class VertexGroups:
         return weights
 
 
-def skin_weights(obj, rig=None) -> np.ndarray:
-    """Skin weights (V, B + 1) of any mesh with an Armature modifier, like `Character.weights`. Raises SceneError.
-
-    rig: the armature object to use, if `obj` may have several.
-    """
-    skinning = skinned(obj)
-    modifier = skinning.modifier_of(rig) or skinning.modifier
-    return modifier_weights(obj, modifier, rest_skeleton(modifier.object.data), VertexGroups(obj))
-
-
 def modifier_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) -> np.ndarray:
+    """Skin weights (V, B + 1) by one Armature modifier, like `Character.weights`. Raises SceneError."""
     bones = modifier.object.data.bones
     weights = groups.weights(skeleton.names)
     weights[:, [not bones[name].use_deform for name in skeleton.names]] = 0.0

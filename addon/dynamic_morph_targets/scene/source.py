@@ -113,5 +113,5 @@ class Source:
 
     @cached_property
     def in_body(self) -> np.ndarray:
-        """The attachment's points (V, 3) in the body's local space."""
-        return carried(self.points, self.to_body)
+        """The points (V, 3) in the body's local space."""
+        return self.points if self.body is None else carried(self.points, self.to_body)

@@ -18,6 +18,7 @@ from bl_ext.user_default.dynamic_morph_targets.scene import (
     staleness,
 )
 from bl_ext.user_default.dynamic_morph_targets.scene import skinning as scene_skinning
+from bl_ext.user_default.dynamic_morph_targets.scene.source import Source
 from bl_ext.user_default.dynamic_morph_targets.write.authoring.fixes import FIXES
 from builders import activate, make_mesh, make_rig, refused, rig_of, soon, warnings_of
 from layout import drawn
@@ -355,11 +356,11 @@ def test_the_size_stays_among_the_messages_through_live_and_bake(arm, stand_in):
 
 
 def test_vertices_without_weights_are_told_before_the_click_and_weighted_like_their_neighbors(arm):
-    before = mesh_data.skin_weights(arm)
+    before = Source.of(scene_skinning.Skinning.of(arm)).weights
     unweight(arm, [3, 4, 5])
     assert "3 of the 272 vertices of 'Arm' have no bone weight" in after_a_look(arm)
     assert OPS.fix(problem="WEIGHT_LIKE_NEAREST") == {"FINISHED"}
-    after = mesh_data.skin_weights(arm)
+    after = Source.of(scene_skinning.Skinning.of(arm)).weights
     np.testing.assert_allclose(after, before, atol=0.2)  # as smooth as the weights were
     assert (np.delete(after, [3, 4, 5], axis=0) == np.delete(before, [3, 4, 5], axis=0)).all()
     assert "no bone weight" not in after_a_look(arm)

@@ -10,6 +10,7 @@ import pytest
 from bl_ext.user_default.dynamic_morph_targets.run import bake_input, job
 from bl_ext.user_default.dynamic_morph_targets.scene import model_store
 from bl_ext.user_default.dynamic_morph_targets.ui import messages
+from bl_ext.user_default.dynamic_morph_targets.write.authoring import attachments
 from figures import make_figure
 from installed import PACKAGE
 from robustness import coarse
@@ -56,6 +57,17 @@ def test_a_body_of_several_meshes_is_read_once(scene):
     first = {("rig_of", "Body"), ("rest_skeleton", "Figure Rig")}  # references follow renames before anything is read
     assert {key: count for key, count in counts.items() if count > 1} == dict.fromkeys(first, 2)
     assert counts.total() <= 29
+
+
+def test_attachments_are_found_in_one_reading(scene):
+    body = make_figure(scene)["Body"]
+    bpy.ops.dynamorph.add_soft_skin()
+    body.dynamorph.attachments.clear()
+    with counted() as counts:
+        assert attachments.find(body)
+    assert {about for _, about in counts} >= {"Body", "Top", "Cap", "Eye", "Figure Rig"}
+    once = ("mesh_triangles", "rest_points", "worlds_at_start", "VertexGroups.__init__")
+    assert {key: count for key, count in counts.items() if key[0] in once and count > 1} == {}
 
 
 def test_a_mesh_with_two_armature_modifiers_is_read_once(soft_arm):

@@ -6,19 +6,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
-from typing import Any
 
 import bpy
 import numpy as np
 
 from ...core import errors
-from ...core.geometry import diagonal, inverse, loose_parts, triangle_areas, vertex_areas
+from ...core.geometry import diagonal, loose_parts, triangle_areas, vertex_areas
 from ...core.message import Message
 from ...core.model import rigid
 from ...scene import checks, mesh_data, references
 from ...scene.references import rig_of
 from ...scene.skin import parts_of
 from ...scene.skinning import Skinning, armature_modifiers, meshes_on
+from ...scene.source import Source
 from ..bake import writer
 
 PREFIX = "Dynamorph Attachment "  # prefix of the vertex groups for loose parts
@@ -37,17 +37,17 @@ def find(obj) -> list[str]:
     every rigid part, each with a reason. Returns their names. Raises SceneError.
     """
     checks.check_mesh(obj)
-    rig = checks.armature_modifier(obj).object
-    world, _ = mesh_data.worlds_at_start(obj, rig)
-    to_bind, names = mesh_data.stretch(world), references.rest_skeleton(rig.data).names
+    body = Source.of(checks.skinned(obj))
+    names = body.skeleton.names
     listed = {
         piece.object: piece.attached_by for piece in obj.dynamorph.attachments if piece.object and not piece.group
     }
-    found, added = [_look_at(obj, obj, rig, world, to_bind)], []
+    found, added = [_look_at(body)], []
     for other in [*_siblings(obj), *(each for each, choice in listed.items() if choice in {"WITH_BODY", "HELD"})]:
+        source = body.attachment(Skinning.of(other))
         try:
-            refusal = _refusal(obj, other)
-            found += [] if refusal else [_look_at(obj, other, rig, world, to_bind)]
+            refusal = _refusal(source)
+            found += [] if refusal else [_look_at(source)]
         except errors.SceneError as error:
             refusal = str(error)
         if refusal and other not in listed:
@@ -60,10 +60,7 @@ def find(obj) -> list[str]:
             added.append(_add_mesh(obj, each, whole, touches, names))
         if not whole:
             added += _add_parts(obj, each, touches, names)
-    skinned = _all_together(found)
-    obj.dynamorph.model.head = ", ".join(
-        names[bone] for bone in rigid.heads(references.rest_skeleton(rig.data), *skinned)
-    )
+    obj.dynamorph.model.head = ", ".join(names[bone] for bone in rigid.heads(body.skeleton, *_all_together(found)))
     return added
 
 
@@ -175,52 +172,57 @@ def _may_be_soft(other, rig) -> bool:
 def _soft_area(other, rig) -> float:
     """The area of the skin of a mesh that no single bone carries, in Blender units."""
     try:
-        points, triangles = mesh_data.rest_points(other), mesh_data.mesh_triangles(other.data)
-        labels = loose_parts(points, triangles)
-        hard, _ = rigid.rigid_parts(labels, mesh_data.skin_weights(other, rig))
+        source = Source(checks.skinned(other), rig, references.rest_skeleton(rig.data))
+        labels = loose_parts(source.points, source.triangles)
+        hard, _ = rigid.rigid_parts(labels, source.weights)
     except errors.SceneError:
         return 0.0
-    areas = vertex_areas(points @ np.array(other.matrix_world)[:3, :3].T, triangles)
+    areas = vertex_areas(source.points @ np.array(other.matrix_world)[:3, :3].T, source.triangles)
     return float(areas[~hard[labels]].sum())
 
 
 @dataclass(frozen=True)
 class _Found:
     """A mesh of the body under examination. labels (P,): of its loose parts; points (P, 3): in the body's bind space;
-    bones (parts,): that carry most of each part.
+    hard (parts,): which are rigid; bones (parts,): that carry most of each part.
     """
 
-    obj: Any  # bpy.types.Object
+    source: Source
     labels: np.ndarray
     points: np.ndarray
-    triangles: np.ndarray
-    weights: np.ndarray
     hard: np.ndarray
     bones: np.ndarray
 
+    @property
+    def obj(self):
+        return self.source.obj
 
-def _refusal(obj, other) -> str:
-    """Why a mesh cannot belong to the body of `obj`, or ''."""
+    @property
+    def triangles(self) -> np.ndarray:
+        return self.source.triangles
+
+
+def _refusal(source: Source) -> str:
+    """Why a mesh cannot belong to its body, or ''."""
+    other, skinning, body = source.obj, source.skinning, source.body
+    assert body is not None
     if other.dynamorph.targets:
         return "It is a soft skin of its own"
-    skinned = Skinning.of(other)
-    for problem in chain(checks.follower(Skinning.of(obj), skinned), checks.mesh(other), checks.order(skinned)):
+    problems = checks.follower(body.skinning, skinning), checks.mesh(other), checks.order(skinning)
+    for problem in chain(*problems, checks.skinning_problems(skinning)):
         return problem.text
     try:
-        writer.check(other, obj)
+        writer.check(other, body.obj)
     except errors.WriteError as error:
         return str(error)
     return ""
 
 
-def _look_at(obj, other, rig, world: np.ndarray, to_bind: np.ndarray) -> _Found:
-    """world (4, 4), to_bind (3, 3): of `obj`. Raises SceneError."""
-    to_body = np.eye(4) if other == obj else inverse(world) @ mesh_data.worlds_at_start(other, rig)[0]
-    local, weights = mesh_data.rest_points(other), mesh_data.skin_weights(other, rig)
-    triangles = mesh_data.mesh_triangles(other.data)
-    labels = loose_parts(local, triangles)
-    points = mesh_data.carried(local, to_body) @ to_bind.T
-    return _Found(other, labels, points, triangles, weights, *rigid.rigid_parts(labels, weights))
+def _look_at(source: Source) -> _Found:
+    """Raises SceneError."""
+    labels = loose_parts(source.points, source.triangles)
+    points = source.in_body @ (source.body or source).to_bind.T
+    return _Found(source, labels, points, *rigid.rigid_parts(labels, source.weights))
 
 
 def _leave_something_soft(found: list[_Found]):
@@ -237,8 +239,8 @@ def _all_together(found: list[_Found]) -> tuple:
     """Weights, points and triangles of all meshes, as arguments of `rigid.heads`."""
     starts = np.cumsum([0, *(len(each.points) for each in found)])
     triangles = [each.triangles + start for each, start in zip(found, starts, strict=False)]
-    together = [np.concatenate([getattr(each, name) for each in found]) for name in ("weights", "points")]
-    return *together, np.concatenate(triangles)
+    weights, points = [each.source.weights for each in found], [each.points for each in found]
+    return np.concatenate(weights), np.concatenate(points), np.concatenate(triangles)
 
 
 def _touching(found: list[_Found]) -> list[np.ndarray]:
@@ -274,7 +276,7 @@ def _add_parts(obj, each: _Found, touches: np.ndarray, names) -> list[str]:
     of_triangles = triangle_areas(each.points, each.triangles)
     np.add.at(areas, (labels[each.triangles[:, 0]], slots.clip(0, areas.shape[1] - 1)), of_triangles)
     known = [piece.group for piece in parts_of(obj, owner) if piece.group in each.obj.vertex_groups]
-    taken = (mesh_data.group_weights(each.obj, known) >= mesh_data.MEMBER).any(axis=1)
+    taken = (each.source.groups.weights(known) >= mesh_data.MEMBER).any(axis=1)
     covered = np.bincount(labels, taken) > 0.5 * np.bincount(labels)
     added = []
     for held in (False, True):

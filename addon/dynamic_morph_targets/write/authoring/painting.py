@@ -9,6 +9,7 @@ import numpy as np
 from ...core import firmness
 from ...core.errors import SceneError
 from ...scene import checks, mesh_data, references, skin
+from ...scene.source import Source
 from .. import storage
 from ..bake import writer
 from . import targets
@@ -123,14 +124,14 @@ def _held_by_bones(obj) -> np.ndarray:
     """How firmly the selected pose bones hold each vertex (V,): 1 where half of its skin weight is theirs, from there
     less and less over BORDER edges. Raises SceneError.
     """
-    rig = checks.armature_modifier(obj).object
+    source = Source.of(checks.skinned(obj))
+    rig, bones = source.rig, source.skeleton.names
     chosen = targets.selected_bones(rig)
     if not chosen:
         raise SceneError(
             "Select in Pose Mode the bones of '{rig}' that hold the skin of '{name}'", rig=rig.name, name=obj.name
         )
-    bones = references.rest_skeleton(rig.data).names
-    theirs = mesh_data.skin_weights(obj)[:, [bones.index(bone) for bone in chosen]].sum(axis=1)
+    theirs = source.weights[:, [bones.index(bone) for bone in chosen]].sum(axis=1)
     if not theirs.any():
         raise SceneError(
             "The selected bones of '{rig}' move no skin of '{name}': select others", rig=rig.name, name=obj.name

@@ -18,7 +18,8 @@ import numpy as np
 
 from ...core.character import REGION, Skeleton
 from ...core.geometry import diagonal, smooth_step, triangle_areas, turned, welded
-from ...scene import animation, mesh_data, rig_motion
+from ...scene import animation, checks, mesh_data, rig_motion
+from ...scene.source import Source
 from ..reconcile import reconcile
 
 SUPPORT = 0.02  # of a sculpt's largest displacement; vertices that move less do not count as sculpted
@@ -41,7 +42,7 @@ def driver_bones(obj, skeleton: Skeleton, neutral: np.ndarray, local: np.ndarray
     names = rig_motion.bones_turned(obj, skeleton, neutral, local)
     if len(names) < 2 or not _moves(shape):
         return names
-    skin = mesh_data.skin_weights(obj)[:, :-1]
+    skin = Source.of(checks.skinned(obj)).weights[:, :-1]
     skins, bends = _of_skin(skeleton, skin, _is_sculpted(shape))
     _, bends_around = _of_skin(skeleton, skin, region(*_surface(obj), shape))
     counts = bends_around * turned(neutral, local) * ((bends >= BENDS) | (skins >= SKINS))
