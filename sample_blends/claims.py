@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import measures
 import numpy as np
+from dynamic_morph_targets.core.geometry import vertex_areas
 from dynamic_morph_targets.core.motion.rig_samples import RigSamples
 from dynamic_morph_targets.core.result.compare import Run, Statics
 from subjects import Shot
@@ -43,7 +44,7 @@ def give(shot: Shot, run: Run, frame: int) -> float:
     statics, k = Statics(run.model, run.character), shot.index(frame)
     weights, bones = run.bake.weights[k], shot.bones[k]
     before = shot.world(statics.surface(weights), frame)
-    areas = measures.vertex_areas(shot.rest, shot.character.triangles)[:, None]
+    areas = vertex_areas(shot.rest, shot.character.triangles)[:, None]
     push = areas * sum(field.pull(k, before) for field in shot.frames.fields)
     moved = shot.world(statics.surface(weights, bones, push), frame) - before
     return float((push * moved).sum() / np.linalg.norm(push, axis=1).sum())

@@ -89,13 +89,6 @@ def boundary_loops(triangles: np.ndarray) -> list[list[int]]:
     return loops
 
 
-def vertex_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """The area (V,) that belongs to each vertex, square meters: a third of its triangles'."""
-    corners = vertices[triangles]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.bincount(triangles.ravel(), np.repeat(np.linalg.norm(across, axis=1) / 6, 3), len(vertices))
-
-
 def region(triangles: np.ndarray, inside: np.ndarray) -> np.ndarray:
     """The triangles all of whose vertices are inside; inside (V,) bool."""
     return triangles[inside[triangles].all(axis=1)]

@@ -33,6 +33,7 @@ from accuracy import FITTED, FRAMES, MODES, SUBJECTS, Subject  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from dynamic_morph_targets.core.character import Character  # noqa: E402
+from dynamic_morph_targets.core.geometry import diagonal  # noqa: E402
 from dynamic_morph_targets.core.model.model import EngineModel, Model  # noqa: E402
 from dynamic_morph_targets.core.motion import simulate  # noqa: E402
 from dynamic_morph_targets.core.motion.player import TELEPORT, Frame, Player  # noqa: E402
@@ -226,7 +227,7 @@ def parts(subject: Subject, model: Model, character: Character) -> tuple[float, 
         regions = motion_error.by_bones(model.node_weights, model.bone_names)
     elif len(model.thickness):
         regions = motion_error.by_thickness(model.at_nodes(model.thickness[:, None])[:, 0])
-    size = np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
+    size = diagonal(character.vertices @ character.to_bind.T)
     return float(size), mass, {name: nodes[free] for name, nodes in regions.items()}
 
 

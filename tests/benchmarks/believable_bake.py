@@ -28,6 +28,7 @@ import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
 from contact_sheet import quiet, render  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
+from dynamic_morph_targets.core.geometry import diagonal  # noqa: E402
 from dynamic_morph_targets.run import job, preview  # noqa: E402
 from dynamic_morph_targets.ui.operators import jobs  # noqa: E402
 from heat import paint  # noqa: E402
@@ -220,7 +221,7 @@ class Sampled:
 def size_of(meshes: list[Sampled]) -> float:
     """Diagonal of the box around them at rest, world."""
     corners = [np.array([each.obj.matrix_world @ vertex.co for vertex in each.obj.data.vertices]) for each in meshes]
-    return float(np.linalg.norm(np.ptp(np.concatenate(corners), axis=0)))
+    return diagonal(np.concatenate(corners))
 
 
 def liveliest(meshes: list[Sampled], size: float, first: int, last: int) -> tuple[float, int, int]:
@@ -287,7 +288,7 @@ def shrunk(obj) -> float:
     before, now = rest(obj), world_points(obj)
     before = np.linalg.norm(before[first] - before[second], axis=1)
     now = np.linalg.norm(now[first] - now[second], axis=1)
-    counts = before > 1e-4 * np.linalg.norm(np.ptp(rest(obj), axis=0))
+    counts = before > 1e-4 * diagonal(rest(obj))
     ratio = (now / np.maximum(now, 0.5 * before + 1e-30))[counts]
     order = np.argsort(ratio)
     shares = np.cumsum(before[counts][order])
@@ -308,7 +309,7 @@ def photograph(rig, folder: Path) -> int:
     shown = [obj for obj in scene.objects if obj.type == "MESH" and obj.visible_get() and belongs(obj, rig)]
     for obj in scene.objects:
         obj.hide_render = obj not in shown and obj.type != "LIGHT"
-    size = float(np.linalg.norm(np.ptp(np.concatenate([rest(obj) for obj in soft]), axis=0)))
+    size = diagonal(np.concatenate([rest(obj) for obj in soft]))
     for obj in shown:
         lengths = soft[obj][worst] if obj in soft else np.zeros(len(obj.data.vertices))
         paint(obj.data, lengths / size, COLORS)

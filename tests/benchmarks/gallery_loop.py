@@ -27,6 +27,7 @@ import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
 from contact_sheet import INK, PAPER, quiet, render  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
+from dynamic_morph_targets.core.geometry import diagonal  # noqa: E402
 from dynamic_morph_targets.run import batch  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402
 from gallery import LOOPS, Loop  # noqa: E402
@@ -114,7 +115,7 @@ def character_panes(loop: Loop) -> tuple[Panes, dict]:
     scene = bpy.context.scene
     soft = [Soft(obj, believable_bake.displacements(obj, frames)) for obj in scene.objects
             if believable_bake.baked_keys(obj)]  # fmt: skip
-    size = float(np.linalg.norm(np.ptp(np.concatenate([believable_bake.rest(each.obj) for each in soft]), axis=0)))
+    size = diagonal(np.concatenate([believable_bake.rest(each.obj) for each in soft]))
     show_alone(rig)
     aim(np.concatenate([points_in(frame, soft) for frame in frames]), PANE)
     scene.display.shading.show_cavity = True

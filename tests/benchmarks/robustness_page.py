@@ -26,6 +26,7 @@ import numpy as np  # noqa: E402
 import test_defects  # noqa: E402
 from contact_sheet import Row, compose, quiet, render, save  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
+from dynamic_morph_targets.core.geometry import diagonal  # noqa: E402
 from dynamic_morph_targets.run import batch  # noqa: E402
 from dynamic_morph_targets.scene import mesh_data  # noqa: E402
 from mathutils import Vector  # noqa: E402
@@ -264,7 +265,7 @@ def mesh_surfaces() -> Tally:
             continue
         tally.seconds.append(time.perf_counter() - began)
         outside = dynamorph.embed(mesh, vertices[np.unique(triangles)]).distances
-        tally.contained += bool(outside.max() < 1e-6 * np.linalg.norm(np.ptp(vertices, axis=0)))
+        tally.contained += bool(outside.max() < 1e-6 * diagonal(vertices))
         tally.angles.append(dihedral_angles(mesh.nodes, mesh.tets).ravel())
     return tally
 

@@ -13,6 +13,7 @@ import numpy as np
 import plots
 from builders import evaluated_points
 from contact_sheet import Row, compose, quiet, render, save
+from dynamic_morph_targets.core.geometry import diagonal
 from dynamic_morph_targets.core.motion import loops, player
 from dynamic_morph_targets.core.motion.player import Player
 from dynamic_morph_targets.run import batch, job
@@ -107,7 +108,7 @@ def set_off(body, walk: Walk):
     root = body
     while root.parent:
         root = root.parent
-    angle, travel = radians(walk.turn), walk.travel * float(np.linalg.norm(np.ptp(evaluated_points(body), axis=0)))
+    angle, travel = radians(walk.turn), walk.travel * diagonal(evaluated_points(body))
     center = Vector((travel / angle, 0.0, 0.0)) if angle else Vector()
     path = bpy.data.objects.new("Path", None)
     scene.collection.objects.link(path)

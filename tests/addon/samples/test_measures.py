@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scenes
+from bl_ext.user_default.dynamic_morph_targets.core.geometry import vertex_areas
 
 sys.path.append(str(Path(__file__).parents[3] / "sample_blends"))
 import measures
@@ -100,7 +101,7 @@ def test_volume_of_a_closed_and_of_an_open_surface():
 
 def test_vertex_areas_add_up_to_the_surface():
     vertices, triangles = sphere(radius=2.0, rings=64, around=96)
-    areas = measures.vertex_areas(vertices, triangles)
+    areas = vertex_areas(vertices, triangles)
     assert areas.shape == (len(vertices),) and areas.sum() == pytest.approx(16 * np.pi, rel=2e-3)
 
 
