@@ -274,7 +274,7 @@ def summary(given: BakeInput, outcome: Outcome, seconds: dict[str, float]) -> st
 
 
 def model_summary(given: BakeInput, model: Model) -> str:
-    made, targets = model.summary, _authored_targets(given)
+    made, targets = model.summary, _target_count(given)
     if not made.tets:
         return f"{targets}, nothing to simulate"
     kept = sum(made.fallbacks.values())
@@ -282,7 +282,7 @@ def model_summary(given: BakeInput, model: Model) -> str:
     return f"{made.nodes} nodes, {made.modes} modes, {targets}{crushed}"
 
 
-def _authored_targets(given: BakeInput) -> str:
+def _target_count(given: BakeInput) -> str:
     """The number of targets in the panel's list; each set has the neutral one."""
     count = 1 + sum(len(target_set.targets) - 1 for target_set in given.character.target_sets)
     return f"{count} target{'s' * (count > 1)}"

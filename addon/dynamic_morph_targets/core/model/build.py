@@ -43,11 +43,11 @@ def build(
     coordinates (F, dofs) and target weights (F, J) of the shot to which modes are fitted. Raises dynamorph.Error or
     SceneError with advice when the mesh or the targets cannot be used.
     """
-    authored = dependencies(character)
+    hashes = dependencies(character)
     if character.settings.method == "STATIC":
-        return _static_model(character, authored)
+        return _static_model(character, hashes)
     stages = Stages(progress)
-    model, embedding = _with_tissue(character, authored, _reusable(previous, authored), stages)
+    model, embedding = _with_tissue(character, hashes, _reusable(previous, hashes), stages)
     body = model.soft_body()
     with stages("Target shapes", 0.10):
         _shape_targets(model, body, embedding, character.targets)
@@ -80,19 +80,19 @@ def build_cage(character: Character, progress: ProgressFn | None = None, previou
     """
     if character.settings.method == "STATIC":
         raise SceneError("'{name}' needs no cage: with the Method Static nothing is simulated", name=character.name)
-    authored = dependencies(character)
+    hashes = dependencies(character)
     stages = Stages(progress, CAGE_SHARE)
-    mesh = _reusable(previous, authored)
-    of_cage = {name: authored[name] for name in CAGE_DEPENDENCIES if name in authored}
+    mesh = _reusable(previous, hashes)
+    of_cage = {name: hashes[name] for name in CAGE_DEPENDENCIES if name in hashes}
     model, _ = _with_tissue(character, of_cage, mesh, stages)
     return model.with_summary(seconds=stages.seconds)
 
 
-def _reusable(previous: Model | None, authored: dict[str, str]) -> dynamorph.TetMesh | None:
+def _reusable(previous: Model | None, hashes: dict[str, str]) -> dynamorph.TetMesh | None:
     """The tetrahedra of an earlier model, if there are any and nothing they depend on has changed."""
     if previous is None or not len(previous.tets):
         return None
-    fits = all(previous.dependencies.get(name) == authored.get(name) for name in MESH_DEPENDENCIES)
+    fits = all(previous.dependencies.get(name) == hashes.get(name) for name in MESH_DEPENDENCIES)
     return dynamorph.TetMesh(previous.nodes, previous.tets) if fits else None
 
 
@@ -172,14 +172,14 @@ def _fitted_basis(
     return orthonormal @ np.hstack([shapes, others[:, : wanted - shapes.shape[1]]])
 
 
-def _static_model(character: Character, authored: dict[str, str]) -> Model:
+def _static_model(character: Character, hashes: dict[str, str]) -> Model:
     """Geometric morph targets: nothing is simulated, so there are no tetrahedra, and the shapes are residual shapes
     only.
     """
     targets = character.targets
     return _model(
         character,
-        authored,
+        hashes,
         region_weights=np.zeros((0, len(character.target_sets))),
         residual_shapes=np.array([target.shape for target in targets]),
         summary=Summary(targets=len(targets)),
@@ -231,7 +231,7 @@ def _factor(weights: np.ndarray, tets: np.ndarray) -> np.ndarray:
     return firmness.stiffness(weights)[tets].mean(axis=1)
 
 
-def _model(character: Character, authored: dict[str, str], **known: Any) -> Model:
+def _model(character: Character, hashes: dict[str, str], **known: Any) -> Model:
     """A model with the `known` fields and those that it takes over from the character; all others are empty."""
     empty = {name: np.zeros((0, 0)) for name in Model.array_names()}
     taken: dict[str, Any] = {
@@ -240,21 +240,21 @@ def _model(character: Character, authored: dict[str, str], **known: Any) -> Mode
         "rest": character.skeleton.rest,
         "bone_names": character.skeleton.names,
         "settings": character.settings,
-        "dependencies": authored,
+        "dependencies": hashes,
         "summary": Summary(),
     }
     return Model(**(empty | taken | known))
 
 
 def _with_tissue(
-    character: Character, authored: dict[str, str], mesh: dynamorph.TetMesh | None, stages: Stages
+    character: Character, hashes: dict[str, str], mesh: dynamorph.TetMesh | None, stages: Stages
 ) -> tuple[Model, dynamorph.Embedding]:
     """The tetrahedra around the skin with everything that they inherit from it; the targets' shapes are added later."""
     tissue = cage.make_cage(character, mesh, stages)
     hold, painted = tissue.hold, bool((tissue.firmness != firmness.NEUTRAL).any())
     model = _model(
         character,
-        authored,
+        hashes,
         nodes=tissue.mesh.nodes,
         tets=tissue.mesh.tets,
         fill=tissue.fill,
