@@ -163,7 +163,7 @@ class Baked:
         from dynamorph import TetMesh, embed  # opening and playing a character needs no engine
 
         model = self.job.outcome.model
-        soft = self.skin[self.job.outcome.character.pieces >= 0]
+        soft = self.skin[self.job.outcome.character.cage_index >= 0]
         return embed(TetMesh(model.nodes, model.tets), soft).distances < 1e-6 * self.size
 
 

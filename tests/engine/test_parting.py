@@ -63,7 +63,7 @@ def fork(gap):
     return tube(np.concatenate([lower, around, (lower * [1, 1, -1])[::-1]]), 0.05)
 
 
-def character(skin, soft, pieces=None, **settings):
+def character(skin, soft, cage_index=None, **settings):
     """A skin on one bone; soft(vertices) says where it is free."""
     vertices, triangles = skin
     every, at_rest = np.ones(len(vertices)), np.eye(4)[None]
@@ -81,7 +81,7 @@ def character(skin, soft, pieces=None, **settings):
         settings=ModelSettings(
             **{"material_model": "LINEAR", "solver": "FULL", "cage_nodes": 500, "modes": 8, **settings}
         ),
-        pieces=pieces,
+        cage_index=cage_index,
     )
 
 
@@ -212,15 +212,15 @@ def test_a_part_that_could_spin_about_its_bone_stays_with_it():
 # Pieces ------------------------------------------------------------------------------------------------------------
 
 
-def head_with_eye(pieces, **settings):
+def head_with_eye(cage_index, **settings):
     skin = join(ball(0.2), ball(0.05, (0.0, -0.17, 0.05)))
-    numbers = np.repeat([0, pieces], [222, 222])
+    numbers = np.repeat([0, cage_index], [222, 222])
     return character(skin, lambda vertices: vertices[:, 2] > -0.12, numbers, **settings)
 
 
 def test_a_rigid_eyeball_stays_put_while_the_head_jiggles():
     of = head_with_eye(-1)
-    eye = of.pieces == -1
+    eye = of.cage_index == -1
     shape = 0.01 * of.vertices
     target = replace(of.target_sets[0].targets[0], name="Bigger", shape=shape)
     sets = (replace(of.target_sets[0], targets=(*of.target_sets[0].targets, target)),)
@@ -239,7 +239,7 @@ def test_the_cage_leaves_a_rigid_piece_out():
     of = character(skin, lambda v: v[:, 2] > -0.1, np.repeat([0, -1], [222, 222]))
     assert np.linalg.norm(build_cage(of).nodes - nose, axis=1).min() > 0.2
     with pytest.raises(dynamorph.Error, match="every part of it is rigid"):
-        build_cage(replace(of, pieces=np.full(444, -1)))
+        build_cage(replace(of, cage_index=np.full(444, -1)))
 
 
 def body_with_belt():
@@ -255,16 +255,16 @@ def body_with_belt():
         np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((index, b, a), (b, c, a))]),
     )
     skin = join(body, belt)
-    pieces = np.repeat([0, 1], [len(body[0]), 160])
+    cage_index = np.repeat([0, 1], [len(body[0]), 160])
     # The body is held at its foot, the belt at its top.
-    soft = np.where(pieces == 0, skin[0][:, 0] > 0.05, skin[0][:, 2] < 0.08)
-    return character(skin, lambda _: soft, pieces, cage_nodes=600)
+    soft = np.where(cage_index == 0, skin[0][:, 0] > 0.05, skin[0][:, 2] < 0.08)
+    return character(skin, lambda _: soft, cage_index, cage_nodes=600)
 
 
 def test_a_belt_in_its_own_cage_does_not_feel_the_body():
     of = body_with_belt()
     model = build(of)
-    belt = of.pieces == 1
+    belt = of.cage_index == 1
     both = np.isin(model.embedding_nodes[belt], model.embedding_nodes[~belt])
     assert not both.any() and model.summary.held_parts == 0
     assert model.summary.nodes == pytest.approx(600, rel=0.35)
@@ -284,8 +284,8 @@ def test_pieces_are_a_reason_to_build_again():
 
 def test_a_triangle_between_pieces_counts_with_the_largest_number():
     of = head_with_eye(0)
-    pieces = of.pieces.copy()
-    pieces[of.triangles[0, 0]] = -1
-    one_rigid = build_cage(replace(of, pieces=pieces))
+    cage_index = of.cage_index.copy()
+    cage_index[of.triangles[0, 0]] = -1
+    one_rigid = build_cage(replace(of, cage_index=cage_index))
     np.testing.assert_array_equal(one_rigid.nodes, build_cage(of).nodes)
     assert not one_rigid.embedding_weights[of.triangles[0, 0]].any()

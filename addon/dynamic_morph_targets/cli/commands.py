@@ -165,7 +165,7 @@ def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], fold
     pattern = str(args.output_file or folder / f"{paths.OBJECT}{suffix}")
     if Path(pattern).suffix.lower() != suffix:
         raise InputError(f"--output-file {pattern}: a file of {args.format} ends in {suffix}")
-    meshes = [mesh for obj in objects for mesh in (obj, *(() if chosen else skin.clothes_in(obj)))]
+    meshes = [mesh for obj in objects for mesh in (obj, *(() if chosen else skin.attached_meshes(obj)))]
     files = {mesh.name: paths.file_path(pattern, mesh.name) for mesh in meshes}
     if paths.is_shared(files.values()):
         remedy = "give them names that differ more" if paths.OBJECT in pattern else f"put {paths.OBJECT} in its name"
@@ -382,7 +382,9 @@ def _files(obj: bpy.types.Object) -> list[str]:
     """The names of the files that a soft skin needs, and what follows it: of its model and of its point caches."""
     content_id = obj.dynamorph.model.content_id
     model = [f"{content_id}.dynamorph"] if content_id and model_store.PACKED not in obj else []
-    return model + [each.dynamorph.bake.cache for each in (obj, *skin.followers(obj)) if each.dynamorph.bake.cache]
+    return model + [
+        each.dynamorph.bake.cache for each in (obj, *skin.shown_attachments(obj)) if each.dynamorph.bake.cache
+    ]
 
 
 def chosen_objects(args: argparse.Namespace) -> list[bpy.types.Object]:

@@ -133,12 +133,13 @@ class Character:
     weights as Blender normalizes them, last column 1 for vertices that no bone moves; bone_segments (D, 2, 3): heads
     and tails of the deforming bones, bind space. probed: Blender skins it in a way that is not linear in the bones, so
     the nodes' transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's tissue is.
-    pieces (V,): 0 with the body, -1 moved by the bones alone, k >= 1 in a cage of its own. cage: the artist's own, if
-    there is one. rigidity (V,): 1 where the skin belongs to something hard (a head, a helmet that touches soft skin), 0
-    elsewhere; the cage is held there. firmness (V,): weights of the Firmness map, see core/firmness.
+    cage_index (V,): the cage that each vertex is in: 0 the body's, k >= 1 one of its own, -1 none, so that the bones
+    alone move it. cage: the artist's own, if there is one. rigidity (V,): 1 where the skin belongs to something hard (a
+    head, a helmet that touches soft skin), 0 elsewhere; the cage is held there. firmness (V,): weights of the Firmness
+    map, see core/firmness.
 
     The arrays cover the vertices of all meshes in its cage: first those of the soft skin's own mesh (`own_vertices`),
-    then those of `parts`. coincident (V,): the first vertex at the same place as each, which moves alike.
+    then those of `attachments`. coincident (V,): the first vertex at the same place as each, which moves alike.
     """
 
     name: str
@@ -152,15 +153,15 @@ class Character:
     settings: ModelSettings = field(default_factory=ModelSettings)
     probed: bool = False
     cage: OwnCage | None = None
-    pieces: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
+    cage_index: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
     rigidity: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
     firmness: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
     coincident: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
-    parts: tuple[Follower, ...] = ()
+    attachments: tuple[Attachment, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.pieces is None:
-            object.__setattr__(self, "pieces", np.zeros(len(self.vertices), np.int32))
+        if self.cage_index is None:
+            object.__setattr__(self, "cage_index", np.zeros(len(self.vertices), np.int32))
         if self.rigidity is None:
             object.__setattr__(self, "rigidity", np.zeros(len(self.vertices)))
         if self.firmness is None:
@@ -171,7 +172,7 @@ class Character:
     @property
     def own_vertices(self) -> slice:
         """The vertices of the soft skin's own mesh."""
-        return slice(0, self.parts[0].members.start if self.parts else len(self.vertices))
+        return slice(0, self.attachments[0].members.start if self.attachments else len(self.vertices))
 
     @cached_property
     def target_sets(self) -> tuple[TargetSet, ...]:
@@ -231,7 +232,7 @@ class SurfaceMap:
 
 
 @dataclass(frozen=True)
-class Follower:
+class Attachment:
     """Another mesh, of P vertices, that moves with a character's soft tissue: clothes, for example.
 
     session_uid: of its object. points (P, 3): its vertices at rest, local space; from_body (3, 3) maps displacements

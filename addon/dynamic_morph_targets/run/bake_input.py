@@ -17,7 +17,7 @@ import bpy
 import numpy as np
 
 from ..core import engine, errors, memory, records
-from ..core.character import Follower
+from ..core.character import Attachment
 from ..core.errors import SceneError
 from ..core.message import Message, joined
 from ..core.model import build
@@ -79,8 +79,8 @@ def read(request: Request) -> BakeInput:
     given = BakeInput(request.name, request.goal, character, cache_files=dict(request.cache_files))
     if given.is_bake:
         check(obj)
-        for part in handles(character.parts):
-            check(part.find(), obj)
+        for each in handles(character.attachments):
+            check(each.find(), obj)
     given.notes = extract.warnings(source)
     if given.is_bake and request.stored:
         _read_output(given, obj, request.folder)
@@ -113,9 +113,9 @@ def _chunk(given: BakeInput) -> int:
     return SHORT_CHUNK_FRAMES if given.kept or given.character.probed else CHUNK_FRAMES
 
 
-def handles(parts: Sequence[Follower]) -> list[ObjectHandle]:
+def handles(attachments: Sequence[Attachment]) -> list[ObjectHandle]:
     """The handles of the other meshes of a body."""
-    return [ObjectHandle(part.session_uid, part.name) for part in parts]
+    return [ObjectHandle(each.session_uid, each.name) for each in attachments]
 
 
 def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -> None:
@@ -127,7 +127,7 @@ def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -
     check_cache(obj, caches)
     assert caches is not None  # that would have been refused
     given.caches = caches
-    for mesh in (obj, *(handle.find() for handle in handles(given.character.parts))):
+    for mesh in (obj, *(handle.find() for handle in handles(given.character.attachments))):
         lost = ", ".join(f"'{name}'" for name in overwritten_keys(mesh))
         if lost:
             given.warnings.append(
@@ -140,7 +140,7 @@ def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -
 def _try_caches(given: BakeInput) -> None:
     """Find out whether the point caches can be written. Raises OSError."""
     surfaces = {given.name: given.character.vertices[given.character.own_vertices]}
-    surfaces |= {part.name: part.points for part in given.character.parts}
+    surfaces |= {each.name: each.points for each in given.character.attachments}
     sizes: Counter[Path] = Counter()
     for name, vertices in surfaces.items():
         file = given.cache_files.get(name)
@@ -201,9 +201,9 @@ def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: boo
 
 def _read_kept(given: BakeInput, obj: bpy.types.Object) -> None:
     """The bake into which the frames go, and the run-up to them. Raises SceneError, WriteError."""
-    parts = given.character.parts
-    meshes = (obj, *(handle.find() for handle in handles(parts)))
-    to_body = [np.eye(3), *(np.linalg.inv(part.from_body) for part in parts)]
+    attachments = given.character.attachments
+    meshes = (obj, *(handle.find() for handle in handles(attachments)))
+    to_body = [np.eye(3), *(np.linalg.inv(each.from_body) for each in attachments)]
     given.before = united([read_back(mesh, given.settings.samples) for mesh in meshes], to_body)
     settings, (first, last) = given.settings, given.before.frames[[0, -1]].astype(int).tolist()
     if settings.frame_start > last + 1 or settings.frame_end < first - 1:

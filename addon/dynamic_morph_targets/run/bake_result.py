@@ -55,7 +55,7 @@ def target(request: Request, given: BakeInput) -> bpy.types.Object:
     points = given.character.vertices[given.character.own_vertices]
     meshes = [
         (request.target, points),
-        *zip(handles(given.character.parts), (part.points for part in given.character.parts), strict=True),
+        *zip(handles(given.character.attachments), (each.points for each in given.character.attachments), strict=True),
     ]
     for handle, vertices in meshes:
         obj = handle.find()
@@ -82,14 +82,14 @@ class Writer:
         obj = target(self.request, self.given)
         check_local(obj)
         if self.given.is_bake:
-            pieces = self._pieces()
+            attachments = self._attachments()
             check(obj)
-            for piece in pieces:
-                check(piece, obj)
-            for piece in skin.followers(obj):
-                check_not_edited(piece)
-            for piece in self._left_behind():
-                check_free(piece)
+            for attachment in attachments:
+                check(attachment, obj)
+            for attachment in skin.shown_attachments(obj):
+                check_not_edited(attachment)
+            for attachment in self._left_behind():
+                check_free(attachment)
         self._packed = self.outcome.packed
         moves = self.request.folder not in (None, blend_folder())
         if self._packed is None and not self.given.only_cage and PACKED not in obj and moves:
@@ -109,7 +109,7 @@ class Writer:
     def keep(self, undo: ExitStack) -> None:
         """Remember what the next steps change."""
         obj = self.request.target.find()
-        others = (*self._pieces(), *skin.followers(obj)) if self.given.is_bake else ()
+        others = (*self._attachments(), *skin.shown_attachments(obj)) if self.given.is_bake else ()
         for each in dict.fromkeys((obj, *others)):
             undo.callback(Before(each).restore)
         if self.given.is_bake:
@@ -123,7 +123,7 @@ class Writer:
         obj = self.request.target.find()
         with self.progress.stage("write keys"), self.request.scene.as_context():
             self._move_caches()
-            for each, (keys, cache) in zip((obj, *self._pieces()), self.outcome.written, strict=True):
+            for each, (keys, cache) in zip((obj, *self._attachments()), self.outcome.written, strict=True):
                 new = NewBake(each, keys, None if each == obj else obj, cache)
                 undo.callback(new.take_back)
                 new.add()
@@ -156,8 +156,8 @@ class Writer:
             if comparison.is_plain(obj):
                 comparison.show(obj, False)
             live_key.hide(obj, True)
-            for piece in self._left_behind():
-                comparison.show(piece, True)
+            for attachment in self._left_behind():
+                comparison.show(attachment, True)
             for new in self._new:
                 new.show()
 
@@ -166,7 +166,7 @@ class Writer:
         if not self.given.is_bake:
             return
         obj = self.request.target.find()
-        left = [(free, piece) for piece in self._left_behind()]
+        left = [(free, attachment) for attachment in self._left_behind()]
         messages: list[str] = []
         with self.request.scene.as_context():
             for remove, *what in ((live_key.remove_hidden, obj), *left, *((new.remove_old,) for new in self._new)):
@@ -193,13 +193,13 @@ class Writer:
         for file in self.outcome.new_files:
             disk.discard(file)
 
-    def _pieces(self) -> list[bpy.types.Object]:
-        return [handle.find() for handle in handles(self.given.character.parts)]
+    def _attachments(self) -> list[bpy.types.Object]:
+        return [handle.find() for handle in handles(self.given.character.attachments)]
 
     def _left_behind(self) -> list[bpy.types.Object]:
         """The meshes that follow the old bake or Live, but not the new bake."""
-        pieces = self._pieces()
-        return [each for each in skin.followers(self.request.target.find()) if each not in pieces]
+        attachments = self._attachments()
+        return [each for each in skin.shown_attachments(self.request.target.find()) if each not in attachments]
 
     def _store_model(self, obj: bpy.types.Object) -> None:
         given, model = self.given, self.outcome.model

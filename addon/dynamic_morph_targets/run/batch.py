@@ -108,7 +108,9 @@ class Batch:
     def _check_shared(self, job: Job) -> None:
         """Refuse a mesh that another job, which was read before, carries along too. Raises SceneError."""
         for other in self.jobs[: self.jobs.index(job)]:
-            shared = {*handles(job.input.character.parts)}.intersection(handles(other.input.character.parts))
+            shared = {*handles(job.input.character.attachments)}.intersection(
+                handles(other.input.character.attachments)
+            )
             if shared and other.request.target != job.request.target:
                 raise SceneError(
                     "'{name}' is attached to '{one}' and to '{other}': remove it from the Attachments of one of them",

@@ -212,15 +212,15 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
 
 def of_meshes(character: Character, bake: Bake) -> list[Bake]:
     """A bake of the whole body divided into one per mesh."""
-    parts = (simulate.part_of(bake, part.members, part.from_body) for part in character.parts)
+    parts = (simulate.part_of(bake, each.members, each.from_body) for each in character.attachments)
     return [simulate.part_of(bake, character.own_vertices), *parts]
 
 
 def _make_keys(given: BakeInput, outcome: Outcome, output: OutputSettings) -> None:
     """The form of the results apart from Blender: shape keys, and the files of point caches."""
     character = given.character
-    names = character.name, *(part.name for part in character.parts)
-    points_of = character.vertices[character.own_vertices], *(part.points for part in character.parts)
+    names = character.name, *(each.name for each in character.attachments)
+    points_of = character.vertices[character.own_vertices], *(each.points for each in character.attachments)
     try:
         whole, outcome.report["keys_error"] = as_keys(outcome.bake, output, character.to_bind)
     except errors.KeysError as refusal:

@@ -135,19 +135,19 @@ class ActionsExport(batch.Batch):
 
     def _write_clips(self) -> None:
         obj, job = self.jobs[0].target(), self.jobs[0]
-        pieces = [handle.find() for handle in handles(job.input.character.parts)]
+        attachments = [handle.find() for handle in handles(job.input.character.attachments)]
         outcomes = [job.outcome for job in self.jobs]
         whole, budget = joined([outcome.bake for outcome in outcomes]), obj.dynamorph.output.keys
         bakes = of_meshes(job.input.character, keys.with_fewer_keys(whole, budget) if budget else whole)
         with ExitStack() as stack:
             stack.enter_context(frames_kept())
             stack.enter_context(actions.laid_out(rig_of(obj), self.clips))
-            copies = stack.enter_context(stand_ins((obj, *pieces)))
-            for mesh, copy, bake in zip((obj, *pieces), copies, bakes, strict=True):
+            copies = stack.enter_context(stand_ins((obj, *attachments)))
+            for mesh, copy, bake in zip((obj, *attachments), copies, bakes, strict=True):
                 skin = None if copy == copies[0] else copies[0]
                 live_key.remove(copy)
                 if copy.data.shape_keys:
                     actions.lay_out(copy.data.shape_keys, self.clips, mesh.data.shape_keys)
                 write_keys(copy, bake, skin)
             frames = self.clips[0].first, self.clips[-1].last
-            write_file(copies[0], self.key, self.path, frames, self.clips, without=(obj, *pieces))
+            write_file(copies[0], self.key, self.path, frames, self.clips, without=(obj, *attachments))

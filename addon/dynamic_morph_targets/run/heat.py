@@ -49,7 +49,7 @@ def displacements(obj: bpy.types.Object) -> dict[int, np.ndarray]:
     elif skin.cache_modifier(obj):
         raise SceneError("The heat map shows bakes to shape keys and Live, not point caches")
     elif obj.dynamorph.bake.exists:
-        motions = {each.session_uid: _baked_motion(each) for each in (obj, *skin.followers(obj))}
+        motions = {each.session_uid: _baked_motion(each) for each in (obj, *skin.shown_attachments(obj))}
     else:
         raise SceneError("The heat map shows a bake or Live: turn Live on or press Bake")
     rest = references.key_points(obj.data.shape_keys.reference_key)
@@ -135,7 +135,7 @@ def _holds(session_uid: int, _content_id: str) -> dict[int, np.ndarray] | str:
         return Message("'{name}' has other vertices than its model: press Build Model", name=obj.name)
     weights = NEUTRAL + (1.0 - NEUTRAL) * on_skin
     return {session_uid: weights[character.own_vertices]} | {
-        part.session_uid: weights[part.members] for part in character.parts
+        each.session_uid: weights[each.members] for each in character.attachments
     }
 
 

@@ -150,7 +150,7 @@ class Job:
         if rig_motion.render_runs():
             self.progress.message = "Waiting for the render to end"
             return True
-        handles = (self.request.target, *bake_input.handles(self.input.character.parts))
+        handles = (self.request.target, *bake_input.handles(self.input.character.attachments))
         if self.input.is_bake and any(handle.find().mode == "EDIT" for handle in handles):
             self.progress.message = "Waiting for you to leave Edit Mode"
             return True

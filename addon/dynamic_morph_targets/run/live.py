@@ -13,7 +13,7 @@ from bpy.app.handlers import persistent
 from ..core import engine, errors, logger
 from ..core.message import Message, joined
 from ..scene import events, references, staleness
-from ..scene.skin import followers, soft_skins
+from ..scene.skin import shown_attachments, soft_skins
 from ..write import reconcile, storage
 from ..write.authoring import regions, targets
 from ..write.bake import muting, writer
@@ -257,7 +257,7 @@ def _before_save(*_args: object) -> None:
     In a file that is opened without the extension, the skin would stay frozen at the last frame.
     """
     skins = soft_skins(bpy.data.objects)
-    for obj in [each for skin in skins for each in (skin, *followers(skin))]:
+    for obj in [each for skin in skins for each in (skin, *shown_attachments(skin))]:
         block = live_key.find(obj)
         if block is not None and obj.library is None:
             blocks = obj.data.shape_keys.key_blocks

@@ -49,9 +49,9 @@ class Tissue:
         self.target_names = [target.name for target in self.character.targets]
         character, own_vertices = self.character, self.character.own_vertices
         self.skin = self._mesh(skin.ObjectHandle.of(obj), character.vertices[own_vertices], own_vertices, np.eye(3))
-        self.followers = [
-            self._mesh(skin.ObjectHandle(part.session_uid, part.name), part.points, part.members, part.from_body)
-            for part in character.parts
+        self.attachments = [
+            self._mesh(skin.ObjectHandle(each.session_uid, each.name), each.points, each.members, each.from_body)
+            for each in character.attachments
         ]
 
     def exchange(self, character: Character, settings: SimulationSettings) -> None:
@@ -83,8 +83,10 @@ class Tissue:
     @property
     def vertices(self) -> dict[skin.ObjectHandle, int]:
         """The number of vertices of each mesh that shares the cage, by session_uid."""
-        parts = {skin.ObjectHandle(part.session_uid, part.name): len(part.points) for part in self.character.parts}
-        return {self.skin.object: self.character.own_vertices.stop} | parts
+        counts = {self.skin.object: self.character.own_vertices.stop}
+        for each in self.character.attachments:
+            counts[skin.ObjectHandle(each.session_uid, each.name)] = len(each.points)
+        return counts
 
     def values(self, frame: Frame) -> np.ndarray:
         """What `points` asks for: (dofs + J,) coordinates as shown, and target weights."""
@@ -95,30 +97,30 @@ class Tissue:
         return self.skin.points(values)
 
     def add_keys(self, obj: bpy.types.Object) -> None:
-        """The live keys of the soft skin `obj` and of what follows it. Raises WriteError."""
+        """The live keys of the soft skin `obj` and of its attachments. Raises WriteError."""
         if comparison.is_plain(obj):  # which muted nothing that Live may count on
             comparison.show(obj, False)
-        live_key.add(obj, self.target_names, [surface.object.find() for surface in self.followers])
+        live_key.add(obj, self.target_names, [surface.object.find() for surface in self.attachments])
 
     def show(self, values: np.ndarray) -> bool:
         """Write the live keys; False when that of the skin is gone."""
         shown = self.skin.show(values)
-        for surface in self.followers:
+        for surface in self.attachments:
             with suppress(SceneError):  # it was deleted
                 surface.show(values)
         return shown
 
     def moved(self, values: np.ndarray) -> float:
         """The largest distance of a point from where the targets' shapes alone would have it: meters."""
-        to_bind, pairs = self.character.to_bind, zip(self.followers, self.character.parts, strict=True)
-        others = ((surface, to_bind @ np.linalg.inv(part.from_body)) for surface, part in pairs)
+        to_bind, pairs = self.character.to_bind, zip(self.attachments, self.character.attachments, strict=True)
+        others = ((surface, to_bind @ np.linalg.inv(each.from_body)) for surface, each in pairs)
         return max(
             float(np.linalg.norm(self.motion(values, surface) @ to_meters.T, axis=1).max(initial=0.0))
             for surface, to_meters in ((self.skin, to_bind), *others)
         )
 
     def motion(self, values: np.ndarray, surface: LiveMesh) -> np.ndarray:
-        """How far the points (V, 3) of the skin, or of what follows it, are from there: local space."""
+        """How far the points (V, 3) of the skin, or of an attachment, are from there: local space."""
         return surface.move(values[: self.dofs] - self.player.static(values[self.dofs :])).reshape(-1, 3)
 
 
@@ -209,7 +211,7 @@ class Session:
             return {}
         values = tissue.values(self._frames[self.now])
         return {
-            surface.object.session_uid: tissue.motion(values, surface) for surface in (tissue.skin, *tissue.followers)
+            surface.object.session_uid: tissue.motion(values, surface) for surface in (tissue.skin, *tissue.attachments)
         }
 
     def knows(self, time: float) -> bool:

@@ -13,13 +13,13 @@ import numpy as np
 from mathutils import Matrix
 
 from ..core import errors
-from ..core.character import Character, Follower, TargetSet
+from ..core.character import Attachment, Character, TargetSet
 from ..core.firmness import NEUTRAL, kept
 from ..core.geometry import diagonal, inverse, vertex_areas
 from ..core.model import rigid
 from . import checks, mesh_data, rig_motion
 from .nearest import nearest
-from .skin import clothes_in, parts_in, parts_of
+from .skin import attached_meshes, attachments_of, own_attachments
 from .skinning import Skinning, meshes_on
 from .source import Source
 
@@ -34,29 +34,29 @@ def joined(source: Source, single: Character) -> Character:
     SceneError.
     """
     obj = source.obj
-    meshes = [source.attachment(Skinning.of(piece)) for piece in clothes_in(obj)]
+    meshes = [source.attachment(Skinning.of(each)) for each in attached_meshes(obj)]
     for mesh in meshes:
-        checks.refuse(checks.follower(source.skinning, mesh.skinning))
+        checks.refuse(checks.attachment_problems(source.skinning, mesh.skinning))
         checks.refuse(checks.skinning_problems(mesh.skinning))
     ends = np.cumsum([len(single.vertices), *(len(mesh.points) for mesh in meshes)]).tolist()
     slices = [slice(begin, end) for begin, end in zip([0, *ends], ends, strict=False)]
     whole = _Whole(source, single, meshes, slices)
-    pieces, held = _attached(source, single, meshes)
+    cage_index, held = _attached(source, single, meshes)
     beside = beside_body(source, [mesh.obj for mesh in meshes])
     bind = whole.vertices @ single.to_bind.T
     others = [points @ single.to_bind.T for points, _ in beside]
     first = _coincident(bind, others)
     same = first[: len(bind)]
-    pieces, rigidity = _closed_seams(pieces, held, same, first[len(bind) :], whole.triangles)
-    _refuse_hard(obj, whole, pieces, rigidity, [(p, t) for p, (_, t) in zip(others, beside, strict=True)])
+    cage_index, rigidity = _closed_seams(cage_index, held, same, first[len(bind) :], whole.triangles)
+    _refuse_hard(obj, whole, cage_index, rigidity, [(p, t) for p, (_, t) in zip(others, beside, strict=True)])
     firmness = whole.firmness()
     if single.settings.hold_head:
         found = rigid.heads(single.skeleton, whole.weights, bind, whole.triangles)
         head = rigid.head_rigidity(single.skeleton, whole.weights, bind, whole.triangles, found)
         rigidity = np.maximum(rigidity, head * kept(firmness))
     joint_bones = dict.fromkeys(bone for each in (source, *meshes) for bone in each.skinning.bones(source.rig))
-    parts = [
-        Follower(
+    attachments = [
+        Attachment(
             mesh.obj.name, mesh.obj.session_uid, mesh.points, inverse(mesh.to_body[:3, :3]), members
         )
         for mesh, members in zip(meshes, slices[1:], strict=True)
@@ -69,11 +69,11 @@ def joined(source: Source, single: Character) -> Character:
         bone_segments=source.bone_segments(list(joint_bones)),
         authored_sets=whole.target_sets(same),
         probed=single.probed or any(mesh.skinning.beyond_bones for mesh in meshes),
-        pieces=pieces,
+        cage_index=cage_index,
         rigidity=_most(rigidity, same),
         firmness=firmness[same],
         coincident=same,
-        parts=tuple(parts),
+        attachments=tuple(attachments),
     )
 
 
@@ -93,7 +93,7 @@ class _Whole:
     def _near(self):
         """The own mesh's skin nearest to the other meshes' vertices, and its distances in body sizes."""
         single, bind = self.single, self.vertices @ self.single.to_bind.T
-        of_body = (single.pieces[single.triangles] == 0).all(axis=1)
+        of_body = (single.cage_index[single.triangles] == 0).all(axis=1)
         count = len(single.vertices)
         found = nearest(bind[count:], bind[:count], single.triangles[of_body] if of_body.any() else single.triangles)
         return found, found.distances / diagonal(bind)
@@ -134,26 +134,26 @@ class _Whole:
 
 
 def _attached(source: Source, single: Character, meshes: list[Source]) -> tuple[np.ndarray, np.ndarray]:
-    """The attachments (V,) of all meshes, like `Character.pieces`, and which (V,) of them are held. Raises
+    """The cage of each vertex (V,) of all meshes, like `Character.cage_index`, and which (V,) of them are held. Raises
     SceneError.
     """
     obj = source.obj
-    pieces, held = [single.pieces.copy()], [_held(parts_in(obj), source.groups, len(single.vertices))]
-    wholly = {piece.object for piece in obj.dynamorph.attachments if not piece.group and piece.attached_by == "HELD"}
+    cage_index, held = [single.cage_index.copy()], [_held(own_attachments(obj), source.groups, len(single.vertices))]
+    wholly = {each.object for each in obj.dynamorph.attachments if not each.group and each.attached_by == "HELD"}
     for mesh in meshes:
-        parts = parts_of(obj, mesh.obj)
-        next_cage = 1 + max(int(each.max(initial=0)) for each in pieces)
-        pieces.append(mesh_data.pieces_of(parts, mesh.obj, mesh.groups, next_cage))
-        held.append(_held(parts, mesh.groups, len(mesh.points)) | (mesh.obj in wholly))
-    pieces, held = np.concatenate(pieces), np.concatenate(held)
-    pieces[held & (pieces < 0)] = 0
-    return pieces, held & (pieces == 0)
+        attachments = attachments_of(obj, mesh.obj)
+        next_cage = 1 + max(int(each.max(initial=0)) for each in cage_index)
+        cage_index.append(mesh_data.cages_of(attachments, mesh.obj, mesh.groups, next_cage))
+        held.append(_held(attachments, mesh.groups, len(mesh.points)) | (mesh.obj in wholly))
+    cage_index, held = np.concatenate(cage_index), np.concatenate(held)
+    cage_index[held & (cage_index < 0)] = 0
+    return cage_index, held & (cage_index == 0)
 
 
-def _held(parts, groups, count: int) -> np.ndarray:
+def _held(attachments, groups, count: int) -> np.ndarray:
     found = np.zeros(count, bool)
-    for part, members in mesh_data.members_of(parts, groups):
-        if part.attached_by == "HELD":
+    for attachment, members in mesh_data.members_of(attachments, groups):
+        if attachment.attached_by == "HELD":
             found |= members
     return found
 
@@ -163,15 +163,15 @@ def _coincident(bind: np.ndarray, others: list[np.ndarray]) -> np.ndarray:
     return rigid.coincident(np.concatenate([bind, *others]), rigid.COINCIDE * size)
 
 
-def _closed_seams(pieces, held, same, beside, triangles) -> tuple[np.ndarray, np.ndarray]:
-    """Attachments and rigidity (V,) without open seams: a point shared with something that only the bones move is also
+def _closed_seams(cage_index, held, same, beside, triangles) -> tuple[np.ndarray, np.ndarray]:
+    """Cages and rigidity (V,) without open seams: a point shared with something that only the bones move is also
     moved by them, and the skin around it is held. beside (P,): the first vertex at each point of other rigid meshes.
     """
-    still = np.isin(same, np.concatenate([same[pieces == -1], beside])) & (pieces >= 0)
-    pieces = np.where(still, -1, pieces).astype(np.int32)
+    still = np.isin(same, np.concatenate([same[cage_index == -1], beside])) & (cage_index >= 0)
+    cage_index = np.where(still, -1, cage_index).astype(np.int32)
     rigidity = held.astype(float)
     rigidity[triangles[still[triangles].any(axis=1)]] = 1.0
-    return pieces, rigidity
+    return cage_index, rigidity
 
 
 def _most(values: np.ndarray, same: np.ndarray) -> np.ndarray:
@@ -181,14 +181,14 @@ def _most(values: np.ndarray, same: np.ndarray) -> np.ndarray:
     return largest[same]
 
 
-def _refuse_hard(obj, whole: _Whole, pieces, rigidity, beside):
+def _refuse_hard(obj, whole: _Whole, cage_index, rigidity, beside):
     """Refuses a character that was found to be rigid, unless the artist has said what is soft. beside: bind-space
     points and triangles of what only its bones move. Raises SceneError.
     """
     settings = obj.dynamorph
-    if settings.firmness_group or any(not piece.reason for piece in settings.attachments):
+    if settings.firmness_group or any(not each.reason for each in settings.attachments):
         return
-    bind, soft = whole.vertices @ whole.single.to_bind.T, (pieces >= 0) & (rigidity < 1.0)
+    bind, soft = whole.vertices @ whole.single.to_bind.T, (cage_index >= 0) & (rigidity < 1.0)
     labels, volumes = rigid.part_volumes(bind, whole.triangles)
     areas = vertex_areas(bind, whole.triangles)
     share = np.bincount(labels, areas * soft) / np.maximum(np.bincount(labels, areas), 1e-300)
@@ -206,7 +206,7 @@ def beside_body(source: Source, meshes) -> list[tuple[np.ndarray, np.ndarray]]:
     meshes: the other objects that belong to the body. Raises SceneError.
     """
     obj = source.obj
-    soft = {obj, *meshes, *(piece.object for piece in obj.dynamorph.attachments if piece.attached_by == "OWN_CAGE")}
+    soft = {obj, *meshes, *(each.object for each in obj.dynamorph.attachments if each.attached_by == "OWN_CAGE")}
     found, to_body = [], inverse(source.world)
     for other in meshes_on(source.rig):
         if other not in soft and not other.dynamorph.targets and len(other.data.vertices):

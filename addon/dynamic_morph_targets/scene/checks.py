@@ -171,44 +171,46 @@ def nothing_soft(obj) -> str:
     return Message("'{name}': nothing soft found: paint Firmness", name=obj.name)
 
 
-def follower(of_body: Skinning, of_piece: Skinning) -> Iterator[Problem]:
+def attachment_problems(of_body: Skinning, of_attachment: Skinning) -> Iterator[Problem]:
     """What prevents one mesh object from moving with the soft skin of the other."""
-    obj, piece, armature, body = of_body.obj, of_piece.obj, of_body.rig, of_body.obj.name
-    if piece.type != "MESH":
+    obj, other, armature, body = of_body.obj, of_attachment.obj, of_body.rig, of_body.obj.name
+    if other.type != "MESH":
         text = "'{name}' is no mesh, or its library is missing: restore that, or remove it from the Attachments"
-        yield Problem(text, name=piece.name)
+        yield Problem(text, name=other.name)
         return
-    if piece == obj:
+    if other == obj:
         yield Problem("'{body}' cannot be attached to itself: remove it from the Attachments", body=body)
-    elif not of_piece.modifiers:
+    elif not of_attachment.modifiers:
         text = "'{name}' has no Armature modifier with an armature: skin it to '{armature}', or choose Rigid"
-        yield Problem(text, name=piece.name, armature=armature.name)
-    elif of_piece.modifier_of(armature) is None:
+        yield Problem(text, name=other.name, armature=armature.name)
+    elif of_attachment.modifier_of(armature) is None:
         text = "'{name}' is moved by another armature: choose '{armature}' in its Armature modifier, or Rigid"
-        yield Problem(text, name=piece.name, armature=armature.name)
-    if piece.dynamorph.targets:
-        yield Problem("'{name}' is a soft skin of its own: choose Own Cage", name=piece.name)
-    elif piece.dynamorph.follows not in (None, obj):
-        other = piece.dynamorph.follows.name
+        yield Problem(text, name=other.name, armature=armature.name)
+    if other.dynamorph.targets:
+        yield Problem("'{name}' is a soft skin of its own: choose Own Cage", name=other.name)
+    elif other.dynamorph.follows not in (None, obj):
+        owner = other.dynamorph.follows.name
         yield Problem(
             "'{name}' follows '{other}': delete the bake of that soft skin first, or turn its Live off",
-            name=piece.name,
-            other=other,
+            name=other.name,
+            other=owner,
         )
-    if piece.mode == "EDIT":
-        yield Problem("'{name}' is in Edit Mode: leave it first", name=piece.name)
-    if not piece.data.vertices:
+    if other.mode == "EDIT":
+        yield Problem("'{name}' is in Edit Mode: leave it first", name=other.name)
+    if not other.data.vertices:
         yield Problem(
-            "Mesh '{mesh}' has no vertices: remove '{name}' from the Attachments", mesh=piece.data.name, name=piece.name
+            "Mesh '{mesh}' has no vertices: remove '{name}' from the Attachments",
+            mesh=other.data.name,
+            name=other.name,
         )
-    keys = piece.data.shape_keys
+    keys = other.data.shape_keys
     if keys and not keys.use_relative:
-        yield Problem("'{name}' uses absolute shape keys: turn on Relative in the Shape Keys panel", name=piece.name)
-    bound = next((m for m in piece.modifiers if obj in (getattr(m, "target", None), getattr(m, "object", None))), None)
+        yield Problem("'{name}' uses absolute shape keys: turn on Relative in the Shape Keys panel", name=other.name)
+    bound = next((m for m in other.modifiers if obj in (getattr(m, "target", None), getattr(m, "object", None))), None)
     if bound:
         yield Problem(
             "'{name}' follows '{body}' by its modifier '{modifier}' already: choose Rigid",
-            name=piece.name,
+            name=other.name,
             body=body,
             modifier=bound.name,
         )

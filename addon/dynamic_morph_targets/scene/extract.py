@@ -17,9 +17,9 @@ from ..core.geometry import inverse
 from ..core.settings import ModelSettings
 from . import bodies, body_checks, checks, data_checks
 from .checks import refuse, skinned
-from .mesh_data import carried, firmness, mesh_triangles, pieces_of, target_shape
+from .mesh_data import cages_of, carried, firmness, mesh_triangles, target_shape
 from .rig_motion import at_rest, rig_scene
-from .skin import parts_in, unit_scale
+from .skin import own_attachments, unit_scale
 from .skinning import Skinning
 from .source import Source
 
@@ -60,7 +60,7 @@ def read(source: Source, without_targets=False) -> Character:
         authored_sets=target_sets,
         settings=model_settings(obj),
         probed=bool(source.skinning.beyond_bones),
-        pieces=pieces_of(parts_in(obj), obj, source.groups),
+        cage_index=cages_of(own_attachments(obj), obj, source.groups),
         cage=_own_cage(source),
         firmness=firmness(obj, source.groups, obj.dynamorph.firmness_group),
     )

@@ -107,33 +107,33 @@ def firmness(obj, groups: VertexGroups, group: str) -> np.ndarray:
     return groups.weights([group], NEUTRAL)[:, 0].clip(0.0, 1.0)
 
 
-def pieces_of(parts, mesh, groups: VertexGroups, first: int = 1) -> np.ndarray:
-    """The attachment that each vertex belongs to, like `Character.pieces`. Where groups overlap, the first one counts.
+def cages_of(attachments, mesh, groups: VertexGroups, first: int = 1) -> np.ndarray:
+    """The cage that each vertex is in, like `Character.cage_index`. Where groups overlap, the first one counts.
 
-    parts: the attachments that are parts of the object `mesh`, whose `groups` these are; first: number of the first
-    cage of its own. Raises SceneError.
+    attachments: those that are parts of the object `mesh`, whose `groups` these are; first: number of the first cage of
+    its own. Raises SceneError.
     """
-    gone = next((part for part in parts if part.group not in mesh.vertex_groups), None)
+    gone = next((each for each in attachments if each.group not in mesh.vertex_groups), None)
     if gone:
         raise SceneError(
             "'{name}': the vertex group '{group}' of an attachment is gone: remove the attachment",
             name=mesh.name,
             group=gone.group,
         )
-    pieces, cages = np.zeros(len(mesh.data.vertices), np.int32), itertools.count(first)
-    for part, members in members_of(parts, groups):
-        if part.attached_by != "WITH_BODY" and members.any():
-            pieces[members] = next(cages) if part.attached_by == "OWN_CAGE" else -1
-    return pieces
+    cage_index, cages = np.zeros(len(mesh.data.vertices), np.int32), itertools.count(first)
+    for attachment, members in members_of(attachments, groups):
+        if attachment.attached_by != "WITH_BODY" and members.any():
+            cage_index[members] = next(cages) if attachment.attached_by == "OWN_CAGE" else -1
+    return cage_index
 
 
-def members_of(parts, groups: VertexGroups):
-    """Each part of a mesh with its vertices (V,) bool, without those of the parts before it."""
+def members_of(attachments, groups: VertexGroups):
+    """Each attachment with its vertices (V,) bool of a mesh, without those of the attachments before it."""
     taken = None
-    for part, weights in zip(parts, groups.weights([part.group for part in parts]).T, strict=True):
+    for attachment, weights in zip(attachments, groups.weights([each.group for each in attachments]).T, strict=True):
         members = weights >= MEMBER
         members = members if taken is None else members & ~taken
-        yield part, members
+        yield attachment, members
         taken = members if taken is None else taken | members
 
 

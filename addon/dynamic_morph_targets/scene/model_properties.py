@@ -26,9 +26,9 @@ def _cage_chosen(model, _context):
         events.emit(events.Event.CAGE_CHANGED)
 
 
-def _choice_made(piece, _context):
-    if piece.reason:
-        piece.reason = ""
+def _choice_made(attachment, _context):
+    if attachment.reason:
+        attachment.reason = ""
 
 
 class DynamorphAttachment(PropertyGroup):

@@ -35,7 +35,9 @@ class Probe:
     def __init__(self, obj, model, character: Character):
         self.rest = model.nodes[model.free]
         self.offset = OFFSET * diagonal(model.nodes)
-        meshes = [next(o for o in bpy.data.objects if o.session_uid == part.session_uid) for part in character.parts]
+        meshes = [
+            next(o for o in bpy.data.objects if o.session_uid == part.session_uid) for part in character.attachments
+        ]
         self._names, weights, masks, of_modifiers = _skin_groups([Skinning.of(each) for each in (obj, *meshes)])
         at_nodes = model.at_nodes(np.hstack([weights, masks]))[model.free].clip(0.0, 1.0)
         weights, masks = np.split(at_nodes, [weights.shape[1]], axis=1)

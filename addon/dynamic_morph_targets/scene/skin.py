@@ -99,21 +99,21 @@ def soft_skins(objects):
     return [obj for obj in objects if obj.type == "MESH" and obj.dynamorph.targets]
 
 
-def parts_in(obj) -> list:
+def own_attachments(obj) -> list:
     """The attachments of a soft skin that are parts of its own mesh."""
-    return parts_of(obj, None)
+    return attachments_of(obj, None)
 
 
-def parts_of(obj, mesh) -> list:
+def attachments_of(obj, mesh) -> list:
     """The attachments of a soft skin that are parts of another mesh object; None: of its own."""
-    return [piece for piece in obj.dynamorph.attachments if piece.group and piece.object == mesh]
+    return [each for each in obj.dynamorph.attachments if each.group and each.object == mesh]
 
 
-def clothes_in(obj) -> list:
+def attached_meshes(obj) -> list:
     """The other meshes in the cage of a soft skin, without deleted ones."""
     choices = {"WITH_BODY", "HELD"}
-    pieces = [piece.object for piece in obj.dynamorph.attachments if not piece.group and piece.attached_by in choices]
-    return [piece for piece in dict.fromkeys(pieces) if piece and piece.users_scene]
+    meshes = [each.object for each in obj.dynamorph.attachments if not each.group and each.attached_by in choices]
+    return [mesh for mesh in dict.fromkeys(meshes) if mesh and mesh.users_scene]
 
 
 def is_shown_on(obj) -> bool:
@@ -135,7 +135,7 @@ def edited_elsewhere(obj) -> str:
     return Message("Mesh '{name}' is in Edit Mode on another object: leave it there first", name=obj.data.name)
 
 
-def followers(obj) -> list:
+def shown_attachments(obj) -> list:
     """The meshes that now show the motion of the soft skin `obj`, by its bake or by Live."""
     return [other for other in bpy.data.objects if other.dynamorph.follows == obj]
 

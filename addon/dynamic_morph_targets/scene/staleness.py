@@ -24,7 +24,7 @@ from ..io import whole
 from . import animation, run_settings, skin
 from .plain import plain
 from .references import KEY_REFERENCE
-from .skin import clothes_in, followers, named_targets, parts_in
+from .skin import attached_meshes, named_targets, own_attachments, shown_attachments
 from .skinning import Skinning
 
 SCULPT = "sculpt"  # in the records of targets; identifies a renamed target
@@ -52,7 +52,7 @@ def look_for_caches(obj):
 def lost_caches(obj) -> list[Message]:
     """The point caches of the bake of `obj` that are missing or damaged, as sentences."""
     found = []
-    for mesh in (obj, *followers(obj)):
+    for mesh in (obj, *shown_attachments(obj)):
         modifier = skin.cache_modifier(mesh)
         if modifier is None:
             continue
@@ -138,7 +138,7 @@ def model_inputs(obj) -> dict:
     settings = obj.dynamorph
     groups: dict = {"firmness_group": settings.firmness_group}
     groups["attachments"] = [
-        *([part.attached_by, part.group] for part in parts_in(obj) if part.attached_by != "WITH_BODY"),
+        *([each.attached_by, each.group] for each in own_attachments(obj) if each.attached_by != "WITH_BODY"),
         *([each.attached_by, each.group] for each in settings.attachments if each.object and each.object.users_scene),
     ]
     model = {name: value for name, value in asdict(settings.model.settings()).items() if name not in FREE_SETTINGS}
@@ -200,13 +200,13 @@ def _target_changes(obj, then: dict, now: dict) -> list[str]:
 
 def _piece_changes(obj) -> list[str]:
     """The other meshes that do not show what the bake of `obj` should show."""
-    wanted, shown = clothes_in(obj), followers(obj)
-    new = (piece.name for piece in wanted if piece not in shown)
+    wanted, shown = attached_meshes(obj), shown_attachments(obj)
+    new = (mesh.name for mesh in wanted if mesh not in shown)
     found: list[str] = [Message('attachment "{name}" is new', name=name) for name in new]
     return found + [
-        Message('attachment "{name}" is not with the body any more', name=piece.name)
-        for piece in shown
-        if piece not in wanted
+        Message('attachment "{name}" is not with the body any more', name=mesh.name)
+        for mesh in shown
+        if mesh not in wanted
     ]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..core.character import Skeleton
 from ..scene.references import basis_hash, key_hash, rest_skeleton, rig_of
-from ..scene.skin import parts_in
+from ..scene.skin import own_attachments
 
 
 def reconcile(obj):
@@ -105,7 +105,7 @@ def _follow_groups(obj):
     moved = zip(then, now, strict=True) if len(now) == len(then) else ()
     renamed = {old: new for old, new in moved if old not in now and new not in then}
     users = [(settings, "firmness_group")]
-    users += [(piece, "group") for piece in parts_in(obj)]
+    users += [(each, "group") for each in own_attachments(obj)]
     for user, name in users:
         if getattr(user, name) in renamed:
             setattr(user, name, renamed[getattr(user, name)])

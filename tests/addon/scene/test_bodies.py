@@ -112,11 +112,11 @@ def test_the_character_covers_all_meshes(figure):
     character = extract.character(body)
     counts = [len(figure[name].data.vertices) for name in ("Body", "Top", "Cap")]
     assert len(character.vertices) == len(character.weights) == sum(counts)
-    assert [each.name for each in character.parts] == ["Top", "Cap"] and character.own_vertices.stop == counts[0]
+    assert [each.name for each in character.attachments] == ["Top", "Cap"] and character.own_vertices.stop == counts[0]
     world = np.concatenate([rest(figure[name]) for name in ("Body", "Top", "Cap")])
     assert np.abs(character.vertices - world).max() < 2e-5  # the body's object space is world space
-    cap = character.parts[1].members
-    assert (character.rigidity[cap] == 1.0).all() and not character.pieces.any()
+    cap = character.attachments[1].members
+    assert (character.rigidity[cap] == 1.0).all() and not character.cage_index.any()
     doubles = character.coincident != np.arange(sum(counts))
     assert doubles.sum() == 32
     assert np.abs(world[doubles] - world[character.coincident[doubles]]).max() < 1e-5
@@ -367,10 +367,10 @@ def test_firmness_of_the_other_meshes_counts(figure):
         group.add(range(len(obj.data.vertices)), weight, "REPLACE")
     body.dynamorph.firmness_group = "Firm"
     character = extract.character(body)
-    seam = character.coincident[character.parts[0].members] < character.own_vertices.stop
+    seam = character.coincident[character.attachments[0].members] < character.own_vertices.stop
     assert (character.firmness[character.own_vertices] == 0.5).all()
-    assert character.firmness[character.parts[0].members][~seam] == pytest.approx(0.25)
-    assert (character.rigidity[character.parts[1].members] == 1.0).all()  # it is held nevertheless
+    assert character.firmness[character.attachments[0].members][~seam] == pytest.approx(0.25)
+    assert (character.rigidity[character.attachments[1].members] == 1.0).all()  # it is held nevertheless
 
 
 def test_a_setup_keeps_the_attachments_of_other_meshes(figure, tmp_path):
@@ -379,7 +379,7 @@ def test_a_setup_keeps_the_attachments_of_other_meshes(figure, tmp_path):
     piece = body.dynamorph.attachments.add()
     piece.object, piece.group, piece.attached_by = figure["Top"], "Belt", "HELD"
     before = attachments(body), [piece.reason for piece in body.dynamorph.attachments]
-    assert (extract.character(body).rigidity[extract.character(body).parts[0].members][:8] == 1.0).all()
+    assert (extract.character(body).rigidity[extract.character(body).attachments[0].members][:8] == 1.0).all()
     OPS.save_setup(filepath=path)
     body.dynamorph.attachments.clear()
     OPS.load_setup(filepath=path)
@@ -389,10 +389,10 @@ def test_a_setup_keeps_the_attachments_of_other_meshes(figure, tmp_path):
 # Rigid parts ---------------------------------------------------------------------------------------------------------
 
 
-def merged(scene, rig, pieces):
+def merged(scene, rig, cage_index):
     """A mesh of tubes and balls: (points, faces, bone or weights (V, 3)) each."""
     points, faces, weights = [], [], []
-    for vertices, polygons, weight in pieces:
+    for vertices, polygons, weight in cage_index:
         first = sum(map(len, points))
         points.append(vertices)
         faces += [[first + corner for corner in face] for face in polygons]
@@ -420,7 +420,7 @@ def test_loose_parts_on_one_bone_are_rigid(scene):
     # The points of the ring coincide with those of the tube, so the two are welded.
     assert attachments(obj) == [("", "Dynamorph Attachment Part", "RIGID")]
     character = extract.character(obj, without_targets=True)
-    assert (character.pieces == -1).sum() == len(horn[0]) and obj.dynamorph.attachments[0].reason.startswith(
+    assert (character.cage_index == -1).sum() == len(horn[0]) and obj.dynamorph.attachments[0].reason.startswith(
         "This loose"
     )
 
@@ -467,7 +467,7 @@ def test_a_jelly_on_one_bone_is_soft(scene):
     OPS.add_soft_skin()
     assert [choice for *_, choice in attachments(obj)] == ["RIGID"] and not obj.dynamorph.model.warnings
     character = extract.character(obj, without_targets=True)
-    assert (character.pieces == -1).sum() == len(ball((0, 0, 0), 0.1)[0])
+    assert (character.cage_index == -1).sum() == len(ball((0, 0, 0), 0.1)[0])
 
 
 def test_skin_that_shares_points_with_what_a_bone_carries_stays_there(figure):
@@ -482,7 +482,7 @@ def test_skin_that_shares_points_with_what_a_bone_carries_stays_there(figure):
     bpy.context.view_layer.update()
     character = extract.character(body)
     joined = np.isclose(character.vertices[:, 2], 0.0, atol=1e-5)
-    assert (character.pieces[joined] == -1).all() and (character.pieces[~joined] == 0).all()
+    assert (character.cage_index[joined] == -1).all() and (character.cage_index[~joined] == 0).all()
     assert (character.rigidity[np.isclose(character.vertices[:, 2], 0.125, atol=1e-4)] == 1.0).all()
     bake(body)
     shown = positions({"Body": body, "Boot": boot}, range(1, 15))

@@ -94,7 +94,7 @@ def test_a_sleeve_shows_what_the_tissue_around_it_does(dressed):
     job = bake(arm)
     assert sleeve.dynamorph.follows == arm and len(sleeve.dynamorph.bake.keys) == len(arm.dynamorph.bake.keys)
     character = job.input.character
-    members = character.parts[0].members
+    members = character.attachments[0].members
     vertices = character.vertices[members] @ character.to_bind.T
     modes = np.moveaxis(job.outcome.bake.node_modes, 0, 1)
     engine = pytest.importorskip("dynamorph")
@@ -352,8 +352,8 @@ def test_a_sleeve_does_not_follow_a_cage_in_its_way(soft_arm):
     model, character = job.outcome.model, job.outcome.character
     parts = geometry.connected_parts(model.tets, len(model.nodes))
     cages = parts[model.embedding_nodes[:, 0]]
-    own, sleeve = character.own_vertices, character.parts[0].members
-    buckle = character.pieces[own] > 0
+    own, sleeve = character.own_vertices, character.attachments[0].members
+    buckle = character.cage_index[own] > 0
     assert not np.isin(cages[sleeve], cages[own][buckle]).any() and np.isin(cages[sleeve], cages[own][~buckle]).all()
 
 
@@ -459,8 +459,8 @@ def test_the_choice_of_parts_goes_into_the_character(scene):
         piece.group, piece.attached_by = group.name, choice
     reconcile.reconcile(arm)
     character = extract.character(arm, without_targets=True)
-    assert not character.pieces[:body].any() and sorted(character.pieces[body::8]) == [-1, 0, 1, 2]
-    other = replace(character, pieces=None)
+    assert not character.cage_index[:body].any() and sorted(character.cage_index[body::8]) == [-1, 0, 1, 2]
+    other = replace(character, cage_index=None)
     assert build.dependencies(character)["attachments"] != build.dependencies(other)["attachments"]
     arm.vertex_groups[arm.dynamorph.attachments[0].group].name = "Buckle"
     reconcile.reconcile(arm)

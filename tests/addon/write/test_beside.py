@@ -87,7 +87,7 @@ def test_the_copy_is_to_be_looked_at_only(baked):
     assert (standing(baked)["Arm"] @ away).min() > (evaluated_points(baked) @ away).max(), "they overlap"
     assert empty.hide_select and empty.hide_render
     assert [obj.name for obj in bpy.context.scene.objects if obj.type == "MESH"] == ["Arm"]
-    assert skin.soft_skins(bpy.data.objects) == [baked] and skin.followers(baked) == []
+    assert skin.soft_skins(bpy.data.objects) == [baked] and skin.shown_attachments(baked) == []
 
 
 def test_the_bake_of_the_other_settings_stays_beside(baked, stand_in):

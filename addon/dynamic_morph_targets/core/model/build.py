@@ -332,7 +332,7 @@ def dependencies(character: Character) -> dict[str, str]:
         "object scale": (character.to_bind,),
         "skin weights": (character.weights,),
         "Firmness": (character.firmness,),
-        "attachments": (character.pieces,),
+        "attachments": (character.cage_index,),
         "what is rigid": (character.rigidity,),
         "bones at rest": (skeleton.parents, skeleton.rest, character.bone_segments),
         "regions": (

@@ -67,7 +67,7 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
     with stages("Embedding", 0.05) as report:
         each_filled = _in_turn(zip(contents.values(), meshes, strict=True), report)
         cages = [_filled(*each, surface, turn) for each, turn in each_filled]
-        mesh, embedding = _together(character.pieces, list(contents), cages)
+        mesh, embedding = _together(character.cage_index, list(contents), cages)
         embedding = _alike(embedding, character.coincident)
         fill = np.concatenate([cage.fill for cage in cages])
         inherited = _inherited(character, mesh, embedding)
@@ -106,7 +106,7 @@ def held_by_thickness(
 ) -> Hold:
     """The hold of a character's cage. firmness, rigidity (n,): at the nodes; fill (m,)."""
     surface = (character.vertices @ character.to_bind.T)[character.coincident]
-    triangles = character.triangles[(character.pieces[character.triangles] >= 0).all(axis=1)]
+    triangles = character.triangles[(character.cage_index[character.triangles] >= 0).all(axis=1)]
     made_from = (mesh.nodes, mesh.tets, surface, triangles)
     key = b"".join(hashlib.sha256(array.tobytes()).digest() for array in made_from)
     if key not in _depths:
@@ -116,7 +116,7 @@ def held_by_thickness(
     return hold(mesh, _depths[key], rigidity, firmness, fill)
 
 
-# Cages: of the body, and of pieces that have their own ---------------------------------------------------------------
+# Cages: of the body, and of attachments that have their own -----------------------------------------------------------
 
 
 def _cages(character: Character, surface: np.ndarray) -> dict[int, Character]:
@@ -124,19 +124,19 @@ def _cages(character: Character, surface: np.ndarray) -> dict[int, Character]:
     the nodes. A triangle between attachments belongs to the one with the largest number. Rigid attachments have no
     cage.
     """
-    number = character.pieces[character.triangles].max(axis=1, initial=-1)
+    number = character.cage_index[character.triangles].max(axis=1, initial=-1)
     if not number.any():
         return {0: character}
     area = triangle_areas(surface, character.triangles)
     density = character.settings.cage_nodes / max(area[number >= 0].sum(), 1e-300)
     cages = {}
-    for piece in np.unique(number[number >= 0]):
-        of_piece = number == piece
-        cage_nodes = max(FEWEST_NODES, round(density * area[of_piece].sum()))
-        cages[int(piece)] = replace(
+    for index in np.unique(number[number >= 0]):
+        of_cage = number == index
+        cage_nodes = max(FEWEST_NODES, round(density * area[of_cage].sum()))
+        cages[int(index)] = replace(
             character.with_settings(cage_nodes=cage_nodes),
-            triangles=character.triangles[of_piece],
-            cage=None if piece else character.cage,
+            triangles=character.triangles[of_cage],
+            cage=None if index else character.cage,
         )
     if not cages:
         raise dynamorph.Error(
@@ -179,18 +179,18 @@ def _filled(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray, repor
 
 
 def _together(
-    pieces: np.ndarray, numbers: list[int], cages: list[_Filled]
+    cage_index: np.ndarray, numbers: list[int], cages: list[_Filled]
 ) -> tuple[dynamorph.TetMesh, dynamorph.Embedding]:
     """One mesh of all cages, which are not coupled, and the embedding (V,) of each attachment in its own. A vertex of
     an attachment without a cage has no weights: the simulation does not move it.
     """
-    if len(cages) == 1 and (pieces == numbers[0]).all():
+    if len(cages) == 1 and (cage_index == numbers[0]).all():
         return cages[0].mesh, cages[0].embedding
     first = np.cumsum([0] + [len(cage.mesh.nodes) for cage in cages])[:-1]
-    nodes, weights = np.zeros((len(pieces), 4), np.int32), np.zeros((len(pieces), 4))
+    nodes, weights = np.zeros((len(cage_index), 4), np.int32), np.zeros((len(cage_index), 4))
     for number, start, cage in zip(numbers, first, cages, strict=True):
-        of_piece = pieces == number
-        nodes[of_piece], weights[of_piece] = cage.embedding.nodes[of_piece] + start, cage.embedding.weights[of_piece]
+        of_cage = cage_index == number
+        nodes[of_cage], weights[of_cage] = cage.embedding.nodes[of_cage] + start, cage.embedding.weights[of_cage]
     tets = np.concatenate([cage.mesh.tets + start for start, cage in zip(first, cages, strict=True)])
     mesh = dynamorph.TetMesh(np.concatenate([cage.mesh.nodes for cage in cages]), tets)
     return mesh, dynamorph.Embedding(nodes, weights)
@@ -242,7 +242,7 @@ def _outside(character: Character, mesh: dynamorph.TetMesh, surface: np.ndarray)
         return []
     size = diagonal(character.vertices @ character.to_bind.T)
     embedding = dynamorph.embed(mesh, surface)
-    left = float((embedding.distances > 1e-5 * size)[character.pieces == 0].mean())
+    left = float((embedding.distances > 1e-5 * size)[character.cage_index == 0].mean())
     if left > MOSTLY:
         raise dynamorph.Error(
             f"Cage Object '{character.cage.name}' leaves out {left:.0%} of '{character.name}': it must enclose the "

@@ -175,7 +175,7 @@ def parsed(record: str) -> Verdict | None:
 def judge(model: Model, character: Character, bake: Bake, settings: SimulationSettings, held: Held) -> Verdict:
     """The verdict on a bake of `character` with `model` and these settings. It covers all the character's vertices."""
     limits = Limits(settings.max_displacement, settings.max_thickness)
-    triangles = character.triangles[(character.pieces[character.triangles] >= 0).all(axis=1)]
+    triangles = character.triangles[(character.cage_index[character.triangles] >= 0).all(axis=1)]
     if not len(bake.modes) or not len(triangles):
         return Verdict(limits, held, frame=float(bake.frames[0]))
     skin = _Skin(character, triangles, model.thickness)
@@ -221,7 +221,7 @@ class _Skin:
         lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
         kept = lengths > SPLINTER * self.size
         self.edges, self.lengths = edges[kept], lengths[kept]
-        begins = [0, *(part.members.start for part in character.parts)]
+        begins = [0, *(each.members.start for each in character.attachments)]
         mesh = np.searchsorted(begins, self.edges[:, 0], side="right")
         self.meshes = [np.flatnonzero(mesh == number) for number in np.unique(mesh)]  # small patches are visible too
         self.thickness = 2.0 * thickness if len(thickness) else np.zeros(0)

@@ -41,11 +41,11 @@ class DYNAMORPH_OT_add_attachment(SoftSkinOperator, Operator):
 
     def apply(self, obj):
         settings = obj.dynamorph
-        known = [piece.object for piece in settings.attachments]
+        known = [each.object for each in settings.attachments]
         selected = [other for other in bpy.context.selected_objects if other.type == "MESH" and other != obj]
         for other in [other for other in selected if other not in known] or [None]:
-            piece = settings.attachments.add()
-            piece.object, piece.name = other, other.name if other else ""
+            attachment = settings.attachments.add()
+            attachment.object, attachment.name = other, other.name if other else ""
         settings.active_attachment_index = len(settings.attachments) - 1
 
 
@@ -82,10 +82,10 @@ class DYNAMORPH_OT_select_attachment(PieceOperator, Operator):
     bl_label = "Select Attachment"
 
     def apply(self, obj):
-        piece = obj.dynamorph.active_attachment
-        problem = attachments.problem(obj, piece)
-        shown = piece.object or (obj if piece.group else None)
-        if shown is None or (piece.group and problem):
+        attachment = obj.dynamorph.active_attachment
+        problem = attachments.problem(obj, attachment)
+        shown = attachment.object or (obj if attachment.group else None)
+        if shown is None or (attachment.group and problem):
             raise SceneError(problem)
         if not shown.visible_get():
             raise SceneError("'{name}' is hidden: show it to select it", name=shown.name)
@@ -97,8 +97,8 @@ class DYNAMORPH_OT_select_attachment(PieceOperator, Operator):
             other.select_set(False)
         shown.select_set(True)
         bpy.context.view_layer.objects.active = shown
-        if piece.group:
-            _select_vertices(shown, attachments.members(shown, piece.group))
+        if attachment.group:
+            _select_vertices(shown, attachments.members(shown, attachment.group))
 
 
 def _select_vertices(obj, members: np.ndarray):

@@ -43,7 +43,7 @@ class DYNAMORPH_OT_delete_bake(SoftSkinOperator, Operator):
         return "" if is_shown_on(obj) else "Press Add Soft Skin first"
 
     def apply(self, obj):
-        if not obj.dynamorph.targets:  # a piece, which may show Live
+        if not obj.dynamorph.targets:  # an attachment, which may show Live
             live_key.remove(obj)
         writer.check_free(obj)
         beside.keep_bake(obj)

@@ -125,7 +125,7 @@ class DYNAMORPH_OT_copy_to_selected(SoftSkinOperator, Operator):
         transfer.check(source, others, self.replace)
         setup, size = setups.of_object(source), transfer.size(source)
         setup["attachments"] = [
-            piece for piece in setup["attachments"] if not piece["object"]
+            each for each in setup["attachments"] if not each["object"]
         ]  # those follow one soft skin
         copies = [transfer.copy(source, obj) for obj in others]
         for obj, made in zip(others, copies, strict=True):

@@ -49,7 +49,7 @@ def draw_attachments(layout, _context, obj):
     layout.operator("dynamorph.find_attachments", icon="VIEWZOOM")
     draw_head(layout, settings.model)
     if settings.active_attachment:
-        draw_piece(layout, obj, settings.active_attachment)
+        draw_attachment(layout, obj, settings.active_attachment)
     alone = list(attachments.left_alone(obj))
     for text in alone[:FEW_NOTES]:
         draw_message(layout, text, icon="INFO")
@@ -57,22 +57,22 @@ def draw_attachments(layout, _context, obj):
         draw_message(layout, iface_("And {count} more like them").format(count=len(alone) - FEW_NOTES), icon="BLANK1")
 
 
-def draw_piece(layout, obj, piece):
+def draw_attachment(layout, obj, attachment):
     column = layout.column(align=True)
     column.enabled = batch.running is None
-    if not piece.group or piece.object:
-        column.prop(piece, "object")
-    if not piece.object or piece.group:
-        column.prop_search(piece, "group", piece.object or obj, "vertex_groups")
-    if piece.reason:
-        draw_message(layout, piece.reason, icon="INFO")
-    if attachments.problem(obj, piece):
-        draw_message(layout, attachments.problem(obj, piece))
-    elif piece.object and piece.attached_by == "OWN_CAGE" and not piece.object.dynamorph.targets:
-        text = iface_("'{name}' needs a soft skin of its own").format(name=piece.object.name)
+    if not attachment.group or attachment.object:
+        column.prop(attachment, "object")
+    if not attachment.object or attachment.group:
+        column.prop_search(attachment, "group", attachment.object or obj, "vertex_groups")
+    if attachment.reason:
+        draw_message(layout, attachment.reason, icon="INFO")
+    if attachments.problem(obj, attachment):
+        draw_message(layout, attachments.problem(obj, attachment))
+    elif attachment.object and attachment.attached_by == "OWN_CAGE" and not attachment.object.dynamorph.targets:
+        text = iface_("'{name}' needs a soft skin of its own").format(name=attachment.object.name)
         draw_message(layout, text, icon="INFO")
         button = layout.row()
-        button.context_pointer_set("object", piece.object)
+        button.context_pointer_set("object", attachment.object)
         button.operator("dynamorph.add_soft_skin", icon="ADD")
 
 

@@ -16,7 +16,7 @@ from ...core.message import Message
 from ...core.model import rigid
 from ...scene import checks, mesh_data, references
 from ...scene.references import rig_of
-from ...scene.skin import parts_of
+from ...scene.skin import attachments_of
 from ...scene.skinning import Skinning, armature_modifiers, meshes_on
 from ...scene.source import Source
 from ..bake import writer
@@ -39,9 +39,7 @@ def find(obj) -> list[str]:
     checks.check_mesh(obj)
     body = Source.of(checks.skinned(obj))
     names = body.skeleton.names
-    listed = {
-        piece.object: piece.attached_by for piece in obj.dynamorph.attachments if piece.object and not piece.group
-    }
+    listed = {each.object: each.attached_by for each in obj.dynamorph.attachments if each.object and not each.group}
     found, added = [_look_at(body)], []
     for other in [*_siblings(obj), *(each for each, choice in listed.items() if choice in {"WITH_BODY", "HELD"})]:
         source = body.attachment(Skinning.of(other))
@@ -66,9 +64,9 @@ def find(obj) -> list[str]:
 
 def remove(obj, index: int):
     """Remove an attachment from the list, with the vertex group that was made for it."""
-    piece = obj.dynamorph.attachments[index]
-    owner = piece.object or obj
-    group = owner.vertex_groups.get(piece.group)
+    attachment = obj.dynamorph.attachments[index]
+    owner = attachment.object or obj
+    group = owner.vertex_groups.get(attachment.group)
     if group and group.name.startswith(PREFIX):
         owner.vertex_groups.remove(group)
     obj.dynamorph.attachments.remove(index)
@@ -80,21 +78,23 @@ def members(obj, group: str) -> np.ndarray:
     return mesh_data.group_weights(obj, [group])[:, 0] >= mesh_data.MEMBER
 
 
-def problem(obj, piece) -> str:
+def problem(obj, attachment) -> str:
     """What is wrong with an attachment of `obj`, or ''. Reads no mesh: fast enough for drawing."""
-    if not (piece.object or piece.group):
-        gone = Message("'{name}' is gone: remove the attachment", name=piece.name)
-        return gone if piece.name else "Choose an object or a vertex group"
-    if piece.object and not piece.object.users_scene:
-        return Message("'{name}' is gone: remove the attachment", name=piece.name)
-    if piece.group:
-        if piece.group in (piece.object or obj).vertex_groups:
+    if not (attachment.object or attachment.group):
+        gone = Message("'{name}' is gone: remove the attachment", name=attachment.name)
+        return gone if attachment.name else "Choose an object or a vertex group"
+    if attachment.object and not attachment.object.users_scene:
+        return Message("'{name}' is gone: remove the attachment", name=attachment.name)
+    if attachment.group:
+        if attachment.group in (attachment.object or obj).vertex_groups:
             return ""
         return Message(
-            "The vertex group '{group}' is gone: choose another, or remove the attachment", group=piece.group
+            "The vertex group '{group}' is gone: choose another, or remove the attachment", group=attachment.group
         )
-    if piece.attached_by in {"WITH_BODY", "HELD"} and rig_of(obj):
-        return next((each.text for each in checks.follower(Skinning.of(obj), Skinning.of(piece.object))), "")
+    if attachment.attached_by in {"WITH_BODY", "HELD"} and rig_of(obj):
+        return next(
+            (each.text for each in checks.attachment_problems(Skinning.of(obj), Skinning.of(attachment.object))), ""
+        )
     return ""
 
 
@@ -128,7 +128,7 @@ def left_alone(obj) -> Iterator[str]:
 
 def _siblings(obj) -> list:
     """The other meshes on the armature of `obj` that are not attachments yet."""
-    rig, known = rig_of(obj), [obj, *(piece.object for piece in obj.dynamorph.attachments)]
+    rig, known = rig_of(obj), [obj, *(each.object for each in obj.dynamorph.attachments)]
     return [
         other
         for other in bpy.context.scene.objects
@@ -208,7 +208,7 @@ def _refusal(source: Source) -> str:
     assert body is not None
     if other.dynamorph.targets:
         return "It is a soft skin of its own"
-    problems = checks.follower(body.skinning, skinning), checks.mesh(other), checks.order(skinning)
+    problems = checks.attachment_problems(body.skinning, skinning), checks.mesh(other), checks.order(skinning)
     for problem in chain(*problems, checks.skinning_problems(skinning)):
         return problem.text
     try:
@@ -275,7 +275,7 @@ def _add_parts(obj, each: _Found, touches: np.ndarray, names) -> list[str]:
     areas = np.zeros((len(each.hard), max(len(mesh.materials), 1)))
     of_triangles = triangle_areas(each.points, each.triangles)
     np.add.at(areas, (labels[each.triangles[:, 0]], slots.clip(0, areas.shape[1] - 1)), of_triangles)
-    known = [piece.group for piece in parts_of(obj, owner) if piece.group in each.obj.vertex_groups]
+    known = [item.group for item in attachments_of(obj, owner) if item.group in each.obj.vertex_groups]
     taken = (each.source.groups.weights(known) >= mesh_data.MEMBER).any(axis=1)
     covered = np.bincount(labels, taken) > 0.5 * np.bincount(labels)
     added = []
@@ -300,11 +300,11 @@ def _add_parts(obj, each: _Found, touches: np.ndarray, names) -> list[str]:
 
 
 def _add(obj, other, group: str, choice: str, reason: str) -> str:
-    piece = obj.dynamorph.attachments.add()
-    piece.object, piece.group, piece.name = other, group, group or other.name
-    piece.attached_by = choice
-    piece.reason = reason  # after the choice, whose update clears the reason
-    return piece.name
+    attachment = obj.dynamorph.attachments.add()
+    attachment.object, attachment.group, attachment.name = other, group, group or other.name
+    attachment.attached_by = choice
+    attachment.reason = reason  # after the choice, whose update clears the reason
+    return attachment.name
 
 
 def grouped(areas: np.ndarray) -> list[np.ndarray]:

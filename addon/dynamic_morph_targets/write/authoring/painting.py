@@ -91,7 +91,7 @@ def _map_name(obj) -> str:
     if chosen := obj.dynamorph.firmness_group:
         return chosen
     rig = references.rig_of(obj)
-    taken = {group.name for mesh in (obj, *skin.clothes_in(obj)) for group in mesh.vertex_groups}
+    taken = {group.name for mesh in (obj, *skin.attached_meshes(obj)) for group in mesh.vertex_groups}
     taken |= {bone.name for bone in rig.data.bones} if rig else set()
     return targets.free_name(taken, NAME) if NAME in taken else NAME
 

@@ -181,7 +181,7 @@ def _remove(obj, names):
     """Remove those automatic groups that nothing uses any more."""
     settings = obj.dynamorph
     used = {settings.firmness_group, *(target.region for target in settings.targets)}
-    used |= {piece.group for piece in settings.attachments}
+    used |= {each.group for each in settings.attachments}
     for name in names:
         if name.startswith(REGION) and name not in used and name in obj.vertex_groups:
             obj.vertex_groups.remove(obj.vertex_groups[name])

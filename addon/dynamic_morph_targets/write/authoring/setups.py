@@ -89,9 +89,9 @@ def of_object(obj) -> dict:
         "output": authored(settings.output),
         "modes": [authored(mode) for mode in settings.modes],
         "attachments": [
-            {**authored(piece), "object": piece.object.name if piece.object else ""}
-            for piece in settings.attachments
-            if piece.object or piece.group
+            {**authored(each), "object": each.object.name if each.object else ""}
+            for each in settings.attachments
+            if each.object or each.group
         ],
     }
 
@@ -157,10 +157,10 @@ def _apply_pieces(obj, entries: list[dict], lacking: _Lacking):
             owner = meshes[entry["object"]] if entry.get("object") else obj
             there = lacking.present("vertex groups", [entry["group"]], owner.vertex_groups)
         if there:
-            piece = obj.dynamorph.attachments.add()
-            assign(piece, _simple(entry))
-            piece.object = meshes[entry["object"]] if entry.get("object") else None
-            piece.reason = entry.get("reason", "")  # which `choice` takes away
+            attachment = obj.dynamorph.attachments.add()
+            assign(attachment, _simple(entry))
+            attachment.object = meshes[entry["object"]] if entry.get("object") else None
+            attachment.reason = entry.get("reason", "")  # which `attached_by` takes away
 
 
 def _simple(entry: dict) -> dict:
@@ -241,8 +241,8 @@ def check(setup):
             version=version,
             known=VERSION,
         )
-    targets, modes, pieces = setup.get("targets"), setup.get("modes", []), setup.get("attachments", [])
-    if not isinstance(targets, list) or not targets or not isinstance(modes, list) or not isinstance(pieces, list):
+    targets, modes, attachments = setup.get("targets"), setup.get("modes", []), setup.get("attachments", [])
+    if not isinstance(targets, list) or not targets or not isinstance(modes, list) or not isinstance(attachments, list):
         raise SetupError("The setup has no list of targets")
     for target in targets:
         _check_target(target)
@@ -252,8 +252,8 @@ def check(setup):
             raise SetupError("Two targets are called '{name}'", name=name)
     for i, mode in enumerate(modes):
         _check_values(f"Mode {i + 1}", DynamorphMode, mode)
-    for i, piece in enumerate(pieces):
-        _check_piece(f"Attachment {i + 1}", piece)
+    for i, attachment in enumerate(attachments):
+        _check_attachment(f"Attachment {i + 1}", attachment)
     for part, kind in PARTS.items():
         _check_values(part.capitalize(), kind, setup.get(part, {}))
 
@@ -282,11 +282,11 @@ def _check_target(target):
         )
 
 
-def _check_piece(where: str, piece):
-    names = [piece.get(kind, "") for kind in ("object", "group")] if isinstance(piece, dict) else []
+def _check_attachment(where: str, attachment):
+    names = [attachment.get(kind, "") for kind in ("object", "group")] if isinstance(attachment, dict) else []
     if not all(map(is_text, names)) or not any(names):
         raise SetupError("{where} names neither an object nor a vertex group", where=where)
-    _check_values(where, DynamorphAttachment, _simple(piece))
+    _check_values(where, DynamorphAttachment, _simple(attachment))
 
 
 def _check_values(where: str, kind, values):

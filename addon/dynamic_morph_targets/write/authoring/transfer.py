@@ -17,7 +17,7 @@ from ...core.geometry import determinant, diagonal, inverse
 from ...scene import checks, mesh_data, rig_motion
 from ...scene.nearest import nearest
 from ...scene.references import rig_of
-from ...scene.skin import parts_in
+from ...scene.skin import own_attachments
 from ..bake import writer
 from . import regions, setups, targets
 
@@ -123,6 +123,6 @@ def _own_groups(source) -> list[str]:
     """Names of the vertex groups that the soft skin uses, without those that tie the mesh to bones."""
     settings = source.dynamorph
     names = [getattr(settings, field) for field in setups.GROUPS] + [target.region for target in settings.targets]
-    names += [piece.group for piece in parts_in(source)]
+    names += [each.group for each in own_attachments(source)]
     skinned = {bone.name for bone in rig_of(source).data.bones if bone.use_deform}
     return [name for name in dict.fromkeys(names) if name in source.vertex_groups and name not in skinned]

@@ -8,7 +8,7 @@ from contextlib import suppress
 import numpy as np
 
 from ...scene import animation
-from ...scene.skin import cache_modifier, followers
+from ...scene.skin import cache_modifier, shown_attachments
 
 SHAPES, MOTION = "Dynamorph Shapes", "Dynamorph"  # the tracks from bottom to top, and the Action's slots
 # The timing properties of a strip. The ends come last, because the others move them.
@@ -47,7 +47,7 @@ def share_strip(obj):
     does; what follows with the same influence, set or animated. Strips that were cut or doubled stay as they are.
     """
     motion = _strips(obj.data.shape_keys, obj.dynamorph.bake.action, MOTION)
-    for other in (obj, *followers(obj)) if motion else ():
+    for other in (obj, *shown_attachments(obj)) if motion else ():
         shapes, moving = (_strips(other.data.shape_keys, other.dynamorph.bake.action, t) for t in (SHAPES, MOTION))
         for strips in (shapes, moving):
             if len(motion) == len(strips) == 1:

@@ -24,7 +24,7 @@ from ...core.result.slider_keys import Key, scaled_keys
 from ...scene import animation, checks
 from ...scene.animation import played
 from ...scene.references import basis_hash, key_displacement, key_points
-from ...scene.skin import cache_modifier, followers
+from ...scene.skin import cache_modifier, shown_attachments
 from ..reconcile import reconcile
 from .before import Before
 from .influence import MOTION, SHAPES, carry_influence, keep_influence, strip_of
@@ -301,7 +301,7 @@ def free(obj) -> list[Message]:
     """Remove the bake of `obj` and of what follows it, if any, and restore what it changed: keys, order, active key,
     mute, animation data. Returns what the artist should know. Raises WriteError.
     """
-    baked, messages = (obj, *followers(obj)), []
+    baked, messages = (obj, *shown_attachments(obj)), []
     for each in baked:
         check_free(each)
     for each in baked:

@@ -98,10 +98,10 @@ def _fill(empty, body, plain: bool):
     """Let the empty show copies of `body` and of what follows it, as they are now, and what its bones carry along.
     Raises WriteError, and then nothing is changed.
     """
-    moving = [body, *(each for each in skin.followers(body) if each.visible_get())]
+    moving = [body, *(each for each in skin.shown_attachments(body) if each.visible_get())]
     for each in moving:
         writer.check_not_edited(each)
-    rigid = {piece.object for piece in body.dynamorph.attachments if piece.object and piece.object.visible_get()}
+    rigid = {each.object for each in body.dynamorph.attachments if each.object and each.object.visible_get()}
     collection = bpy.data.collections.new(empty.name)
     for each in (*(_copy(each, plain) for each in moving), *rigid.difference(moving)):
         collection.objects.link(each)
@@ -148,7 +148,7 @@ def _played(keys) -> list[bpy.types.Action]:
 def _width(copies, body, right: np.ndarray) -> float:
     """How wide `body` and all that stands with it is along a direction, in the present pose."""
     depsgraph, along = bpy.context.evaluated_depsgraph_get(), []
-    standing = {each for each in (body, *skin.followers(body), *copies) if each.users_scene}
+    standing = {each for each in (body, *skin.shown_attachments(body), *copies) if each.users_scene}
     for each in standing:
         evaluated = each.evaluated_get(depsgraph)
         world = np.array(evaluated.matrix_world)

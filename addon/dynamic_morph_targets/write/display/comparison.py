@@ -27,7 +27,7 @@ def can_show(obj) -> bool:
 
 def show(obj, plain: bool):
     """Show `obj` and what follows it plain, or soft again. Raises WriteError in Edit Mode."""
-    shown = (obj, *skin.followers(obj))
+    shown = (obj, *skin.shown_attachments(obj))
     for each in shown:
         writer.check_not_edited(each)
     for each in shown:

@@ -8,26 +8,26 @@ from contextlib import contextmanager
 import numpy as np
 
 from ...scene.references import key_points
-from ...scene.skin import followers
+from ...scene.skin import shown_attachments
 from ..bake import muting, writer
 from ..reconcile import note_others, reconcile
 
 NAME = "Dynamorph Live"
 
 
-def add(obj, target_names, pieces=()):
+def add(obj, target_names, attachments=()):
     """Add the key at value 1, and mute the keys of these targets: it contains their shapes. A bake stays, without any
     effect. Raises WriteError.
 
-    pieces: other meshes that follow the soft skin `obj`; each gets one too.
+    attachments: other meshes that follow the soft skin `obj`; each gets one too.
     """
     writer.check(obj)
-    for piece in pieces:
-        writer.check(piece, obj)
+    for attachment in attachments:
+        writer.check(attachment, obj)
     _add(obj, target_names)
-    for piece in pieces:
-        _add(piece, target_names, skin=obj)
-    for each in (obj, *followers(obj)):
+    for attachment in attachments:
+        _add(attachment, target_names, skin=obj)
+    for each in (obj, *shown_attachments(obj)):
         muting.show_bake(each, False)
 
 
@@ -50,7 +50,7 @@ def remove(obj):
 
     Raises WriteError.
     """
-    shown = (obj, *followers(obj))
+    shown = (obj, *shown_attachments(obj))
     for each in shown:
         if find(each):
             writer.check_not_edited(each)
@@ -79,14 +79,14 @@ def _remove(obj):
 
 def remove_hidden(obj):
     """The same for a hidden key, whose targets something else has muted since: they stay as they are."""
-    for each in (obj, *followers(obj)):
+    for each in (obj, *shown_attachments(obj)):
         each.dynamorph.live.muted.clear()
     remove(obj)
 
 
 def hide(obj, hidden: bool):
     """Let `obj` and what follows it look as without Live, while the key stays; or as with it again."""
-    for each in (obj, *followers(obj)) if find(obj) else ():
+    for each in (obj, *shown_attachments(obj)) if find(obj) else ():
         muting.show_bake(each, hidden)
         block = find(each)
         if block is None:

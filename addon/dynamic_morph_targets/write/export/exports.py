@@ -19,7 +19,7 @@ from ...core.errors import ExportError
 from ...io import glb, outputs, point_cache, whole
 from ...scene import animation, checks, skin, staleness
 from ...scene.references import key_points, rig_of
-from ...scene.skin import followers
+from ...scene.skin import shown_attachments
 from ...scene.skinning import meshes_on
 from .. import actions
 from ..bake import reading, writer
@@ -121,7 +121,7 @@ def _last_line(text: str) -> str:
 def _size(obj, chosen: Format, frames: tuple[int, int], without=()) -> int:
     """About how many bytes the file has at least: those of positions, single precision, and of the keys' values."""
     count, size = frames[1] - frames[0] + 1, 0
-    moving = obj, *followers(obj)
+    moving = obj, *shown_attachments(obj)
     for mesh in meshes_together(obj):
         point = 12 * len(mesh.data.vertices)
         if mesh in without:
@@ -254,7 +254,7 @@ def _meshes_of(obj) -> list:
 
 def _followers(obj) -> list:
     """Those that are in some scene: an attachment keeps the data of one that was deleted."""
-    return [mesh for mesh in followers(obj) if mesh.users_scene]
+    return [mesh for mesh in shown_attachments(obj) if mesh.users_scene]
 
 
 def _together(obj, without=()) -> list:

@@ -9,7 +9,7 @@ from typing import Any
 from ...core.message import Message
 from ...scene import animation
 from ...scene.references import rig_of
-from ...scene.skin import followers
+from ...scene.skin import shown_attachments
 from ...scene.skinning import Skinning, armature_modifiers, deforming_bones
 from .exports import FORMATS, left_out, meshes_together, surface_formats
 
@@ -23,7 +23,7 @@ def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
         yield from _raw_losses(obj)
     elif FORMATS[key].skins:
         planned = _planned_keys(obj) if takes == "ACTIONS" else None
-        moved = obj, *followers(obj)
+        moved = obj, *shown_attachments(obj)
         for mesh in meshes_together(obj):
             if mesh in moved or armature_modifiers(mesh):
                 yield from _skinning_losses(mesh, key)
@@ -47,9 +47,9 @@ def _planned_keys(obj) -> int:
 
 
 def _raw_losses(obj) -> Iterator[str]:
-    pieces = ", ".join(f"'{piece.name}'" for piece in meshes_together(obj) if piece != obj)
-    if pieces:
-        yield Message("A raw clip is of one mesh: {pieces} is left out", pieces=pieces)
+    others = ", ".join(f"'{each.name}'" for each in meshes_together(obj) if each != obj)
+    if others:
+        yield Message("A raw clip is of one mesh: {names} is left out", names=others)
     others = [name for name in animation.moving_keys(obj) if name not in animation.baked_keys(obj)]
     if others:
         yield Message("A raw clip has the bake's keys alone: {keys} is left out", keys=", ".join(others))
