@@ -246,7 +246,7 @@ def test_flamenco_bakes_each_character_and_wedge(compiled):
     assert {task["type"] for task in tasks.values()} == {"blender"}
 
 
-def test_flamenco_names_no_file_elsewhere(compiled):
+def test_flamenco_names_no_file_elsewhere(addon, compiled):
     """By the name of an object, as a stranger's .blend may have it."""
     tasks = compiled(characters="a/../../../etc/x")
     (bake,) = (task for name, task in tasks.items() if name.startswith("bake "))
