@@ -32,7 +32,7 @@ def motion_limit(
 ) -> dynamorph.ReducedMotionLimit | dynamorph.FullMotionLimit | None:
     """What limits the engine's motion of a model; None without limits, or where no skin is soft."""
     distances = largest_distances(model, character, settings)
-    soft = character.triangles[(character.pieces[character.triangles] >= 0).all(axis=1)]
+    soft = character.triangles[(character.cage_index[character.triangles] >= 0).all(axis=1)]
     if not np.isfinite(distances).all() or not len(soft):
         return None
     kind = dynamorph.FullMotionLimit if model.settings.solver == "FULL" else dynamorph.ReducedMotionLimit
