@@ -194,18 +194,17 @@ class StandIn:
     class Model:
         tets, thickness = (), np.zeros(0)
 
-        def __init__(self, arrays, meta):
-            from bl_ext.user_default.dynamic_morph_targets.core.model.summary import Summary
-
-            self.arrays, self.meta = arrays, meta
-            self.summary = Summary.from_stored(meta["summary"])
+        def __init__(self, arrays, dependencies, summary):
+            self.arrays, self.dependencies, self.summary = arrays, dependencies, summary
 
         @classmethod
         def from_arrays(cls, arrays, meta):
-            return cls(arrays, meta)
+            from bl_ext.user_default.dynamic_morph_targets.core.model.summary import Summary
+
+            return cls(arrays, meta["dependencies"], Summary.from_stored(meta["summary"]))
 
         def to_arrays(self):
-            return self.arrays, self.meta
+            return self.arrays, {"dependencies": self.dependencies, "summary": self.summary.stored}
 
         @property
         def settings(self):
@@ -222,7 +221,7 @@ class StandIn:
 
     def stale_reasons(self, model, character):
         now = self.dependencies(character)
-        return [f"{name} changed" for name in now if model.meta["dependencies"].get(name) != now[name]]
+        return [f"{name} changed" for name in now if model.dependencies.get(name) != now[name]]
 
     def build_for(self, character, rig, settings, progress=None, previous=None):
         from bl_ext.user_default.dynamic_morph_targets.core.model.summary import Summary
@@ -231,9 +230,8 @@ class StandIn:
         for i in range(5):
             assert progress(i / 5, "Modes")
         counts = {"nodes": 10, "tets": 20, "pinned": 4, "dofs": 30, "modes": 3, "tabulated": 3}
-        made = Summary(**counts, held=0.4, targets=len(character.targets))
-        meta = {"dependencies": self.dependencies(character), "summary": made.stored}
-        return self.Model({"a": np.zeros(self.bytes // 8)}, meta)
+        made = Summary(**counts, held=0.4, targets=len(character.targets), seconds={"modes": 0.5})
+        return self.Model({"a": np.zeros(self.bytes // 8)}, self.dependencies(character), made)
 
     def Shot(self, model, character, settings, progress):  # stands in for a class
         return StandInShot(self, character, settings, progress)
