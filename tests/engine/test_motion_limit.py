@@ -123,7 +123,7 @@ def test_a_lasting_load_is_scaled_as_the_formula_says(limited, kind, share):
     simulation.start(still, still, made.neutral)
     excess = simulation.state[2]
     assert excess[0] == pytest.approx(excess[1], rel=0.05)  # both halves hang alike
-    assert excess.max() == pytest.approx(share / 2.0 / 1.25, rel=0.2)  # the percentile is a little below the largest
+    assert excess.max() == pytest.approx(share / 2.0 / 1.5, rel=0.2)  # the percentile is a little below the largest
     scale = np.where(excess <= 0.5, 1.0, (0.5 + 0.5 * np.tanh(2.0 * excess - 1.0)) / excess).mean()
     found, expected = (
         made.model.displacement(simulation.coordinates),
@@ -132,7 +132,7 @@ def test_a_lasting_load_is_scaled_as_the_formula_says(limited, kind, share):
     if share <= 1.0:  # nothing is as far as 0.6 of its distance
         assert np.abs(found - expected).max() < 0.02 * np.abs(expected).max()
     else:  # it is pulled back, too
-        assert 0.6 * 2.0 * sag < np.abs(found).max() < 0.9 * np.abs(expected).max() < 1.3 * 2.0 * sag
+        assert 0.6 * 2.0 * sag < np.abs(found).max() < 0.9 * np.abs(expected).max() < 1.6 * 2.0 * sag
     simulation.advance(np.repeat(still[None], 400, axis=0), np.repeat(made.neutral[None], 400, axis=0))
     after = made.model.displacement(simulation.coordinates)
     assert np.abs(after - found).max() < 2e-3 * np.abs(found).max()  # it started at rest

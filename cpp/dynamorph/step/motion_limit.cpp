@@ -18,7 +18,7 @@ using Eigen::Index;
 
 namespace {
 
-constexpr double kSlack = 1.25;       // a static answer of so many limits counts as 1: what swings goes farther
+constexpr double kSlack = 1.5;        // a static answer of so many limits counts as 1: what swings goes farther
 constexpr double kStretch = 0.6;      // of an edge's length, by which a static answer may change it
 constexpr double kPercentile = 0.97;  // of a bone's skin; spikes and slivers that only ride along must not decide
 constexpr double kEdgePercentile = 0.998;

@@ -5,7 +5,7 @@
 //    and force fields do to the tissue. Its static answer y = K^-1 f (K: the neutral stiffness) says how far it would
 //    carry the skin if it lasted. For each bone b
 //
-//      r_b     = max(97th percentile of |y_i| / (1.25 L_i) over its skin,  largest |e . dy| / (0.6 l) over its edges)
+//      r_b     = max(97th percentile of |y_i| / (1.5 L_i) over its skin,  largest |e . dy| / (0.6 l) over its edges)
 //      rbar_b += (1 - exp(-h w)) (r_b - rbar_b)
 //      s_b     = 1 where rbar_b <= 1/2,  otherwise (1/2 + 1/2 tanh(2 rbar_b - 1)) / rbar_b
 //
