@@ -209,13 +209,13 @@ void Simulation<Model>::set_state(const State& state) {
     if (!bones.allFinite()) throw Error("The state has a bone transform that is not a finite number");
   }
   const Eigen::Index limited = limit_ ? limit_->bones() : 0;
-  if (state.excess.size() != limited && state.excess.size() != 0)
+  if (limit_ && state.excess.size() != limited && state.excess.size() != 0)
     throw std::invalid_argument("state: expected the excess of " + std::to_string(limited) + " bones, got " +
                                 std::to_string(state.excess.size()));
   if (!(state.excess.array() >= 0).all() || !state.excess.allFinite())
     throw Error("The state has an excess that is not a finite number");
   state_ = state;
-  if (state_.excess.size() == 0) state_.excess.setZero(limited);
+  if (state_.excess.size() != limited) state_.excess.setZero(limited);
 }
 
 template <class Model>

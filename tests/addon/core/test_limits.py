@@ -142,11 +142,14 @@ def test_live_moves_as_a_bake_with_limits_does(new_arm):
     job = bake(new_arm)
     bpy.ops.dynamorph.delete_bake()
     bpy.ops.dynamorph.live()
+    farthest = max(np.abs(job.outcome.bake.displacement(k)).max() for k in range(20))
     for k, frame in enumerate(range(1, 21)):
         bpy.context.scene.frame_set(frame)
         keys = new_arm.data.shape_keys
         shown = key_points(keys.key_blocks["Dynamorph Live"]) - key_points(keys.reference_key)
-        np.testing.assert_allclose(shown, job.outcome.bake.displacement(k), atol=1e-5)
+        # The bake leaves out modes that hardly move.
+        baked = job.outcome.bake.displacement(k)
+        np.testing.assert_allclose(shown, baked, atol=2e-3 * farthest)
 
 
 def test_targets_follow_the_neutral_unless_set_by_hand(new_arm):

@@ -79,6 +79,7 @@ class Player:
             self.engine = engine or model.engine(self.character, self.character.probed)
             self._shapes = model.target_coordinates(self.engine)
             self._simulation = self._stepper(self.engine)
+            self._simulation.set_limit(motion_limit(model, self.engine, self.character, settings))
         self.posing = Posing(model, self.character, self.probed)
         self.amounts = Amounts(model, self.character, self._shapes, settings)
 
@@ -124,8 +125,7 @@ class Player:
             self.state = [self.static(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4, np.zeros(0)
             begun = NO_STEPS
         else:
-            after = bones[0] if self.settings.still_frames else bones[-1]
-            begun = self._simulation.start(bones[0], after, weights[0])
+            begun = self._simulation.start(bones[0], bones[0 if self.settings.still_frames else -1], weights[0])
         still, same = (np.repeat(first[:1], self.settings.substeps, axis=0) for first in (bones, weights))
         for _ in range(self.settings.still_frames):
             self._ask()
@@ -207,8 +207,7 @@ class Player:
         other.number, other.passes = self.number, self.passes
         if self._first is not None:
             other._balance_targets(self._first)
-            coordinates, bones, excess = self.state
-            other.state = coordinates, bones, excess if len(excess) == len(other.state[2]) else np.zeros(0)
+            other.state = self.state
         return other
 
     def follow(self, settings: SimulationSettings, motion_amounts: np.ndarray) -> None:
@@ -235,7 +234,7 @@ class Player:
 
     def _stepper(self, engine: EngineModel) -> EngineSimulation:
         settings, full = self.settings, self.model.settings.solver == "FULL"
-        simulation = self.model.stepper(
+        return self.model.stepper(
             engine,
             settings.step,
             integrator=dynamorph.Integrator.__members__[settings.integrator],
@@ -243,8 +242,6 @@ class Player:
             teleport=TELEPORT * engine.body.size * settings.step,
             keep_going=self._keep_going if full else None,  # a reduced step takes less time than asking
         )
-        simulation.set_limit(motion_limit(self.model, engine, self.character, settings))
-        return simulation
 
     def _balance_targets(self, first: RigSamples) -> None:
         """Sculpted shapes are what the artist saw under gravity, so each one is balanced in its own pose."""
