@@ -66,7 +66,12 @@ def verdict(record: str) -> dict:
 
 def slot(record: str) -> dict:
     """A set of settings as `slots.slot_settings` gives it, without fields that this version does not know."""
-    needed = {"materials": _are_groups, "frequencies": _is_group, "simulation": _is_group, "gains": _are_numbers}
+    needed: dict[str, Callable[[object], bool]] = {
+        "materials": _are_groups,
+        "frequencies": _is_group,
+        "simulation": _is_group,
+        "gains": _are_numbers,
+    }
     values = _read(record, SLOT, needed, {})
     materials = {
         target: {name: value for name, value in material.items() if name in MATERIAL and is_number(value)}

@@ -220,6 +220,15 @@ def test_stiffen_raises_bounce_everywhere(baked):
     assert (neutral.by_hand, flexed.by_hand) == (False, True)
 
 
+def test_stiffen_by_more_than_there_is(baked):
+    """A limit of next to nothing gives an infinite factor."""
+    baked.dynamorph.bake.verdict = replace(FAR, limits=Limits(1e-320)).record
+    neutral = baked.dynamorph.targets[0]
+    neutral.set_references(0.5, 1.0, neutral.poisson)
+    OPS.stiffen()
+    assert np.isfinite(neutral.bounce) and np.isfinite(neutral.stiffness)
+
+
 def test_stiffen_needs_a_bounce(baked):
     for target in baked.dynamorph.targets:
         target.set_references(0.0, 0.0, target.poisson)

@@ -167,9 +167,10 @@ def parsed(record: str) -> Verdict | None:
     """The verdict that `Verdict.record` stored; None without a record. Raises RecordError."""
     if not record:
         return None
-    values = {name: tuple(v) if isinstance(v, list) else v for name, v in records.verdict(record).items()}
+    values = records.verdict(record)
+    lists = {name: tuple(values[name]) for name in ("stretch", "vertices")}
     held = Held(**values["held"] | {"frames": tuple(values["held"]["frames"])})
-    return Verdict(**values | {"limits": Limits(**values["limits"]), "held": held})
+    return Verdict(**values | lists | {"limits": Limits(**values["limits"]), "held": held})
 
 
 def judge(model: Model, character: Character, bake: Bake, settings: SimulationSettings, held: Held) -> Verdict:
