@@ -125,14 +125,6 @@ def point_cache(path: Path, _mesh: str, frames) -> np.ndarray:
     return surfaces[np.searchsorted(first + step * np.arange(count), frames)]
 
 
-def motion_designer(path: Path, _mesh: str, frames) -> np.ndarray:
-    """MDD with a surface at each of these frames, local space."""
-    data = path.read_bytes()
-    count, vertices = np.frombuffer(data, ">i4", 2)
-    assert count == len(frames)
-    return np.frombuffer(data, ">f4", offset=8 + 4 * count).reshape(count, vertices, 3)
-
-
 USD = """
 import sys, numpy as np
 from pxr import Usd, UsdGeom
@@ -343,8 +335,6 @@ FORMS = (
     Form("Shape Key Per Frame", "Blender", format="FRAMES"),
     Form("Point Cache (PC2)", "Blender", format="PC2"),
     Form("PC2, the file", "NumPy", format="PC2", read=point_cache, local=True),
-    Form("Point Cache (MDD)", "Blender", format="MDD"),
-    Form("MDD, the file", "NumPy", format="MDD", read=motion_designer, local=True),
     Form("glTF", "pygltflib", key="GLTF", read=by_pygltflib, same_order=False),
     Form("glTF, 8 keys", "pygltflib", key="GLTF", read=by_pygltflib, keys=8, same_order=False),
     Form("FBX", "Blender, imported", key="FBX", read=FBX),

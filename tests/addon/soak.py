@@ -52,7 +52,6 @@ GROWTH = 0.5  # MB for each new file after that
 # Most that a step may ask for, so that a walk takes many: (of the group, the property) -> highest value.
 CHEAP = {
     ("model", "cage_nodes"): 250, ("model", "modes"): 8, ("simulation", "substeps"): 8, ("simulation", "samples"): 3,
-    ("simulation", "preroll"): 10,
 }  # fmt: skip
 
 

@@ -132,16 +132,9 @@ def test_a_cage_is_current_until_something_moves_it(cage):
     assert "Cage Nodes changed" in stale_reasons(cage, bar(cage_nodes=500))
 
 
-def test_the_cage_depends_on_its_thickness(cage):
-    assert not has_cage(cage, bar(cage_thickness=0.01))
-    assert "Cage Thickness changed" in stale_reasons(build(bar(), previous=cage), bar(cage_thickness=0.01))
-
-
-def test_the_cage_stands_off_and_says_what_it_is_made_of(cage):
-    thick = build_cage(bar(cage_thickness=0.1, cage_nodes=300))
-    assert np.ptp(thick.nodes, axis=0).min() > np.ptp(cage.nodes, axis=0).min() + 0.1
-    assert thick.summary.defects["components"] == 1 and not thick.summary.defects["open_edges"]
-    assert 0 < thick.summary.quality["min_dihedral"] < 60
+def test_the_cage_says_what_it_is_made_of(cage):
+    assert cage.summary.defects["components"] == 1 and not cage.summary.defects["open_edges"]
+    assert 0 < cage.summary.quality["min_dihedral"] < 60
 
 
 def test_firmer_skin_is_held_otherwise_in_the_same_tetrahedra(cage):

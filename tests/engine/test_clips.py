@@ -156,10 +156,6 @@ def test_point_caches_are_read_back():
     assert np.frombuffer(pc2, "<f4", 2, 20).tolist() == [1.0, 1.0]
     assert np.frombuffer(pc2, "<i4", 1, 28).tolist() == [len(exact)]
     np.testing.assert_array_equal(np.frombuffer(pc2, "<f4", offset=32).reshape(exact.shape), exact)
-    mdd = b"".join(point_cache.motion_designer(bake, vertices, FPS))
-    assert np.frombuffer(mdd, ">i4", 2).tolist() == [len(exact), len(vertices)]
-    np.testing.assert_allclose(np.frombuffer(mdd, ">f4", len(exact), 8), bake.frames / FPS, rtol=1e-6)
-    np.testing.assert_array_equal(np.frombuffer(mdd, ">f4", offset=8 + 4 * len(exact)).reshape(exact.shape), exact)
 
 
 def test_a_raw_clip_is_what_numpy_reads():

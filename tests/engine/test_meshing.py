@@ -114,19 +114,6 @@ def test_filled_volume_is_the_bodys_whichever_way_its_faces_look(turned):
     assert dynamorph.pinned(mesh, vertices, triangles, *axis, 0.6).any()
 
 
-@pytest.mark.parametrize("cage", [None, box(size=(2.2, 2.2, 2.2))], ids=["wrap", "own"])
-def test_graded_tetrahedra_are_finer_where_the_body_is_moved(cage):
-    body = sphere()
-    moved = np.clip(body[0][:, 2] * 2 - 1, 0, 1)  # its top
-    densities = []
-    for grading in (0.0, 1.0):
-        *_, mesh = dynamorph.mesh_body(*body, 1000, cage=cage, grading=grading, moved=moved)
-        assert abs(len(mesh.nodes) / 1000 - 1) < 0.2
-        assert dynamorph.tet_quality(mesh)["under_5"] < 2e-3
-        densities.append((mesh.nodes[:, 2] > 0.6).mean())
-    assert densities[1] > 1.4 * densities[0]
-
-
 def test_quality_of_a_regular_and_of_a_flat_tetrahedron():
     regular = np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]])
     found = dynamorph.tet_quality(dynamorph.TetMesh(regular, [[0, 1, 2, 3]]))

@@ -46,7 +46,6 @@ ENGLISH = {
     r"Weight \(kg\)": "Mass",
     r"Shape Key a Frame": "Shape Key Per Frame",
     r"\bSuggest Pose\b": "Find Uncovered Pose",
-    r"\bCage Grading\b": "Cage Adaptivity",
     r"\bFade-Out Radius\b": "Fade-Out Angle",
 }
 # For code only: names that were, or that hide what a thing is.

@@ -187,8 +187,7 @@ def at(*fractions: float):
 @step("Esc while it reads the rig")
 def cancel_reading():
     yield from physics("advanced", "rare")
-    for name in ("integrator", "preroll_pose"):
-        yield from properties.choose_other(f"simulation.{name}")
+    yield from properties.choose_other("simulation.integrator")
     yield from close("rare")
     yield from physics("solver")
     yield from properties.choose_other("simulation.initial_state")

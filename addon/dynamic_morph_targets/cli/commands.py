@@ -21,7 +21,7 @@ from ..core.errors import FileInUseError, InputError
 from ..core.material import fit, oscillation
 from ..core.result import compare
 from ..core.settings import MOST_SUBSTEPS, VARIANTS, Material, ModelSettings
-from ..io import cache_dir, disk, outputs, paths, point_cache, report_page
+from ..io import cache_dir, disk, outputs, paths, report_page
 from ..run import batch, expected_error, export_actions, full_comparison
 from ..run.job import Job
 from ..scene import checks, extract, mesh_data, model_store, run_settings, skin, staleness
@@ -35,9 +35,7 @@ from .record import Done, ProgressPrinter, print_table
 
 SETTABLE = (*(field.name for field in fields(Material)), "fade_out_angle", "amount")  # properties of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
-SIMULATION_SETTINGS = (
-    "samples", "integrator", "gravity", "fields", "initial_state", "preroll", "preroll_pose", "loop", "keep_outside",
-)  # fmt: skip
+SIMULATION_SETTINGS = ("samples", "integrator", "gravity", "fields", "initial_state", "loop", "keep_outside")
 OUTPUT_SETTINGS = ("keys", "frame_step", "tolerance")
 SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output": OUTPUT_SETTINGS}
 
@@ -157,7 +155,7 @@ def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], fold
         raise InputError("--clips actions takes the frames of each Action: leave --frames out")
     if not (args.output or args.in_place or chosen):
         raise InputError("say where the bake goes: --output or --in-place, or --format with a file for other programs")
-    if args.output_file and not (chosen or chosen_format in point_cache.CACHES):
+    if args.output_file and not (chosen or chosen_format == "PC2"):
         raise InputError("--output-file needs a --format that is a file")
     if not (args.output_file or chosen):
         return {}

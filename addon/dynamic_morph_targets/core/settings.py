@@ -31,7 +31,6 @@ METHODS = {
     "SINGLE": ("Single", "Only the neutral target counts, as in an ordinary soft body"),
     "STATIC": ("Static", "The shape follows the pose as geometric morph targets do, and nothing moves by itself"),
 }
-POINT_CACHES = ("PC2", "MDD")  # forms that are files of every vertex at every frame
 # The variants that `dynamorph report` compares, as changes of ModelSettings. All other settings are the object's own.
 VARIANTS: dict[str, dict[str, str]] = {
     "static morphs": {"method": "STATIC"},
@@ -66,10 +65,7 @@ class ModelSettings:
     modes: int = 20
     fit_to_shot: bool = False  # choose the MODES of `basis` from the motion of the shot
     cage_nodes: int = 2000
-    cage_thickness: float = 0.0  # smallest distance from the skin to the cage, meters
-    cage_adaptivity: float = 0.0  # 0 for tets of one size .. 1 for much finer tets where targets move the skin
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin within which the bone holds nodes
-    separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
     hold: str = "BONES"  # what holds the body: pins near the bones, or its THICKNESS, by a continuous energy
     hold_head: bool = False  # the skin of the head is held as if it were rigid
     basis: str = "MODES"  # of a reduced model: tabulated MODES, or few of them and many linear RESPONSES
@@ -103,11 +99,11 @@ class SimulationSettings:
     """One run: frames frame_start..frame_end at `fps`, each in `substeps` steps; gravity (3,) world, m/s^2.
 
     samples: states per frame that are kept; `substeps` is a multiple of it. initial_state: REST_SHAPE has the targets'
-    shapes without motion at the first frame, SETTLED is in balance and moves with the rig. preroll: frames before
-    `frame_start`; preroll_pose: there the rig stands still in its first pose (HELD), or moves as it is animated
-    (ANIMATED). loop: the range is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for further
-    modes; amount: on all of it. max_displacement, max_thickness: how far the skin may move away from its targets'
-    shapes, as fractions of the body's size and of its thickness there; 0 for no limit.
+    shapes without motion at the first frame, SETTLED is in balance and moves with the rig. run_up: frames that are
+    simulated before `frame_start` and dropped; a cycle needs none. loop: the range is a cycle. gains: factors on the
+    modes' motion about the targets' shapes, 1 for further modes; amount: on all of it. max_displacement,
+    max_thickness: how far the skin may move away from its targets' shapes, as fractions of the body's size and of its
+    thickness there; 0 for no limit.
     """
 
     frame_start: int = 1
@@ -117,8 +113,7 @@ class SimulationSettings:
     integrator: str = "BDF2"
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     samples: int = 1
-    preroll: int = 0
-    preroll_pose: str = "HELD"
+    run_up: int = 0
     initial_state: str = "SETTLED"
     loop: bool = False
     gains: tuple[float, ...] = ()
@@ -134,16 +129,6 @@ class SimulationSettings:
     def frames(self) -> np.ndarray:
         """The frames of the result, with fractions for the samples between them."""
         return self.times[self.run_up * self.samples :]
-
-    @property
-    def run_up(self) -> int:
-        """Frames that are simulated before `frame_start` and dropped. A cycle needs none: it finds what came before."""
-        return self.preroll if self.preroll_pose == "ANIMATED" and not self.loop else 0
-
-    @property
-    def still_frames(self) -> int:
-        """Frames before the first one in which the first pose stands still."""
-        return self.preroll if self.preroll_pose == "HELD" else 0
 
     @property
     def first(self) -> int:
@@ -174,7 +159,7 @@ class SimulationSettings:
 
 @dataclass(frozen=True)
 class OutputSettings:
-    """The form of a bake in Blender. format: MODES, FRAMES, PC2 or MDD."""
+    """The form of a bake in Blender. format: MODES, FRAMES or PC2."""
 
     format: str = "MODES"
     keys: int = 0  # largest number of keys for MODES; 0: no limit

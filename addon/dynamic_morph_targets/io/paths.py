@@ -51,8 +51,8 @@ def _identity(file: Path) -> object:
     return (there.st_dev, there.st_ino) if there.st_ino else name  # which some network drives have none of
 
 
-def cache_path(folder: Path, name: str, content: str, form: str) -> Path:
+def cache_path(folder: Path, name: str, content: str) -> Path:
     """The path of a point cache. It is named by a hash of its content, so that no file changes that another .blend
     plays.
     """
-    return file_path(str(folder / CACHE_FOLDER / f"{OBJECT}-{content[:12]}.{form.lower()}"), name)
+    return file_path(str(folder / CACHE_FOLDER / f"{OBJECT}-{content[:12]}.pc2"), name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A bake as the bytes of point caches: PC2, MDD and raw arrays. Never touches bpy."""
+"""A bake as the bytes of point caches: PC2 and raw arrays. Never touches bpy."""
 
 from __future__ import annotations
 
@@ -23,17 +23,6 @@ def point_cache(bake: Bake, vertices: np.ndarray) -> Iterator[bytes]:
     yield np.array([len(bake.frames)], "<i4").tobytes()
     for chunk in surfaces(bake, vertices):
         yield chunk.astype("<f4").tobytes()
-
-
-def motion_designer(bake: Bake, vertices: np.ndarray, fps: float) -> Iterator[bytes]:
-    """The surface at each frame as MDD, the point cache of other programs: header, times in seconds, then frames."""
-    yield np.array([len(bake.frames), len(vertices)], ">i4").tobytes()
-    yield (bake.frames / fps).astype(">f4").tobytes()
-    for chunk in surfaces(bake, vertices):
-        yield chunk.astype(">f4").tobytes()
-
-
-CACHES = {"PC2": lambda bake, vertices, _fps: point_cache(bake, vertices), "MDD": motion_designer}
 
 
 def raw(bake: Bake, vertices: np.ndarray, fps: float) -> bytes:

@@ -44,11 +44,4 @@ def _pc2(path: Path) -> bool:
     return head[:11] == b"POINTCACHE2" and path.stat().st_size == 32 + 12 * int(points) * int(frames)
 
 
-def _mdd(path: Path) -> bool:
-    with path.open("rb") as file:
-        head = file.read(8)
-    frames, points = np.frombuffer(head.ljust(8, b"\0"), ">i4")
-    return path.stat().st_size == 8 + (4 + 12 * int(points)) * int(frames) > 8
-
-
-CHECKS = {".fbx": _fbx, ".glb": glb.is_whole, ".npz": _npz, ".pc2": _pc2, ".mdd": _mdd}
+CHECKS = {".fbx": _fbx, ".glb": glb.is_whole, ".npz": _npz, ".pc2": _pc2}

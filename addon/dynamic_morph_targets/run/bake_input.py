@@ -23,7 +23,7 @@ from ..core.message import Message, joined
 from ..core.model import build
 from ..core.model.model import Model
 from ..core.result.keys import united
-from ..io import outputs, paths, point_cache
+from ..io import outputs, paths
 from ..io.cache_dir import CacheDir
 from ..scene import animation, extract, probe, rig_motion, run_settings, staleness
 from ..scene.checks import skinned
@@ -87,7 +87,7 @@ def read(request: Request) -> BakeInput:
     fits = _read_model(given, obj, request)
     if given.is_bake or (fits and not given.only_cage):
         _read_shot(given, source.skinning, request, fits)
-    if given.output and given.output.format in point_cache.CACHES:
+    if given.output and given.output.format == "PC2":
         _try_caches(given)
     _check_memory(given)
     return given
@@ -121,7 +121,7 @@ def handles(attachments: Sequence[Attachment]) -> list[ObjectHandle]:
 def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -> None:
     """The form of the bake in Blender. Raises WriteError."""
     given.output = run_settings.output_settings(obj)
-    if given.output.format not in point_cache.CACHES:
+    if given.output.format != "PC2":
         return
     caches = folder or blend_folder()
     check_cache(obj, caches)
@@ -218,15 +218,13 @@ def _read_kept(given: BakeInput, obj: bpy.types.Object) -> None:
         )
     whole = {"frame_start": min(settings.frame_start, first), "frame_end": max(settings.frame_end, last)}
     given.inputs["simulation"] |= whole
-    run_up = min(settings.frame_start - whole["frame_start"], max(settings.preroll, round(settings.fps)))
+    run_up = min(settings.frame_start - whole["frame_start"], round(settings.fps))
     changes = staleness.outdated(obj)
     if changes:
         given.warnings.append(Message("Since the other frames were baked: {changes}", changes=joined(", ", changes)))
     if settings.loop:
         given.warnings.append("A part of a bake cannot be a loop: Loop is ignored")
-    given.settings = replace(settings, loop=False)
-    if run_up:
-        given.settings = replace(given.settings, preroll=run_up, preroll_pose="ANIMATED")
+    given.settings = replace(settings, loop=False, run_up=run_up)
 
 
 class RigReader:

@@ -228,23 +228,22 @@ def _make_keys(given: BakeInput, outcome: Outcome, output: OutputSettings) -> No
     bakes, all_keys = of_meshes(character, outcome.bake), of_meshes(character, whole)
     for name, points, bake, keys in zip(names, points_of, bakes, all_keys, strict=True):
         file = None
-        if output.format in point_cache.CACHES:
-            file = _point_cache(given, outcome, output.format, name, points, bake)
+        if output.format == "PC2":
+            file = _point_cache(given, outcome, name, points, bake)
         outcome.written.append((keys, file))
     outcome.report["keys"] = len(outcome.written[0][0].modes) + len(outcome.written[0][0].residual_shapes)
 
 
-def _point_cache(given: BakeInput, outcome: Outcome, form: str, name: str, points: np.ndarray, bake: Bake) -> Path:
+def _point_cache(given: BakeInput, outcome: Outcome, name: str, points: np.ndarray, bake: Bake) -> Path:
     """Write the file that plays the bake of the mesh `name`."""
-    fps = given.settings.fps
-    default = paths.cache_path(given.caches, name, baked.digest(bake, points, fps), form)
+    default = paths.cache_path(given.caches, name, baked.digest(bake, points, given.settings.fps))
     file = written = given.cache_files.get(name, default)
     if name in given.cache_files:  # the earlier file plays until the .blend is saved
         outputs.remove_abandoned(file)
         written = outcome.beside[file] = outputs.partial_of(file)
     if not written.exists():
         outcome.new_files.append(written)
-    disk.save(written, point_cache.CACHES[form](bake, points, fps))
+    disk.save(written, point_cache.point_cache(bake, points))
     return file
 
 

@@ -33,8 +33,7 @@ class ClipJob(Job):
 
     def __init__(self, obj: bpy.types.Object, clip: Clip, clips: Sequence[Clip]):
         name, frames = f"{obj.name}: {clip.name}", (clip.first, clip.last)
-        # The clip alone: before its first frame there is nothing to run up on.
-        changes = {"loop": clip.cyclic, "preroll_pose": "HELD", "samples": 1}
+        changes = {"loop": clip.cyclic, "samples": 1}
         super().__init__(obj, "BAKE", frames, name=name, whole=True, stored=False, changes=changes)
         self._clips = clips
 

@@ -269,18 +269,13 @@ class Session:
                 self._advance(obj)
             self._begin_again(obj)
         elif starts or not self._frames or not self.first <= number <= self.last + CATCH_UP:
-            self._run_up(obj, number)
+            self._begin(obj, number)
         while self.last < number:
             self._advance(obj)
 
-    def _run_up(self, obj: bpy.types.Object, number: int) -> None:
+    def _begin(self, obj: bpy.types.Object, number: int) -> None:
         """Begin at a frame as a bake that starts there does."""
-        player = self.tissue.player
-        first = number - player.settings.run_up
-        frame = player.begin(self.rig.after(obj, first))
-        for before in range(first, number):
-            frame = player.advance(self.rig.after(obj, before)[1:], before + 1)
-        self._start(number, frame)
+        self._start(number, self.tissue.player.begin(self.rig.after(obj, number)))
 
     def _begin_again(self, obj: bpy.types.Object) -> None:
         """Go from the end of a cycle to its start, without a jump."""

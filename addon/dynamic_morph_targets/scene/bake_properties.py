@@ -144,21 +144,6 @@ class DynamorphSimulation(PropertyGroup):
         ),
         default="SETTLED", override=OVERRIDE,
     )  # fmt: skip
-    preroll: IntProperty(
-        name="Pre-Roll",
-        description="How many frames are simulated before the first frame. Raise it where a shot begins in motion",
-        default=0, min=0, max=10_000, soft_max=100, override=OVERRIDE,
-    )  # fmt: skip
-    preroll_pose: EnumProperty(
-        name="Pre-Roll Pose",
-        description="What the rig does in the pre-roll frames. Choose Animated where the animation begins before the "
-        "shot. A loop needs none",
-        items=(
-            ("HELD", "First Pose", "It stands still in the pose of the first frame", 0),
-            ("ANIMATED", "Animated", "It plays its animation before the first frame, keyframed or extrapolated", 1),
-        ),
-        default="HELD", override=OVERRIDE,
-    )  # fmt: skip
     keep_outside: BoolProperty(
         name="Keep Other Frames",
         description="Bake this range into the last bake and keep its other frames. The simulation starts one second "
@@ -195,7 +180,6 @@ class DynamorphOutput(PropertyGroup):
             ),
             ("FRAMES", "Shape Key Per Frame", "The surface at single frames as keys, and curves that blend them", 1),
             ("PC2", "Point Cache (PC2)", "A file with the surface at every frame, played by a Mesh Cache modifier", 2),
-            ("MDD", "Point Cache (MDD)", "The same as PC2, for programs that read only MDD", 3),
         ),
         default=OutputSettings.format, override=OVERRIDE,
     )  # fmt: skip

@@ -14,12 +14,11 @@ import numpy as np
 from ..core.character import Character, OwnCage, Target, TargetSet
 from ..core.errors import SceneError, sentence
 from ..core.geometry import inverse
-from ..core.settings import ModelSettings
 from . import bodies, body_checks, checks, data_checks
 from .checks import refuse, skinned
 from .mesh_data import cages_of, carried, firmness, mesh_triangles, target_shape
 from .rig_motion import at_rest, rig_scene
-from .skin import own_attachments, unit_scale
+from .skin import own_attachments
 from .skinning import Skinning
 from .source import Source
 
@@ -58,19 +57,13 @@ def read(source: Source, without_targets=False) -> Character:
         bone_segments=source.bone_segments(source.skinning.bones(source.rig)),
         skeleton=source.skeleton,
         authored_sets=target_sets,
-        settings=model_settings(obj),
+        settings=obj.dynamorph.model.settings(),
         probed=bool(source.skinning.beyond_bones),
         cage_index=cages_of(own_attachments(obj), obj, source.groups),
         cage=_own_cage(source),
         firmness=firmness(obj, source.groups, obj.dynamorph.firmness_group),
     )
     return bodies.joined(source, single)
-
-
-def model_settings(obj) -> ModelSettings:
-    """The build settings of `obj`, with lengths in meters; the panels' lengths are in Blender units."""
-    chosen = obj.dynamorph.model.settings()
-    return replace(chosen, cage_thickness=unit_scale() * chosen.cage_thickness)
 
 
 def warnings(source: Source) -> list[str]:

@@ -154,18 +154,6 @@ class DynamorphModel(PropertyGroup):
         default=ModelSettings.cage_nodes, min=50, max=200_000, soft_max=20_000,
         override=OVERRIDE,
     )  # fmt: skip
-    cage_thickness: FloatProperty(
-        name="Cage Thickness",
-        description="Smallest distance from the skin to the cage. Without it the cage is about a tenth of the size of "
-        "its tetrahedra away. Raise it where the skin leaves the cage",
-        default=ModelSettings.cage_thickness, min=0.0, soft_max=0.1, subtype="DISTANCE", override=OVERRIDE,
-    )  # fmt: skip
-    cage_adaptivity: FloatProperty(
-        name="Cage Adaptivity",
-        description="How much finer the cage is where targets move the skin, at the expense of the rest. Raise it for "
-        "sculpts of small detail. 0 is the same everywhere, which is best for how soft tissue swings",
-        default=ModelSettings.cage_adaptivity, min=0.0, max=1.0, subtype="FACTOR", override=OVERRIDE,
-    )  # fmt: skip
     cage_object: PointerProperty(
         name="Cage Object",
         description="Closed mesh around the skin in rest pose, as it is when the scene starts. It is filled with "
@@ -178,12 +166,6 @@ class DynamorphModel(PropertyGroup):
         "only at the bone. Raise it where the body wobbles too much",
         default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR",
         override=OVERRIDE,
-    )  # fmt: skip
-    separate: BoolProperty(
-        name="Split Touching Parts",
-        description="Cut the cage where it joins parts of the skin that merely touch, such as an arm and the side it "
-        "hangs at, so that each moves on its own. Turn it off where it cuts parts that belong together",
-        default=ModelSettings.separate, override=OVERRIDE,
     )  # fmt: skip
     hold: EnumProperty(
         name="Hold", translation_context=CONTEXT,
@@ -215,7 +197,7 @@ class DynamorphModel(PropertyGroup):
     stale: StringProperty(name="Out of Date", description="Why a change of the mesh requires another build")
 
     def settings(self) -> ModelSettings:
-        """As the panels show them: lengths in Blender units."""
+        """As the panels show them."""
         return ModelSettings(**{field.name: getattr(self, field.name) for field in fields(ModelSettings)})
 
 

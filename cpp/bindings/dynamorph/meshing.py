@@ -58,9 +58,6 @@ def mesh_body(
     target_nodes: int,
     *,
     cage: Surface | None = None,
-    thickness: float = 0.0,
-    grading: float = 0.0,
-    moved: np.ndarray | None = None,
     bones: np.ndarray | None = None,
     pin_radius: float = 0.4,
     time_limit: float | None = None,
@@ -70,11 +67,9 @@ def mesh_body(
     """Wraps a closed cage around any triangle soup and fills it with about `target_nodes` nodes.
 
     vertices (V, 3): meters. triangles (T, 3): vertex indices. cage: vertices (C, 3) and triangles (D, 3) of a closed
-    surface to fill instead of a wrap. thickness: the least distance between wrap and body, meters. grading: 0 for tets
-    of one size .. 1 for much finer tets where the body moves. moved (V,): how much it moves, 0..1. bones (B, 2, 3):
-    heads and tails of the bones along which to place nodes, meters. pin_radius: the part of the way from bone to
-    skin within which the bones pin nodes. time_limit: seconds in total; None depends on the size of both. progress:
-    called with 0..1 every 50 ms, returns False to cancel.
+    surface to fill instead of a wrap. bones (B, 2, 3): heads and tails of the bones along which to place nodes, meters.
+    pin_radius: the part of the way from bone to skin within which the bones pin nodes. time_limit: seconds in total;
+    None depends on the size of both. progress: called with 0..1 every 50 ms, returns False to cancel.
     Returns the cage's vertices (C, 3) and outward triangles (D, 3), and the TetMesh. Raises ValueError on wrong shapes
     or indices. Raises Error, which says what to do, when the mesh cannot be used, or when the mesher crashes, hangs or
     needs too much memory at all resolutions near the requested one. Raises Cancelled when progress returns False.
@@ -82,16 +77,13 @@ def mesh_body(
     bones = np.zeros((0, 2, 3)) if bones is None else np.asarray(bones, np.float64)
     if bones.ndim != 3 or bones.shape[1:] != (2, 3):
         raise ValueError(f"bones: expected shape (any, 2, 3), got {bones.shape}")
-    moved = np.zeros(len(vertices)) if moved is None or not grading else grading * np.asarray(moved, np.float64)
-    if moved.shape != (len(vertices),):
-        raise ValueError(f"moved: expected one number per vertex, got shape {moved.shape}")
-    arrays = [*_checked(vertices, triangles), moved, bones, *_closed(cage)]
+    arrays = [*_checked(vertices, triangles), *_closed(cage), bones]
     deadline = time.monotonic() + (time_limit or 40.0 + target_nodes / 100 + len(arrays[1]) / 20_000)
     resolutions = RESOLUTIONS if cage is None else RESOLUTIONS[:1]
     failure = None
     for resolution in resolutions:
         seconds = (deadline - time.monotonic()) / (1 if resolution == resolutions[-1] else 2)
-        arguments = [target_nodes, seconds, memory_limit_gb, pin_radius, thickness, resolution]
+        arguments = [target_nodes, seconds, memory_limit_gb, pin_radius, resolution]
         try:
             return _mesh_in_child(arrays, arguments, progress)
         except _MesherFailed as error:
@@ -238,17 +230,16 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
 def _child() -> None:
     """The child's main function: reads arrays from standard input and writes arrays to standard output."""
     target_nodes = int(sys.argv[1])
-    time_limit, memory_limit_gb, pin_radius, thickness, resolution = map(float, sys.argv[2:])
+    time_limit, memory_limit_gb, pin_radius, resolution = map(float, sys.argv[2:])
     limit_resources(time_limit, memory_limit_gb)
     try:
         _fault(os.environ.get(FAULT_VARIABLE, ""), resolution)
-        body, (moved, bones), cage = _load_pair(), _load_pair(), _load_pair()
+        body, cage, bones = _load_surface(), _load_surface(), _load()
         if len(cage[1]):
-            wanted = int(_surface_share(target_nodes) * target_nodes)
-            cage = _graded(_refined(cage, _coarser(wanted, moved)), wanted, body, moved)
+            cage = _refined(cage, max(int(_surface_share(target_nodes) * target_nodes), 4))
             arrays = _filled(cage, body, bones, pin_radius, target_nodes)
         else:
-            arrays = _wrapped(body, moved, bones, pin_radius, target_nodes, thickness, resolution)
+            arrays = _wrapped(body, bones, pin_radius, target_nodes, resolution)
         _answer(arrays)
     except (Error, ValueError) as error:
         print(error, file=sys.stderr)
@@ -270,8 +261,12 @@ def _answer(arrays: Iterable[np.ndarray]) -> None:
         answer.write(content.getbuffer())
 
 
-def _load_pair() -> tuple[np.ndarray, np.ndarray]:
-    return np.load(sys.stdin.buffer, allow_pickle=False), np.load(sys.stdin.buffer, allow_pickle=False)
+def _load() -> np.ndarray:
+    return np.load(sys.stdin.buffer, allow_pickle=False)
+
+
+def _load_surface() -> Surface:
+    return _load(), _load()
 
 
 def limit_resources(time_limit: float, memory_limit_gb: float) -> None:
@@ -307,11 +302,9 @@ def _limit_on_windows(memory: int, cpu: int) -> None:
 
 def _wrapped(
     body: Surface,
-    moved: np.ndarray,
     bones: np.ndarray,
     pin_radius: float,
     target_nodes: int,
-    thickness: float,
     resolution: float,
 ) -> tuple[np.ndarray, ...]:
     """Wraps cages until good tets need about `target_nodes` nodes: neither too many, nor too few for lack of room."""
@@ -320,8 +313,7 @@ def _wrapped(
     best_error = math.inf
     for attempt in range(3):
         progress = functools.partial(_report, attempt)
-        wanted = max(int(cage_vertices), 4)
-        cage = _graded(make_cage_surface(*body, _coarser(wanted, moved), thickness, progress), wanted, body, moved)
+        cage = make_cage_surface(*body, max(int(cage_vertices), 4), progress=progress)
         arrays = _filled(cage, body, bones, pin_radius, target_nodes)
         nodes = len(arrays[2])
         error = abs(math.log(nodes / target_nodes))
@@ -338,27 +330,14 @@ def _surface_share(nodes: int) -> float:
     return float(np.clip(0.62 - 0.12 * math.log(nodes / 2000, 4), 0.4, 0.7))
 
 
-def _coarser(vertices: int, moved: np.ndarray) -> int:
-    """The number of vertices of a cage before it is refined in places."""
-    return max(int((1 - 0.4 * moved.max(initial=0.0)) * vertices), 4)
-
-
-def _graded(cage: Surface, target_vertices: int, body: Surface, moved: np.ndarray) -> Surface:
-    """The same surface with `target_vertices` vertices, denser where the body moves more nearby."""
-    return _refined(cage, target_vertices, 1 + 4 * _moved_nearby(cage, body, moved)) if moved.any() else cage
-
-
-def _refined(cage: Surface, target_vertices: int, fineness: np.ndarray | None = None) -> Surface:
+def _refined(cage: Surface, target_vertices: int) -> Surface:
     """The same surface with at least `target_vertices` vertices: its longest edge is halved repeatedly.
 
     Unlike `refine` in C++, which halves triangle after triangle down to a length, it takes the edges of the whole
     surface in order and stops at a number.
-
-    fineness (C,): a factor at each vertex by which edges there count as longer than they are.
     """
     vertices, triangles = cage
     points = [tuple(point) for point in vertices.tolist()]
-    fineness_of = [1.0] * len(points) if fineness is None else fineness.tolist()
     opposite: dict[tuple[int, int], int] = {}  # the corner opposite a directed edge
     for a, b, c in triangles.tolist():
         opposite |= {(a, b): c, (b, c): a, (c, a): b}
@@ -366,7 +345,7 @@ def _refined(cage: Surface, target_vertices: int, fineness: np.ndarray | None = 
         return vertices, triangles
 
     def length(a: int, b: int) -> float:
-        return math.dist(points[a], points[b]) * (fineness_of[a] + fineness_of[b])
+        return math.dist(points[a], points[b])
 
     heap = [(-length(a, b), a, b) for a, b in opposite if a < b]
     heapq.heapify(heap)
@@ -374,25 +353,11 @@ def _refined(cage: Surface, target_vertices: int, fineness: np.ndarray | None = 
         _, a, b = heapq.heappop(heap)
         c, d, middle = opposite.pop((a, b)), opposite.pop((b, a)), len(points)
         points.append(tuple((p + q) / 2 for p, q in zip(points[a], points[b], strict=True)))
-        fineness_of.append((fineness_of[a] + fineness_of[b]) / 2)
         for p, q, r in ((a, middle, c), (middle, b, c), (b, middle, d), (middle, a, d)):
             opposite |= {(p, q): r, (q, r): p, (r, p): q}
         for end in (a, b, c, d):
             heapq.heappush(heap, (-length(end, middle), end, middle))
     return np.array(points), np.array([(a, b, c) for (a, b), c in opposite.items() if a < min(b, c)], np.int32)
-
-
-def _moved_nearby(cage: Surface, body: Surface, moved: np.ndarray) -> np.ndarray:
-    """How much the body moves near each vertex (C,) of the cage. This fades out over two cage edges."""
-    vertices, triangles = cage
-    moving = np.flatnonzero(moved > 0.05)
-    moving = moving[:: max(1, len(moving) // 1000)]
-    spread = 2 * np.linalg.norm(vertices[triangles[:, 0]] - vertices[triangles[:, 1]], axis=1).mean()
-    nearby = np.zeros(len(vertices))
-    for point, amount in zip(body[0][moving], moved[moving], strict=True):
-        distance = np.linalg.norm(vertices - point, axis=1)
-        np.maximum(nearby, amount * np.exp(-((distance / spread) ** 2)), out=nearby)
-    return nearby
 
 
 def _filled(

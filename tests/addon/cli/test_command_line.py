@@ -99,13 +99,13 @@ def test_model_settings_by_the_names_of_the_panel(shot, run, stand_in):
 def test_loops_and_what_is_out_of_date(shot, run, stand_in):
     output = shot.parent / "baked.blend"
     code, out, _ = run(
-        "bake", shot, "--object", "Arm", "--loop", "--initial-state", "rest_shape", "--preroll", 3, "-o", output
+        "bake", shot, "--object", "Arm", "--loop", "--initial-state", "rest_shape", "--gravity", 0.5, "-o", output
     )
     assert code == 0 and "loop gap" in out and "0.03 mm" in out
     bpy.ops.wm.open_mainfile(filepath=str(output))
     arm = bpy.data.objects["Arm"]
     assert "loop gap 0.03 mm" in arm.dynamorph.bake.summary
-    assert (arm.dynamorph.simulation.initial_state, arm.dynamorph.simulation.preroll) == ("REST_SHAPE", 3)
+    assert (arm.dynamorph.simulation.initial_state, arm.dynamorph.simulation.gravity) == ("REST_SHAPE", 0.5)
     assert "bake state: up to date" in run("info", output, "--object", "Arm")[1]
     assert "files beside the .blend: none" in run("info", output, "--object", "Arm")[1]
     bpy.data.objects["Arm"].dynamorph.targets[1].stiffness = 5e5
@@ -573,8 +573,8 @@ def test_python_of_the_current_folder_is_not_imported(tmp_path):
 
 STORED = [  # group, property and a value that no button sets
     ("model", "modes", -1), ("model", "material_model", 99), ("model", "cage_nodes", 0),
-    ("model", "cage_adaptivity", float("nan")),
-    ("simulation", "preroll", 2**31 - 1), ("simulation", "samples", 0), ("simulation", "substeps", -1),
+    ("model", "pin_radius", float("nan")),
+    ("simulation", "amount", float("nan")), ("simulation", "samples", 0), ("simulation", "substeps", -1),
     ("simulation", "integrator", -1), ("simulation", "gravity", float("inf")), ("output", "frame_step", 0),
     ("target", "stiffness", -1.0), ("target", "poisson", 0.5), ("target", "fade_out_angle", float("nan")),
 ]  # fmt: skip
@@ -620,17 +620,17 @@ def test_a_format_that_is_a_file_for_other_programs(shot, run, monkeypatch):
     assert code == 0, errors
     assert (shot.parent / "Arm.npz").is_file() and "written to Arm.npz" in out
     code, _, errors = run(
-        "bake", shot, "--all", "--format", "mdd", "--output-file", shot.parent / "x.mdd", "-o", "y.blend"
+        "bake", shot, "--all", "--format", "pc2", "--output-file", shot.parent / "x.pc2", "-o", "y.blend"
     )
     assert code == 2 and "put {object} in its name" in errors
     monkeypatch.setattr(paths, "clean_name", lambda name: "x")
     code, _, errors = run("bake", shot, "--all", "--format", "raw")
     assert code == 2 and "several meshes would share it: give them names that differ more" in errors
     monkeypatch.undo()
-    files, saved = shot.parent / "{object}.mdd", shot.parent / "y.blend"
-    code, _, errors = run("bake", shot, "--all", "--format", "mdd", "--output-file", files, "-o", saved)
+    files, saved = shot.parent / "{object}.pc2", shot.parent / "y.blend"
+    code, _, errors = run("bake", shot, "--all", "--format", "pc2", "--output-file", files, "-o", saved)
     assert code == 0, errors
-    assert (shot.parent / "Arm.mdd").is_file() and (shot.parent / "Leg.mdd").is_file()
+    assert (shot.parent / "Arm.pc2").is_file() and (shot.parent / "Leg.pc2").is_file()
 
 
 @pytest.mark.parametrize(

@@ -260,7 +260,7 @@ def test_files_that_the_scene_needs_are_found_from_the_copy(baked, tmp_path, key
     points = mesh_data.rest_points(baked)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "asset.blend"))
     bake, cache = hand_made_bake(baked), tmp_path / "arm.pc2"
-    io_disk.save(cache, point_cache.CACHES["PC2"](bake, points, 24.0))
+    io_disk.save(cache, point_cache.point_cache(bake, points))
     writer.write_keys(baked, keys.targets_alone(bake), cache=cache)
     assert baked.modifiers[0].filepath == "//arm.pc2"
     exact, path = round_trips.shown("Arm", range(1, 21)), tmp_path / path_of(key, tmp_path)

@@ -168,8 +168,6 @@ def test_rest_begins_with_the_targets_shapes_and_then_sags(shot):
     )
     assert np.array_equal(free[0], begun.coordinates)
     assert np.abs(free[-1] - free[0]).max() > 0.1 * np.abs(settled[0] - free[0]).max() > 0
-    calmed = simulated(shot, standing(shot), initial_state="REST_SHAPE", preroll=200)
-    assert calmed[0] == pytest.approx(settled[0], abs=1e-3 * np.abs(settled[0] - free[0]).max())
 
 
 def test_rest_knows_no_motion_before_the_start(shot):
@@ -181,17 +179,6 @@ def test_rest_knows_no_motion_before_the_start(shot):
     rest, settled = (simulated(shot, moving, initial_state=state, **still) for state in ("REST_SHAPE", "SETTLED"))
     assert np.abs(settled - settled[0]).max() < 1e-6
     assert np.abs(rest - rest[0]).max() > 100 * np.abs(settled - settled[0]).max() + 1e-4
-
-
-def test_a_pre_roll_can_be_canceled(shot):
-    asked = []
-    settings = replace(shot.input.settings, preroll=5000)
-    player = Player(
-        shot.outcome.model, shot.outcome.character, settings, keep_going=lambda: len(asked) < 9 and not asked.append(1)
-    )
-    with pytest.raises(pytest.importorskip("dynamorph").Cancelled):
-        player.begin(shot.computation.rig[:2])
-    assert len(asked) == 9
 
 
 # Run-up ------------------------------------------------------------------------------------------------------------
@@ -208,37 +195,35 @@ def swaying(shot, soft_arm):
     return soft_arm
 
 
-def baked(obj, frames, preroll=0, pose="ANIMATED", **job):
+def baked(obj, frames, run_up=0, **job):
     """A job that baked these frames."""
-    simulation = obj.dynamorph.simulation
-    simulation.preroll, simulation.preroll_pose = preroll, pose
-    job = run_job.Job(obj, "BAKE", frames, **job)
+    job = run_job.Job(obj, "BAKE", frames, changes={"run_up": run_up}, **job)
     batch.run(job)
     return job
 
 
-def test_a_pre_roll_is_what_came_before(shot, swaying):
+def test_a_run_up_is_what_came_before(shot, swaying):
     """With the same first frame they agree to the last bit; with a later one, to a hundredth of the motion, as the
     slowest swing dies away in 40 frames.
     """
     bake = baked(swaying, (1, 60)).outcome.bake
     whole, motion = bake.coordinates, np.abs(bake.coordinates - bake.static).max()
-    same = baked(swaying, (50, 60), preroll=49)
+    same = baked(swaying, (50, 60), run_up=49)
     assert same.outcome.bake.frames.tolist() == list(range(50, 61))
     assert np.array_equal(same.outcome.bake.coordinates, whole[49:])
-    later = baked(swaying, (50, 60), preroll=40).outcome.bake.coordinates
+    later = baked(swaying, (50, 60), run_up=40).outcome.bake.coordinates
     assert later == pytest.approx(whole[49:], abs=1e-2 * motion)
-    for other in (baked(swaying, (50, 60)), baked(swaying, (50, 60), preroll=40, pose="HELD")):
-        assert np.abs(other.outcome.bake.coordinates[0] - whole[49]).max() > 0.1 * motion
+    alone = baked(swaying, (50, 60)).outcome.bake.coordinates
+    assert np.abs(alone[0] - whole[49]).max() > 0.1 * motion
 
 
-def test_a_pre_roll_comes_in_chunks_too(shot, swaying, tmp_path, monkeypatch):
-    whole = baked(swaying, (50, 60), preroll=20)
+def test_a_run_up_comes_in_chunks_too(shot, swaying, tmp_path, monkeypatch):
+    whole = baked(swaying, (50, 60), run_up=20)
     caches = cache_dir.CacheDir(tmp_path)
     monkeypatch.setattr(bake_input, "CHUNK_FRAMES", 7)
-    stretched = baked(swaying, (50, 60), preroll=20)
+    stretched = baked(swaying, (50, 60), run_up=20)
     monkeypatch.setattr(bake_input, "SHORT_CHUNK_FRAMES", 7)
-    job = run_job.Job(swaying, "BAKE", (50, 60), cache_dir=caches)
+    job = run_job.Job(swaying, "BAKE", (50, 60), cache_dir=caches, changes={"run_up": 20})
     steps = batch.Batch([job], "BAKE").steps()
     next(steps)
     while not (job.computation.shot and job.computation.shot.done == 15):  # two chunks
@@ -246,7 +231,7 @@ def test_a_pre_roll_comes_in_chunks_too(shot, swaying, tmp_path, monkeypatch):
     job.progress.canceled = True
     with pytest.raises(errors.Cancelled):
         list(steps)
-    resumed = run_job.Job(swaying, "BAKE", (50, 60), cache_dir=caches)
+    resumed = run_job.Job(swaying, "BAKE", (50, 60), cache_dir=caches, changes={"run_up": 20})
     batch.run(resumed)
     assert len(resumed.input.resumed["coordinates"]) >= 8
     for job in (stretched, resumed):
@@ -254,7 +239,7 @@ def test_a_pre_roll_comes_in_chunks_too(shot, swaying, tmp_path, monkeypatch):
         assert job.outcome.report["steps"] == whole.outcome.report["steps"] == 30 * job.input.settings.substeps
 
 
-def test_a_pre_roll_follows_extrapolated_curves(shot, soft_arm):
+def test_a_run_up_follows_extrapolated_curves(shot, soft_arm):
     """Tissue that begins at rest is calm when the shot begins, although the rig moves at three meters per second."""
     rig = rig_of(soft_arm)
     soft_arm.parent = rig
@@ -268,17 +253,11 @@ def test_a_pre_roll_follows_extrapolated_curves(shot, soft_arm):
         for point in curve.keyframe_points:
             point.interpolation = "LINEAR"
     soft_arm.dynamorph.simulation.initial_state, soft_arm.dynamorph.simulation.gravity = "REST_SHAPE", 0.0
-    running, hit = baked(soft_arm, (1, 20), preroll=80), baked(soft_arm, (1, 20), preroll=80, pose="HELD")
+    running, hit = baked(soft_arm, (1, 20), run_up=80), baked(soft_arm, (1, 20))
     traveled = running.computation.rig.object_world[:, 0, 3]
     assert traveled == pytest.approx(np.linspace(-10.0, traveled[-1], len(traveled)), abs=1e-5)
     calm, jolt = (np.abs(job.outcome.bake.coordinates - job.outcome.bake.static).max() for job in (running, hit))
     assert calm < 1e-3 * jolt and jolt > 0.0
-
-
-def test_a_loop_needs_no_pre_roll(shot, soft_arm):
-    soft_arm.dynamorph.simulation.loop = True
-    with_preroll, without = baked(soft_arm, (1, 20), preroll=30), baked(soft_arm, (1, 20))
-    assert np.array_equal(with_preroll.outcome.bake.coordinates, without.outcome.bake.coordinates)
 
 
 # Samples between frames --------------------------------------------------------------------------------------------
@@ -324,12 +303,12 @@ def test_substeps_are_rounded_up_to_the_samples(shot, soft_arm):
         replace(shot.input.settings, substeps=5, samples=2)
 
 
-def test_samples_come_in_chunks_and_have_a_pre_roll_too(shot, swaying, monkeypatch):
+def test_samples_come_in_chunks_and_have_a_run_up_too(shot, swaying, monkeypatch):
     swaying.dynamorph.simulation.samples = 2
-    whole = baked(swaying, (30, 50), preroll=15)
+    whole = baked(swaying, (30, 50), run_up=15)
     assert whole.outcome.bake.frames[:3].tolist() == [30.0, 30.5, 31.0] and len(whole.outcome.bake.coordinates) == 41
     monkeypatch.setattr(bake_input, "CHUNK_FRAMES", 4)
-    stretched = baked(swaying, (30, 50), preroll=15)
+    stretched = baked(swaying, (30, 50), run_up=15)
     assert np.array_equal(stretched.outcome.bake.coordinates, whole.outcome.bake.coordinates)
     assert len(stretched.computation.rig) <= 4 * stretched.input.settings.substeps
 

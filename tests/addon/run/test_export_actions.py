@@ -77,7 +77,7 @@ def alone(obj, name, frames, loop):
     for bone in rig_of(obj).pose.bones:
         bone.rotation_euler = 0.0, 0.0, 0.0
     animation.action, animation.use_nla = bpy.data.actions[name], False
-    simulation.loop, simulation.keep_outside, simulation.preroll_pose = loop, False, "HELD"
+    simulation.loop, simulation.keep_outside = loop, False
     run(Job(obj, "BAKE", (frames[0], frames[-1])))
     return {mesh: round_trips.shown(mesh, frames) for mesh in ("Arm", "Sleeve")}
 
@@ -114,12 +114,7 @@ def test_gltf_has_a_clip_for_each_action(game_arm, tmp_path, baked):
     simulation = obj.dynamorph.simulation
     if baked:  # no clip becomes a part of it, whatever the settings of the bake
         OPS.bake()
-        simulation.keep_outside, simulation.preroll_pose, simulation.preroll, simulation.samples = (
-            True,
-            "ANIMATED",
-            4,
-            2,
-        )
+        simulation.keep_outside, simulation.samples = True, 2
     before = state(obj)
     path = exported(obj, tmp_path)
     assert state(obj) == before

@@ -134,17 +134,6 @@ def test_playback_is_the_bake(live_arm, change):
     assert apart(play(live_arm, range(1, 21)), baked(live_arm)) < 1e-6
 
 
-def test_playback_has_the_pre_roll_of_the_bake(live_arm):
-    simulation = live_arm.dynamorph.simulation
-    simulation.preroll, simulation.preroll_pose = 12, "ANIMATED"
-    simulation.use_scene_range, simulation.frame_start, simulation.frame_end = False, 10, 20
-    bpy.ops.dynamorph.live()
-    shown, begun = play(live_arm, range(10, 21)), baked(live_arm)
-    assert apart(shown, begun) < 1e-6
-    simulation.preroll_pose = "HELD"
-    assert apart(baked(live_arm), begun) > 1e-3
-
-
 def test_samples_between_frames_are_for_bakes(live_arm):
     live_arm.dynamorph.simulation.samples = 2
     bpy.ops.dynamorph.live()

@@ -235,7 +235,7 @@ def test_an_override_keeps_materials_alone(asset, tmp_path):
     obj.dynamorph.active_target_index = 1
     assert OPS.apply_material(preset="FAT") == {"FINISHED"}
     obj.dynamorph.targets[0].stiffness = 4321.0
-    obj.dynamorph.simulation.preroll = 7
+    obj.dynamorph.simulation.substeps = 7
     before = state()
     assert {"flexed", "stiffness"} <= set(drawn(obj))
     for name in set(CALLS) - {"apply_feel", "apply_material", "fit_bounce", "fit_material"}:
@@ -249,7 +249,7 @@ def test_an_override_keeps_materials_alone(asset, tmp_path):
     neutral, flexed = obj.dynamorph.targets
     assert (neutral.name, flexed.name, flexed.bone_names()) == ("Neutral", "flexed", ("lower",))
     assert vars(flexed.material()) == pytest.approx(vars(presets.PRESETS["FAT"].material))
-    assert (neutral.stiffness, obj.dynamorph.simulation.preroll) == (4321.0, 7)
+    assert (neutral.stiffness, obj.dynamorph.simulation.substeps) == (4321.0, 7)
     assert model_store.stored_model(obj) == stored
     assert model_store.stale_reasons(obj, extract.character(obj)) == []
 

@@ -7,11 +7,10 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
-from bl_ext.user_default.dynamic_morph_targets.core.model import build
 from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
 from bl_ext.user_default.dynamic_morph_targets.run import job as run_job
 from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store
-from builders import assert_shows, keys_of, rig_of
+from builders import assert_shows, rig_of
 from mathutils import Matrix
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
@@ -121,20 +120,6 @@ def test_what_needs_one_is_named(small_arm, change, reason):
     run(small_arm, goal="BUILD")
     change(small_arm)
     assert reason in "; ".join(run(small_arm, goal="BAKE").input.reasons)
-
-
-def test_a_cage_that_targets_grade_is_made_again_for_other_targets(small_arm):
-    """Otherwise it would be fine where an earlier sculpt was."""
-    batch, job = run_batch, run_job
-    small_arm.dynamorph.model.cage_adaptivity = 0.5
-    batch.run(job.Job(small_arm, goal="BUILD"))
-    model = model_store.load_model(small_arm)
-    assert build.has_cage(model, extract.character(small_arm))
-    keys_of(small_arm).key_blocks["flexed"].points[0].co.x += 0.3
-    sculpted = extract.character(small_arm)
-    assert "how far targets move changed" in build.stale_reasons(model, sculpted)
-    assert not build.has_cage(model, sculpted)
-    assert "how far targets move" not in build.dependencies(sculpted.with_settings(cage_adaptivity=0.0))
 
 
 def test_canceling_the_engine(small_arm):

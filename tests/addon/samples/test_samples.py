@@ -159,10 +159,10 @@ def pushed_vertices(character, samples, frame):
 def test_script_reproduces_the_file(limb, tmp_path):
     script = [sys.executable, str(SAMPLES / "make_samples.py"), str(tmp_path), SCENE.stem]
     subprocess.run(script, check=True, stdout=subprocess.DEVNULL, timeout=120)
-    stored, settings = content(limb), extract.model_settings(limb)
+    stored, settings = content(limb), limb.dynamorph.model.settings()
     limb = open_limb(tmp_path / SCENE.name)
     made = content(limb)
-    assert extract.model_settings(limb) == settings
+    assert limb.dynamorph.model.settings() == settings
     assert stored.keys() == made.keys()
     for name in stored:
         assert np.allclose(stored[name], made[name], atol=1e-6), name

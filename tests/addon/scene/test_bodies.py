@@ -188,7 +188,7 @@ def test_seams_stay_closed_in_a_bake(figure, hold):
 
 @pytest.mark.parametrize(
     "kind, options",
-    [("MODES", {"keys": 3}), ("FRAMES", {"frame_step": 3}), ("FRAMES", {"tolerance": 0.005}), ("PC2", {}), ("MDD", {})],
+    [("MODES", {"keys": 3}), ("FRAMES", {"frame_step": 3}), ("FRAMES", {"tolerance": 0.005}), ("PC2", {})],
 )
 def test_seams_stay_closed_whatever_the_bake_becomes(figure, tmp_path, kind, options):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "figure.blend"))

@@ -48,7 +48,6 @@ SETTINGS = [
     ("simulation.fields", 0.5, "Force Fields changed"),
     ("simulation.initial_state", "REST_SHAPE", "Initial State changed"),
     ("simulation.amount", 0.5, "Amount changed"),
-    ("simulation.preroll", 9, "Pre-Roll changed"),
     ("simulation.loop", True, "Loop changed"),
 ]
 

@@ -337,11 +337,6 @@ def test_another_unit_scale_makes_a_model_old(in_centimeters):
     assert "object scale changed" in model_store.stale_reasons(in_centimeters, extract.character(in_centimeters))
 
 
-def test_the_distance_of_the_cage_is_in_meters(in_centimeters):
-    in_centimeters.dynamorph.model.cage_thickness = 3.0  # Blender units, as the panel takes it
-    assert extract.character(in_centimeters).settings.cage_thickness == pytest.approx(0.03)
-
-
 def test_force_fields_are_in_meters(in_centimeters):
     bpy.ops.object.effector_add(type="WIND", location=(300.0, 0.0, 0.0))
     field = bpy.context.object.field

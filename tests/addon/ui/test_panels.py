@@ -146,28 +146,17 @@ def test_a_new_soft_skin_shows_twelve_controls_at_most(arm, stand_in):
     shown = controls(arm, unfolded=False)
     assert shown[:4] == TOP and shown[4:7] == ["dynamorph.apply_feel"] * 3
     names = [name.rpartition(".")[2] for name in shown[7:]]
-    assert names == ["amount", "bounce", "settle_time", "mass", "DYNAMORPH_PT_material_presets"]
+    assert names == ["amount", "bounce", "settle_time", "DYNAMORPH_PT_material_presets"]
     assert len(shown) <= 12
     assert controls(arm, PHYSICS, unfolded=False) == [*TOP, "DYNAMORPH_PT_setup_presets"]
 
 
 # Settings of a new soft skin that stay in sight, section by section; Advanced and Material have the others.
 IN_SIGHT = {
-    "feel": ["amount", "bounce", "settle_time", "mass"],
+    "feel": ["amount", "bounce", "settle_time"],
     "firmness": ["firmness_group"],
-    "targets": ["amount"],
     "attachments": ["hold_head"],
-    "bake": [
-        "solver",
-        "max_displacement",
-        "use_scene_range",
-        "frame_start",
-        "frame_end",
-        "keep_outside",
-        "loop",
-        "format",
-        "keys",
-    ],
+    "bake": ["solver", "max_displacement", "use_scene_range", "loop", "format"],
 }
 ADVICE = "Raise", "Lower", "Turn", "Choose", "Change", "Paint", "Set", "suit", "where", "sets"  # it says when
 

@@ -309,9 +309,7 @@ def _fallback_warnings(fallbacks: dict[str, int], tets: int) -> list[str]:
 TITLES = {
     "basis": "Modes From",
     "blending": "Between Targets",
-    "cage adaptivity": "Cage Adaptivity",
     "cage nodes": "Cage Nodes",
-    "cage thickness": "Cage Thickness",
     "fit to shot": "Fit Modes to Shot",
     "hold": "Hold",
     "hold head": "Hold Head",
@@ -319,7 +317,6 @@ TITLES = {
     "method": "Method",
     "modes": "Detail (Modes)",
     "pin radius": "Bone Pinning",
-    "separate": "Split Touching Parts",
     "solver": "Quality",
 }
 
@@ -345,8 +342,6 @@ def dependencies(character: Character) -> dict[str, str]:
         parts[f"shape {j}"] = (target.shape,)
     if character.cage:
         parts["cage object"] = character.cage[1:]
-    if settings.cage_adaptivity:
-        parts["how far targets move"] = (cage.moved(character),)
     for name, value in asdict(settings).items():
         if name not in FREE_SETTINGS:
             parts[name.replace("_", " ")] = (np.frombuffer(str(value).encode(), np.uint8),)

@@ -81,7 +81,7 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
             pinned, warned = np.zeros(len(mesh.nodes), bool), []
             of_thickness = held_by_thickness(character, mesh, inherited.firmness, inherited.rigidity, fill)
     glued = {name: sum(cage.glued[name] for cage in cages) for name in cages[0].glued}
-    warnings = (*(text for cage in cages for text in cage.warnings), *_glued_warnings(character, glued), *warned)
+    warnings = (*(text for cage in cages for text in cage.warnings), *warned)
     summary = Summary(
         nodes=len(mesh.nodes),
         tets=len(mesh.tets),
@@ -213,9 +213,6 @@ def _tetrahedra(character: Character, surface: np.ndarray, report: Report) -> dy
             character.triangles,
             settings.cage_nodes,
             cage=cage and cage[1:],
-            thickness=settings.cage_thickness,
-            grading=settings.cage_adaptivity,
-            moved=moved(character),
             bones=bones if settings.hold == "BONES" else None,
             pin_radius=settings.pin_radius,
             progress=report,
@@ -223,15 +220,6 @@ def _tetrahedra(character: Character, surface: np.ndarray, report: Report) -> dy
     except dynamorph.Error as error:
         raise dynamorph.Error(f"Cage Object '{cage.name}': {error}") if cage else error from None
     return mesh
-
-
-def moved(character: Character) -> np.ndarray:
-    """The largest displacement of each vertex (V,) by the targets, scaled to 1 at its maximum: the measure that Cage
-    Adaptivity uses.
-    """
-    shapes = np.array([target.shape for target in character.targets]) @ character.to_bind.T
-    farthest = np.linalg.norm(shapes, axis=2).max(axis=0)
-    return farthest / max(farthest.max(), 1e-300)
 
 
 def _outside(character: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> list[str]:
@@ -261,7 +249,7 @@ def _parted(
     """The mesh, cut where it joins skin that merely touches, the embedding of the skin in it, and the counts."""
     mesh_cut = dynamorph.MeshCut(mesh, surface, cage.triangles)
     tets = int(mesh_cut.glued.sum())
-    if not tets or not cage.settings.separate:
+    if not tets:
         return mesh, dynamorph.embed(mesh, surface), {"tets": tets, "split_nodes": 0}
     cut = mesh_cut.cut()
     return cut, mesh_cut.embed(cut), {"tets": tets, "split_nodes": len(cut.nodes) - len(mesh.nodes)}
@@ -272,15 +260,6 @@ def _whole(mesh: dynamorph.TetMesh) -> dynamorph.TetMesh:
     _, first, place = np.unique(mesh.nodes, axis=0, return_index=True, return_inverse=True)
     kept = np.sort(first)
     return dynamorph.TetMesh(mesh.nodes[kept], np.searchsorted(kept, first[place.ravel()])[mesh.tets])
-
-
-def _glued_warnings(character: Character, glued: dict[str, int]) -> list[str]:
-    if not glued["tets"] or character.settings.separate:
-        return []
-    return [
-        f"{glued['tets']} tetrahedra join parts of the skin that merely touch: turn on Split Touching Parts, raise "
-        "Cage Nodes, or move the parts away from each other in the rest pose"
-    ]
 
 
 # What the cage inherits from the skin --------------------------------------------------------------------------------

@@ -21,11 +21,10 @@ from .summary import Summary
 
 # The tetrahedra of a model depend on these, named as in `Model.dependencies`.
 MESH_DEPENDENCIES = (
-    "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage adaptivity", "how far targets move",
-    "cage object", "pin radius", "attachments", "engine", "hold",
+    "mesh", "object scale", "bones at rest", "cage nodes", "cage object", "pin radius", "attachments", "engine", "hold",
 )  # fmt: skip
 # The tetrahedra together with what holds them depend on these.
-CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Firmness", "what is rigid")
+CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "Firmness", "what is rigid")
 
 EngineModel: TypeAlias = "dynamorph.ReducedModel | dynamorph.FullModel"
 EngineSimulation: TypeAlias = "dynamorph.ReducedSimulation | dynamorph.FullSimulation"

@@ -125,11 +125,7 @@ class Player:
             self.state = [self.static(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4, np.zeros(0)
             begun = NO_STEPS
         else:
-            begun = self._simulation.start(bones[0], bones[0 if self.settings.still_frames else -1], weights[0])
-        still, same = (np.repeat(first[:1], self.settings.substeps, axis=0) for first in (bones, weights))
-        for _ in range(self.settings.still_frames):
-            self._ask()
-            self._simulation.advance(still, same, self._push(rig[:1], bones[:1]))
+            begun = self._simulation.start(bones[0], bones[-1], weights[0])
         self.number = self.settings.first
         return Frame(self.number, self._simulation.coordinates, weights[0], begun)
 

@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import KeysError
 from ..geometry import smooth_step
 from ..motion.baked import CHUNK, Bake, at_rows, displaced, distance, samples_per_frame, surfaces
-from ..settings import POINT_CACHES, OutputSettings
+from ..settings import OutputSettings
 
 NOISE = 1e-5  # of the largest displacement by a shape; smaller errors come from keys in float32
 MOST_KEYS = 2000  # keys of single frames; more of them, with their curves, would fill the memory
@@ -39,7 +39,7 @@ def as_keys(bake: Bake, output: OutputSettings, to_bind: np.ndarray) -> tuple[Ba
                 most=MOST_KEYS,
             )
         return by_frames(bake, kept), off_between(bake, kept, to_bind)
-    if output.format in POINT_CACHES:
+    if output.format == "PC2":
         return targets_alone(bake), 0.0
     if not output.keys:
         return bake, 0.0

@@ -40,6 +40,8 @@ def draw_detail(layout, _context, obj):
     column = layout.column()
     column.enabled = batch.running is None
     column.prop(model, "modes")
+    if obj.dynamorph.output.format == "MODES":
+        column.prop(obj.dynamorph.output, "keys")
     column.prop(model, "method")
     layout.operator("dynamorph.check_targets", icon="CHECKMARK")
     for line in filter(None, obj.dynamorph.live.checks.split("\n")):
@@ -74,11 +76,7 @@ def draw_rare(layout, _context, obj):
     model, simulation = obj.dynamorph.model, obj.dynamorph.simulation
     layout.enabled = batch.running is None
     column = layout.column()
-    thickness = column.row()
-    thickness.active = model.cage_object is None
-    thickness.prop(model, "cage_thickness")
-    for name in ("cage_adaptivity", "separate", "hold"):
-        column.prop(model, name)
+    column.prop(model, "hold")
     pinning = column.row()
     pinning.active = model.hold == "BONES"
     pinning.prop(model, "pin_radius")
@@ -90,5 +88,5 @@ def draw_rare(layout, _context, obj):
     for name in ("material_model", "blending"):
         column.prop(model, name)
     column = layout.column()
-    for name in ("max_thickness", "integrator", "preroll", "preroll_pose"):
+    for name in ("max_thickness", "integrator"):
         column.prop(simulation, name)

@@ -99,17 +99,14 @@ def draw_bake(layout, _context, obj):
     layout.prop(settings.model, "solver")
     layout.prop(simulation, "max_displacement")
     layout.prop(simulation, "use_scene_range")
-    column = layout.column(align=True)
-    column.enabled = not simulation.use_scene_range
-    column.prop(simulation, "frame_start")
-    column.prop(simulation, "frame_end")
-    column.prop(simulation, "keep_outside")
+    if not simulation.use_scene_range:
+        column = layout.column(align=True)
+        for name in ("frame_start", "frame_end", "keep_outside"):
+            column.prop(simulation, name)
     layout.prop(simulation, "loop")
     layout.prop(output, "format")
-    column = layout.column(align=True)
-    if output.format == "MODES":
-        column.prop(output, "keys")
-    elif output.format == "FRAMES":
+    if output.format == "FRAMES":
+        column = layout.column(align=True)
         column.prop(output, "tolerance")
         row = column.row()
         row.active = output.tolerance == 0.0

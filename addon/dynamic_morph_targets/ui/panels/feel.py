@@ -30,14 +30,13 @@ def icon_of(obj, target) -> str:
 
 
 def draw_swing(layout, target):
-    """Bounce of a target, which a new one can be given before the build, and what the build measures."""
+    """Bounce of a target, which a new one can be given before the build, and Settle Time, which the build measures."""
     column = layout.column(align=True)
-    bounce, others = column.column(align=True), column.column(align=True)
+    bounce, settle = column.column(align=True), column.column(align=True)
     bounce.enabled = (target.is_measured or target.awaits_build) and batch.running is None
     bounce.prop(target, "bounce")
-    others.enabled = target.is_measured and batch.running is None
-    for name in ("settle_time", "mass"):
-        others.prop(target, name)
+    settle.enabled = target.is_measured and batch.running is None
+    settle.prop(target, "settle_time")
     if not target.is_measured:
         column.label(text="Measured by the next build", icon="INFO")
 
@@ -53,6 +52,9 @@ def draw_material(layout, _context, obj):
     for name in ("stiffness", "poisson", "density", "mass_damping"):
         column.prop(target, name)
     column.prop(target, "stiffness_damping", text="Stiff. Damping")  # that much fits
+    mass = column.column(align=True)
+    mass.enabled = target.is_measured
+    mass.prop(target, "mass")
     layout.operator("dynamorph.fit_material")
 
 

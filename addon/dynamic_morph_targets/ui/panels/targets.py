@@ -106,7 +106,8 @@ def draw_extent(layout, obj, target):
         row.prop_search(target, "region", obj, "vertex_groups", text="")
         row.operator("dynamorph.region_from_sculpt", text="", icon="AUTO", depress=target.auto_region)
         column.prop(target, "fade_out_angle")
-    column.prop(target, "amount")
+    if len(obj.dynamorph.targets) > 1:  # alone, it has the whole body's amount
+        column.prop(target, "amount")
 
 
 def bones_title(obj) -> str:

@@ -117,7 +117,7 @@ def write_keys(obj, bake: Bake, skin=None, cache: Path | None = None) -> int:
     """Write the bake as shape keys and F-curves, replacing the previous bake of `obj`. Raises WriteError.
 
     The old bake goes only when the new one plays; its Influence stays. skin: the soft skin that `obj` follows,
-    if it is none itself; its Basis is made if there is none. cache: a point cache (.pc2, .mdd) that plays the motion,
+    if it is none itself; its Basis is made if there is none. cache: a point cache (.pc2) that plays the motion,
     if the keys do not. Returns the bytes of keys and curves.
     """
     with ExitStack() as undo:

@@ -47,9 +47,9 @@ def _planned_keys(obj) -> int:
 
 
 def _raw_losses(obj) -> Iterator[str]:
-    others = ", ".join(f"'{each.name}'" for each in meshes_together(obj) if each != obj)
-    if others:
-        yield Message("A raw clip is of one mesh: {names} is left out", names=others)
+    names = ", ".join(f"'{each.name}'" for each in meshes_together(obj) if each != obj)
+    if names:
+        yield Message("A raw clip is of one mesh: {names} is left out", names=names)
     others = [name for name in animation.moving_keys(obj) if name not in animation.baked_keys(obj)]
     if others:
         yield Message("A raw clip has the bake's keys alone: {keys} is left out", keys=", ".join(others))
