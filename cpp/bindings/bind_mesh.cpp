@@ -98,20 +98,19 @@ last, and the counts of defects by name. Raises Error when the input is empty, f
 1e6 m across.)");
   m.def(
       "make_cage_surface",
-      [](const FloatArray& vertices, const IndexArray& faces, int target_vertices, double thickness,
-         const py::object& progress) {
+      [](const FloatArray& vertices, const IndexArray& faces, int target_vertices, const py::object& progress) {
         const Points v = points(vertices, "vertices");
         const Triangles f = triangles(faces);
         const ProgressFn report = with_gil(progress);
-        CageSurface cage = without_gil([&] { return make_cage_surface(v, f, target_vertices, thickness, report); });
+        CageSurface cage = without_gil([&] { return make_cage_surface(v, f, target_vertices, report); });
         return std::make_pair(std::move(cage.vertices), std::move(cage.triangles));
       },
-      "vertices"_a, "triangles"_a, "target_vertices"_a, "thickness"_a = 0.0, "progress"_a = py::none(),
+      "vertices"_a, "triangles"_a, "target_vertices"_a, "progress"_a = py::none(),
       R"(Wraps a closed cage of about `target_vertices` vertices around any triangle soup.
 
-vertices (V, 3): meters. triangles (T, 3): vertex indices. thickness: the least distance between cage and body, meters.
-progress: called with 0..1, returns False to cancel. Returns vertices (C, 3) and outward triangles (D, 3). Raises Error
-when the input is empty, flat, not finite, or not between 1e-6 and 1e6 m across.)");
+vertices (V, 3): meters. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel. Returns
+vertices (C, 3) and outward triangles (D, 3). Raises Error when the input is empty, flat, not finite, or not between 1e-6
+and 1e6 m across.)");
   m.def(
       "tetrahedralize",
       [](const FloatArray& vertices, const IndexArray& faces, int target_nodes, const FloatArray& inner) {

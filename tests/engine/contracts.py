@@ -191,7 +191,7 @@ def calls() -> dict[str, tuple[object, dict]]:
         "instruction_set": (lib, {}),
         "adapt_response_basis": (lib, {"model": s.full, "U": s.response_basis.U, "W": s.response_basis.W}),
         "make_basis": (lib, {"model": s.full, "r": 6, "progress": going}),
-        "make_cage_surface": (lib, {**skin, "target_vertices": 60, "thickness": 0.01, "progress": going}),
+        "make_cage_surface": (lib, {**skin, "target_vertices": 60, "progress": going}),
         "make_response_basis": (lib, {"model": s.full, "r": 5, "h": 6, "progress": going}),
         "pinned": (lib, {"mesh": s.tube, **skin, "heads": s.heads, "tails": s.tails, "ratio": 0.4}),
         "points_on_bones": (lib, {**skin, "skin": 0.8 * s.vertices, "skin_triangles": s.triangles, "heads": s.heads,

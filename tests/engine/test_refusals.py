@@ -269,20 +269,10 @@ def test_the_cut_of_a_mesh_without_tetrahedra():
         dynamorph.MeshCut(empty, *box())
 
 
-@pytest.mark.parametrize(
-    ("size", "message"),
-    [
-        ({"target_vertices": 2**31 - 1}, "target_vertices: expected 4 to 1000000, got 2147483647"),
-        ({"target_vertices": 3}, "target_vertices: expected 4 to 1000000, got 3"),
-        ({"target_vertices": 100, "thickness": 1e9}, "thickness: expected 0 to .* m"),
-        ({"target_vertices": 100, "thickness": np.inf}, "thickness: expected 0 to .* m"),
-        ({"target_vertices": 100, "thickness": np.nan}, "thickness: expected 0 to .* m"),
-        ({"target_vertices": 100, "thickness": -1.0}, "thickness: expected 0 to .* m"),
-    ],
-)
-def test_cages_that_would_take_for_ever(size, message):
-    with pytest.raises(ValueError, match=message):
-        dynamorph.make_cage_surface(*box(), **size)
+@pytest.mark.parametrize("count", [3, 2**31 - 1])
+def test_cages_that_would_take_for_ever(count):
+    with pytest.raises(ValueError, match=f"target_vertices: expected 4 to 1000000, got {count}"):
+        dynamorph.make_cage_surface(*box(), count)
 
 
 def box():

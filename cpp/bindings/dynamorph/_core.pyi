@@ -702,13 +702,13 @@ def make_basis(model: FullModel, r: typing.SupportsInt | typing.SupportsIndex, p
     """
     Makes r modes. They span the targets' shapes exactly, then linear modes, modal derivatives and static responses by mass-PCA. progress(fraction) -> bool: returning False raises Cancelled. Raises Error when the body can move without resistance.
     """
-def make_cage_surface(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], target_vertices: typing.SupportsInt | typing.SupportsIndex, thickness: typing.SupportsFloat | typing.SupportsIndex = 0.0, progress: typing.Any = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"], typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 3]"]]:
+def make_cage_surface(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], target_vertices: typing.SupportsInt | typing.SupportsIndex, progress: typing.Any = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"], typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 3]"]]:
     """
     Wraps a closed cage of about `target_vertices` vertices around any triangle soup.
     
-    vertices (V, 3): meters. triangles (T, 3): vertex indices. thickness: the least distance between cage and body, meters.
-    progress: called with 0..1, returns False to cancel. Returns vertices (C, 3) and outward triangles (D, 3). Raises Error
-    when the input is empty, flat, not finite, or not between 1e-6 and 1e6 m across.
+    vertices (V, 3): meters. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel. Returns
+    vertices (C, 3) and outward triangles (D, 3). Raises Error when the input is empty, flat, not finite, or not between 1e-6
+    and 1e6 m across.
     """
 def make_response_basis(model: FullModel, r: typing.SupportsInt | typing.SupportsIndex, h: typing.SupportsInt | typing.SupportsIndex, progress: typing.Any = None) -> ResponseBasis:
     """

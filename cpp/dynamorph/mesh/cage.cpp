@@ -45,14 +45,14 @@ Soup to_unit(const ClosedSurface& surface, const UnitBox& box) {
   return soup;
 }
 
-Wrap wrap(const Soup& soup, double alpha, double thickness) {
+Wrap wrap(const Soup& soup, double alpha) {
   Wrap result;
-  CGAL::alpha_wrap_3(soup.points, soup.triangles, alpha, std::max(0.2 * alpha, thickness), result);
+  CGAL::alpha_wrap_3(soup.points, soup.triangles, alpha, 0.2 * alpha, result);
   return result;
 }
 
 /// Finds the wrap with a number of vertices nearest to the target.
-Wrap wrap_with_vertices(const Soup& soup, int target, double thickness, const ProgressFn& progress) {
+Wrap wrap_with_vertices(const Soup& soup, int target, const ProgressFn& progress) {
   constexpr int kTries = 8;
   constexpr double kCloseEnough = 0.07;
   double slope = -2;  // d log(count) / d log(alpha) for a smooth surface
@@ -60,7 +60,7 @@ Wrap wrap_with_vertices(const Soup& soup, int target, double thickness, const Pr
   Wrap best;
   double best_error = HUGE_VAL;
   for (int i = 0; i < kTries && best_error > kCloseEnough; ++i) {
-    Wrap candidate = wrap(soup, std::exp(x), thickness);
+    Wrap candidate = wrap(soup, std::exp(x));
     report(progress, 1 - std::pow(0.6, i + 1));
     const double y = std::log(std::max<double>(candidate.number_of_vertices(), 1) / target);
     if (std::abs(y) < best_error) {
@@ -96,7 +96,7 @@ CageSurface to_cage(const Wrap& wrap, const UnitBox& box) {
 
 }  // namespace
 
-CageSurface make_cage_surface(const Points& vertices, const Triangles& triangles, int target_vertices, double thickness,
+CageSurface make_cage_surface(const Points& vertices, const Triangles& triangles, int target_vertices,
                               const ProgressFn& progress) {
   constexpr int kMost = 1000000;  // takes minutes
   if (target_vertices < 4 || target_vertices > kMost)
@@ -104,11 +104,7 @@ CageSurface make_cage_surface(const Points& vertices, const Triangles& triangles
                                 std::to_string(target_vertices));
   const ClosedSurface closed = close_surface(vertices, triangles);
   const UnitBox box = unit_box(closed.vertices, closed.triangles);
-  // So far out, a surface would need far too many balls of the size that the target asks for.
-  if (!(thickness >= 0 && thickness <= box.size))
-    throw std::invalid_argument("thickness: expected 0 to " + std::to_string(box.size) +
-                                " m, the size of the mesh, got " + std::to_string(thickness));
-  const Wrap wrap = wrap_with_vertices(to_unit(closed, box), target_vertices, thickness / box.size, progress);
+  const Wrap wrap = wrap_with_vertices(to_unit(closed, box), target_vertices, progress);
   if (wrap.number_of_faces() == 0)
     throw Error("No closed cage could be wrapped around the mesh. Raise the cage resolution, or thicken the mesh.");
   return to_cage(wrap, box);

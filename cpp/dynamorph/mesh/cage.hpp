@@ -18,11 +18,11 @@ struct CageSurface {
   Triangles triangles;  ///< outward
 };
 
-/// Makes a surface of about `target_vertices` vertices (within 7 % where the shape allows), at least `thickness`
-/// (meters) away from the soup. Open, self-intersecting or multi-part input is fine; parts closer than about alpha come
-/// out glued. Throws Error when the input is empty, flat, not finite, or outside 1e-6 .. 1e6 m, and
-/// std::invalid_argument for more than a million vertices or a thickness larger than the input.
+/// Makes a surface of about `target_vertices` vertices (within 7 % where the shape allows) around the soup. Open,
+/// self-intersecting or multi-part input is fine; parts closer than about alpha come out glued. Throws Error when the
+/// input is empty, flat, not finite, or outside 1e-6 .. 1e6 m, and std::invalid_argument for more than a million
+/// vertices.
 CageSurface make_cage_surface(const Points& vertices, const Triangles& triangles, int target_vertices,
-                              double thickness = 0, const ProgressFn& progress = {});
+                              const ProgressFn& progress = {});
 
 }  // namespace dynamorph

@@ -175,5 +175,5 @@ TEST_CASE("bones hold more nodes as the ratio grows, none outside the body") {
 
 TEST_CASE("a canceled cage stops") {
   const CageSurface s = sphere();
-  CHECK_THROWS_AS(make_cage_surface(s.vertices, s.triangles, 100, 0, [](double) { return false; }), Cancelled);
+  CHECK_THROWS_AS(make_cage_surface(s.vertices, s.triangles, 100, [](double) { return false; }), Cancelled);
 }
