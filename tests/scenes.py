@@ -7,6 +7,8 @@ import itertools
 
 import numpy as np
 
+PINNED = {"hold": "BONES", "basis": "MODES"}  # settings of a model that is pinned to its bones, as in the thesis
+
 
 def tube(rings: int = 17, around: int = 16, radius: float = 0.3, length: float = 2.0):
     """A closed tube along z from 0 to `length`: vertices (V, 3), quads and caps as lists of vertex indices."""

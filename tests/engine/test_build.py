@@ -37,7 +37,7 @@ def bar(firmness=0.5, material=TISSUE, **settings):
         skeleton=Skeleton(("root",), np.array([-1]), at_rest),
         authored_sets=(TargetSet("Bar", (neutral,), every),),
         settings=ModelSettings(
-            **{"material_model": "LINEAR", "solver": "FULL", "cage_nodes": 900, "modes": 8, **settings}
+            **scenes.PINNED | {"material_model": "LINEAR", "solver": "FULL", "cage_nodes": 900, "modes": 8, **settings}
         ),
     )
 

@@ -307,7 +307,7 @@ def soft(body: Body, cage_nodes: int) -> Character:
         bone_segments=body.bones,
         skeleton=Skeleton(("root", "tip"), np.array([-1, 0]), rest),
         authored_sets=(TargetSet("Body", (neutral,), every),),
-        settings=ModelSettings(method="SINGLE", cage_nodes=cage_nodes, modes=6),
+        settings=ModelSettings(**scenes.PINNED, method="SINGLE", cage_nodes=cage_nodes, modes=6),
     )
 
 

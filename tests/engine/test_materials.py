@@ -14,7 +14,7 @@ from dynamic_morph_targets.core.material import fit as material_fit
 from dynamic_morph_targets.core.material import oscillation, presets
 from dynamic_morph_targets.core.model.build import build
 from dynamic_morph_targets.core.settings import Material, ModelSettings
-from scenes import tube
+from scenes import PINNED, tube
 
 # Reading an oscillation --------------------------------------------------------------------------------------------
 
@@ -131,7 +131,9 @@ def limb(material_model="STABLE_STVK", solver="REDUCED", regions=False):
         bone_segments=np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.015]]]),
         skeleton=Skeleton(("root",), np.array([-1]), AT_REST),
         authored_sets=sets,
-        settings=ModelSettings(material_model=material_model, solver=solver, modes=16, cage_nodes=250, pin_radius=0.1),
+        settings=ModelSettings(
+            **PINNED, material_model=material_model, solver=solver, modes=16, cage_nodes=250, pin_radius=0.1
+        ),
     )
     return build(character), character
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import dynamorph
 import numpy as np
 import pytest
+import scenes
 from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
 from dynamic_morph_targets.core.model.build import MESH_DEPENDENCIES, build, build_cage, has_cage, stale_reasons
 from dynamic_morph_targets.core.settings import Material, ModelSettings
@@ -79,7 +80,7 @@ def character(skin, soft, cage_index=None, **settings):
         skeleton=Skeleton(("root",), np.array([-1]), at_rest),
         authored_sets=(TargetSet("Fork", (neutral,), every),),
         settings=ModelSettings(
-            **{"material_model": "LINEAR", "solver": "FULL", "cage_nodes": 500, "modes": 8, **settings}
+            **scenes.PINNED | {"material_model": "LINEAR", "solver": "FULL", "cage_nodes": 500, "modes": 8, **settings}
         ),
         cage_index=cage_index,
     )

@@ -45,7 +45,7 @@ def character():
         bone_segments=np.array([[[0, 0, 0], [0, 0, 1]], [[0, 0, 1], [0, 0, 2]]], float),
         skeleton=SKELETON,
         authored_sets=(TargetSet("Tube", targets, every),),
-        settings=ModelSettings(modes=8, cage_nodes=150),
+        settings=ModelSettings(**scenes.PINNED, modes=8, cage_nodes=150),
     )
 
 

@@ -41,7 +41,7 @@ def bar() -> Character:
         bone_segments=np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, JOINT]], [[0.0, 0.0, JOINT], [0.0, 0.0, LENGTH]]]),
         skeleton=Skeleton(("lower", "upper"), np.array([-1, 0]), rest),
         authored_sets=(TargetSet("Bar", targets, every),),
-        settings=ModelSettings(hold="THICKNESS", basis="RESPONSES", modes=16, cage_nodes=120),
+        settings=ModelSettings(modes=16, cage_nodes=120),
     )
 
 

@@ -68,6 +68,8 @@ def other_keys():
         yield from properties.choose_other(name)
     for kind, name, value in (("FRAMES", "output.frame_step", "1"), ("MODES", "output.keys", "16")):
         output.format = kind
+        if name == "output.keys":
+            yield from physics("advanced", "detail")
         yield from driver.drawn()
         yield from properties.enter(name, value)
         yield from sidebar.press("dynamorph.bake")
@@ -75,6 +77,7 @@ def other_keys():
         assert np.abs(shown_at(limb.FLEXED + 1) - whole).max() < 1e-3
     assert len(settings().bake.keys) == 16
     yield from properties.enter("output.keys", "0")
+    yield from close("detail", "advanced")
     yield from bake_again()
 
 

@@ -56,19 +56,22 @@ MOST_SUBSTEPS = 1000  # per frame
 
 @dataclass(frozen=True)
 class ModelSettings:
-    """Everything that a built model depends on, apart from the character itself. method: see METHODS."""
+    """Everything that a built model depends on, apart from the character itself. method: see METHODS.
+
+    The defaults are those of a new soft skin.
+    """
 
     method: str = "DYNAMIC"
     material_model: str = "STABLE_STVK"
     solver: str = "REDUCED"
     blending: str = "EVEN"
-    modes: int = 20
+    modes: int = 120
     fit_to_shot: bool = False  # choose the MODES of `basis` from the motion of the shot
     cage_nodes: int = 2000
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin within which the bone holds nodes
-    hold: str = "BONES"  # what holds the body: pins near the bones, or its THICKNESS, by a continuous energy
-    hold_head: bool = False  # the skin of the head is held as if it were rigid
-    basis: str = "MODES"  # of a reduced model: tabulated MODES, or few of them and many linear RESPONSES
+    hold: str = "THICKNESS"  # what holds the body: its thickness, by a continuous energy, or pins near the BONES
+    hold_head: bool = True  # the skin of the head is held as if it were rigid
+    basis: str = "RESPONSES"  # of a reduced model: tabulated MODES, or few of them and many linear RESPONSES
 
     @property
     def fits_shot(self) -> bool:

@@ -19,11 +19,13 @@ from bpy.props import (
 )
 from bpy.types import PropertyGroup
 
+from ..core.material.feel import FEELS
 from ..core.settings import MOST_SUBSTEPS, OutputSettings
 from .events import shown_changed
 from .references import OVERRIDE
 from .target_properties import DynamorphKey
 
+NATURAL = FEELS["NATURAL"]  # of a new soft skin
 SLOTS = (("A", "A", "The first set of settings", 0), ("B", "B", "The second set of settings", 1))
 
 
@@ -118,13 +120,15 @@ class DynamorphSimulation(PropertyGroup):
         description="How far the skin may move away from the animation, as a fraction of the body's size. From half "
         "of it on, bones that move faster than their tissue can follow move it less. Raise it for cartoons. "
         "0 is no limit",
-        default=0.0, min=0.0, max=1.0, soft_max=0.2, precision=3, subtype="FACTOR", override=OVERRIDE,
+        default=NATURAL.max_displacement, min=0.0, max=1.0, soft_max=0.2, precision=3, subtype="FACTOR",
+        override=OVERRIDE,
     )  # fmt: skip
     max_thickness: FloatProperty(
         name="Of Thickness",
         description="How far the skin may move away from the animation, as a fraction of the body's thickness at that "
         "place. Lower it where thin parts stretch too far. 0 is no limit",
-        default=0.0, min=0.0, max=10.0, soft_max=1.0, precision=2, subtype="FACTOR", override=OVERRIDE,
+        default=NATURAL.max_thickness, min=0.0, max=10.0, soft_max=1.0, precision=2, subtype="FACTOR",
+        override=OVERRIDE,
     )  # fmt: skip
     initial_state: EnumProperty(
         name="Initial State",
@@ -147,7 +151,7 @@ class DynamorphSimulation(PropertyGroup):
     keep_outside: BoolProperty(
         name="Keep Other Frames",
         description="Bake this range into the last bake and keep its other frames. The simulation starts one second "
-        "before the range, and the two are blended where they meet",
+        "before the range, and the two are blended where they meet. Turn it on to change a few frames of a long shot",
         override=OVERRIDE,
     )  # fmt: skip
     loop: BoolProperty(

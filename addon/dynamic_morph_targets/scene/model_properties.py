@@ -142,9 +142,9 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     fit_to_shot: BoolProperty(
         name="Fit Modes to Shot",
-        description="Choose vibration modes from the motion of the shot when the model is built. Far fewer modes are "
-        "then as accurate, but the model suits other shots less: build it again for each shot. Modes from bones, "
-        "which are more accurate still, are not fitted",
+        description="Fit vibration modes to the motion of the shot when the model is built. Far fewer modes are then "
+        "as accurate, but the model suits other shots less: build it again for each shot. Turn it on for a limb with "
+        "few modes. Modes from bones, which are more accurate still, are not fitted",
         default=ModelSettings.fit_to_shot, override=OVERRIDE,
     )  # fmt: skip
     cage_nodes: IntProperty(

@@ -13,12 +13,14 @@ from bpy.types import PropertyGroup
 
 from ..core.character import Skeleton
 from ..core.material import fit, oscillation
+from ..core.material.feel import FEELS
 from ..core.settings import Material
 from .events import shown_changed
 from .references import OVERRIDE, OVERRIDE_LIST, KeyReference, key_displacement, key_hash
 from .skin import unit_scale
 
 NEUTRAL = "Neutral"
+MASS_DAMPING, STIFFNESS_DAMPING = FEELS["NATURAL"].damping  # of a new soft skin
 IDENTITY = tuple(np.eye(4).ravel())
 NEVER = 1e5  # seconds, for a swing that nothing damps
 
@@ -141,12 +143,12 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     mass_damping: FloatProperty(
         name="Mass Damping",
         description="Rayleigh damping in proportion to mass, in 1/s. Raise it to calm slow, large motion",
-        default=Material.mass_damping, min=0.0, max=1e4, soft_max=20.0, override=OVERRIDE,
+        default=MASS_DAMPING, min=0.0, max=1e4, soft_max=20.0, override=OVERRIDE,
     )  # fmt: skip
     stiffness_damping: FloatProperty(
         name="Stiffness Damping",
         description="Rayleigh damping in proportion to stiffness, in seconds. Raise it to calm fast ripples",
-        default=Material.stiffness_damping, min=0.0, max=10.0, soft_max=0.1, step=0.1, precision=4, override=OVERRIDE,
+        default=STIFFNESS_DAMPING, min=0.0, max=10.0, soft_max=0.1, step=0.1, precision=4, override=OVERRIDE,
     )  # fmt: skip
     fade_out_angle: FloatProperty(
         name="Fade-Out Angle",

@@ -14,7 +14,7 @@ from bl_ext.user_default.dynamic_morph_targets.core.motion.player import Player
 from bl_ext.user_default.dynamic_morph_targets.core.settings import ModelSettings
 from bl_ext.user_default.dynamic_morph_targets.io import model_file
 from bl_ext.user_default.dynamic_morph_targets.run import bake_input
-from builders import activate, assert_shows, evaluated_points, rig_of
+from builders import assert_shows, evaluated_points, make_arm, rig_of
 from robustness import bake
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
@@ -44,17 +44,11 @@ def off(motion, reference) -> float:
     return np.linalg.norm(motion - motion.mean(axis=0) - moving) / np.linalg.norm(moving)
 
 
-def test_new_soft_skins_have_them_and_others_keep_their_modes(arm, soft_arm):
+def test_new_soft_skins_have_them_and_others_keep_their_modes(soft_arm):
     model = soft_arm.dynamorph.model
     assert (model.basis, model.modes) == ("MODES", 20)  # with_pins
     bpy.ops.object.select_all(action="DESELECT")
-    activate(arm)
-    fresh = arm.copy()
-    fresh.data = arm.data.copy()
-    bpy.context.scene.collection.objects.link(fresh)
-    while fresh.dynamorph.targets:
-        fresh.dynamorph.targets.remove(0)
-    activate(fresh)
+    fresh = make_arm(bpy.context.scene, "Fresh")
     bpy.ops.dynamorph.add_soft_skin()
     assert (fresh.dynamorph.model.basis, fresh.dynamorph.model.modes) == ("RESPONSES", 120)
 

@@ -26,9 +26,9 @@ def names(obj):
     return [target.name for target in obj.dynamorph.targets]
 
 
-def test_defaults_are_those_of_scene_data(soft_arm):
-    assert vars(soft_arm.dynamorph.model.settings()) == pytest.approx(vars(settings.ModelSettings()))
-    assert vars(soft_arm.dynamorph.targets[0].material()) == pytest.approx(vars(settings.Material()))
+def test_a_new_soft_skin_is_built_by_default(arm):
+    bpy.ops.dynamorph.add_soft_skin()
+    assert vars(arm.dynamorph.model.settings()) == pytest.approx(vars(settings.ModelSettings()))
 
 
 def test_every_property_has_a_description():

@@ -170,8 +170,19 @@ def test_few_settings_are_in_sight(arm, stand_in):
     assert in_sight == IN_SIGHT
 
 
+def test_reset_to_default_changes_nothing_of_a_new_soft_skin(arm, stand_in):
+    bpy.ops.dynamorph.add_soft_skin()
+    skin = arm.dynamorph
+    groups = {type(each).__name__: each for each in (skin, skin.model, skin.simulation, skin.output, skin.targets[0])}
+    for group, name in (each.split(".") for found in settings_shown(arm).values() for each in found):
+        before = getattr(groups[group], name)
+        groups[group].property_unset(name)
+        assert getattr(groups[group], name) == before, name
+
+
 def test_every_setting_says_when_to_change_it(soft_arm, stand_in):
     soft_arm.dynamorph.active_target_index = 1
+    soft_arm.dynamorph.simulation.use_scene_range = False  # which shows the frames
     groups, silent = {group.__name__: group for group in properties.CLASSES}, []
     for group, name in (each.split(".") for found in settings_shown(soft_arm).values() for each in found):
         tooltip = groups[group].bl_rna.properties[name].description

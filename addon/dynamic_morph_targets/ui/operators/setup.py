@@ -24,8 +24,6 @@ from ..base import SoftSkinOperator
 from . import feel
 from .jobs import JobOperator, StartsJob
 
-DETAIL = 120  # modes of a new soft skin
-
 
 class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
     """Make the active mesh a soft skin, build it and show it in Live: a hop, then the animation. Esc stops it"""
@@ -58,8 +56,6 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         target = obj.dynamorph.targets.add()
         target.name = target_properties.NEUTRAL
         target.set_pose(skeleton, np.tile(np.eye(4), (len(skeleton.names), 1, 1)), rig_world)
-        obj.dynamorph.model.hold, obj.dynamorph.model.basis = "THICKNESS", "RESPONSES"
-        obj.dynamorph.model.modes = DETAIL
         feel.give_feel(obj, FEELS["NATURAL"])
         in_the_way += [text for text in _find_attachments(obj) if text not in in_the_way]
         body_checks.look(obj)
@@ -98,7 +94,6 @@ def _body_meant(obj):
 
 def _find_attachments(obj) -> list[str]:
     """List what belongs to the body of `obj`, in one cage with it. Returns the problems with that."""
-    obj.dynamorph.model.hold_head = True
     problem = next(checks.problems(Skinning.of(obj)), None)
     if problem:  # which is reported already
         return []
