@@ -101,15 +101,14 @@ MatrixXd rigid_bone_loads(const SoftBody& body) {
   return loads * eigen.eigenvectors().rightCols(std::min(kLoads, loads.cols()));
 }
 
-/// Adds target j's part of `force_curvatures`.
-void add_curvatures(const FullModel& model, int j, const RowMajor& modes, RowMajor& sum) {
+/// Adds target j's part of `force_curvatures`, with the given Lame parameters.
+void add_curvatures(const FullModel& model, int j, Lame lame, const RowMajor& modes, RowMajor& sum) {
   const SoftBody& body = model.body();
   // Stable StVK is StVK with (lambda + mu, 0) minus mu det F. The second derivative of det F is the cross product.
-  const bool stable = model.material_model() == MaterialModel::stable_stvk;
-  const double mu = model.targets()[j].lame.mu;
-  const Lame lame = stable ? Lame{model.targets()[j].lame.lambda + mu, 0} : model.targets()[j].lame;
+  const double mu = model.material_model() == MaterialModel::stable_stvk ? lame.mu : 0;
+  lame = {lame.lambda + mu, lame.mu - mu};
   const Eigen::Index r = modes.cols(), pairs = r * (r + 1) / 2;
-  RowMajor G, stresses(6, r), forces(12, pairs), crosses(stable ? 9 : 0, pairs);
+  RowMajor G, stresses(6, r), forces(12, pairs), crosses(mu != 0 ? 9 : 0, pairs);
   for (Eigen::Index e = 0; e < body.mesh.tets.rows(); ++e) {
     const Element& element = model.shape(j).elements[e];
     if (element.weight == 0 || !mode_gradients(body, element, e, modes, G)) continue;
@@ -119,7 +118,7 @@ void add_curvatures(const FullModel& model, int j, const RowMajor& modes, RowMaj
       stresses.row(3 + a) = lame.mu * (G.row(3 * a + b) + G.row(3 * b + a));
     }
     curvatures_of_pairs(G.data(), stresses.data(), r, lame.lambda, lame.mu, element.gradients.data(), forces.data());
-    if (stable) {
+    if (mu != 0) {
       crosses_of_pairs(G.data(), r, crosses.data());
       for (int a = 0; a < 4; ++a)
         for (int i = 0; i < 3; ++i)
@@ -197,14 +196,14 @@ MatrixXd force_curvatures(const FullModel& model, int target, const MatrixXd& mo
   const Eigen::Index pairs = modes.cols() * (modes.cols() + 1) / 2;
   RowMajor sum = RowMajor::Zero(modes.rows(), pairs);
   if (model.material_model() == MaterialModel::linear) return sum;
-  for (int j : summed_at(model.targets(), target)) add_curvatures(model, j, by_node, sum);
+  for (int j : summed_at(model.targets(), target)) add_curvatures(model, j, model.targets()[j].lame, by_node, sum);
   return sum;
 }
 
-MatrixXd force_curvatures_alone(const FullModel& model, int target, const MatrixXd& modes) {
+RowMajor force_curvatures_alone(const FullModel& model, int target, Lame lame, const MatrixXd& modes) {
   const RowMajor by_node = modes;
   RowMajor sum = RowMajor::Zero(modes.rows(), modes.cols() * (modes.cols() + 1) / 2);
-  if (model.material_model() != MaterialModel::linear) add_curvatures(model, target, by_node, sum);
+  if (model.material_model() != MaterialModel::linear) add_curvatures(model, target, lame, by_node, sum);
   return sum;
 }
 

@@ -24,8 +24,8 @@ LinearModes linear_modes(const FullModel& model, int target, int k);
 /// shapes: (3 free, pairs of modes (pair_index)). They use the model's law, and the same targets as K of linear_modes.
 MatrixXd force_curvatures(const FullModel& model, int target, const MatrixXd& modes);
 
-/// The same of this target's energy alone, without the other sets.
-MatrixXd force_curvatures_alone(const FullModel& model, int target, const MatrixXd& modes);
+/// The same of this target's energy alone, without the other sets, for any Lame parameters: it is linear in them.
+RowMajor force_curvatures_alone(const FullModel& model, int target, Lame lame, const MatrixXd& modes);
 
 struct Basis {
   MatrixXd U;                     ///< (3 free, r), U^T M U = I for unit density

@@ -61,4 +61,14 @@ double GramAccumulator::operator()(Index i, Index j) const {
   return tiles_[((start_[row] + j / kTile - first_[row]) * kTile + i % kTile) * kTile + j % kTile];
 }
 
+MatrixXd inner_products(const RowMajor& A, const RowMajor& B) {
+  GramAccumulator products(A.cols(), B.cols(), [](Index) { return 0; });
+  for (Index row = 0; row < A.rows(); ++row) products.add(A.row(row).data(), B.row(row).data());
+  products.finish();
+  MatrixXd out(A.cols(), B.cols());
+  for (Index j = 0; j < B.cols(); ++j)
+    for (Index i = 0; i < A.cols(); ++i) out(i, j) = products(i, j);
+  return out;
+}
+
 }  // namespace dynamorph

@@ -30,4 +30,7 @@ class GramAccumulator {
   std::vector<double> tiles_;  ///< those kept, row after row, each row-major
 };
 
+/// A^T B, several times as fast as Eigen, which does not know this machine's widest vectors.
+MatrixXd inner_products(const RowMajor& A, const RowMajor& B);
+
 }  // namespace dynamorph

@@ -10,6 +10,7 @@
 #include "dynamorph/core/parallel.hpp"
 #include "dynamorph/models/free_motion.hpp"
 #include "dynamorph/reduced/modes/basis.hpp"
+#include "dynamorph/reduced/modes/gram_accumulator.hpp"
 #include "dynamorph/reduced/modes/mass_pca.hpp"
 #include "dynamorph/reduced/modes/static_solver.hpp"
 #include "dynamorph/reduced/modes/table_layout.hpp"
@@ -190,8 +191,8 @@ MatrixXd orthonormalized(const MatrixXd& columns) {
 /// Turns W (3 free, h) into its K-orthogonal part to U, with W^T M W = I and W^T K W diagonal.
 MatrixXd decoupled(const SparseMatrix& K, const VectorXd& mass, const MatrixXd& U, const MatrixXd& W) {
   const MatrixXd KU = K * U;
-  const MatrixXd free = W - U * (U.transpose() * KU).ldlt().solve(KU.transpose() * W);
-  const MatrixXd stiffness = free.transpose() * (K * free), inertia = free.transpose() * mass.asDiagonal() * free;
+  const RowMajor free = W - U * (U.transpose() * KU).ldlt().solve(KU.transpose() * W);
+  const MatrixXd stiffness = inner_products(free, K * free), inertia = gram(mass.cwiseSqrt().asDiagonal() * free);
   return free * Eigen::GeneralizedSelfAdjointEigenSolver<MatrixXd>(stiffness, inertia).eigenvectors();
 }
 

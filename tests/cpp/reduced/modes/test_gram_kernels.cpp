@@ -34,6 +34,7 @@ TEST_CASE("sums of row products: the triangle of A^T A, and the wanted part of A
         for (int j = 2 * i; j < 3 * n; ++j) error = std::max(error, std::abs(part(i, j) - product(i, j)));
       }
       CHECK(error <= 1e-13 * (1 + rows));
+      CHECK((inner_products(A, B) - product).cwiseAbs().maxCoeff() <= 1e-13 * (1 + rows));
     }
 }
 
