@@ -13,6 +13,7 @@ from ..write.display import live_key
 
 # What displaces the points of a surface: coordinates (dofs,) -> (3 V,), float32, local space.
 Move = Callable[[np.ndarray], np.ndarray]
+POINTS = 512  # whose modes are interpolated at once, so that they stay in the processor's cache
 
 
 class LiveMesh:
@@ -43,10 +44,25 @@ class LiveMesh:
         return True
 
 
-def by_modes(modes: np.ndarray) -> Move:
-    """The Move of a reduced simulation, whose modes displace the points by (r, V, 3)."""
-    shapes = modes.reshape(len(modes), modes.shape[1] * 3).astype(np.float32)
+def by_modes(modes: np.ndarray, nodes: np.ndarray, weights: np.ndarray) -> Move:
+    """The Move of a reduced simulation, whose modes displace the cage's nodes by (r, n, 3).
+
+    nodes, weights (V, 4): which carry each point.
+    """
+    by_node = np.ascontiguousarray(modes.transpose(1, 2, 0), np.float32).reshape(modes.shape[1], 3 * len(modes))
+    weights = weights.astype(np.float32)
+    shapes = np.empty((len(modes), 3 * len(nodes)), np.float32)
+    for first in range(0, len(nodes), POINTS):
+        some = slice(first, first + POINTS)
+        pairs = zip(weights[some].T, nodes[some].T, strict=True)
+        carried = sum(weight[:, None] * by_node[node] for weight, node in pairs)
+        shapes[:, 3 * first : 3 * (first + POINTS)] = carried.reshape(-1, len(modes)).T
     return lambda coordinates: _blended(coordinates, shapes)
+
+
+def still(count: int) -> Move:
+    """The Move of points that nothing displaces."""
+    return lambda _coordinates: np.zeros(3 * count, np.float32)
 
 
 def by_nodes(free: np.ndarray, nodes: np.ndarray, weights: np.ndarray, turn: np.ndarray) -> Move:

@@ -15,7 +15,6 @@ from ..core import errors
 from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
 from ..core.firmness import NEUTRAL
-from ..core.geometry import interpolated
 from ..core.message import joined
 from ..core.motion import rig_samples, simulate
 from ..core.motion.player import Frame, Player, State
@@ -24,7 +23,7 @@ from ..core.settings import Material, SimulationSettings
 from ..scene import mesh_data, model_store, probe, references, rig_motion, run_settings, skin, skinning, staleness
 from ..write.display import comparison, live_key
 from ..write.reconcile import reconcile
-from .live_surface import LiveMesh, Move, by_modes, by_nodes
+from .live_surface import LiveMesh, Move, by_modes, by_nodes, still
 
 # Frames whose rig is read at once; the setup costs as much as five frames, and more frames would be noticed as a
 # stutter.
@@ -68,12 +67,12 @@ class Tissue:
         """What displaces these vertices of the character; from_body: as for `_mesh`."""
         model = self.model
         if not len(model.tets):  # static morph targets
-            return by_modes(np.zeros((0, members.stop - members.start, 3)))
+            return still(members.stop - members.start)
         nodes, weights = model.embedding_nodes[members], model.embedding_weights[members]
         turn = from_body @ np.linalg.inv(model.to_bind)
         if model.settings.solver == "FULL":
             return by_nodes(model.free, nodes, weights, turn)
-        return by_modes(interpolated(self._node_modes, nodes, weights) @ turn.T)
+        return by_modes(self._node_modes @ turn.T, nodes, weights)
 
     @cached_property
     def _node_modes(self) -> np.ndarray:
