@@ -46,7 +46,7 @@ def problem():
     yield from driver.keep("problem", sidebar)
     yield from sidebar.press(fix)
     yield from until(lambda: not modifier.use_bone_envelopes, "the problem to be fixed")
-    assert not list(addon("scene.checks").problems(skin()))
+    assert not list(addon("scene.checks").problems(addon("scene.skinning").Skinning.of(skin())))
 
 
 # The cage ------------------------------------------------------------------------------------------------------------
@@ -127,7 +127,7 @@ def firmer():
     yield from sidebar.press("dynamorph.firmness")
     yield from driver.drawn()
     assert differing(before) > 0.01, "the viewport shows no firmness"
-    yield from driver.keep("stiffness", viewport)
+    yield from driver.keep("firmness", viewport)
     yield from sidebar.press("dynamorph.firmness")
     skin().vertex_groups.remove(skin().vertex_groups[settings().firmness_group])
     settings().firmness_group = ""  # the next steps are about an arm without a map
@@ -178,7 +178,7 @@ def target_weights():
     yield from sidebar.press("dynamorph.target_weights")
     yield from until(lambda: addon("run.weight_curves").drawn(skin()), "the graph")
     known, graph = addon("run.weight_curves").drawn(skin())
-    assert (known.frame_start, known.frame_end) == (1, limb.LAST)
+    assert (known.start, known.end) == (1, limb.LAST)
     # The flexed target is the last: its region forms a set of its own, after the body's.
     assert graph.weights[limb.FLEXED - 1, -1] > 0.99 and graph.outside[limb.TURNED - 1].any()
     bpy.context.scene.frame_set((limb.FIRST + limb.FLEXED) // 2)
