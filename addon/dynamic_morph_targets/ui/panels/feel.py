@@ -62,9 +62,9 @@ def draw_firmness(layout, context, obj):
     """The map that is painted."""
     layout.enabled = batch.running is None
     row = layout.row(align=True)
-    row.prop_search(obj.dynamorph, "firmness_group", obj, "vertex_groups")
+    row.prop_search(obj.dynamorph, "firmness_group", obj, "vertex_groups", text="")  # the name of the group fits
     button = row.row(align=True)
-    button.ui_units_x = 2.5  # the name of the group needs the rest
+    button.ui_units_x = 2.5
     button.operator("dynamorph.paint_firmness", text="Done" if painting.is_painting(obj) else "Paint")
     paint_operators.draw_tools(layout, obj)
     layout.prop(context.window_manager.dynamorph, "firmness", icon="OVERLAY", toggle=True)
