@@ -95,7 +95,7 @@ def _fits(kept: dict[str, np.ndarray], model: Model, states: int) -> bool:
         "steps": (done, len(STEP)),
         "past": (4, dofs),
         "bones": (4, bones + 1, 12),
-        "excess": (bones + 1 if np.size(kept.get("excess")) else 0,),  # where the motion is limited
+        "excess": (bones + 1 if len(kept.get("excess", ())) else 0,),  # where the motion is limited
         "pose": (bones, 4, 4),
     }
     if model.settings.method == "STATIC":  # nothing moves

@@ -205,7 +205,7 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
         outcome.warnings.append(
             Message("The modes were fitted to frames {first} to {last}: press Build Model", first=first, last=last)
         )
-    if not outcome.verdict.is_believable:
+    if outcome.verdict.is_too_large:
         text = "{verdict}. Raise Bounce or Cage Nodes, or paint Firmness"
         outcome.warnings.append(Message(text, verdict=outcome.verdict.text))
 

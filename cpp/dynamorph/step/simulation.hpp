@@ -82,8 +82,8 @@ class Simulation {
   const StepOptions& options() const { return options_; }
   const State& state() const { return state_; }
   const MatrixXd& rest_gravity() const { return rest_gravity_; }  ///< gravity in the targets' poses (dofs, J), or empty
-  /// Without excess, its motion limit has not acted lately; without a limit, its excess does not count. Throws Error for
-  /// what is not finite.
+  /// Without excess, its motion limit has not acted lately; without a limit, its excess does not count. Throws Error
+  /// for what is not finite.
   void set_state(const State& state);
   const VectorXd& coordinates() const { return state_.q[0]; }
   /// Energies of the state, J, at the target weights of the last start() or step(). The kinetic energy uses the

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -27,15 +28,15 @@ def largest_distances(model: Model, character: Character, settings: SimulationSe
     return out
 
 
-def motion_limit(
-    model: Model, engine: EngineModel, character: Character, settings: SimulationSettings
-) -> dynamorph.ReducedMotionLimit | dynamorph.FullMotionLimit | None:
-    """What limits the engine's motion of a model; None without limits, or where no skin is soft."""
+def motion_limit(model: Model, engine: EngineModel, character: Character, settings: SimulationSettings) -> Any:
+    """What limits the motion of the engine's model, and is of its kind; None without limits, or where no skin is soft."""
     distances = largest_distances(model, character, settings)
     soft = character.triangles[(character.cage_index[character.triangles] >= 0).all(axis=1)]
     if not np.isfinite(distances).all() or not len(soft):
         return None
-    kind = dynamorph.FullMotionLimit if model.settings.solver == "FULL" else dynamorph.ReducedMotionLimit
+    kind: Callable[..., Any] = (
+        dynamorph.FullMotionLimit if model.settings.solver == "FULL" else dynamorph.ReducedMotionLimit
+    )
     return kind(
         engine,
         character.vertices @ character.to_bind.T,
