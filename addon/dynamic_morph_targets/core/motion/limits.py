@@ -29,7 +29,7 @@ def largest_distances(model: Model, character: Character, settings: SimulationSe
 
 
 def motion_limit(model: Model, engine: EngineModel, character: Character, settings: SimulationSettings) -> Any:
-    """What limits the motion of the engine's model, and is of its kind; None without limits, or where no skin is soft."""
+    """What limits the motion of such an engine model; None without limits, or where no skin is soft."""
     distances = largest_distances(model, character, settings)
     soft = character.triangles[(character.cage_index[character.triangles] >= 0).all(axis=1)]
     if not np.isfinite(distances).all() or not len(soft):
