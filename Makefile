@@ -102,12 +102,14 @@ runs ?=
 reliability: build
 	@$(python) tests/benchmarks/reliability_page.py $(if $(runs),--longer-runs)
 
-# docs/believable.md with its pictures, from every character of ../shared after one click; takes about 5 minutes.
-# only="Cow Fox" measures those again, at_once=1 one character at a time, which its seconds are best for.
+# docs/believable.md with its pictures, from every character of ../shared after one click, with two clips of each; takes
+# about 15 minutes. only="Cow Fox" measures those again, at_once=1 one character at a time, which its seconds are best
+# for. before=REVISION measures nothing and compares how alive they are with the page of that revision of git.
 only ?=
+before ?=
 at_once ?= $(jobs)
 believable: build
-	@$(python) tests/benchmarks/believable.py --only "$(only)" --jobs $(at_once)
+	@$(python) tests/benchmarks/believable.py --only "$(only)" $(if $(before),--before $(before),--jobs $(at_once))
 
 # Its table of how the motion depends on the cage, and the page; takes about 4 minutes. sizes="2000 4000" skips the others.
 sizes ?= 2000 4000 8000 16000

@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """One character, one click, for believable.py: bakes it, measures the saved file and takes its pictures.
 
-    python tests/benchmarks/believable_bake.py ASSET FOLDER [unfolded]
+    python tests/benchmarks/believable_bake.py ASSET FOLDER [CLIP]
 
-FOLDER gets figures.json, and plain.png, baked.png and heat.png if there was a bake. unfolded: play the liveliest of the
-clips in which the bones alone do not fold edges away, see `unfolds`.
+FOLDER gets figures.json, and plain.png, baked.png, heat.png and strip_1.png to strip_5.png if there was a bake. CLIP:
+an action; the liveliest if none is given.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -26,24 +27,26 @@ import bpy  # noqa: E402
 import characters  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
+from believable_measure import NATURAL, baked_keys, positions, rest, show, world_points  # noqa: E402
 from contact_sheet import quiet, render  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from dynamic_morph_targets.core.geometry import diagonal  # noqa: E402
 from dynamic_morph_targets.run import job, preview  # noqa: E402
 from dynamic_morph_targets.ui.operators import jobs  # noqa: E402
 from heat import paint  # noqa: E402
-from mathutils import Matrix  # noqa: E402
+from mathutils import Matrix, Vector  # noqa: E402
 from portrait import aim  # noqa: E402
 
-TOOL = characters.ASSETS.parent / "tools" / "believable.py"
+TOOL = Path(__file__).with_name("believable_measure.py")
 FRAMES = 48  # of a clip at most
 TRIED = 600  # vertices whose motion says which clip is the liveliest
-FOLDED = 0.6  # the limit of stretch_lo: where the bones alone are below it no soft skin can be above
 HARDLY = 0.005  # body sizes: a clip that shakes it less is replaced by a hop and a twist
-NATURAL = 2.0 * np.pi * 3.5  # rad/s: what `shaken` refers to
+AT_ALL = 0.0005  # body sizes: an everyday clip shakes it at least so much
+EVERYDAY = ("walk", "run", "jog", "swim", "fly", "gallop", "idle")  # with which words of such a clip's name begin
+HOP = "hop and twist"  # the clip of a character that has none
 HOPS = 1.0  # seconds they take; then comes the twist
 CELL = (390, 260)
-MARK = "Dynamorph"  # with which the names of baked shape keys begin
+STRIP_CELL, STRIP = (234, 176), 5  # pixels of a picture of the strip, and how many frames it has
 COLORS = {0.0: (0.45, 0.47, 0.5), 0.01: (0.16, 0.42, 0.72), 0.03: (0.2, 0.65, 0.3), 0.05: (0.95, 0.8, 0.15),
           0.1: (0.85, 0.1, 0.05), 0.2: (0.6, 0.0, 0.6)}  # fmt: skip  # of |displacement| / size
 
@@ -71,7 +74,7 @@ def measure(asset: Path, folder: Path, found: dict) -> None:
     body = characters.largest_skinned()
     rig = characters.armature_of(body)
     found |= {"body": body.name, "vertices": sum(len(each.data.vertices) for each in skinned(rig))}
-    found |= choose_clip(rig, unfolded="unfolded" in sys.argv)
+    found |= choose_clip(rig, *sys.argv[3:])
     done = click(body, found)
     if done is None:
         return
@@ -85,10 +88,7 @@ def measure(asset: Path, folder: Path, found: dict) -> None:
     if run.returncode:
         raise RuntimeError(f"{TOOL.name}: {run.stderr.strip() or run.stdout[-500:]}")
     found["measured"] = json.loads(run.stdout.strip().splitlines()[-1])
-    soft = [obj for obj in bpy.context.scene.objects if baked_keys(obj)]
-    first, last = found["frames"]
-    found["plain_stretch_lo"] = plain_stretch(soft, range(first, last + 1))
-    found["worst_frame"] = photograph(rig, folder)
+    found |= photograph(rig, folder)
 
 
 def skinned(rig) -> list:
@@ -128,7 +128,11 @@ def click(body, found: dict) -> job.Job | None:
 def of_job(job: job.Job) -> dict:
     """What the bake says of itself."""
     tets = len(job.outcome.model.tets)
+    held = job.outcome.verdict.held
     return {
+        "held": {"bone": held.bone, "excess": held.excess, "frames": held.frames},
+        "between_frames": held.reached,
+        "verdict": job.outcome.verdict.text,
         "nodes": len(job.outcome.model.nodes),
         "tets": tets,
         "modes": job.outcome.model.summary.modes,
@@ -148,9 +152,9 @@ def of_stages(job: job.Job) -> dict[str, float]:
 # The clip -------------------------------------------------------------------------------------------------------------
 
 
-def choose_clip(rig, unfolded=False) -> dict:
-    """Let the rig play the liveliest of the file's clips, or hop and twist where none moves it much. unfolded: only
-    clips that fold no edges away."""
+def choose_clip(rig, name: str = "") -> dict:
+    """Let the rig play the liveliest part of this clip of the file's, by default of the liveliest, or hop and twist
+    where none moves it much. Also returns the name of an everyday clip, empty if there is no other."""
     areas = [surface(obj) for obj in skinned(rig)]
     whole, random = sum(each.sum() for each in areas), np.random.default_rng(0)
     meshes = [
@@ -168,10 +172,10 @@ def choose_clip(rig, unfolded=False) -> dict:
             if rig.animation_data.action_suitable_slots:
                 rig.animation_data.action_slot = rig.animation_data.action_suitable_slots[0]
                 tried[action.name] = liveliest(meshes, size, *(round(frame) for frame in action.frame_range))
-    moving = sorted((name for name in tried if tried[name][0] >= HARDLY), key=lambda name: -tried[name][0])
-    name = next((name for name in moving if not unfolded or unfolds(rig, name, *tried[name][1:])), "hop and twist")
-    own = name not in moving
-    if own:
+    name = name or max(
+        (name for name in tried if tried[name][0] >= HARDLY), key=lambda name: tried[name][0], default=HOP
+    )
+    if name == HOP:
         first, last = 1, FRAMES
         hop_and_twist(rig, size)
         lively, *_ = liveliest(meshes, size, first, last)
@@ -180,7 +184,28 @@ def choose_clip(rig, unfolded=False) -> dict:
         characters.play(rig, bpy.data.actions[name])
     scene.frame_start, scene.frame_end = first, last
     scene.frame_set(first)
-    return {"clip": name, "own": own, "frames": [first, last], "fps": scene.render.fps, "lively": lively}
+    other = {name: lively for name, (lively, *_) in tried.items() if lively >= AT_ALL} | {name: 0.0}
+    del other[name]
+    return {
+        "clip": name,
+        "frames": [first, last],
+        "fps": scene.render.fps,
+        "lively": lively,
+        "everyday": everyday(other),
+    }
+
+
+def everyday(clips: dict[str, float]) -> str:
+    """Of clips and how lively they are: one that is named so, the plainest name first; otherwise the calmest."""
+
+    def order(name: str) -> tuple:
+        words = re.findall("[a-z]+", name.rpartition("|")[2].lower())
+        kind = next(
+            (k for k, kind in enumerate(EVERYDAY) if any(word.startswith(kind) for word in words)), len(EVERYDAY)
+        )
+        return kind, len(words) if kind < len(EVERYDAY) else 0, clips[name]
+
+    return min(clips, key=order, default="")
 
 
 def surface(obj) -> np.ndarray:
@@ -263,43 +288,12 @@ def hop_and_twist(rig, size: float) -> None:
         rig.keyframe_insert(rotation.get(rig.rotation_mode, "rotation_euler"), frame=frame)
 
 
-def unfolds(rig, name: str, first: int, last: int) -> bool:
-    """Whether the bones alone keep the limit of stretch_lo in a clip: they may make an edge vanish at a joint."""
-    characters.play(rig, bpy.data.actions[name])
-    return plain_stretch(skinned(rig), range(first, last + 1)) >= FOLDED
-
-
-def plain_stretch(meshes, frames) -> float:
-    """The tool's stretch_lo of a bake that moves nothing."""
-    show(plain=True)
-    worst = np.inf
-    for frame in frames:
-        bpy.context.scene.frame_set(frame)
-        worst = min(worst, *map(shrunk, meshes))
-    show(plain=False)
-    return float(worst)
-
-
-def shrunk(obj) -> float:
-    """0.1th percentile of edge length now / max(the same, half of it at rest), by the edges' length."""
-    edges = np.empty(2 * len(obj.data.edges), np.int32)
-    obj.data.edges.foreach_get("vertices", edges)
-    first, second = edges.reshape(-1, 2).T
-    before, now = rest(obj), world_points(obj)
-    before = np.linalg.norm(before[first] - before[second], axis=1)
-    now = np.linalg.norm(now[first] - now[second], axis=1)
-    counts = before > 1e-4 * diagonal(rest(obj))
-    ratio = (now / np.maximum(now, 0.5 * before + 1e-30))[counts]
-    order = np.argsort(ratio)
-    shares = np.cumsum(before[counts][order])
-    return float(ratio[order][min(np.searchsorted(shares, 1e-3 * shares[-1]), len(order) - 1)])
-
-
 # Pictures -------------------------------------------------------------------------------------------------------------
 
 
-def photograph(rig, folder: Path) -> int:
-    """plain.png, baked.png and heat.png at the frame of the largest displacement, which is returned."""
+def photograph(rig, folder: Path) -> dict:
+    """plain.png, baked.png and heat.png at the frame of the largest displacement, and the strip around it. Returns that
+    frame, and the strip's frames and their displacements, of size."""
     scene = bpy.context.scene
     frames = range(scene.frame_start, scene.frame_end + 1)
     soft = {obj: displacements(obj, frames) for obj in scene.objects if baked_keys(obj)}
@@ -313,24 +307,51 @@ def photograph(rig, folder: Path) -> int:
     for obj in shown:
         lengths = soft[obj][worst] if obj in soft else np.zeros(len(obj.data.vertices))
         paint(obj.data, lengths / size, COLORS)
-    show(plain=True)
-    seen = [world_points(obj) for obj in shown]
-    show(plain=False)
-    seen += [world_points(obj) for obj in shown]
-    aim(np.concatenate(seen), CELL)
-    shading = scene.display.shading
-    shading.show_cavity = True
+    scene.display.shading.show_cavity = True
     scene.view_settings.view_transform = "Standard"
+    aim(seen(shown), CELL)
     for name, color in (("plain", "MATERIAL"), ("baked", "MATERIAL"), ("heat", "VERTEX")):
         show(plain=name == "plain")
-        shading.color_type = color
+        scene.display.shading.color_type = color
         render([frames[worst]], CELL, "BLENDER_WORKBENCH")[0].save(folder / f"{name}.png")
-    return frames[worst]
+    place = max(soft, key=lambda obj: soft[obj][worst].max())
+    first = min(max(worst - STRIP // 2, 0), max(len(frames) - STRIP, 0))
+    strip = frames[first : first + STRIP]
+    scene.display.shading.color_type = "MATERIAL"
+    photograph_strip(shown, strip, place, int(soft[place][worst].argmax()), folder)
+    return {
+        "worst_frame": frames[worst],
+        "strip": list(strip),
+        "strip_displacements": (farthest[first : first + STRIP] / size).tolist(),
+    }
 
 
-def baked_keys(obj) -> list:
-    keys = obj.data.shape_keys if obj.type == "MESH" else None
-    return [key for key in keys.key_blocks if key.name.startswith(MARK)] if keys else []
+def photograph_strip(shown: list, frames: range, obj, vertex: int, folder: Path) -> None:
+    """strip_1.png to strip_5.png: these meshes in consecutive frames, by a camera that follows a vertex as the bones
+    alone move it."""
+    scene = bpy.context.scene
+    points, followed = [], []
+    for frame in frames:
+        scene.frame_set(frame)
+        points.append(seen(shown))
+        show(plain=True)
+        followed.append(world_points(obj)[vertex])
+        show(plain=False)
+    aim(np.concatenate([here - place for here, place in zip(points, followed, strict=True)]), STRIP_CELL)
+    camera = scene.camera
+    home = camera.location.copy()
+    for number, (frame, place) in enumerate(zip(frames, followed, strict=True), 1):
+        camera.location = home + Vector(place)
+        render([frame], STRIP_CELL, "BLENDER_WORKBENCH")[0].save(folder / f"strip_{number}.png")
+
+
+def seen(shown: list) -> np.ndarray:
+    """Where these meshes are now, as the bones alone have them and as baked (V, 3), world."""
+    points = []
+    for plain in (True, False):
+        show(plain=plain)
+        points += [world_points(obj) for obj in shown]
+    return np.concatenate(points)
 
 
 def belongs(obj, rig) -> bool:
@@ -353,33 +374,6 @@ def displacements(obj, frames) -> np.ndarray:
         values = np.array([key.value for key in keys])
         lengths.append(np.linalg.norm(np.tensordot(values, shapes, 1), axis=1))
     return np.array(lengths)
-
-
-def positions(points) -> np.ndarray:
-    """(V, 3), local."""
-    found = np.empty(3 * len(points), np.float32)
-    points.foreach_get("co", found)
-    return found.reshape(-1, 3).astype(float)
-
-
-def rest(obj) -> np.ndarray:
-    keys = obj.data.shape_keys
-    return positions(keys.reference_key.data if keys else obj.data.vertices) @ np.array(obj.matrix_world.to_3x3()).T
-
-
-def world_points(obj) -> np.ndarray:
-    """As Blender shows it now."""
-    shown = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    world = np.array(shown.matrix_world)
-    return positions(shown.data.vertices) @ world[:3, :3].T + world[:3, 3]
-
-
-def show(plain: bool) -> None:
-    """The characters as baked, or as the bones alone move them."""
-    for obj in bpy.context.scene.objects:
-        for key in baked_keys(obj):
-            key.mute = plain
-    bpy.context.view_layer.update()
 
 
 if __name__ == "__main__":

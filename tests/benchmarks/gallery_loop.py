@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / folder) for folder in ("addon", "tests/addon", "sample_blends", "tools")]
 
 import believable_bake  # noqa: E402
+import believable_measure  # noqa: E402
 import bpy  # noqa: E402
 import characters  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
@@ -114,8 +115,8 @@ def character_panes(loop: Loop) -> tuple[Panes, dict]:
     frames = range(first, last + 1)
     scene = bpy.context.scene
     soft = [Soft(obj, believable_bake.displacements(obj, frames)) for obj in scene.objects
-            if believable_bake.baked_keys(obj)]  # fmt: skip
-    size = diagonal(np.concatenate([believable_bake.rest(each.obj) for each in soft]))
+            if believable_measure.baked_keys(obj)]  # fmt: skip
+    size = diagonal(np.concatenate([believable_measure.rest(each.obj) for each in soft]))
     show_alone(rig)
     aim(np.concatenate([points_in(frame, soft) for frame in frames]), PANE)
     scene.display.shading.show_cavity = True
@@ -123,7 +124,7 @@ def character_panes(loop: Loop) -> tuple[Panes, dict]:
     farthest = max(float(each.motion.max()) for each in soft)
     panes = {}
     for title, plain in (("plain skinning", True), ("after one click", False)):
-        believable_bake.show(plain=plain)
+        believable_measure.show(plain=plain)
         moving = [Soft(each.obj, (not plain) * each.motion) for each in soft]
         panes[title] = list(film(moving, frames, farthest))
     return panes, found | {"farthest": farthest / size, "red": f"{farthest / size:.1%} of the body's size"}
@@ -141,7 +142,7 @@ def show_alone(rig) -> None:
 def points_in(frame: int, soft: Sequence[Soft]) -> np.ndarray:
     """Where the soft meshes are in a frame (V, 3), world."""
     bpy.context.scene.frame_set(frame)
-    return np.concatenate([believable_bake.world_points(each.obj) for each in soft])
+    return np.concatenate([believable_measure.world_points(each.obj) for each in soft])
 
 
 # Pictures -------------------------------------------------------------------------------------------------------------

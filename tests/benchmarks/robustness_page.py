@@ -16,7 +16,7 @@ os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_robust
 ROOT = Path(__file__).resolve().parents[2]
 sys.path += [str(ROOT / folder) for folder in ("tests", "tests/addon", "tests/engine", "sample_blends", "tools")]
 
-import believable_bake  # noqa: E402
+import believable_measure  # noqa: E402
 import bpy  # noqa: E402
 import characters  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
@@ -232,7 +232,7 @@ def portraits(baked: characters.Baked) -> list:
     aim(np.array([obj.matrix_world @ Vector(corner) for obj in shown for corner in obj.bound_box]), CELL)
     pictures = []
     for plain, color in ((True, "MATERIAL"), (False, "VERTEX")):
-        believable_bake.show(plain=plain)
+        believable_measure.show(plain=plain)
         scene.display.shading.color_type = color
         pictures.append(render([scene.frame_current], CELL, "BLENDER_WORKBENCH")[0])
     return pictures

@@ -50,7 +50,7 @@ class Verdict:
     held: where the limits worked hardest. displacement: the largest, of the size; percentile: its 99.9th percentile in
     the worst frame; over_thickness: 99th percentile over the skin of each point's largest displacement over the
     thickness there; stretch: 0.1th and 99.9th percentile of edges' length over that at rest; flipped: share of the skin
-    turned over; inverted: share of the volume turned inside out; flicker: how often the motion turns, see `_flicker`;
+    turned over; inverted: share of the volume turned inside out; flicker: how often the motion turns, see `flicker_of`;
     frame: the worst; vertices: of the character's own mesh, at its worst place.
     """
 
@@ -238,12 +238,12 @@ class _Skin:
         used = self.areas > 0.0
         moved = self.rest + u
         ratio = np.linalg.norm(moved[self.edges[:, 0]] - moved[self.edges[:, 1]], axis=1) / self.lengths
-        stretches = [_quantiles(ratio[edges], self.lengths[edges], [0.001, 0.999]) for edges in self.meshes]
+        stretches = [quantiles(ratio[edges], self.lengths[edges], [0.001, 0.999]) for edges in self.meshes]
         normals = self._normals(moved)
         over = np.einsum("tc,tc->t", normals, self.normals) < 0.0
         return (
             float(distance[used].max()),
-            _quantiles(distance[used], self.areas[used], [0.999])[0],
+            quantiles(distance[used], self.areas[used], [0.999])[0],
             min(low for low, _ in stretches),
             max(high for _, high in stretches),
             float(np.linalg.norm(self.normals[over], axis=1).sum() / 2.0 / self.areas.sum()),
@@ -255,7 +255,7 @@ class _Skin:
             return 0.0
         used = self.areas > 0.0
         over = farthest * self.size / np.maximum(self.thickness, THINNEST * self.size)
-        return _quantiles(over[used], self.areas[used], [0.99])[0]
+        return quantiles(over[used], self.areas[used], [0.99])[0]
 
     def place(self, u: np.ndarray) -> tuple[int, ...]:
         """The vertices that move most and are near the one that moves most of all."""
@@ -285,21 +285,28 @@ def _inverted(model: Model, bake: Bake, frames: np.ndarray) -> float:
 
 
 def _flicker(motion: np.ndarray, modes: np.ndarray, areas: np.ndarray) -> float:
-    """How often the skin turns: minus the correlation of its change from one frame with that to the next, over its
-    areas (V,). A slow swing is near -1, a swing of a quarter of the frame rate 0, up and down at every other frame 1.
-
-    motion (F, r): coordinates about the targets' shapes; modes (r, 3V).
-    """
+    """Of the skin, by its areas (V,). motion (F, r): coordinates about the targets' shapes; modes (r, 3V)."""
     products = (modes * np.repeat(areas, 3)) @ modes.T
     change = np.diff(motion, axis=0)
-    squares = np.einsum("fi,ij,fj->f", change, products, change)
-    if len(change) < 2 or not squares.any():
+    return flicker_of(change, change @ products)
+
+
+def flicker_of(change: np.ndarray, weighted: np.ndarray) -> float:
+    """How often a motion turns: minus the correlation of its change from one frame with that to the next. A slow swing
+    is near -1, a swing of a quarter of the frame rate 0, up and down at every other frame 1; -1, too, where nothing
+    moves.
+
+    change (F, n): from each frame to the next; weighted (F, n): the same times the metric in which it is compared.
+    """
+    squares = (change * weighted).sum()
+    if len(change) < 2 or squares <= 0.0:
         return -1.0
-    turns = np.einsum("fi,ij,fj->f", change[1:], products, change[:-1]).sum()
-    return float(-turns / (squares.sum() * (len(change) - 1) / len(change)))
+    turns = (change[1:] * weighted[:-1]).sum()
+    return float(-turns / (squares * (len(change) - 1) / len(change)))
 
 
-def _quantiles(values: np.ndarray, weights: np.ndarray, shares: Sequence[float]) -> list[float]:
+def quantiles(values: np.ndarray, weights: np.ndarray, shares: Sequence[float]) -> list[float]:
+    """The values (n,) below which these shares of the weights (n,) are."""
     order = np.argsort(values)
     sums = np.cumsum(weights[order])
     at = np.searchsorted(sums, np.array(shares) * sums[-1]).clip(max=len(values) - 1)
