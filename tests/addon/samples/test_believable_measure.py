@@ -48,7 +48,7 @@ def make_baked(scene, name, values):
 
 
 def flicker(values):
-    """Of two points, of which one has an area of 3 and moves along an axis."""
+    """Of two points. One has an area of 3 and moves along an axis."""
     moved = np.zeros((len(values), 2, 3))
     moved[:, 0, 2] = FAR * np.asarray(values, float)
     return believable_measure.flicker(moved, np.array([3.0, 1.0]))
