@@ -146,14 +146,6 @@ void make_unique(std::vector<int>& numbers) {
   numbers.erase(std::unique(numbers.begin(), numbers.end()), numbers.end());
 }
 
-/// Coordinates of the targets' shapes blended by the weights (J).
-template <class Model>
-void blended_shape(const Model& model, const VectorXd& weights, VectorXd& q) {
-  q.setZero(model.dofs());
-  for (Index j = 0; j < weights.size(); ++j)
-    if (weights(j) != 0) q += weights(j) * model.target(int(j));
-}
-
 Embedding of_points(const Embedding& all, const std::vector<int>& chosen) {
   return {all.nodes(chosen, Eigen::all), all.weights(chosen, Eigen::all), VectorXd::Zero(Index(chosen.size()))};
 }
@@ -316,12 +308,140 @@ Embedding free_nodes(const SoftBody& body) {
   return out;
 }
 
+void append(const Embedding& more, Embedding& points) {
+  const Index before = points.nodes.rows(), after = before + more.nodes.rows();
+  points.nodes.conservativeResize(after, Eigen::NoChange);
+  points.weights.conservativeResize(after, Eigen::NoChange);
+  points.nodes.bottomRows(after - before) = more.nodes;
+  points.weights.bottomRows(after - before) = more.weights;
+  points.distances.setZero(after);
+}
+
 /// Values at points of the skin, extended to the free nodes.
 VectorXd at_free_nodes(const SoftBody& body, const Embedding& embedding, const VectorXd& values) {
   const MatrixXd nodes = extend_to_nodes(body.mesh, embedding, values);
   VectorXd out(Index(body.free_nodes.size()));
   for (Index i = 0; i < out.size(); ++i)
     out(i) = std::clamp(nodes(body.free_nodes[std::size_t(i)], 0), values.minCoeff(), values.maxCoeff());
+  return out;
+}
+
+/// All that the limits are made of.
+struct Tissue {
+  VectorXd mass;            ///< of the free nodes
+  double square_frequency;  ///< w^2
+  SkinWeights carried;      ///< (free, G): the bones' parts of the nodes
+  VectorXd carried_mass;    ///< (G)
+  SoftSkin skin;
+  std::vector<int> chosen;              ///< points of the skin
+  VectorXd area;                        ///< of the skin that is nearest to each of them
+  std::vector<std::vector<int>> edges;  ///< critical ones of each bone (G), places in skin.edges
+};
+
+template <class Model>
+Tissue tissue_of(Neutral<Model>& neutral, const SkinLimits& limits) {
+  const Model& model = neutral.model;
+  Tissue out;
+  out.mass = neutral.mass;
+  // The static answers to accelerations of the whole body, and the frequency of what follows from them by one inverse
+  // iteration (Rayleigh's quotient).
+  std::array<VectorXd, 3> of_body;
+  out.square_frequency = kInfinity;
+  for (int axis = 0; axis < 3; ++axis) {
+    VectorXd u, again;
+    of_body[std::size_t(axis)] = neutral.answer(accelerated(out.mass, axis));
+    model.displacement(of_body[std::size_t(axis)], u);
+    const VectorXd load = at_coordinates(out.mass).cwiseProduct(u);
+    model.displacement(neutral.answer(load), again);
+    const double quotient = again.dot(load) / again.cwiseAbs2().dot(at_coordinates(out.mass));
+    out.square_frequency = std::min(out.square_frequency, quotient);
+  }
+  out.carried = limits.groups.size() > 0 ? SkinWeights(limits.groups.sparseView()) : model.body().skin;
+  out.carried_mass = out.carried.transpose() * out.mass;
+  out.skin = soft_skin(limits);
+  Sampling sampling(limits.rest, out.skin.areas);
+  sampling.add(kPoints);
+  out.edges.resize(std::size_t(out.carried_mass.size()));
+  for (Index b = 0; b < out.carried_mass.size(); ++b) {
+    if (out.carried_mass(b) <= kTissue * out.mass.sum()) continue;
+    const VectorXd weight = limits.weights.col(b), part = out.carried.col(b).cwiseProduct(out.mass);
+    sampling.add(weight, kLeastPoints);
+    const std::set<int> critical = critical_edges(neutral, limits, out.skin, weight, part, of_body);
+    out.edges[std::size_t(b)].assign(critical.begin(), critical.end());
+  }
+  out.chosen = sampling.chosen();
+  out.area = sampling.sums(out.skin.areas);
+  return out;
+}
+
+/// Adds the stretch of an edge, over its limit, to numbers in which its ends are the points a and b.
+void add_stretch(const SkinLimits& limits, const Edge& edge, int a, int b, PointRows& numbers) {
+  const Vector3d along = limits.rest.row(edge.first) - limits.rest.row(edge.second);
+  numbers.add_row();
+  numbers.add(a, along / (kStretch * along.squaredNorm()));
+  numbers.add(b, -along / (kStretch * along.squaredNorm()));
+}
+
+/// numbers: over the skin's points (P), three of each chosen point, then one of each edge.
+std::vector<LimitedBone> limited_bones(const Tissue& tissue, const SkinLimits& limits, const SoftBody& body,
+                                       PointRows& numbers) {
+  for (int p : tissue.chosen)
+    for (int axis = 0; axis < 3; ++axis) {
+      numbers.add_row();
+      numbers.add(p, Vector3d::Unit(axis) / (kSlack * limits.distances(p)));
+    }
+  const MatrixXd volumes = tissue.carried.transpose() * body.volumes;  // (G, S)
+  std::vector<LimitedBone> out(tissue.edges.size());
+  for (std::size_t b = 0; b < out.size(); ++b) {
+    LimitedBone& bone = out[b];
+    bone.share = volumes.row(Index(b)).transpose() / std::max(volumes.row(Index(b)).sum(), 1e-300);
+    for (std::size_t k = 0; k < tissue.chosen.size(); ++k)
+      if (const double weight = limits.weights(tissue.chosen[k], Index(b)); weight > kOwn) {
+        bone.points.push_back({int(k), weight * tissue.area(Index(k))});
+        bone.above += (1 - kPercentile) * bone.points.back().second;
+      }
+    bone.first_edge = numbers.size();
+    for (int e : tissue.edges[b]) {
+      const Edge& edge = tissue.skin.edges[std::size_t(e)];
+      add_stretch(limits, edge, edge.first, edge.second, numbers);
+    }
+    bone.last_edge = numbers.size();
+  }
+  return out;
+}
+
+/// What is pulled back, and its numbers over `points`: of a mesh the free nodes, of few coordinates the chosen points
+/// with the mass of the nodes nearby; then the ends of the edges.
+std::vector<Pull> pulls_of(const Tissue& tissue, const SkinLimits& limits, const SoftBody& body, bool nodal,
+                           PointRows& numbers, Embedding& points) {
+  const double pull = kPull * tissue.square_frequency;
+  points = nodal ? free_nodes(body) : of_points(limits.embedding, tissue.chosen);
+  const VectorXd distances =
+      nodal ? at_free_nodes(body, limits.embedding, limits.distances) : VectorXd(limits.distances(tissue.chosen));
+  const VectorXd mass =
+      nodal ? tissue.mass : sums_at_nearest(limits.rest(tissue.chosen, Eigen::all), body.rest, tissue.mass);
+  std::vector<Pull> out;
+  for (int p = 0; p < int(points.nodes.rows()); ++p) {
+    out.push_back({numbers.size(), 3, distances(p), pull * mass(p)});
+    for (int axis = 0; axis < 3; ++axis) {
+      numbers.add_row();
+      numbers.add(p, Vector3d::Unit(axis));
+    }
+  }
+  std::vector<int> ends;
+  for (std::size_t b = 0; b < tissue.edges.size(); ++b) {
+    const VectorXd weight = limits.weights.col(Index(b)).cwiseProduct(tissue.skin.areas);
+    const double farthest = weight.dot(limits.distances) / std::max(weight.sum(), 1e-300);
+    for (int e : tissue.edges[b]) {
+      const Edge& edge = tissue.skin.edges[std::size_t(e)];
+      const int first = int(points.nodes.rows() + Index(ends.size()));
+      const double part = tissue.carried_mass(Index(b)) / double(tissue.edges[b].size());
+      out.push_back({numbers.size(), 1, 1, pull * part * farthest * farthest});
+      add_stretch(limits, edge, first, first + 1, numbers);
+      ends.insert(ends.end(), {edge.first, edge.second});
+    }
+  }
+  append(of_points(limits.embedding, ends), points);
   return out;
 }
 
@@ -360,86 +480,32 @@ void NodalAnswers::multiply(const VectorXd& load, std::vector<float>& scratch, V
 
 template <class Model>
 MotionLimit<Model>::MotionLimit(std::shared_ptr<const Model> model, const SkinLimits& limits)
-    : model_(std::move(model)), groups_(limits.groups), points_(model_->skin_points({})) {
-  const SoftBody& body = model_->body();
-  check(limits, body);
+    : model_(std::move(model)), groups_(limits.groups), pull_points_(model_->skin_points({})) {
+  check(limits, model_->body());
   Neutral<Model> neutral(*model_);
-  const VectorXd& mass = neutral.mass;
-  neutral_stiffness_.resize(body.sets());
+  neutral_stiffness_.resize(model_->body().sets());
   for (std::size_t j = 0; j < model_->targets().size(); ++j)
     if (const MorphTarget& target = model_->targets()[j]; neutral.weights(Index(j)) == 1)
       neutral_stiffness_(target.set) = target.lame.mu;
+  const Tissue tissue = tissue_of(neutral, limits);
+  frequency_ = std::sqrt(tissue.square_frequency);
+  sampled_ = int(tissue.chosen.size());
 
-  // The static answers to accelerations of the whole body, and the frequency of what follows from them by one inverse
-  // iteration (Rayleigh's quotient).
-  std::array<VectorXd, 3> of_body;
-  double slowest = kInfinity;
-  for (int axis = 0; axis < 3; ++axis) {
-    of_body[std::size_t(axis)] = neutral.answer(accelerated(mass, axis));
-    VectorXd u, again;
-    model_->displacement(of_body[std::size_t(axis)], u);
-    const VectorXd load = at_coordinates(mass).cwiseProduct(u);
-    model_->displacement(neutral.answer(load), again);
-    slowest = std::min(slowest, again.dot(load) / again.cwiseAbs2().dot(at_coordinates(mass)));
-  }
-  frequency_ = std::sqrt(slowest);
-
-  const SkinWeights carried = groups_.size() > 0 ? SkinWeights(groups_.sparseView()) : body.skin;  // (free, G)
-  const VectorXd carried_mass = carried.transpose() * mass;
-  const auto has_tissue = [&](Index bone) { return carried_mass(bone) > kTissue * mass.sum(); };
-  const SoftSkin skin = soft_skin(limits);
-  Sampling sampling(limits.rest, skin.areas);
-  sampling.add(kPoints);
-  for (Index b = 0; b < carried_mass.size(); ++b)
-    if (has_tissue(b)) sampling.add(limits.weights.col(b), kLeastPoints);
-  const std::vector<int>& chosen = sampling.chosen();
-  sampled_ = int(chosen.size());
-  const VectorXd area = sampling.sums(skin.areas);
   PointRows numbers;
-  for (int p : chosen)
-    for (int axis = 0; axis < 3; ++axis) {
-      numbers.add_row();
-      numbers.add(p, Vector3d::Unit(axis) / (kSlack * limits.distances(p)));
-    }
-
-  const MatrixXd volumes = carried.transpose() * body.volumes;  // (G, S)
-  bones_.resize(std::size_t(carried_mass.size()));
-  for (Index b = 0; b < carried_mass.size(); ++b) {
-    Bone& bone = bones_[std::size_t(b)];
-    const VectorXd weight = limits.weights.col(b);
-    bone.share = volumes.row(b).transpose() / std::max(volumes.row(b).sum(), 1e-300);
-    for (int k = 0; k < sampled_; ++k)
-      if (const double w = weight(chosen[std::size_t(k)]); w > kOwn) {
-        bone.points.push_back({k, w * area(k)});
-        bone.above += (1 - kPercentile) * w * area(k);
-      }
-    bone.first_edge = numbers.size();
-    if (has_tissue(b))
-      for (int e : critical_edges(neutral, limits, skin, weight, carried.col(b).cwiseProduct(mass), of_body)) {
-        const auto [first, second] = skin.edges[std::size_t(e)];
-        const Vector3d edge = limits.rest.row(first) - limits.rest.row(second);
-        numbers.add_row();
-        numbers.add(first, edge / (kStretch * edge.squaredNorm()));
-        numbers.add(second, -edge / (kStretch * edge.squaredNorm()));
-      }
-    bone.last_edge = numbers.size();
-  }
-
+  bones_ = limited_bones(tissue, limits, model_->body(), numbers);
   const auto [few, used] = packed(numbers);
-  typename Model::SkinPoints::Rows rows;
+  typename Model::SkinPoints::Rows rows, pulled;
   model_->skin_points(of_points(limits.embedding, used)).rows(few, rows);
-  // Pulled back are of a mesh its nodes; of few coordinates the sampled points, with the mass of the nodes nearby.
+  Embedding points;
+  pulls_ = pulls_of(tissue, limits, model_->body(), kNodal, pull_numbers_, points);
+  pull_points_ = model_->skin_points(points);
+  pull_points_.rows(pull_numbers_, pulled);
   if constexpr (kNodal) {
     answers_ = std::make_unique<Answers>(std::move(neutral.factor).nodal(), std::move(rows));
-    points_ = model_->skin_points(free_nodes(body));
-    distances_ = at_free_nodes(body, limits.embedding, limits.distances);
-    stiffness_ = kPull * slowest * mass;
+    pull_rows_ = std::move(pulled);
   } else {
     answers_ = std::make_unique<Answers>(neutral.K.dense().ldlt().solve(rows.transpose()).transpose());
-    points_ = model_->skin_points(of_points(limits.embedding, chosen));
-    offsets_ = std::make_unique<SingleRows>(points_.basis());
-    distances_ = limits.distances(chosen);
-    stiffness_ = kPull * slowest * sums_at_nearest(limits.rest(chosen, Eigen::all), body.rest, mass);
+    pull_rows_.emplace(pulled);
   }
 }
 
@@ -454,7 +520,7 @@ void MotionLimit<Model>::excess(const VectorXd& load, const VectorXd& weights, S
   for (int p = 0; p < sampled_; ++p) answers(p) = answers.segment<3>(3 * p).norm();
   out.resize(bones());
   for (Index b = 0; b < bones(); ++b) {
-    const Bone& bone = bones_[std::size_t(b)];
+    const LimitedBone& bone = bones_[std::size_t(b)];
     double largest = percentile(bone, scratch);
     for (int e = bone.first_edge; e < bone.last_edge; ++e) largest = std::max(largest, std::abs(answers(e)));
     out(b) = largest / std::max(bone.share.dot(stiffness), 1e-300);
@@ -462,7 +528,7 @@ void MotionLimit<Model>::excess(const VectorXd& load, const VectorXd& weights, S
 }
 
 template <class Model>
-double MotionLimit<Model>::percentile(const Bone& bone, Scratch& scratch) const {
+double MotionLimit<Model>::percentile(const LimitedBone& bone, Scratch& scratch) const {
   auto& sorted = scratch.sorted;
   sorted.clear();
   for (const auto& [point, weight] : bone.points) sorted.push_back({scratch.answers(point), weight});
@@ -487,16 +553,11 @@ bool MotionLimit<Model>::scales(const VectorXd& excess, VectorXd& out) const {
 }
 
 template <class Model>
-void MotionLimit<Model>::shape(const VectorXd& weights, VectorXd& q) const {
-  blended_shape(*model_, weights, q);
-}
-
-template <class Model>
-void MotionLimit<Model>::offsets(const VectorXd& q, Scratch& scratch, VectorXd& out) const {
+void MotionLimit<Model>::pull_values(const VectorXd& from_shape, Scratch& scratch, VectorXd& out) const {
   if constexpr (kNodal)
-    points_.displacement(q, out);
+    multiply(pull_rows_, from_shape, out);
   else
-    offsets_->multiply(q, scratch.single, out);
+    pull_rows_->multiply(from_shape, scratch.single, out);
 }
 
 template class MotionLimit<FullModel>;

@@ -13,14 +13,19 @@
 //    angular frequency. The load of bone b is scaled by s_b: the tissue is driven less hard, and swings as it would.
 //    The mean over 1 / w is there because rigs with a key at each frame accelerate in one substep after it.
 //
-// 2. On the distance itself, for what a bounded load can build up (resonance): from 0.6 L on a point is pulled back,
+// 2. On the motion itself, for what a bounded load can build up (a landing, resonance). From 0.6 L on a point is pulled
+//    back, and from 0.6 of its limit on an edge, as if that went as far with its part of the bone's mass,
 //
-//      E_p = 20 m_p w^2 ramp(|u_p - d_p|),  ramp: cubic from 0.6 L to L, then quadratic.
+//      E_p = 20 m_p w^2 ramp(|u_p - d_p|, L),    E_e = 20 m_b / n_b w^2 L_b^2 ramp(|e . d(u - d)| / (0.6 l), 1),
+//
+//    ramp(x, limit): cubic from 0.6 of the limit to the limit, then quadratic. The edges are those of the first limit,
+//    n_b of bone b with tissue of the mass m_b, and L_b is the mean limit of its skin.
 //
 // Below half of the first limit and 0.6 of the second, neither changes a bit of the motion.
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <type_traits>
 #include <vector>
 
@@ -67,6 +72,21 @@ class NodalAnswers {
   SparseRows rows_;
 };
 
+/// A bone, by its numbers in a static answer.
+struct LimitedBone {
+  std::vector<std::pair<int, double>> points;  ///< with their weights in the percentile
+  double above = 0;                            ///< the weight of those beyond it
+  int first_edge = 0, last_edge = 0;           ///< numbers from the first to before the last
+  VectorXd share;                              ///< of its tissue in each target set; adds up to one
+};
+
+/// What is pulled back: a point by its offset from its targets' shape (three numbers, meters), or an edge by its
+/// stretch (one, relative to its limit).
+struct Pull {
+  int first, count;         ///< its numbers
+  double limit, stiffness;  /// J per square of a number
+};
+
 /// The limits of a model's motion. Immutable: simulations may share it.
 template <class Model>
 class MotionLimit {
@@ -93,40 +113,39 @@ class MotionLimit {
   /// s (T) of the body's transforms from rbar (G). Returns whether any is below 1.
   bool scales(const VectorXd& excess, VectorXd& out) const;
 
-  // The points p that are pulled back.
-  const typename Model::SkinPoints& points() const { return points_; }
-  const VectorXd& distances() const { return distances_; }  ///< L
-  const VectorXd& stiffness() const { return stiffness_; }  ///< 20 m_p w^2, N/m
-  /// Coordinates of the blended targets' shape.
-  void shape(const VectorXd& weights, VectorXd& q) const;
-  /// Their displacements (3p, and perhaps zeros) at coordinates q, to about 1e-6.
-  void offsets(const VectorXd& q, Scratch& scratch, VectorXd& out) const;
+  const std::vector<Pull>& pulls() const { return pulls_; }
+  const PointRows& pull_numbers() const { return pull_numbers_; }  ///< over `pull_points`
+  const typename Model::SkinPoints& pull_points() const { return pull_points_; }
+  /// All of the pulls' numbers, and perhaps zeros, at coordinates about the targets' shape, to about 1e-6.
+  void pull_values(const VectorXd& from_shape, Scratch& scratch, VectorXd& out) const;
 
  private:
   static constexpr bool kNodal = std::is_same_v<typename Model::Matrix, SparseMatrix>;
   using Answers = std::conditional_t<kNodal, NodalAnswers, SingleRows>;
-  /// The numbers of one bone.
-  struct Bone {
-    std::vector<std::pair<int, double>> points;  ///< with their weights in the percentile
-    double above = 0;                            ///< the weight of those beyond it
-    int first_edge = 0, last_edge = 0;           ///< numbers from the first to before the last
-    VectorXd share;                              ///< of its tissue in each target set; adds up to one
-  };
 
   /// Of the lengths of the answers at a bone's points.
-  double percentile(const Bone& bone, Scratch& scratch) const;
+  double percentile(const LimitedBone& bone, Scratch& scratch) const;
 
   std::shared_ptr<const Model> model_;
-  std::vector<Bone> bones_;
+  std::vector<LimitedBone> bones_;
   int sampled_ = 0;  ///< points, whose three numbers each come first
   MatrixXd groups_;
   VectorXd neutral_stiffness_;  ///< mu of each set's neutral target
   double frequency_ = 0;
   std::unique_ptr<Answers> answers_;
-  typename Model::SkinPoints points_;
-  std::unique_ptr<SingleRows> offsets_;  ///< of a model with few coordinates
-  VectorXd distances_, stiffness_;
+  std::vector<Pull> pulls_;
+  PointRows pull_numbers_;
+  typename Model::SkinPoints pull_points_;
+  std::conditional_t<kNodal, SparseRows, std::optional<SingleRows>> pull_rows_;
 };
+
+/// Coordinates of the targets' shapes blended by the weights (J).
+template <class Model>
+void blended_shape(const Model& model, const VectorXd& weights, VectorXd& q) {
+  q.setZero(model.dofs());
+  for (Eigen::Index j = 0; j < weights.size(); ++j)
+    if (weights(j) != 0) q += weights(j) * model.target(int(j));
+}
 
 /// s of rbar.
 double load_scale(double excess);

@@ -165,16 +165,14 @@ StepReport Simulation<Model>::solve_static(const StepInput& input, VectorXd& q) 
   pose(input.bones, weights);
   if (q.size() != model_->dofs()) {
     // The blended targets are close to the answer, and often they are the answer.
-    q.setZero(model_->dofs());
-    for (Eigen::Index j = 0; j < weights.size(); ++j)
-      if (weights(j) != 0) q += weights(j) * model_->target(int(j));
+    blended_shape(*model_, weights, q);
   }
   if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
   const InertialTarget gravity = at_rest(q, input.bones, options_.gravity);
   load(gravity, 1, input.external);
   if (limit_) hold_back(gravity, 1, input, VectorXd::Zero(model_->dofs()), true);
   grabs_.begin(skin_.get(), input);
-  far_.begin(limit_.get(), weights, q, 0);
+  pulls_.begin(limit_.get(), weights, q, 0);
   forget();
   values(quadratic_.H).setZero();
   quadratic_.origin = VectorXd::Zero(model_->dofs());
@@ -266,7 +264,7 @@ StepReport Simulation<Model>::advance(const StepInput& input) {
     hold_back(inertial, rule.square, input, own_, false);
   }
   grabs_.begin(skin_.get(), input);
-  far_.begin(limit_.get(), input.weights, next_, kWatched);
+  pulls_.begin(limit_.get(), input.weights, next_, kWatched);
 
   // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h and a constant, symmetric, positive C.
   values(damped_) = values(inertia_.damped) + values(blend_.damping);
@@ -299,8 +297,8 @@ void Simulation<Model>::require_pose() const {
 template <class Model>
 StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   elastic_.begin(*model_, blend_, quadratic_.origin.norm(), options_.tolerance);
-  Potential<Matrix, decltype(quadratic_), decltype(elastic_), decltype(grabs_), decltype(far_)> potential(
-      quadratic_, elastic_, grabs_, far_);
+  Potential<Matrix, decltype(quadratic_), decltype(elastic_), decltype(grabs_), decltype(pulls_)> potential(
+      quadratic_, elastic_, grabs_, pulls_);
   const auto ask = [&] {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();
   };
@@ -314,7 +312,7 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   report.converged = found.converged;
   report.residual = found.residual;
   report.energy = elastic_.value();
-  report.farthest = far_.farthest();
+  report.farthest = pulls_.farthest();
   if (excess_.size() > 0) report.excess = excess_.maxCoeff(&report.excess_bone);
   if (found.unseen) {  // the last step is short: its third power does not count
     multiply(elastic_.hessian(), newton_.direction, resistance_);

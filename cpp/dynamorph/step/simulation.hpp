@@ -126,7 +126,7 @@ class Simulation {
   QuadraticTerm<Matrix> quadratic_;
   ElasticTerm<Model> elastic_;
   GrabTerm<Model> grabs_;
-  MaxDistanceTerm<Model> far_;
+  PullTerm<Model> pulls_;
   std::shared_ptr<const SkinMap<Model>> skin_;
   std::shared_ptr<const MotionLimit<Model>> limit_;
   typename MotionLimit<Model>::Scratch answers_;

@@ -153,34 +153,32 @@ struct GrabTerm {
   double magnitude_ = 0, length_ = 0;               ///< of the forces that cancel in `force_`
 };
 
-/// sum_p k_p ramp(|u_p(q) - d_p|) over points that are far from their targets' shape d (motion_limit.hpp).
+/// sum_p k_p ramp(|x_p(q)|) over the pulls p of a motion limit, whose numbers x are linear in q and zero in the
+/// targets' shape (motion_limit.hpp).
 template <class Model>
-struct MaxDistanceTerm {
+struct PullTerm {
   using Points = PointStiffness<typename Model::Matrix>;
 
-  /// limit: null for none. The points that it can act on are those that are at least `watched` of their limit away at
-  /// the `predicted` coordinates.
+  /// limit: null for none. What can be pulled is what has gone at least `watched` of its limit at the `predicted`
+  /// coordinates.
   void begin(const MotionLimit<Model>* limit, const VectorXd& weights, const VectorXd& predicted, double watched) {
     limit_ = limit;
     watched_.clear();
     points_.stiffness.resize(0);
     farthest_ = 0;
     if (!limit) return;
-    limit->shape(weights, shape_);
+    blended_shape(limit->model(), weights, shape_);
     from_shape_ = predicted - shape_;
-    limit->offsets(from_shape_, scratch_, offset_);
+    limit->pull_values(from_shape_, scratch_, values_);
     numbers_.clear();
-    for (Eigen::Index p = 0; p < limit->distances().size(); ++p) {
-      const double far = offset_.segment<3>(3 * p).norm() / limit->distances()(p);
-      farthest_ = std::max(farthest_, far);
+    for (const Pull& pull : limit->pulls()) {
+      const double far = values_.segment(pull.first, pull.count).norm() / pull.limit;
+      if (pull.count == 3) farthest_ = std::max(farthest_, far);
       if (far < watched) continue;
-      watched_.push_back(p);
-      for (int axis = 0; axis < 3; ++axis) {
-        numbers_.add_row();
-        numbers_.add(int(p), Vector3d::Unit(axis));
-      }
+      watched_.push_back({numbers_.size(), pull.count, pull.limit, pull.stiffness});
+      for (int row = pull.first; row < pull.first + pull.count; ++row) copy(limit->pull_numbers(), row, numbers_);
     }
-    if (!watched_.empty()) limit->points().rows(numbers_, rows_);
+    if (!watched_.empty()) limit->pull_points().rows(numbers_, rows_);
   }
 
   /// Distance of the point that is farthest at the predicted coordinates, relative to its limit.
@@ -188,59 +186,67 @@ struct MaxDistanceTerm {
 
   void at(const VectorXd& q) {
     gradient_.setZero(q.size());
-    value_ = pull_ = 0;
+    value_ = force_norms_ = 0;
     if (watched_.empty()) return;
     from_shape_ = q - shape_;
-    multiply(rows_, from_shape_, offset_);
-    force_.resize(offset_.size());
-    for (std::size_t k = 0; k < watched_.size(); ++k) {
-      const Vector3d u = offset_.segment<3>(3 * Eigen::Index(k));
-      const double stiffness = limit_->stiffness()(watched_[k]);
-      const Ramp at = ramp(u.norm(), limit_->distances()(watched_[k]));
-      value_ += stiffness * at.energy;
-      force_.segment<3>(3 * Eigen::Index(k)) = stiffness * at.across * u;
-      pull_ += stiffness * at.across * u.norm();
+    multiply(rows_, from_shape_, values_);
+    forces_.resize(values_.size());
+    for (const Pull& pull : watched_) {
+      const auto x = values_.segment(pull.first, pull.count);
+      const Ramp at = ramp(x.norm(), pull.limit);
+      value_ += pull.stiffness * at.energy;
+      forces_.segment(pull.first, pull.count) = pull.stiffness * at.across * x;
+      force_norms_ += pull.stiffness * at.across * x.norm();
     }
-    add_transposed_product(rows_, force_, gradient_);
+    add_transposed_product(rows_, forces_, gradient_);
   }
   double value() const { return value_; }
   const VectorXd& gradient() const { return gradient_; }
 
-  /// Along the pull and across it, for every point that is pulled.
+  /// Along the pull, and of a point across it, for all that is pulled.
   const Points& hessian() {
-    numbers_.clear();
-    pulled_.clear();
-    for (std::size_t k = 0; k < watched_.size(); ++k) {
-      const Vector3d u = offset_.segment<3>(3 * Eigen::Index(k));
-      const Ramp at = ramp(u.norm(), limit_->distances()(watched_[k]));
+    stiff_numbers_.clear();
+    stiffness_.clear();
+    for (const Pull& pull : watched_) {
+      const auto x = values_.segment(pull.first, pull.count);
+      const Ramp at = ramp(x.norm(), pull.limit);
       if (at.along == 0) continue;
-      const Vector3d along = u.normalized(), across = along.unitOrthogonal();
-      for (const Vector3d& direction : {along, across, Vector3d(along.cross(across))}) {
-        numbers_.add_row();
-        numbers_.add(int(watched_[k]), direction);
+      stiffness_.push_back(pull.stiffness * at.along);
+      if (pull.count == 1) {
+        copy(numbers_, pull.first, stiff_numbers_);
+        continue;
       }
-      const double stiffness = limit_->stiffness()(watched_[k]);
-      pulled_.insert(pulled_.end(), {stiffness * at.along, stiffness * at.across, stiffness * at.across});
+      const Vector3d along = x.normalized(), across = along.unitOrthogonal();
+      for (const Vector3d& direction : {along, across, Vector3d(along.cross(across))}) {
+        stiff_numbers_.add_row();
+        stiff_numbers_.add(numbers_.point(numbers_.first(pull.first)), direction);
+      }
+      stiffness_.insert(stiffness_.end(), 2, pull.stiffness * at.across);
     }
-    points_.stiffness = Eigen::Map<const VectorXd>(pulled_.data(), Eigen::Index(pulled_.size()));
-    if (!pulled_.empty()) limit_->points().rows(numbers_, points_.rows);
+    points_.stiffness = Eigen::Map<const VectorXd>(stiffness_.data(), Eigen::Index(stiffness_.size()));
+    if (!stiffness_.empty()) limit_->pull_points().rows(stiff_numbers_, points_.rows);
     return points_;
   }
   RoundOff round_off() const {
-    if (pull_ == 0) return {};
-    return {gradient_.norm(), 1e-15 * pull_, from_shape_.norm() + shape_.norm()};
+    if (force_norms_ == 0) return {};
+    return {gradient_.norm(), 1e-15 * force_norms_, from_shape_.norm() + shape_.norm()};
   }
 
  private:
+  static void copy(const PointRows& from, int row, PointRows& to) {
+    to.add_row();
+    for (int k = from.first(row); k < from.first(row + 1); ++k) to.add(from.point(k), from.direction(k));
+  }
+
   const MotionLimit<Model>* limit_ = nullptr;
-  std::vector<Eigen::Index> watched_;
-  typename Model::SkinPoints::Rows rows_;  ///< the watched points' offsets
-  PointRows numbers_;
+  std::vector<Pull> watched_;          ///< their numbers are rows of rows_
+  PointRows numbers_, stiff_numbers_;  ///< of what is watched; along and across the pulls
+  typename Model::SkinPoints::Rows rows_;
   typename MotionLimit<Model>::Scratch scratch_;
   Points points_;
-  std::vector<double> pulled_;
-  VectorXd shape_, from_shape_, offset_, force_, gradient_;
-  double value_ = 0, pull_ = 0, farthest_ = 0;
+  std::vector<double> stiffness_;
+  VectorXd shape_, from_shape_, values_, forces_, gradient_;
+  double value_ = 0, force_norms_ = 0, farthest_ = 0;
 };
 
 }  // namespace dynamorph

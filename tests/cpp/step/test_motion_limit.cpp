@@ -65,11 +65,11 @@ void check_far_term(std::shared_ptr<const Model> model) {
   VectorXd force, shape;
   model->linearize(blend, VectorXd::Zero(model->dofs()), force, K);
   const VectorXd scales = K.diagonal().cwiseAbs().cwiseSqrt().cwiseInverse();
-  limit.shape(kBetween, shape);
-  MaxDistanceTerm<Model> far;
+  blended_shape(*model, kBetween, shape);
+  PullTerm<Model> far;
   const VectorXd moved = shape + scales.cwiseProduct(random_vector(scales.size(), 1, 5));
   far.begin(&limit, kBetween, moved, 0.4);
-  Around<MaxDistanceTerm<Model>> around{far, moved};
+  Around<PullTerm<Model>> around{far, moved};
   check_term<typename Model::Matrix>(around, scales, 1e-5);
   CHECK(far.hessian().stiffness.size() > 0);
 
