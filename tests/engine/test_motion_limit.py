@@ -175,6 +175,27 @@ def test_no_blow_no_resonance_moves_it_far_beyond_its_limit(kind, law):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_a_landing_does_not_crush_edges(kind):
+    """Those along the bar, whose middle is stopped at once."""
+    made = Bar(kind, dynamorph.MaterialModel.STABLE_STVK)
+    gap = made.nodes[None, :, :] - made.nodes[:, None, :]
+    first, second = np.nonzero((np.abs(gap[..., 0] - SIZE[0] / 12) < 1e-9) & (np.abs(gap[..., 1:]) < 1e-9).all(axis=2))
+    t = np.arange(60) / 120
+    frames = moving(np.zeros(60))
+    frames[:, :, 0, 3] = np.where(t > 0.1, 5.0 * (t - 0.1), 0.0)[:, None]
+    shortest = []
+    for distance in (0.0, 0.05):
+        simulation, lengths = made.simulation(distance), []
+        simulation.start(frames[0], frames[1], made.neutral)
+        for frame in frames[1:]:
+            simulation.advance(frame[None], made.neutral[None])
+            moved = made.nodes + made.model.displacement(simulation.coordinates)
+            lengths.append(np.linalg.norm(moved[second] - moved[first], axis=1).min() / (SIZE[0] / 12))
+        shortest.append(min(lengths))
+    assert shortest[0] < 0.3 and shortest[1] > 0.45
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_only_the_bone_that_is_driven_too_far_is_held_back(limited, kind):
     made, sag = limited[kind]
     t = np.arange(120) / 120

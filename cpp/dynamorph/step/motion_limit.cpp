@@ -22,12 +22,13 @@ constexpr double kSlack = 1.5;        // a static answer of so many limits count
 constexpr double kStretch = 0.6;      // of an edge's length, by which a static answer may change it
 constexpr double kPercentile = 0.97;  // of a bone's skin; spikes and slivers that only ride along must not decide
 constexpr double kEdgePercentile = 0.998;
-constexpr int kPoints = 200, kLeastPoints = 4;  // sampled on the skin, of a bone with tissue
+constexpr int kPoints = 100, kLeastPoints = 4;  // sampled on the skin, of a bone with tissue
 constexpr int kCriticalEdges = 2;               // of each of a bone's loads
 constexpr double kOwn = 0.25;                   // a bone with more weight than that owns the skin
 constexpr double kTissue = 1e-3;                // of the mass; bones with less have no edges and need no points
 constexpr double kSplinter = 1e-4;              // of the size; shorter edges do not count
 constexpr double kPull = 20;                    // of the stiffness that gives a point's mass the tissue's frequency
+constexpr double kEdgePull = 60;                // of twice the energy that stretches edges to their limit
 
 /// The soft skin: where it is, how large, and which edges it has.
 struct SoftSkin {
@@ -152,8 +153,9 @@ Embedding of_points(const Embedding& all, const std::vector<int>& chosen) {
 
 /// The edges (places in `edges`) whose stretch under an answer u (3P) is nearest to its percentile, where bone weights
 /// them.
-void add_critical(const VectorXd& u, const std::vector<Edge>& edges, const Points& rest, const VectorXd& weight,
-                  const std::vector<int>& own, std::set<int>& critical) {
+/// Returns that percentile, over the limit.
+double add_critical(const VectorXd& u, const std::vector<Edge>& edges, const Points& rest, const VectorXd& weight,
+                    const std::vector<int>& own, std::set<int>& critical) {
   std::vector<std::pair<double, int>> stretch;
   double total = 0;
   const auto length = [&](int e) { return (rest.row(edges[e].first) - rest.row(edges[e].second)).norm(); };
@@ -169,6 +171,7 @@ void add_critical(const VectorXd& u, const std::vector<Edge>& edges, const Point
   std::size_t at = 0;
   while (at + 1 < stretch.size() && (sum += part(stretch[at].second)) < kEdgePercentile * total) ++at;
   for (std::size_t k = 0; k < kCriticalEdges && k <= at; ++k) critical.insert(stretch[at - k].second);
+  return stretch[at].first / kStretch;
 }
 
 /// The mass (free) of the nodes at the neutral targets.
@@ -252,10 +255,17 @@ VectorXd turned(const VectorXd& carried, const VectorXd& rest, int axis) {
   return out;
 }
 
-/// The edges (places in skin.edges) of which a bone has the `weight` (P) that its loads stretch most: those of what it
-/// has `carried` (free) of the mass, and of the whole body (answers `of_body`).
+/// The edges that the loads of a bone stretch most.
+struct CriticalEdges {
+  std::set<int> edges;  ///< places in skin.edges
+  double energy =
+      kInfinity;  ///< twice that of the static answer in which they reach their limit, the least of the loads
+};
+
+/// weight (P): of the bone; carried (free): its part of the mass; of_body: the answers to accelerations of the whole
+/// body.
 template <class Model>
-std::set<int> critical_edges(Neutral<Model>& neutral, const SkinLimits& limits, const SoftSkin& skin,
+CriticalEdges critical_edges(Neutral<Model>& neutral, const SkinLimits& limits, const SoftSkin& skin,
                              const VectorXd& weight, const VectorXd& carried, const std::array<VectorXd, 3>& of_body) {
   std::vector<int> own, vertices;
   for (std::size_t e = 0; e < skin.edges.size(); ++e)
@@ -265,19 +275,24 @@ std::set<int> critical_edges(Neutral<Model>& neutral, const SkinLimits& limits, 
     }
   make_unique(vertices);
   const auto points = neutral.model.skin_points(of_points(limits.embedding, vertices));
-  std::set<int> critical;
+  CriticalEdges out;
   VectorXd moved, u = VectorXd::Zero(3 * limits.rest.rows());
   const auto add = [&](const VectorXd& answer) {
     points.displacement(answer, moved);
     for (std::size_t v = 0; v < vertices.size(); ++v) u.segment<3>(3 * vertices[v]) = moved.segment<3>(3 * Index(v));
-    add_critical(u, skin.edges, limits.rest, weight, own, critical);
+    return add_critical(u, skin.edges, limits.rest, weight, own, out.edges);
   };
   for (int axis = 0; axis < 3 && !own.empty(); ++axis) {
     add(of_body[std::size_t(axis)]);
-    add(neutral.answer(accelerated(carried, axis)));
-    add(neutral.answer(turned(carried, neutral.model.body().rest, axis)));
+    for (const VectorXd& load : {accelerated(carried, axis), turned(carried, neutral.model.body().rest, axis)}) {
+      const VectorXd answer = neutral.answer(load);
+      const double stretch = add(answer);
+      VectorXd u_nodes;
+      neutral.model.displacement(answer, u_nodes);
+      out.energy = std::min(out.energy, u_nodes.dot(load) / std::max(stretch * stretch, 1e-300));
+    }
   }
-  return critical;
+  return out;
 }
 
 /// The numbers over few points, and which points (P) these are.
@@ -333,9 +348,9 @@ struct Tissue {
   SkinWeights carried;      ///< (free, G): the bones' parts of the nodes
   VectorXd carried_mass;    ///< (G)
   SoftSkin skin;
-  std::vector<int> chosen;              ///< points of the skin
-  VectorXd area;                        ///< of the skin that is nearest to each of them
-  std::vector<std::vector<int>> edges;  ///< critical ones of each bone (G), places in skin.edges
+  std::vector<int> chosen;           ///< points of the skin
+  VectorXd area;                     ///< of the skin that is nearest to each of them
+  std::vector<CriticalEdges> edges;  ///< of each bone (G)
 };
 
 template <class Model>
@@ -366,8 +381,7 @@ Tissue tissue_of(Neutral<Model>& neutral, const SkinLimits& limits) {
     if (out.carried_mass(b) <= kTissue * out.mass.sum()) continue;
     const VectorXd weight = limits.weights.col(b), part = out.carried.col(b).cwiseProduct(out.mass);
     sampling.add(weight, kLeastPoints);
-    const std::set<int> critical = critical_edges(neutral, limits, out.skin, weight, part, of_body);
-    out.edges[std::size_t(b)].assign(critical.begin(), critical.end());
+    out.edges[std::size_t(b)] = critical_edges(neutral, limits, out.skin, weight, part, of_body);
   }
   out.chosen = sampling.chosen();
   out.area = sampling.sums(out.skin.areas);
@@ -401,7 +415,7 @@ std::vector<LimitedBone> limited_bones(const Tissue& tissue, const SkinLimits& l
         bone.above += (1 - kPercentile) * bone.points.back().second;
       }
     bone.first_edge = numbers.size();
-    for (int e : tissue.edges[b]) {
+    for (int e : tissue.edges[b].edges) {
       const Edge& edge = tissue.skin.edges[std::size_t(e)];
       add_stretch(limits, edge, edge.first, edge.second, numbers);
     }
@@ -429,18 +443,14 @@ std::vector<Pull> pulls_of(const Tissue& tissue, const SkinLimits& limits, const
     }
   }
   std::vector<int> ends;
-  for (std::size_t b = 0; b < tissue.edges.size(); ++b) {
-    const VectorXd weight = limits.weights.col(Index(b)).cwiseProduct(tissue.skin.areas);
-    const double farthest = weight.dot(limits.distances) / std::max(weight.sum(), 1e-300);
-    for (int e : tissue.edges[b]) {
+  for (const CriticalEdges& critical : tissue.edges)
+    for (int e : critical.edges) {
       const Edge& edge = tissue.skin.edges[std::size_t(e)];
       const int first = int(points.nodes.rows() + Index(ends.size()));
-      const double part = tissue.carried_mass(Index(b)) / double(tissue.edges[b].size());
-      out.push_back({numbers.size(), 1, 1, pull * part * farthest * farthest});
+      out.push_back({numbers.size(), 1, 1, kEdgePull * critical.energy / double(critical.edges.size())});
       add_stretch(limits, edge, first, first + 1, numbers);
       ends.insert(ends.end(), {edge.first, edge.second});
     }
-  }
   append(of_points(limits.embedding, ends), points);
   return out;
 }
