@@ -26,7 +26,7 @@ class Bar:
     second its right half. One target, or with `sets` = 2 one in each of two sets that share it.
     """
 
-    def __init__(self, kind="responses", law=dynamorph.MaterialModel.LINEAR, own_transforms=False, sets=1, stiff=1.0):
+    def __init__(self, kind="responses", law=dynamorph.MaterialModel.LINEAR, own_transforms=False, sets=1, stiff=1.0, damping=0.004):
         self.nodes, tets = bar((12, 3, 3), SIZE)
         mesh, ones = dynamorph.TetMesh(self.nodes, tets), np.ones(len(tets))
         along = self.nodes[:, 0] / SIZE[0]
@@ -36,7 +36,7 @@ class Bar:
             mesh, ones, ones, np.repeat(ones[:, None] / sets, sets, axis=1), pinned,
             None if own_transforms else self.weights,
         )  # fmt: skip
-        material = {"density": 1000.0, "stiffness_damping": 0.004, "lame_lambda": 4e4, "lame_mu": 3e4}
+        material = {"density": 1000.0, "stiffness_damping": damping, "lame_lambda": 4e4, "lame_mu": 3e4}
         targets = [dynamorph.MorphTarget(f"rest {s}", 0 * self.nodes, set=s, **material) for s in range(sets)]
         hard = {name: value * (stiff if "lame" in name else 1.0) for name, value in material.items()}
         targets.append(dynamorph.MorphTarget("hard", 0 * self.nodes, set=0, **hard))
@@ -193,6 +193,35 @@ def test_a_landing_does_not_crush_edges(kind):
             lengths.append(np.linalg.norm(moved[second] - moved[first], axis=1).min() / (SIZE[0] / 12))
         shortest.append(min(lengths))
     assert shortest[0] < 0.3 and shortest[1] > 0.45
+
+
+@pytest.mark.parametrize("fault", ["bad frame", "cut"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_fault_of_the_rig_leaves_the_rest_of_a_shot_as_it_was(limited, kind, fault):
+    """A bone that is elsewhere for one frame of 24 a second, and a jump of the whole rig that nobody marked."""
+    _, sag = limited[kind]
+    made = Bar(kind, damping=0.036)  # a fifth of the critical one
+    t = np.arange(480) / 120
+    sway = 0.03 * np.sin(2 * np.pi * 1.5 * t)
+    frames = moving(sway)
+    wrong = frames.copy()
+    if fault == "cut":
+        wrong[180:, :, 0, 3] += 3.0
+    else:
+        wrong[180:185, 1, :, 3] += [0.5, 0.0, 1.0]
+    moves = []
+    for each in (frames, wrong):
+        simulation, shown = made.simulation(0.5 * sag), []
+        simulation.start(each[0], each[1], made.neutral)
+        for frame in each[1:]:
+            simulation.advance(frame[None], made.neutral[None])
+            shown.append(made.model.displacement(simulation.coordinates))
+        moves.append(np.array(shown))
+    right, faulty = moves
+    np.testing.assert_array_equal(faulty[:179], right[:179])
+    assert np.linalg.norm(faulty, axis=2).max() < 2.0 * 0.5 * sag
+    after = slice(179 + 150, None)  # 2.2 swings later, as 15 frames are at 3.5 Hz
+    assert (faulty[after] * right[after]).sum() / (right[after] ** 2).sum() == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("kind", KINDS)

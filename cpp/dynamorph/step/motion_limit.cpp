@@ -28,7 +28,8 @@ constexpr double kOwn = 0.25;                   // a bone with more weight than 
 constexpr double kTissue = 1e-3;                // of the mass; bones with less have no edges and need no points
 constexpr double kSplinter = 1e-4;              // of the size; shorter edges do not count
 constexpr double kPull = 20;                    // of the stiffness that gives a point's mass the tissue's frequency
-constexpr double kEdgePull = 60;                // of twice the energy that stretches edges to their limit
+constexpr double kPulledStretch = 0.5;  // of an edge's length: its limit, from 0.6 of which on it is pulled back
+constexpr double kEdgePull = 60;        // of twice the energy that stretches edges to their limit
 
 /// The soft skin: where it is, how large, and which edges it has.
 struct SoftSkin {
@@ -447,7 +448,8 @@ std::vector<Pull> pulls_of(const Tissue& tissue, const SkinLimits& limits, const
     for (int e : critical.edges) {
       const Edge& edge = tissue.skin.edges[std::size_t(e)];
       const int first = int(points.nodes.rows() + Index(ends.size()));
-      out.push_back({numbers.size(), 1, 1, kEdgePull * critical.energy / double(critical.edges.size())});
+      out.push_back(
+          {numbers.size(), 1, kPulledStretch / kStretch, kEdgePull * critical.energy / double(critical.edges.size())});
       add_stretch(limits, edge, first, first + 1, numbers);
       ends.insert(ends.end(), {edge.first, edge.second});
     }

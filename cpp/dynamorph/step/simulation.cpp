@@ -13,7 +13,7 @@ namespace dynamorph {
 namespace {
 
 constexpr int kStaticIterations = 200;  // needed only once, and gravity moves a soft body far
-constexpr double kWatched = 0.45;       // of its largest distance: a point that is nearer is not pulled in this step
+constexpr double kWatched = 0.45;       // of its limit: what is nearer than that is not pulled in this step
 
 /// Gravity (m/s^2, world) on the soft tissue at the bones, without a past.
 InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3d& gravity) {

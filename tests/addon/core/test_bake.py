@@ -401,6 +401,16 @@ def test_a_loop_closes(shot, travel):
     assert np.abs(single.displacement(11) - single.displacement(0)).max() > 10 * report["gap"]
 
 
+def test_a_loop_whose_motion_is_limited_closes(shot):
+    """What the limit keeps of the past, one number a bone, is part of the cycle."""
+    rig = cyclic(shot)
+    free, _ = looped(shot, rig)
+    farthest = max(np.abs(free.displacement(k)).max() for k in range(12)) / size(shot)
+    bake, report = looped(shot, rig, max_displacement=0.2 * farthest)
+    assert report["gap"] <= 1e-6 * size(shot) and report["warnings"] == []
+    assert max(np.abs(bake.displacement(k)).max() for k in range(12)) / size(shot) < 0.5 * farthest
+
+
 def test_newtons_method_finds_the_same_loop(shot, monkeypatch):
     """The fallback for tissue that is too soft for accelerated passes."""
     rig, settings = cyclic(shot), replace(shot.input.settings, frame_end=12, loop=True)

@@ -53,7 +53,7 @@ def test_a_verdict_is_read(addon):
     assert not FAR.is_believable and FAR.text == TEXT
     assert FAR.figures == {
         "Displacement": "9.0% of size", "Of Thickness": "0.50", "Inverted Volume": "0.02%", "Flipped Skin": "0.01%",
-        "Stretch": "0.70 to 1.20", "Flicker": "-0.25",
+        "Stretch": "0.70 to 1.20", "Flicker": "38%",
         "Largest Load": "20.3 of limit", "Between Frames": "125% of limit",
     }  # fmt: skip
     assert FAR.factor == pytest.approx((0.08 / 0.05) ** 0.75)

@@ -151,7 +151,7 @@ class Verdict:
             "Inverted Volume": f"{self.inverted:.2%}",
             "Flipped Skin": f"{self.flipped:.2%}",
             "Stretch": f"{low:.2f} to {high:.2f}",
-            "Flicker": f"{self.flicker:+.2f}",
+            "Flicker": f"{(1.0 + self.flicker) / 2.0:.0%}",  # 0 % a slow swing, 100 % up and down at every other frame
             "Largest Load": f"{self.held.excess:.1f} of limit",
             "Between Frames": f"{self.held.reached:.0%} of limit",
         }
