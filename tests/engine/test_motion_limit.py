@@ -26,7 +26,15 @@ class Bar:
     second its right half. One target, or with `sets` = 2 one in each of two sets that share it.
     """
 
-    def __init__(self, kind="responses", law=dynamorph.MaterialModel.LINEAR, own_transforms=False, sets=1, stiff=1.0, damping=0.004):
+    def __init__(
+        self,
+        kind="responses",
+        law=dynamorph.MaterialModel.LINEAR,
+        own_transforms=False,
+        sets=1,
+        stiff=1.0,
+        damping=0.004,
+    ):
         self.nodes, tets = bar((12, 3, 3), SIZE)
         mesh, ones = dynamorph.TetMesh(self.nodes, tets), np.ones(len(tets))
         along = self.nodes[:, 0] / SIZE[0]
