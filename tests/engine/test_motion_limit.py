@@ -292,7 +292,7 @@ def test_nodes_with_transforms_of_their_own_are_limited_like_their_bones(kind):
     by_bones, by_nodes = (Bar(kind, own_transforms=own) for own in (False, True))
     far = [made.run(made.simulation(0.03, gravity=(0, 0, -3.0)), frames) for made in (by_bones, by_nodes)]
     # The inertia of responses with transforms of their own is summed otherwise.
-    np.testing.assert_allclose(far[1], far[0], atol=(1e-6 if kind == "full" else 0.02) * far[0].max())
+    np.testing.assert_allclose(far[1], far[0], atol=(1e-6 if kind == "full" else 0.025) * far[0].max())
 
 
 def test_forces_on_the_nodes_are_part_of_the_load(limited):

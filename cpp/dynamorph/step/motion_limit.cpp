@@ -23,13 +23,13 @@ constexpr double kStretch = 0.6;      // of an edge's length, by which a static 
 constexpr double kPercentile = 0.97;  // of a bone's skin; spikes and slivers that only ride along must not decide
 constexpr double kEdgePercentile = 0.998;
 constexpr int kPoints = 100, kLeastPoints = 4;  // sampled on the skin, of a bone with tissue
-constexpr int kCriticalEdges = 2;               // of each of a bone's loads
+constexpr int kEdgesBetween = 200;              // beside the most stretched one of each of a bone's loads
 constexpr double kOwn = 0.25;                   // a bone with more weight than that owns the skin
 constexpr double kTissue = 1e-3;                // of the mass; bones with less have no edges and need no points
 constexpr double kSplinter = 1e-4;              // of the size; shorter edges do not count
 constexpr double kPull = 20;                    // of the stiffness that gives a point's mass the tissue's frequency
-constexpr double kPulledStretch = 0.5;  // of an edge's length: its limit, from 0.6 of which on it is pulled back
-constexpr double kEdgePull = 60;        // of twice the energy that stretches edges to their limit
+constexpr double kPulledStretch = 0.4;  // of an edge's length: its limit, from 0.6 of which on it is pulled back
+constexpr double kEdgePull = 120;       // of twice the energy that stretches edges to their limit
 
 /// The soft skin: where it is, how large, and which edges it has.
 struct SoftSkin {
@@ -152,17 +152,24 @@ Embedding of_points(const Embedding& all, const std::vector<int>& chosen) {
   return {all.nodes(chosen, Eigen::all), all.weights(chosen, Eigen::all), VectorXd::Zero(Index(chosen.size()))};
 }
 
-/// The edges (places in `edges`) whose stretch under an answer u (3P) is nearest to its percentile, where bone weights
-/// them.
-/// Returns that percentile, over the limit.
-double add_critical(const VectorXd& u, const std::vector<Edge>& edges, const Points& rest, const VectorXd& weight,
-                    const std::vector<int>& own, std::set<int>& critical) {
+/// The edges that the loads of a bone stretch most.
+struct CriticalEdges {
+  std::set<int> edges;  ///< places in skin.edges
+  /// Twice that of the static answer in which they reach their limit, the least of the loads.
+  double energy = kInfinity;
+};
+
+/// Adds the edge, of a bone's `own` (places in skin.edges), whose stretch under an answer u (3P) is at the percentile,
+/// where `weight` (P) counts. strain (of all edges): raised to each one's stretch over that. Returns the percentile
+/// over the limit.
+double add_critical(const VectorXd& u, const SoftSkin& skin, const Points& rest, const VectorXd& weight,
+                    const std::vector<int>& own, std::set<int>& critical, std::vector<double>& strain) {
   std::vector<std::pair<double, int>> stretch;
   double total = 0;
-  const auto length = [&](int e) { return (rest.row(edges[e].first) - rest.row(edges[e].second)).norm(); };
-  const auto part = [&](int e) { return length(e) * (weight(edges[e].first) + weight(edges[e].second)); };
+  const auto length = [&](int e) { return (rest.row(skin.edges[e].first) - rest.row(skin.edges[e].second)).norm(); };
+  const auto part = [&](int e) { return length(e) * (weight(skin.edges[e].first) + weight(skin.edges[e].second)); };
   for (int e : own) {
-    const auto [a, b] = edges[e];
+    const auto [a, b] = skin.edges[e];
     const Vector3d along = (rest.row(a) - rest.row(b)).transpose() / length(e);
     stretch.push_back({std::abs(along.dot(u.segment<3>(3 * a) - u.segment<3>(3 * b))) / length(e), e});
     total += part(e);
@@ -171,7 +178,9 @@ double add_critical(const VectorXd& u, const std::vector<Edge>& edges, const Poi
   double sum = 0;
   std::size_t at = 0;
   while (at + 1 < stretch.size() && (sum += part(stretch[at].second)) < kEdgePercentile * total) ++at;
-  for (std::size_t k = 0; k < kCriticalEdges && k <= at; ++k) critical.insert(stretch[at - k].second);
+  critical.insert(stretch[at].second);
+  for (const auto& [of_edge, e] : stretch)
+    strain[e] = std::max(strain[e], std::min(of_edge / std::max(stretch[at].first, 1e-300), 1.0));
   return stretch[at].first / kStretch;
 }
 
@@ -256,18 +265,12 @@ VectorXd turned(const VectorXd& carried, const VectorXd& rest, int axis) {
   return out;
 }
 
-/// The edges that the loads of a bone stretch most.
-struct CriticalEdges {
-  std::set<int> edges;  ///< places in skin.edges
-  double energy =
-      kInfinity;  ///< twice that of the static answer in which they reach their limit, the least of the loads
-};
-
 /// weight (P): of the bone; carried (free): its part of the mass; of_body: the answers to accelerations of the whole
-/// body.
+/// body; strain (of all edges): raised to what the loads do to them, compared with the critical ones.
 template <class Model>
 CriticalEdges critical_edges(Neutral<Model>& neutral, const SkinLimits& limits, const SoftSkin& skin,
-                             const VectorXd& weight, const VectorXd& carried, const std::array<VectorXd, 3>& of_body) {
+                             const VectorXd& weight, const VectorXd& carried, const std::array<VectorXd, 3>& of_body,
+                             std::vector<double>& strain) {
   std::vector<int> own, vertices;
   for (std::size_t e = 0; e < skin.edges.size(); ++e)
     if (const auto [a, b] = skin.edges[e]; weight(a) + weight(b) > 2 * kOwn) {
@@ -281,7 +284,7 @@ CriticalEdges critical_edges(Neutral<Model>& neutral, const SkinLimits& limits, 
   const auto add = [&](const VectorXd& answer) {
     points.displacement(answer, moved);
     for (std::size_t v = 0; v < vertices.size(); ++v) u.segment<3>(3 * vertices[v]) = moved.segment<3>(3 * Index(v));
-    return add_critical(u, skin.edges, limits.rest, weight, own, out.edges);
+    return add_critical(u, skin, limits.rest, weight, own, out.edges, strain);
   };
   for (int axis = 0; axis < 3 && !own.empty(); ++axis) {
     add(of_body[std::size_t(axis)]);
@@ -354,6 +357,28 @@ struct Tissue {
   std::vector<CriticalEdges> edges;  ///< of each bone (G)
 };
 
+/// Adds edges that loads strain, far from those that are there: between few edges that are held, others would give way.
+/// strain, bone (of all edges): by which bone's load, and how much.
+void add_between(const Points& rest, const std::vector<double>& strain, const std::vector<int>& bone, Tissue& tissue) {
+  const std::vector<Edge>& edges = tissue.skin.edges;
+  Points middles(Index(edges.size()), 3);
+  for (std::size_t e = 0; e < edges.size(); ++e)
+    middles.row(Index(e)) = 0.5 * (rest.row(edges[e].first) + rest.row(edges[e].second));
+  VectorXd nearest = VectorXd::Constant(Index(edges.size()), tissue.skin.size * tissue.skin.size);
+  const auto take = [&](int e) {
+    nearest = nearest.cwiseMin((middles.rowwise() - middles.row(e)).rowwise().squaredNorm());
+  };
+  for (const CriticalEdges& critical : tissue.edges)
+    for (int e : critical.edges) take(e);
+  const auto square = Eigen::Map<const VectorXd>(strain.data(), Index(strain.size())).cwiseAbs2();
+  for (int k = 0; k < kEdgesBetween; ++k) {
+    Index best = 0;
+    if (edges.empty() || !(square.cwiseProduct(nearest).maxCoeff(&best) > 0)) return;
+    tissue.edges[std::size_t(bone[std::size_t(best)])].edges.insert(int(best));
+    take(int(best));
+  }
+}
+
 template <class Model>
 Tissue tissue_of(Neutral<Model>& neutral, const SkinLimits& limits) {
   const Model& model = neutral.model;
@@ -378,12 +403,19 @@ Tissue tissue_of(Neutral<Model>& neutral, const SkinLimits& limits) {
   Sampling sampling(limits.rest, out.skin.areas);
   sampling.add(kPoints);
   out.edges.resize(std::size_t(out.carried_mass.size()));
+  std::vector<double> strain(out.skin.edges.size(), 0.0);
+  std::vector<int> strained_by(strain.size(), 0);
   for (Index b = 0; b < out.carried_mass.size(); ++b) {
     if (out.carried_mass(b) <= kTissue * out.mass.sum()) continue;
     const VectorXd weight = limits.weights.col(b), part = out.carried.col(b).cwiseProduct(out.mass);
     sampling.add(weight, kLeastPoints);
-    out.edges[std::size_t(b)] = critical_edges(neutral, limits, out.skin, weight, part, of_body);
+    std::vector<double> more = strain;
+    out.edges[std::size_t(b)] = critical_edges(neutral, limits, out.skin, weight, part, of_body, more);
+    for (std::size_t e = 0; e < strain.size(); ++e)
+      if (more[e] > strain[e]) strained_by[e] = int(b);
+    strain = std::move(more);
   }
+  add_between(limits.rest, strain, strained_by, out);
   out.chosen = sampling.chosen();
   out.area = sampling.sums(out.skin.areas);
   return out;

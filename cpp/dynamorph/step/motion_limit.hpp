@@ -14,9 +14,9 @@
 //    The mean over 1 / w is there because rigs with a key at each frame accelerate in one substep after it.
 //
 // 2. On the motion itself, for what a bounded load can build up (a landing, resonance). From 0.6 L on a point is pulled
-//    back, and from 0.6 of half its length on the change of an edge,
+//    back, and from 0.6 of 0.4 of its length on the change of an edge,
 //
-//      E_p = 20 m_p w^2 ramp(|u_p - d_p|, L),    E_e = 120 W_b / n_b ramp(|e . d(u - d)| / (0.6 l), 0.5 / 0.6),
+//      E_p = 20 m_p w^2 ramp(|u_p - d_p|, L),    E_e = 240 W_b / n_b ramp(|e . d(u - d)| / (0.6 l), 0.4 / 0.6),
 //
 //    ramp(x, limit): cubic from 0.6 of the limit to the limit, then quadratic. The edges are those of the first limit,
 //    n_b of bone b, and W_b is the elastic energy of the static answer in which they reach that.
