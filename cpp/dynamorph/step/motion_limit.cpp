@@ -28,8 +28,8 @@ constexpr double kOwn = 0.25;                   // a bone with more weight than 
 constexpr double kTissue = 1e-3;                // of the mass; bones with less have no edges and need no points
 constexpr double kSplinter = 1e-4;              // of the size; shorter edges do not count
 constexpr double kPull = 20;                    // of the stiffness that gives a point's mass the tissue's frequency
-constexpr double kPulledStretch = 0.4;  // of an edge's length: its limit, from 0.6 of which on it is pulled back
-constexpr double kEdgePull = 120;       // of twice the energy that stretches edges to their limit
+constexpr double kPulledStretch = 0.4;          // of an edge's length: its limit; pulled back from 0.6 of it on
+constexpr double kEdgePull = 120;               // of twice the energy that stretches edges to their limit
 
 /// The soft skin: where it is, how large, and which edges it has.
 struct SoftSkin {
