@@ -18,7 +18,8 @@ stretch_kept             stretch_lo over plain_stretch_lo
 flipped                  share of the surface whose normal turns by over 90 degrees against plain skinning
 alive, alive_area        RMS motion about its mean of the liveliest tenth, of size; share of the surface above a tenth
                          of that
-thin_moves               RMS motion of the thinnest fifth of the surface over that of the thickest fifth
+thin_moves               RMS motion of the thinnest fifth of the surface over that of the thickest fifth; None where
+                         that is not twice as thick: there are no thin parts
 shaken                   RMS acceleration of plain skinning over (2 pi 3.5 Hz)^2, of size: how far tissue of 3.5 Hz is
                          asked to move
 flicker, flicker_plain   how often the displacement turns, and plain skinning in the world, see judge.flicker_of
@@ -101,6 +102,7 @@ def measure(scene) -> dict:
         **rounded(edge_lengths(soft, baked, plain, skin.size), 4),
         "flipped": round(max(flipped(obj, baked[obj], plain[obj]) for obj in soft) / skin.areas.sum(), 5),
         **liveliness(motion, skin),
+        "thin_moves": rounded_or_none(thin_moves(motion, skin), 3),
         "shaken": rounded_or_none(shaken(world, skin.areas, rate), 4),
         "flicker": round(flicker(motion, skin.areas), 3),
         "flicker_plain": round(flicker(world, skin.areas), 3),
@@ -234,13 +236,12 @@ class Skin:
     @classmethod
     def of(cls, soft: Sequence) -> Skin:
         surfaces = [(rest(obj), triangles_of(obj)) for obj in soft]
-        size = diagonal(np.concatenate([points[np.unique(triangles)] for points, triangles in surfaces]))
-        random = np.random.default_rng(0)
+        points = np.concatenate([points for points, _ in surfaces])
+        before = np.cumsum([0] + [len(points) for points, _ in surfaces])
+        triangles = np.concatenate([outward(*each) + first for each, first in zip(surfaces, before, strict=False)])
+        size = diagonal(points[np.unique(triangles)])
         return cls(
-            np.concatenate([points for points, _ in surfaces]),
-            np.concatenate([vertex_areas(*surface) for surface in surfaces]),
-            np.concatenate([thickness(*surface, size, random) for surface in surfaces]),
-            size,
+            points, vertex_areas(points, triangles), thickness(points, triangles, size, np.random.default_rng(0)), size
         )
 
     @cached_property
@@ -258,11 +259,15 @@ class Skin:
         return float(np.sqrt((areas * values[where] ** 2).sum() / max(areas.sum(), 1e-30)))
 
 
+def outward(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The triangles (T, 3), turned over if their normals point inward."""
+    away = points[triangles[:, 0]] - points.mean(axis=0)
+    return triangles if np.einsum("ij,ij->", away, normals_of(points, triangles)) >= 0 else triangles[:, ::-1]
+
+
 def thickness(points: np.ndarray, triangles: np.ndarray, size: float, random: np.random.Generator) -> np.ndarray:
     """Median length (V,) of rays inward to the surface behind; NaN where there is none, and at all but PROBES."""
     normals = normals_of(points, triangles)
-    if np.einsum("ij,ij->", points[triangles[:, 0]] - points.mean(axis=0), normals) < 0:  # they point inward
-        normals = -normals
     inward = np.zeros_like(points)
     np.add.at(inward, triangles.ravel(), -np.repeat(normals, 3, axis=0))
     inward, normals = normalized(inward), normalized(normals)
@@ -280,18 +285,24 @@ def thickness(points: np.ndarray, triangles: np.ndarray, size: float, random: np
 
 
 def length_inside(tree: BVHTree, normals: np.ndarray, point: np.ndarray, ray: np.ndarray, skip: float) -> float | None:
-    """How far a ray goes from a point of the surface to a back, past the fronts of other layers."""
-    gone = 0.0
+    """How far a ray goes from a point of the surface until it has left all that it has entered, such as an eye and the
+    head that the eye is sunk into; where it leaves less than it has entered, until the last back.
+    """
+    gone, inside, last = 0.0, 1, None
     for _ in range(LAYERS):
         start = point + skip * ray
         place, _, face, length = tree.ray_cast(Vector(start), Vector(ray))
         if place is None:
-            return None
+            break
         gone += length + skip
         if normals[face] @ ray > 0:
-            return gone
+            inside, last = inside - 1, gone
+            if not inside:
+                break
+        else:
+            inside += 1
         point = np.array(place)
-    return None
+    return last
 
 
 def normals_of(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -355,17 +366,27 @@ def flipped(obj, baked: np.ndarray, plain: np.ndarray) -> float:
 
 
 def liveliness(motion: np.ndarray, skin: Skin) -> dict[str, float]:
-    moves = np.sqrt(((motion - motion.mean(axis=0)) ** 2).sum(axis=2).mean(axis=0))
+    moves = swings(motion)
     order = np.argsort(moves)
     sums = np.cumsum(skin.areas[order])
     alive = skin.mean(moves, order[sums >= 0.9 * sums[-1]])
-    low, high = skin.probed_quantiles(skin.thickness, [0.2, 0.8])
-    thin, thick = skin.thickness <= low, skin.thickness >= high  # false where it is not known
     return {
         "alive": round(alive, 5),
         "alive_area": round(float(skin.areas[moves > 0.1 * max(alive, 1e-12)].sum() / skin.areas.sum()), 3),
-        "thin_moves": round(skin.mean(moves, thin) / max(skin.mean(moves, thick), 1e-12), 3),
     }
+
+
+def thin_moves(motion: np.ndarray, skin: Skin) -> float | None:
+    low, high = skin.probed_quantiles(skin.thickness, [0.2, 0.8])
+    if low > 0.5 * high:
+        return None
+    moves, thin, thick = swings(motion), skin.thickness <= low, skin.thickness >= high  # false where it is not known
+    return skin.mean(moves, thin) / max(skin.mean(moves, thick), 1e-12)
+
+
+def swings(motion: np.ndarray) -> np.ndarray:
+    """RMS (V,) about the mean."""
+    return np.sqrt(((motion - motion.mean(axis=0)) ** 2).sum(axis=2).mean(axis=0))
 
 
 def shaken(world: np.ndarray, areas: np.ndarray, rate: float) -> float | None:

@@ -4,9 +4,10 @@ lines.
 
 Importers guess where bones end; the thickness is always right. Let T be the radius of the largest ball in the body that
 covers a point, and d its depth below the skin. Held are the core (deep compared with T), thin parts (T small compared
-with the body's: fingers, ears, horns, feet, tails, blades), whatever is rigid, and what the Firmness map says. A smooth
-field phi from 0 to 1 says how firmly. The hold is an energy, FIRMNESS mu phi / T^2 |u - d_j|^2 / 2 integrated over the
-body, inside each target's own (docs/theory.md): it converges as the cage gets finer, whereas pins node by node do not.
+with the body's, unless thick ones are beside them: fingers, ears, horns, feet, tails, blades), whatever is rigid, and
+what the Firmness map says. A smooth field phi from 0 to 1 says how firmly. The hold is an energy, FIRMNESS mu phi / T^2
+|u - d_j|^2 / 2 integrated over the body, inside each target's own (docs/theory.md): it converges as the cage gets
+finer, whereas pins node by node do not.
 Never touches bpy.
 """
 
@@ -23,9 +24,11 @@ from ..geometry import determinant, smooth_step
 FIRMNESS = 100.0  # of fully held tissue, which then moves like tissue of a tenth of its thickness
 CORE = 0.35, 0.65  # depth over thickness where the hold of the core begins, and where it is full
 THIN = 0.3, 0.55  # thickness relative to the body's below which a part is fully held, and above which it is not held
+BESIDE = 0.5, 1.8  # of the distance from thicker tissue, by which its thickness fades; largest factor it adds
 STIFFER = 0.9, 20.0  # fraction of the body's thickness below which tissue is stiffer, and the largest factor
 THICKEST = 0.98  # quantile of the thickness over the soft volume that counts as the body's
 # Quadrature points of a tetrahedron, as weights of its corners; each represents a quarter of it.
+PAIRS = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]
 A, B = 0.5854101966249685, 0.1381966011250105
 QUADRATURE = np.full((4, 4), B) + (A - B) * np.eye(4)
 
@@ -61,7 +64,28 @@ def depths(mesh: dynamorph.TetMesh, surface: np.ndarray, triangles: np.ndarray) 
     thickness = dynamorph.Thickness(surface, triangles)
     points = np.einsum("qa,eac->eqc", QUADRATURE, mesh.nodes[mesh.tets])
     radius, depth = (part.reshape(-1, len(QUADRATURE)) for part in thickness.at(points.reshape(-1, 3)))
-    return Depths(radius, depth, thickness.at(surface)[0])
+    return Depths(with_neighbors(mesh, radius), depth, thickness.at(surface)[0])
+
+
+def with_neighbors(mesh: dynamorph.TetMesh, radius: np.ndarray) -> np.ndarray:
+    """The thickness (m, 4) at the quadrature points, of thin tissue beside thick one with something of that: a breast
+    is not held like a finger, which is as thin, but far from the trunk. Distances are in the tissue, along edges.
+    """
+    fades, most = BESIDE
+    ends = np.unique(np.sort(mesh.tets[:, PAIRS].reshape(-1, 2), axis=1), axis=0)
+    ends = np.concatenate([ends, ends[:, ::-1]])
+    ends = ends[np.argsort(ends[:, 0], kind="stable")]
+    lengths = np.linalg.norm(mesh.nodes[ends[:, 0]] - mesh.nodes[ends[:, 1]], axis=1)
+    nodes, starts = np.unique(ends[:, 0], return_index=True)
+    beside = np.zeros(len(mesh.nodes))
+    np.maximum.at(beside, mesh.tets, radius)
+    while True:
+        raised = beside.copy()
+        raised[nodes] = np.maximum(beside[nodes], np.maximum.reduceat(beside[ends[:, 1]] - fades * lengths, starts))
+        if np.array_equal(raised, beside):
+            break
+        beside = raised
+    return np.clip(beside[mesh.tets] @ QUADRATURE.T, radius, most * radius)
 
 
 def hold(mesh: dynamorph.TetMesh, at: Depths, rigidity: np.ndarray, firmness: np.ndarray, fill: np.ndarray) -> Hold:

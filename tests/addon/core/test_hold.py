@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the automatic hold makes of a body with a blunt bump and a long rod that are equally thin."""
+
+import numpy as np
+import pytest
+
+dynamorph = pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+from bl_ext.user_default.dynamic_morph_targets.core.model import hold  # noqa: E402
+
+SPACING, RADIUS, HALF = 0.08, 0.2, 0.8  # of the grid; of the bump and the rod; of the trunk
+
+
+def body():
+    """A cube with a half ball on its right side and a rod on its left one, as tets of a grid, and its surface."""
+    centers = np.stack(np.meshgrid(*3 * [(np.arange(-37, 37) + 0.5) * SPACING], indexing="ij"), axis=-1)
+    x, across = centers[..., 0], np.hypot(centers[..., 1], centers[..., 2])
+    trunk = np.abs(centers).max(axis=-1) < HALF
+    bump = (np.linalg.norm(centers - [HALF, 0.0, 0.0], axis=-1) < RADIUS) & (x > 0.0)
+    rod = (across < RADIUS) & (x < 0.0) & (x > -2.9)
+    cells = np.argwhere(trunk | bump | rod)
+    corners = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, 8).T
+    numbers, of_cell = np.unique((cells[:, None] + corners).reshape(-1, 3), axis=0, return_inverse=True)
+    of_cell = of_cell.reshape(-1, 8)
+    kuhn = [[0, 4, 6, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 3, 1, 7], [0, 1, 5, 7], [0, 5, 4, 7]]
+    tets = of_cell[:, kuhn].reshape(-1, 4)
+    nodes = (numbers - 37) * SPACING
+    faces = tets[:, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]].reshape(-1, 3)
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return dynamorph.TetMesh(nodes, tets), nodes, faces[first[count == 1]]
+
+
+@pytest.fixture(scope="module")
+def held():
+    """How firmly each node is held, and the nodes."""
+    mesh, nodes, surface = body()
+    zeros = np.zeros(len(nodes))
+    found = hold.hold(mesh, hold.depths(mesh, nodes, surface), zeros, zeros + 0.5, np.ones(len(mesh.tets)))
+    return found, nodes
+
+
+def test_a_blunt_bump_on_thick_tissue_is_soft(held):
+    found, nodes = held
+    assert np.median(found.phi[nodes[:, 0] > HALF + 0.5 * RADIUS]) < 0.2
+
+
+def test_a_rod_of_the_same_thickness_is_held_away_from_it(held):
+    found, nodes = held
+    assert found.phi[nodes[:, 0] < -2.5].min() > 0.9
+
+
+def test_the_thickness_that_is_lent_falls_off_with_the_distance(held):
+    mesh, nodes, surface = body()
+    own = dynamorph.Thickness(nodes, surface).at(nodes)[0][mesh.tets] @ hold.QUADRATURE.T
+    x = nodes[mesh.tets, 0] @ hold.QUADRATURE.T
+    lent = hold.with_neighbors(mesh, own)
+    assert (lent >= own).all()
+    assert (lent <= hold.BESIDE[1] * own).all()
+    far, near = x < -2.6, (x < -HALF - 0.2) & (x > -HALF - 0.4)
+    assert lent[far].max() == own[far].max()  # that of the rod
+    assert np.median(lent[near] / own[near]) > 1.5
