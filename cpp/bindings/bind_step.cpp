@@ -129,13 +129,14 @@ void bind_limit(py::module_& m, const char* name) {
       m, name, "How far a moving rig may drive the skin of a model. Simulations may share it.")
       .def(py::init([](std::shared_ptr<Model> model, const FloatArray& rest, const Embedding& embedding,
                        const IndexArray& triangles, const MatrixXd& weights, const VectorXd& distances,
-                       const std::optional<MatrixXd>& groups) {
+                       const std::optional<MatrixXd>& groups, const std::optional<VectorXd>& painted) {
              SkinLimits limits{as_points(flat_points("rest", rest, -1)),
                                embedding,
                                to_indices<Triangles>(triangles, "triangles"),
                                weights,
                                distances,
-                               groups.value_or(MatrixXd())};
+                               groups.value_or(MatrixXd()),
+                               painted.value_or(VectorXd())};
              check_finite("rest", limits.rest);
              check_finite("weights", weights);
              check_finite("groups", limits.groups);
@@ -143,10 +144,11 @@ void bind_limit(py::module_& m, const char* name) {
              return std::make_shared<Limit>(model, limits);
            }),
            "model"_a.none(false), "rest"_a, "embedding"_a, "triangles"_a, "weights"_a, "distances"_a,
-           "groups"_a = py::none(),
+           "groups"_a = py::none(), "painted"_a = py::none(),
            "rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the "
            "soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, "
            "meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. "
+           "painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for ones. "
            "Raises Error if the tissue has no stiffness at rest.")
       .def_property_readonly("frequency", &Limit::frequency, "Of the neutral tissue, 1/s (angular).")
       .def_property_readonly("numbers", &Limit::numbers, "How many numbers of a static answer are looked at.");

@@ -60,6 +60,7 @@ def scene() -> SimpleNamespace:
     faces = s.tets[:, [0, 2, 1]].astype(np.int32)  # inner ones too: any surface has a limit
     s.limits = {"rest": s.nodes, "embedding": dynamorph.embed(s.mesh, s.nodes), "triangles": faces,
                 "weights": np.ones((s.n, 1)), "distances": np.full(s.n, 0.05)}  # fmt: skip
+    s.painted = np.full(s.n, 0.5)
     s.full_limit = dynamorph.FullMotionLimit(s.full, **s.limits)
     s.reduced_limit = dynamorph.ReducedMotionLimit(s.reduced, **s.limits)
     own = dynamorph.SoftBody(s.mesh, s.ones, s.ones, s.ones[:, None], s.pinned, None)
@@ -178,8 +179,8 @@ def calls() -> dict[str, tuple[object, dict]]:
         "ReducedModel": (lib, {"body": s.body, "targets": s.targets, "tables": s.tables, "blending": s.blending}),
         "FullSkin": (lib, {"model": s.full, **points}),
         "ReducedSkin": (lib, {"model": s.reduced, **points}),
-        "FullMotionLimit": (lib, {"model": s.own_full, **s.limits, "groups": s.groups}),
-        "ReducedMotionLimit": (lib, {"model": s.own_reduced, **s.limits, "groups": s.groups}),
+        "FullMotionLimit": (lib, {"model": s.own_full, **s.limits, "groups": s.groups, "painted": s.painted}),
+        "ReducedMotionLimit": (lib, {"model": s.own_reduced, **s.limits, "groups": s.groups, "painted": s.painted}),
         "Grabs": (lib, {"points": np.array([0, 3]), "goals": np.zeros((1, 2, 3)), "stiffness": np.ones(2)}),
         "FullSimulation": (lib, {"model": s.full, **options, "keep_going": lambda: True}),
         "ReducedSimulation": (lib, {"model": s.reduced, **options, "keep_going": lambda: True}),

@@ -59,11 +59,11 @@ class Bar:
         self.free = ~pinned
         self.own = own_transforms
 
-    def limit(self, distance: float):
+    def limit(self, distance: float, painted=None):
         kind = dynamorph.FullMotionLimit if self.model is self.full else dynamorph.ReducedMotionLimit
         return kind(
             self.model, self.nodes, self.embedding, self.triangles, self.weights,
-            np.full(len(self.nodes), distance), self.weights[self.free] if self.own else None,
+            np.full(len(self.nodes), distance), self.weights[self.free] if self.own else None, painted,
         )  # fmt: skip
 
     def simulation(self, distance=0.0, h=1 / 120, **options):
@@ -180,6 +180,43 @@ def test_no_blow_no_resonance_moves_it_far_beyond_its_limit(kind, law):
         far = made.run(simulation, moving(z))
         assert 0.3 * distance < far.max() < 2.0 * distance, name
         assert np.isfinite(simulation.coordinates).all()
+
+
+@pytest.mark.parametrize("weight", [0.5, 0.25])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_painted_end_stays_nearer_and_the_other_moves_as_it_did(kind, weight):
+    """In resonance. The load that a bone's tissue may have is the same, whatever is painted."""
+    made = Bar(kind, dynamorph.MaterialModel.STABLE_STVK, damping=0.01)
+    distance, hz = 0.04, made.limit(0.04).frequency / (2 * np.pi)
+    frames = moving(0.1 * np.sin(2 * np.pi * hz * np.arange(240) / 120))
+    painted, other = made.nodes[:, 0] < 0.3 * SIZE[0], made.nodes[:, 0] > 0.7 * SIZE[0]
+    moves, excess = [], []
+    for weights in (None, np.where(painted, weight, 1.0)):
+        simulation, shown = made.simulation(), []
+        simulation.set_limit(made.limit(distance, weights))
+        simulation.start(frames[0], frames[1], made.neutral)
+        for frame in frames[1:]:
+            simulation.advance(frame[None], made.neutral[None])
+            shown.append(made.model.displacement(simulation.coordinates))
+            excess.append(simulation.state[2])
+        moves.append(np.array(shown))
+    as_it_was, now = moves
+    assert np.linalg.norm(as_it_was[:, painted], axis=2).max() > 0.8 * distance
+    assert np.linalg.norm(now[:, painted], axis=2).max() < 1.5 * weight * distance
+    kept = (as_it_was[:, other] * now[:, other]).sum() / (as_it_was[:, other] ** 2).sum()
+    assert kept == pytest.approx(1.0, abs=0.1)
+    np.testing.assert_allclose(excess[239:], excess[:239], rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_weights_of_one_change_nothing(limited, kind):
+    made, sag = limited[kind]
+    frames = moving(0.3 * np.sin(2 * np.pi * 5 * np.arange(60) / 120))
+    plain, painted = made.simulation(sag), made.simulation()
+    painted.set_limit(made.limit(sag, np.ones(len(made.nodes))))
+    for simulation in (plain, painted):
+        made.run(simulation, frames)
+    np.testing.assert_array_equal(painted.coordinates, plain.coordinates)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -513,9 +513,9 @@ class FullMotionLimit:
     """
     How far a moving rig may drive the skin of a model. Simulations may share it.
     """
-    def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], distances: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], groups: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None = None) -> None:
+    def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], distances: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], groups: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None = None, painted: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None) -> None:
         """
-        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. Raises Error if the tissue has no stiffness at rest.
+        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for ones. Raises Error if the tissue has no stiffness at rest.
         """
     @property
     def frequency(self) -> float:
@@ -531,9 +531,9 @@ class ReducedMotionLimit:
     """
     How far a moving rig may drive the skin of a model. Simulations may share it.
     """
-    def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], distances: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], groups: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None = None) -> None:
+    def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], distances: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], groups: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None = None, painted: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None) -> None:
         """
-        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. Raises Error if the tissue has no stiffness at rest.
+        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for ones. Raises Error if the tissue has no stiffness at rest.
         """
     @property
     def frequency(self) -> float:

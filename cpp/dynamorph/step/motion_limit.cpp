@@ -23,6 +23,7 @@ constexpr double kStretch = 0.6;      // of an edge's length, by which a static 
 constexpr double kPercentile = 0.97;  // of a bone's skin; spikes and slivers that only ride along must not decide
 constexpr double kEdgePercentile = 0.998;
 constexpr int kPoints = 100, kLeastPoints = 4;  // sampled on the skin, of a bone with tissue
+constexpr int kPaintedPoints = 30;              // at least so many where L is painted smaller
 constexpr int kEdgesBetween = 200;              // beside the most stretched one of each of a bone's loads
 constexpr double kOwn = 0.25;                   // a bone with more weight than that owns the skin
 constexpr double kTissue = 1e-3;                // of the mass; bones with less have no edges and need no points
@@ -73,6 +74,9 @@ void check(const SkinLimits& limits, const SoftBody& body) {
     throw std::invalid_argument("embedding: it belongs to another mesh");
   if (!(limits.distances.array() > 0).all() || !limits.distances.allFinite())
     throw std::invalid_argument("distances: must be finite and above zero");
+  if (limits.painted.size() > 0) check_size("painted", limits.painted.size(), P);
+  if (!(limits.painted.array() > 0).all() || !(limits.painted.array() <= 1).all())
+    throw std::invalid_argument("painted: must be above zero and at most one");
   if (body.own_transforms != (limits.groups.size() > 0))
     throw std::invalid_argument("groups: needed where the nodes have transforms of their own, and only there");
   if (body.own_transforms) check_size("groups", limits.groups.rows(), transforms);
@@ -352,8 +356,9 @@ struct Tissue {
   SkinWeights carried;      ///< (free, G): the bones' parts of the nodes
   VectorXd carried_mass;    ///< (G)
   SoftSkin skin;
-  std::vector<int> chosen;           ///< points of the skin
+  std::vector<int> chosen;           ///< points of the skin that say how far a load carries it
   VectorXd area;                     ///< of the skin that is nearest to each of them
+  std::vector<int> pulled;           ///< points that are pulled back: the same, and more where L is painted smaller
   std::vector<CriticalEdges> edges;  ///< of each bone (G)
 };
 
@@ -418,6 +423,8 @@ Tissue tissue_of(Neutral<Model>& neutral, const SkinLimits& limits) {
   add_between(limits.rest, strain, strained_by, out);
   out.chosen = sampling.chosen();
   out.area = sampling.sums(out.skin.areas);
+  if (limits.painted.size() > 0) sampling.add((1 - limits.painted.array()).matrix(), kPaintedPoints);
+  out.pulled = sampling.chosen();
   return out;
 }
 
@@ -457,19 +464,23 @@ std::vector<LimitedBone> limited_bones(const Tissue& tissue, const SkinLimits& l
   return out;
 }
 
-/// What is pulled back, and its numbers over `points`: of a mesh the free nodes, of few coordinates the chosen points
+/// What is pulled back, and its numbers over `points`: of a mesh the free nodes, of few coordinates the pulled points
 /// with the mass of the nodes nearby; then the ends of the edges.
 std::vector<Pull> pulls_of(const Tissue& tissue, const SkinLimits& limits, const SoftBody& body, bool nodal,
                            PointRows& numbers, Embedding& points) {
   const double pull = kPull * tissue.square_frequency;
-  points = nodal ? free_nodes(body) : of_points(limits.embedding, tissue.chosen);
-  const VectorXd distances =
-      nodal ? at_free_nodes(body, limits.embedding, limits.distances) : VectorXd(limits.distances(tissue.chosen));
+  points = nodal ? free_nodes(body) : of_points(limits.embedding, tissue.pulled);
+  const auto at_points = [&](const VectorXd& of_skin) {
+    return nodal ? at_free_nodes(body, limits.embedding, of_skin) : VectorXd(of_skin(tissue.pulled));
+  };
+  const VectorXd distances = at_points(limits.distances);
+  VectorXd painted = VectorXd::Ones(distances.size());
+  if (limits.painted.size() > 0) painted = at_points(limits.painted);
   const VectorXd mass =
-      nodal ? tissue.mass : sums_at_nearest(limits.rest(tissue.chosen, Eigen::all), body.rest, tissue.mass);
+      nodal ? tissue.mass : sums_at_nearest(limits.rest(tissue.pulled, Eigen::all), body.rest, tissue.mass);
   std::vector<Pull> out;
   for (int p = 0; p < int(points.nodes.rows()); ++p) {
-    out.push_back({numbers.size(), 3, distances(p), pull * mass(p)});
+    out.push_back({numbers.size(), 3, painted(p) * distances(p), pull / painted(p) * mass(p)});
     for (int axis = 0; axis < 3; ++axis) {
       numbers.add_row();
       numbers.add(p, Vector3d::Unit(axis));

@@ -128,6 +128,10 @@ TEST_CASE("limits that do not fit are refused") {
   };
   refused("distances: must be finite and above zero", [](SkinLimits& l) { l.distances(0) = 0; });
   refused("distances: must be finite and above zero", [](SkinLimits& l) { l.distances(0) = kInfinity; });
+  for (double bad : {0., 1.5, double(kInfinity)})
+    refused("painted: must be above zero and at most one",
+            [&](SkinLimits& l) { l.painted = VectorXd::Constant(l.rest.rows(), bad); });
+  refused("painted: expected", [](SkinLimits& l) { l.painted.setOnes(1); });
   refused("weights: expected those of 2 bones, got 1", [](SkinLimits& l) { l.weights = l.weights.col(0).eval(); });
   refused("groups: needed where", [](SkinLimits& l) { l.groups = l.weights; });
   refused("embedding: it belongs to another mesh", [](SkinLimits& l) { l.embedding.nodes(0, 0) = 1 << 20; });
