@@ -99,11 +99,16 @@ def target_selected(obj):
     obj.dynamorph.active_target_index = 1
 
 
-def painting(obj):
-    """One side of the stiffness map."""
-    activate(obj)
-    bpy.ops.dynamorph.paint_firmness()
-    obj.vertex_groups.active.add([vertex.index for vertex in obj.data.vertices if vertex.co.x < 0.0], 1.0, "REPLACE")
+def painting(of):
+    """One side of a map."""
+
+    def paint(obj):
+        activate(obj)
+        getattr(bpy.ops.dynamorph, f"paint_{of}")()
+        right = [vertex.index for vertex in obj.data.vertices if vertex.co.x < 0.0]
+        obj.vertex_groups.active.add(right, 0.25, "REPLACE")
+
+    return paint
 
 
 def posed(obj):
@@ -246,11 +251,13 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "live": (built, {}),
     "load_preset": (preset_saved, {"filepath": str(PRESET), "menu_idname": "DYNAMORPH_PT_material_presets"}),
     "load_setup": (setup_saved, {"filepath": SETUP}),
-    "mirror_firmness": (painting, {"to": "LEFT"}),
+    "mirror_firmness": (painting("firmness"), {"to": "LEFT"}),
+    "mirror_max_distance": (painting("max_distance"), {"to": "LEFT"}),
     "mirror_target": (two_sides, {}),
     "move_target": (two_targets, {"direction": "DOWN"}),
     "new_from_pose": (posed, {"key": "Bent"}),
     "paint_firmness": (target_selected, {}),
+    "paint_max_distance": (target_selected, {}),
     "region_from_sculpt": (target_selected, {}),
     "remove_bone": (target_selected, {"bone": "lower"}),
     "remove_attachment": (piece_listed, {}),

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .firmness import NEUTRAL
+from . import firmness, max_distance
 from .geometry import inverse
 from .settings import Material, ModelSettings
 
@@ -136,7 +136,7 @@ class Character:
     cage_index (V,): the cage that each vertex is in: 0 the body's, k >= 1 one of its own, -1 none, so that the bones
     alone move it. cage: the artist's own, if there is one. rigidity (V,): 1 where the skin belongs to something hard (a
     head, a helmet that touches soft skin), 0 elsewhere; the cage is held there. firmness (V,): weights of the Firmness
-    map, see core/firmness.
+    map, see core/firmness; max_distance (V,): those of the Max Distance map, see core/max_distance.
 
     The arrays cover the vertices of all meshes in its cage: first those of the soft skin's own mesh (`own_vertices`),
     then those of `attachments`. coincident (V,): the first vertex at the same place as each, which moves alike.
@@ -156,6 +156,7 @@ class Character:
     cage_index: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
     rigidity: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
     firmness: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
+    max_distance: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
     coincident: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
     attachments: tuple[Attachment, ...] = ()
 
@@ -165,7 +166,9 @@ class Character:
         if self.rigidity is None:
             object.__setattr__(self, "rigidity", np.zeros(len(self.vertices)))
         if self.firmness is None:
-            object.__setattr__(self, "firmness", np.full(len(self.vertices), NEUTRAL))
+            object.__setattr__(self, "firmness", np.full(len(self.vertices), firmness.NEUTRAL))
+        if self.max_distance is None:
+            object.__setattr__(self, "max_distance", np.full(len(self.vertices), max_distance.NEUTRAL))
         if self.coincident is None:
             object.__setattr__(self, "coincident", np.arange(len(self.vertices)))
 

@@ -44,11 +44,11 @@ def build_inputs(record: str) -> dict:
 
 @lru_cache(maxsize=64)
 def bake_inputs(record: str) -> dict:
-    """The settings that a bake was made with, as `staleness.bake_inputs` gives them, with the `animation` and the
-    model's `content_id`. Not to be changed.
+    """The settings that a bake was made with, as `staleness.bake_inputs` gives them, with the `animation`, the
+    model's `content_id`, and what was `painted`. Not to be changed.
     """
     needed = {"targets": _are_groups, "animation": _is_animation, "content_id": _is_text}
-    return _read(record, BAKE, needed, {**SETTINGS, "simulation": _is_group, "output": _is_group})
+    return _read(record, BAKE, needed, {**SETTINGS, "simulation": _is_group, "output": _is_group, "painted": _is_text})
 
 
 @lru_cache(maxsize=64)

@@ -183,7 +183,8 @@ def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: boo
     obj = skinning.obj
     settings = run_settings.simulation_settings(obj, bpy.context.scene, request.frames, request.substeps)
     given.has_shot, given.settings = True, replace(settings, **request.changes)
-    given.inputs = staleness.bake_inputs(skinning, given.settings) | {"animation": animation.animation(skinning)}
+    given.inputs = staleness.bake_inputs(skinning, given.settings)
+    given.inputs |= {"animation": animation.animation(skinning), "painted": staleness.map_hash(given.character)}
     chosen = obj.dynamorph.simulation
     is_part = chosen.is_patch or (chosen.keep_outside and request.frames)
     if given.output and is_part and obj.dynamorph.bake.exists:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the viewport colors the skin by: how far it moves away from the animation, and how firm it is.
+"""What the viewport colors the skin by: how far it moves away from the animation, and the maps that are painted.
 
 There is one value from 0 to 1 for each vertex of a mesh; `overlays` draws them.
 """
@@ -16,6 +16,7 @@ from ..core.errors import SceneError
 from ..core.firmness import NEUTRAL
 from ..core.geometry import diagonal
 from ..core.message import Message
+from ..core.painted_map import FIRMNESS, MAX_DISTANCE
 from ..scene import extract, mesh_data, model_store, references, skin
 from ..write.bake import reading
 from . import live
@@ -107,12 +108,23 @@ def firmness(obj: bpy.types.Object) -> dict[int, np.ndarray]:
     group, built = obj.dynamorph.firmness_group, _holds(obj.session_uid, obj.dynamorph.model.content_id)
     if isinstance(built, str) and not group:
         raise SceneError(built)
-    painted = {obj.session_uid: _weights(obj.session_uid, group)}
+    painted = {obj.session_uid: _weights(obj.session_uid, group, FIRMNESS.neutral)}
     if isinstance(built, str):
         return painted
     if len(built[obj.session_uid]) != len(obj.data.vertices):
         raise SceneError("'{name}' has other vertices than its model: press Build Model", name=obj.name)
     return {uid: (painted.get(uid, NEUTRAL) + held - NEUTRAL).clip(0.0, 1.0) for uid, held in built.items()}
+
+
+def max_distance(obj: bpy.types.Object) -> dict[int, np.ndarray]:
+    """The Max Distance map (V,) of the soft skin `obj` and of the meshes in its cage that have a group of its name, by
+    session_uid. Raises SceneError when there is no map.
+    """
+    group = obj.dynamorph.max_distance_group
+    if not group:
+        raise SceneError("'{name}' has no Max Distance map: press Paint beside Max Distance", name=obj.name)
+    meshes = obj, *(each for each in skin.attached_meshes(obj) if group in each.vertex_groups)
+    return {each.session_uid: _weights(each.session_uid, group, MAX_DISTANCE.neutral) for each in meshes}
 
 
 @lru_cache(maxsize=4)
@@ -140,9 +152,9 @@ def _holds(session_uid: int, _content_id: str) -> dict[int, np.ndarray] | str:
 
 
 @lru_cache(maxsize=4)
-def _weights(session_uid: int, name: str) -> np.ndarray:
-    """The Firmness map (V,). It is asked whenever a viewport draws, and Blender hands weights out vertex by vertex."""
-    return mesh_data.group_weights(skin.find(session_uid), [name], NEUTRAL)[:, 0]
+def _weights(session_uid: int, name: str, absent: float) -> np.ndarray:
+    """A map (V,). It is asked whenever a viewport draws, and Blender hands weights out vertex by vertex."""
+    return mesh_data.group_weights(skin.find(session_uid), [name], absent)[:, 0]
 
 
 def edited() -> None:

@@ -14,11 +14,11 @@ import numpy as np
 from ..core import errors
 from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
-from ..core.firmness import NEUTRAL
 from ..core.message import joined
 from ..core.motion import rig_samples, simulate
 from ..core.motion.player import Frame, Player, State
 from ..core.motion.rig_samples import RigSamples
+from ..core.painted_map import MAPS
 from ..core.settings import Material, SimulationSettings
 from ..scene import mesh_data, model_store, probe, references, rig_motion, run_settings, skin, skinning, staleness
 from ..write.display import comparison, live_key
@@ -60,7 +60,7 @@ class Tissue:
 
     def _mesh(self, handle: skin.ObjectHandle, points: np.ndarray, members: slice, from_body: np.ndarray) -> LiveMesh:
         """A mesh of the body. points (P, 3): its local space; from_body (3, 3): from the body's local space to it."""
-        residual_shapes = self.model.residual_shapes[:, members] @ from_body.T
+        residual_shapes = self.player.skin.residual_shapes[:, members] @ from_body.T
         return LiveMesh(handle, points, self._move(members, from_body), residual_shapes)
 
     def _move(self, members: slice, from_body: np.ndarray) -> Move:
@@ -68,7 +68,7 @@ class Tissue:
         model = self.model
         if not len(model.tets):  # static morph targets
             return still(members.stop - members.start)
-        nodes, weights = model.embedding_nodes[members], model.embedding_weights[members]
+        nodes, weights = model.embedding_nodes[members], self.player.skin.weights[members]
         turn = from_body @ np.linalg.inv(model.to_bind)
         if model.settings.solver == "FULL":
             return by_nodes(model.free, nodes, weights, turn)
@@ -366,8 +366,9 @@ def _with_materials(character: Character, materials: dict[str, Material]) -> Cha
 
 
 def painted(obj: bpy.types.Object) -> bytes:
-    """The Firmness map of the soft skin's own mesh, to be compared."""
-    return mesh_data.group_weights(obj, [obj.dynamorph.firmness_group], NEUTRAL).tobytes()
+    """The maps of the soft skin's own mesh, to be compared."""
+    groups = mesh_data.VertexGroups(obj)
+    return b"".join(groups.weights([getattr(obj.dynamorph, each.group)], each.neutral).tobytes() for each in MAPS)
 
 
 def way_to_skin(obj: bpy.types.Object) -> tuple:

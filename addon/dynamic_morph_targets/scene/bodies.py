@@ -14,9 +14,10 @@ from mathutils import Matrix
 
 from ..core import errors
 from ..core.character import Attachment, Character, TargetSet
-from ..core.firmness import NEUTRAL, kept
+from ..core.firmness import kept
 from ..core.geometry import diagonal, inverse, vertex_areas
 from ..core.model import rigid
+from ..core.painted_map import FIRMNESS, MAX_DISTANCE, PaintedMap
 from . import checks, mesh_data, rig_motion
 from .nearest import nearest
 from .skin import attached_meshes, attachments_of, own_attachments
@@ -49,7 +50,7 @@ def joined(source: Source, single: Character) -> Character:
     same = first[: len(bind)]
     cage_index, rigidity = _closed_seams(cage_index, held, same, first[len(bind) :], whole.triangles)
     _refuse_hard(obj, whole, cage_index, rigidity, [(p, t) for p, (_, t) in zip(others, beside, strict=True)])
-    firmness = whole.firmness()
+    firmness = whole.painted(FIRMNESS)
     if single.settings.hold_head:
         found = rigid.heads(single.skeleton, whole.weights, bind, whole.triangles)
         head = rigid.head_rigidity(single.skeleton, whole.weights, bind, whole.triangles, found)
@@ -72,6 +73,7 @@ def joined(source: Source, single: Character) -> Character:
         cage_index=cage_index,
         rigidity=_most(rigidity, same),
         firmness=firmness[same],
+        max_distance=whole.painted(MAX_DISTANCE)[same],
         coincident=same,
         attachments=tuple(attachments),
     )
@@ -107,12 +109,12 @@ class _Whole:
         nearness = ((FAR - away) / (FAR - NEAR)).clip(0.0, 1.0).reshape(-1, *[1] * (values.ndim - 1))
         return np.concatenate([values, beyond + nearness * (found.carry(values) - beyond)])
 
-    def firmness(self) -> np.ndarray:
-        """The weights (V,) of the Firmness map. A mesh with a group of that name keeps its own."""
-        group, found = self.obj.dynamorph.firmness_group, self._carried(self.single.firmness, NEUTRAL)
+    def painted(self, of: PaintedMap) -> np.ndarray:
+        """The weights (V,) of a map. A mesh with a group of that name keeps its own."""
+        group, found = getattr(self.obj.dynamorph, of.group), self._carried(getattr(self.single, of.name), of.neutral)
         for mesh, members in zip(self.meshes, self.slices[1:], strict=True):
             if group and group in mesh.obj.vertex_groups:
-                found[members] = mesh_data.firmness(mesh.obj, mesh.groups, group)
+                found[members] = mesh_data.painted(mesh.obj, mesh.groups, of, group)
         return found
 
     def target_sets(self, same: np.ndarray) -> tuple[TargetSet, ...]:

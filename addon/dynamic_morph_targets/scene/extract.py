@@ -14,9 +14,10 @@ import numpy as np
 from ..core.character import Character, OwnCage, Target, TargetSet
 from ..core.errors import SceneError, sentence
 from ..core.geometry import inverse
+from ..core.painted_map import FIRMNESS, MAX_DISTANCE
 from . import bodies, body_checks, checks, data_checks
 from .checks import refuse, skinned
-from .mesh_data import cages_of, carried, firmness, mesh_triangles, target_shape
+from .mesh_data import cages_of, carried, mesh_triangles, painted, target_shape
 from .rig_motion import at_rest, rig_scene
 from .skin import own_attachments
 from .skinning import Skinning
@@ -61,7 +62,8 @@ def read(source: Source, without_targets=False) -> Character:
         probed=bool(source.skinning.beyond_bones),
         cage_index=cages_of(own_attachments(obj), obj, source.groups),
         cage=_own_cage(source),
-        firmness=firmness(obj, source.groups, obj.dynamorph.firmness_group),
+        firmness=painted(obj, source.groups, FIRMNESS, settings.firmness_group),
+        max_distance=painted(obj, source.groups, MAX_DISTANCE, settings.max_distance_group),
     )
     return bodies.joined(source, single)
 

@@ -13,8 +13,9 @@ import numpy as np
 
 from ..core.character import Skeleton
 from ..core.errors import SceneError
-from ..core.firmness import NEUTRAL
 from ..core.geometry import determinant
+from ..core.message import Message
+from ..core.painted_map import PaintedMap
 from .references import key_points
 from .rig_motion import in_meters, not_a_number, rig_scene
 from .skin import unit_scale
@@ -98,13 +99,16 @@ def modifier_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) ->
     return np.hstack([weights, 1.0 - weights.sum(axis=1, keepdims=True)])
 
 
-def firmness(obj, groups: VertexGroups, group: str) -> np.ndarray:
-    """Weights (V,) of the Firmness map `group` on `obj`. Raises SceneError."""
+def painted(obj, groups: VertexGroups, of: PaintedMap, group: str) -> np.ndarray:
+    """Weights (V,) of a map that is the vertex group `group` on `obj`. Raises SceneError."""
     if group and group not in obj.vertex_groups:
         raise SceneError(
-            "'{name}': the vertex group '{group}' of Firmness is gone: choose another", name=obj.name, group=group
+            "'{name}': the vertex group '{group}' of {map} is gone: choose another",
+            name=obj.name,
+            group=group,
+            map=Message(of.label),
         )
-    return groups.weights([group], NEUTRAL)[:, 0].clip(0.0, 1.0)
+    return groups.weights([group], of.neutral)[:, 0].clip(0.0, 1.0)
 
 
 def cages_of(attachments, mesh, groups: VertexGroups, first: int = 1) -> np.ndarray:

@@ -36,6 +36,12 @@ class DynamorphSettings(PropertyGroup):
         "firmer and 1 where the bones hold it. Paint it when a part moves too much or too little",
         override=OVERRIDE,
     )
+    max_distance_group: StringProperty(
+        name="Max Distance",
+        description="Vertex group that scales how far the skin may move: 1 as far as Max Displacement says, 0 not at "
+        "all, so that the skin follows the bones exactly. Paint it where soft skin comes too near to something hard",
+        override=OVERRIDE,
+    )
     groups: StringProperty(name="Groups", description="Names of the vertex groups, one per line, to follow renames")
     attachments: CollectionProperty(
         name="Attachments", description="Parts of the mesh and other meshes that do not simply belong to the body",
@@ -87,7 +93,7 @@ class DynamorphSettings(PropertyGroup):
         )
 
 
-COLORINGS = ("heat", "firmness")  # of the surface: one at a time
+COLORINGS = ("heat", "firmness", "max_distance")  # of the surface: one at a time
 
 
 def _color_surface(which: str):
@@ -126,6 +132,11 @@ class DynamorphDisplay(PropertyGroup):
         description="Color the skin by how firm it is: blue is softer, green stays as it is, and red is held by the "
         "bones, because it is painted so or because its part is thin or a head",
         update=_color_surface("firmness"),
+    )  # fmt: skip
+    max_distance: BoolProperty(
+        name="Show Max Distance",
+        description="Color the skin by how far it may move: red as far as Max Displacement says, blue not at all",
+        update=_color_surface("max_distance"),
     )  # fmt: skip
     posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")
 

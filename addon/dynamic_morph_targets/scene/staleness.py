@@ -16,9 +16,11 @@ from zlib import crc32
 import bpy
 import numpy as np
 
-from ..core import records
+from ..core import max_distance, records
+from ..core.character import Character
 from ..core.errors import RecordError, SceneError, sentence
 from ..core.message import Message
+from ..core.model.model import array_hash
 from ..core.settings import ENGINE, FREE_SETTINGS, SimulationSettings
 from ..io import whole
 from . import animation, run_settings, skin
@@ -40,6 +42,21 @@ def look_at_animation(obj):
     seen = records.animation_text(animation.animation(Skinning.of(obj))) if record.exists else ""
     if record.animation != seen:
         record.animation = seen
+
+
+def look_at_map(obj, character: Character):
+    """Note the Max Distance map of `obj`, so that `outdated` knows whether it changed since the bake. character: as
+    it is now.
+    """
+    record, seen = obj.dynamorph.bake, map_hash(character)
+    if record.exists and record.painted != seen:
+        record.painted = seen
+
+
+def map_hash(character: Character) -> str:
+    """Of the Max Distance map, on which a bake depends, but no model; empty without one."""
+    painted = character.max_distance
+    return array_hash((painted,)) if (painted != max_distance.NEUTRAL).any() else ""
 
 
 def look_for_caches(obj):
@@ -109,6 +126,9 @@ def outdated(obj) -> list[str]:
         found.append("the model was built again")
     if obj.dynamorph.model.stale:
         found.append(obj.dynamorph.model.stale)
+    repainted = Message("{setting} changed", setting=_title(settings, "max_distance_group"))
+    if record.painted != then.get("painted", "") and repainted not in found:
+        found.append(repainted)
     found += _piece_changes(obj)
     found += [
         Message('animation of "{name}" changed', name=name)
@@ -156,6 +176,7 @@ def bake_inputs(skinned: Skinning, simulation: SimulationSettings) -> dict:
     settings = obj.dynamorph
     inputs = model_inputs(obj)
     inputs["model"] = asdict(settings.model.settings())
+    inputs["groups"]["max_distance_group"] = settings.max_distance_group
     inputs["groups"]["armature_modifiers"] = skinned.settings()
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
     inputs["output"] = asdict(settings.output.settings())

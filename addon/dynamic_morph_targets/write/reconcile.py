@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.character import Skeleton
+from ..core.painted_map import MAPS
 from ..scene.references import basis_hash, key_hash, rest_skeleton, rig_of
 from ..scene.skin import own_attachments
 
@@ -104,7 +105,7 @@ def _follow_groups(obj):
     settings.groups = "\n".join(now)
     moved = zip(then, now, strict=True) if len(now) == len(then) else ()
     renamed = {old: new for old, new in moved if old not in now and new not in then}
-    users = [(settings, "firmness_group")]
+    users = [(settings, each.group) for each in MAPS]
     users += [(each, "group") for each in own_attachments(obj)]
     for user, name in users:
         if getattr(user, name) in renamed:

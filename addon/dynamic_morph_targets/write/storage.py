@@ -69,12 +69,14 @@ def forget_model(obj):
 
 
 def show_stale(obj):
-    """Examine the mesh, and make the panel say why the model of `obj` is out of date."""
+    """Examine the mesh, and make the panel say why the model and the bake of `obj` are out of date."""
     reconcile(obj)
     stale = ""
     if not staleness.model_changes(obj):  # they say enough
         try:
-            stale = "; ".join(stale_reasons(obj, extract.character(obj)))
+            character = extract.character(obj)
+            stale = "; ".join(stale_reasons(obj, character))
+            staleness.look_at_map(obj, character)
         except engine.expected_errors() as error:
             stale = errors.sentence(error)
     if obj.dynamorph.model.stale != stale:

@@ -155,6 +155,7 @@ def test_a_new_soft_skin_shows_twelve_controls_at_most(arm, stand_in):
 IN_SIGHT = {
     "feel": ["amount", "bounce", "settle_time"],
     "firmness": ["firmness_group"],
+    "max_distance": ["max_distance_group"],
     "attachments": ["hold_head"],
     "bake": ["solver", "max_displacement", "use_scene_range", "loop", "format"],
 }
@@ -199,7 +200,7 @@ def test_nothing_but_state_live_and_bake_is_in_both_places(soft_arm, stand_in):
 
 def test_the_order_of_the_sections(soft_arm):
     titles = [section.label for section in sections.SIDEBAR_SECTIONS if section.parent == "sidebar"]
-    assert titles[:3] == ["Feel", "Firmness", "Targets"] and titles[-1] == "Messages"
+    assert titles[:4] == ["Feel", "Firmness", "Max Distance", "Targets"] and titles[-1] == "Messages"
     parents = {section.label: section.parent for section in sections.PHYSICS_SECTIONS}
     assert {parents[label] for label in ("Cage", "Detail", "Solver")} == {"advanced"}
 

@@ -220,9 +220,12 @@ class Model:
         """Coordinates (J, dofs) of every target's shape."""
         return np.array([engine.target(j) for j in range(len(self.displacements))])
 
-    def surface(self, displacement: np.ndarray) -> np.ndarray:
-        """Displacement of the render surface (..., V, 3), local space, from that of the nodes (..., n, 3), bind."""
-        bind = interpolated(displacement, self.embedding_nodes, self.embedding_weights)
+    def surface(self, displacement: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
+        """Displacement of the render surface (..., V, 3), local space, from that of the nodes (..., n, 3), bind.
+
+        weights (V, 4): by which the nodes carry it, by default `embedding_weights`.
+        """
+        bind = interpolated(displacement, self.embedding_nodes, self.embedding_weights if weights is None else weights)
         return bind @ np.linalg.inv(self.to_bind).T
 
     def on_nodes(self, force: np.ndarray) -> np.ndarray:

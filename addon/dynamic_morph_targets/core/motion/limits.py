@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import max_distance
 from ..character import Character
 from ..engine import dynamorph
 from ..geometry import diagonal
@@ -19,7 +20,7 @@ THINNEST = 0.02  # of the body's size; thinner parts count as this thick
 
 
 def largest_distances(model: Model, character: Character, settings: SimulationSettings) -> np.ndarray:
-    """The limit (V,) in meters of each vertex; infinite without one."""
+    """The limit (V,) in meters of each vertex, without the Max Distance map; infinite without one."""
     size = diagonal(character.vertices @ character.to_bind.T)
     out = np.full(len(character.vertices), settings.max_displacement * size or np.inf)
     if settings.max_thickness and len(model.thickness):
@@ -34,6 +35,7 @@ def motion_limit(model: Model, engine: EngineModel, character: Character, settin
     soft = character.triangles[(character.cage_index[character.triangles] >= 0).all(axis=1)]
     if not np.isfinite(distances).all() or not len(soft):
         return None
+    painted = max_distance.pulled(character.max_distance)
     kind: Callable[..., Any] = (
         dynamorph.FullMotionLimit if model.settings.solver == "FULL" else dynamorph.ReducedMotionLimit
     )
@@ -45,6 +47,7 @@ def motion_limit(model: Model, engine: EngineModel, character: Character, settin
         character.weights,
         distances,
         model.node_weights[model.free] if character.probed else None,
+        painted if (painted < 1.0).any() else None,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import chain, islice
 
 import numpy as np
@@ -18,6 +19,7 @@ from .amounts import Amounts
 from .limits import motion_limit
 from .posing import Posing
 from .rig_samples import RigSamples
+from .shown_skin import ShownSkin
 
 CHUNK = 32  # frames whose rig becomes matrices at once; bounds memory and amortizes NumPy's call overhead
 CHUNK_NODES = 2**18  # transforms of nodes computed at once, if those are known: 25 MB
@@ -101,6 +103,11 @@ class Player:
     def past(self, coordinates: np.ndarray) -> None:
         self.state = list(coordinates), *self.state[1:]
 
+    @cached_property
+    def skin(self) -> ShownSkin:
+        """The skin to show."""
+        return ShownSkin(self.model, self.character)
+
     @property
     def probed(self) -> bool:
         """Whether it needs `RigSamples.nodes`."""
@@ -160,10 +167,10 @@ class Player:
         """The largest distance, in meters, between the soft skins of two frames in one pose, as `shown` with the full
         motion of the targets: what a lower motion amount hides at the seam of a loop is visible elsewhere.
         """
-        displacement = np.tensordot(second.weights - first.weights, self.model.residual_shapes, 1)
+        displacement = np.tensordot(second.weights - first.weights, self.skin.residual_shapes, 1)
         if self.engine is not None:
             before, after = (self.amounts.with_gains(frame.coordinates, frame.weights) for frame in (first, second))
-            displacement += self.model.surface(self.engine.displacement(after - before))
+            displacement += self.skin.surface(self.engine.displacement(after - before))
         return float(np.linalg.norm(displacement @ self.model.to_bind.T, axis=1).max())
 
     def advance(self, rig: RigSamples, number: int) -> Frame:

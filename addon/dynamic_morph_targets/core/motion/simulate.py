@@ -170,10 +170,11 @@ class Shot:
                 report["compression_error"] = float(np.abs(coordinates - coordinates @ few.T @ few).max())  # meters
             coordinates, static, free = coordinates @ few.T, static @ few.T, few if full else few @ free
         modes = node_modes(model, free)
-        surface = model.surface(modes) if modes.size else np.zeros((0, *character.vertices.shape))
+        skin, empty = player.skin, np.zeros((0, *character.vertices.shape))
+        surface = skin.surface(modes) if modes.size else empty
         report["seconds"] = self._seconds + time.perf_counter() - began
         names = tuple(target.name for target in character.targets)
-        return Bake(settings.frames, coordinates, weights, surface, model.residual_shapes, names, static, modes), report
+        return Bake(settings.frames, coordinates, weights, surface, skin.residual_shapes, names, static, modes), report
 
 
 def bake(

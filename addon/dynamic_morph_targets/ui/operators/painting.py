@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons that paint the Firmness map."""
+"""Buttons that paint the maps of a soft skin."""
 
 from __future__ import annotations
 
@@ -7,23 +7,40 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty
 from bpy.types import Operator
 
+from ...core.message import Message
+from ...core.painted_map import FIRMNESS, MAX_DISTANCE, PaintedMap
 from ...scene import skin
 from ...scene.registration import of_classes
 from ...write.authoring import painting
 from ..base import SoftSkinOperator
 
 
-class DYNAMORPH_OT_paint_firmness(SoftSkinOperator, Operator):
+class Paint(SoftSkinOperator):
+    """Paints a map, or ends that."""
+
+    of: PaintedMap
+
+    def apply(self, obj):
+        if painting.is_painting(obj, self.of):
+            painting.leave(obj)
+        else:
+            painting.enter(obj, self.of)
+
+
+class DYNAMORPH_OT_paint_firmness(Paint, Operator):
     """Paint the Firmness map in Weight Paint: 0 is softer, 0.5 as it is, 1 held by the bones. Press again to leave"""
 
     bl_idname = "dynamorph.paint_firmness"
     bl_label = "Paint Firmness"
+    of = FIRMNESS
 
-    def apply(self, obj):
-        if painting.is_painting(obj):
-            painting.leave(obj)
-        else:
-            painting.enter(obj)
+
+class DYNAMORPH_OT_paint_max_distance(Paint, Operator):
+    """Paint the Max Distance map in Weight Paint: 1 moves as it does, 0 follows the bones. Press again to leave"""
+
+    bl_idname = "dynamorph.paint_max_distance"
+    bl_label = "Paint Max Distance"
+    of = MAX_DISTANCE
 
 
 class DYNAMORPH_OT_hold_bones(SoftSkinOperator, Operator):
@@ -36,12 +53,10 @@ class DYNAMORPH_OT_hold_bones(SoftSkinOperator, Operator):
         painting.hold_selected_bones(obj)
 
 
-class DYNAMORPH_OT_mirror_firmness(SoftSkinOperator, Operator):
-    """Copy the Firmness map to the other side of the mesh, about its local X axis"""
+class Mirror(SoftSkinOperator):
+    """Copies a map to the other side."""
 
-    bl_idname = "dynamorph.mirror_firmness"
-    bl_label = "Mirror Firmness"
-
+    of: PaintedMap
     to: EnumProperty(
         name="To",
         description="The side to which the map is copied",
@@ -54,22 +69,38 @@ class DYNAMORPH_OT_mirror_firmness(SoftSkinOperator, Operator):
     @classmethod
     def disabled_reason(cls, context):
         disabled_reason = super().disabled_reason(context)
-        if not disabled_reason and not painting.is_painting(skin.mesh_in(context)):
-            return "Press Paint beside Firmness first"
+        if not disabled_reason and not painting.is_painting(skin.mesh_in(context), cls.of):
+            return Message("Press Paint beside {map} first", map=Message(cls.of.label))
         return disabled_reason
 
     def apply(self, obj):
-        alone = painting.mirror(obj, self.to)
+        alone = painting.mirror(obj, self.of, self.to)
         if alone:
             text = rpt_("{count} vertices have no mirror image and stay as they are")
             self.report({"WARNING"}, text.format(count=alone))
 
 
-def draw_tools(layout, obj):
-    """What helps to paint the map; Blender's own buttons where it has some."""
+class DYNAMORPH_OT_mirror_firmness(Mirror, Operator):
+    """Copy the Firmness map to the other side of the mesh, about its local X axis"""
+
+    bl_idname = "dynamorph.mirror_firmness"
+    bl_label = "Mirror Firmness"
+    of = FIRMNESS
+
+
+class DYNAMORPH_OT_mirror_max_distance(Mirror, Operator):
+    """Copy the Max Distance map to the other side of the mesh, about its local X axis"""
+
+    bl_idname = "dynamorph.mirror_max_distance"
+    bl_label = "Mirror Max Distance"
+    of = MAX_DISTANCE
+
+
+def draw_tools(layout, obj, of: PaintedMap):
+    """What helps to paint a map; Blender's own buttons where it has some."""
     column = layout.column(align=True)
     column.use_property_split = False
-    if painting.is_painting(obj):
+    if painting.is_painting(obj, of):
         row = column.row(align=True)
         row.operator_context = "EXEC_DEFAULT"
         row.operator("paint.weight_set", text="Fill", icon="BRUSH_DATA")
@@ -77,9 +108,16 @@ def draw_tools(layout, obj):
         blur.group_select_mode, blur.factor, blur.repeat = "ACTIVE", 0.5, 2
         row = column.row(align=True)
         for to, text in (("RIGHT", "Left to Right"), ("LEFT", "Right to Left")):
-            row.operator("dynamorph.mirror_firmness", text=text, icon="MOD_MIRROR").to = to
-    column.operator("dynamorph.hold_bones", icon="BONE_DATA")
+            row.operator(f"dynamorph.mirror_{of.name}", text=text, icon="MOD_MIRROR").to = to
+    if of == FIRMNESS:
+        column.operator("dynamorph.hold_bones", icon="BONE_DATA")
 
 
-CLASSES = (DYNAMORPH_OT_paint_firmness, DYNAMORPH_OT_hold_bones, DYNAMORPH_OT_mirror_firmness)
+CLASSES = (
+    DYNAMORPH_OT_paint_firmness,
+    DYNAMORPH_OT_paint_max_distance,
+    DYNAMORPH_OT_hold_bones,
+    DYNAMORPH_OT_mirror_firmness,
+    DYNAMORPH_OT_mirror_max_distance,
+)
 register, unregister = of_classes(CLASSES)

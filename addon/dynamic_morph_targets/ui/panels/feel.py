@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from ...core.material import feel
+from ...core.painted_map import FIRMNESS, MAX_DISTANCE, PaintedMap
 from ...run import batch
 from ...write.authoring import painting
 from ..operators import painting as paint_operators
@@ -59,12 +60,20 @@ def draw_material(layout, _context, obj):
 
 
 def draw_firmness(layout, context, obj):
-    """The map that is painted."""
+    _draw_map(layout, context, obj, FIRMNESS)
+
+
+def draw_max_distance(layout, context, obj):
+    _draw_map(layout, context, obj, MAX_DISTANCE)
+
+
+def _draw_map(layout, context, obj, of: PaintedMap):
+    """A map that is painted."""
     layout.enabled = batch.running is None
     row = layout.row(align=True)
-    row.prop_search(obj.dynamorph, "firmness_group", obj, "vertex_groups", text="")  # the name of the group fits
+    row.prop_search(obj.dynamorph, of.group, obj, "vertex_groups", text="")  # the name of the group fits
     button = row.row(align=True)
     button.ui_units_x = 2.5
-    button.operator("dynamorph.paint_firmness", text="Done" if painting.is_painting(obj) else "Paint")
-    paint_operators.draw_tools(layout, obj)
-    layout.prop(context.window_manager.dynamorph, "firmness", icon="OVERLAY", toggle=True)
+    button.operator(f"dynamorph.paint_{of.name}", text="Done" if painting.is_painting(obj, of) else "Paint")
+    paint_operators.draw_tools(layout, obj, of)
+    layout.prop(context.window_manager.dynamorph, of.name, icon="OVERLAY", toggle=True)

@@ -20,7 +20,7 @@ from ..widgets import draw_message, progress_text
 from .advanced import DYNAMORPH_UL_modes, draw_cage, draw_detail, draw_modes, draw_rare, draw_solver, has_modes
 from .attachments import DYNAMORPH_UL_attachments, attachments_title, draw_attachments
 from .bake import draw_bake, draw_details, draw_export, draw_result, draw_setup, draw_trying, is_baked
-from .feel import draw_feel, draw_firmness, draw_material
+from .feel import draw_feel, draw_firmness, draw_material, draw_max_distance
 from .status import draw_messages, draw_top
 from .targets import (
     DYNAMORPH_MT_targets,
@@ -97,6 +97,7 @@ SIDEBAR_SECTIONS = (
     Section("feel", "Feel", "sidebar", draw_feel, closed=False),
     Section("material", "Material", "feel", draw_material, presets=DYNAMORPH_PT_material_presets),
     Section("firmness", "Firmness", "sidebar", draw_firmness),
+    Section("max_distance", "Max Distance", "sidebar", draw_max_distance),
     Section("targets", "Targets", "sidebar", draw_targets),
     Section("bones", "", "targets", draw_bones, needed=has_bones, title=bones_title),
     Section("target_weights", "Target Weights", "sidebar", draw_target_weights, needed=has_weights),

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The Firmness map of a soft skin: painting it, the bones that hold their skin, and its mirror image."""
+"""The maps of a soft skin: painting them, their mirror images, and the bones that hold their skin."""
 
 from __future__ import annotations
 
 import bpy
 import numpy as np
 
-from ...core import firmness
 from ...core.errors import SceneError
+from ...core.painted_map import FIRMNESS, PaintedMap
 from ...scene import checks, mesh_data, references, skin
 from ...scene.source import Source
 from .. import storage
@@ -16,19 +16,18 @@ from . import targets
 from .fixes import owned
 from .mirror import mirror_partners
 
-NAME = "Firmness"  # of a new map
 STEPS = 1000  # weights that a vertex group distinguishes
 BORDER = 4  # edges, over which held skin becomes soft
 
 
-def is_painting(obj) -> bool:
-    """Whether the Firmness map of `obj` is being painted."""
+def is_painting(obj, of: PaintedMap) -> bool:
+    """Whether this map of `obj` is being painted."""
     active = obj.vertex_groups.active
-    return obj.mode == "WEIGHT_PAINT" and active is not None and active.name == obj.dynamorph.firmness_group
+    return obj.mode == "WEIGHT_PAINT" and active is not None and active.name == getattr(obj.dynamorph, of.group)
 
 
-def enter(obj):
-    """Begin to paint the map, with a new vertex group if there is none. Raises SceneError."""
+def enter(obj, of: PaintedMap):
+    """Begin to paint a map, with a new vertex group if there is none. Raises SceneError."""
     if not obj.visible_get():
         raise SceneError("'{name}' is hidden: show it to paint on it", name=obj.name)
     if refusal := skin.edited_elsewhere(obj):
@@ -40,14 +39,14 @@ def enter(obj):
         bpy.context.view_layer.objects.active = obj
         obj.select_set(True)
         bpy.ops.object.mode_set(mode="WEIGHT_PAINT", toggle=True)  # remembers the mesh's own mode
-    name = _map_name(obj)
+    name = _map_name(obj, of)
     if name not in obj.vertex_groups:
-        _write(obj, name, np.full(len(obj.data.vertices), firmness.NEUTRAL))
-    _choose(obj, name)
+        _write(obj, name, np.full(len(obj.data.vertices), of.neutral))
+    _choose(obj, of, name)
 
 
 def leave(obj):
-    """Return to what was going on before, and look whether the model still fits the map."""
+    """Return to what was going on before, and look whether the model and the bake still fit the maps."""
     display, objects = bpy.context.window_manager.dynamorph, bpy.context.view_layer.objects
     bpy.ops.object.mode_set(mode="WEIGHT_PAINT", toggle=True)
     posed, display.posed = objects.get(display.posed), ""
@@ -58,19 +57,19 @@ def leave(obj):
 
 
 def hold_selected_bones(obj):
-    """Paint the map with 1 where the selected pose bones move the skin, with a soft border. Raises SceneError."""
+    """Paint Firmness with 1 where the selected pose bones move the skin, with a soft border. Raises SceneError."""
     writer.check_not_edited(obj)
     owned(obj.data)
     held = _held_by_bones(obj)
-    name = _map_name(obj)
-    weights = mesh_data.group_weights(obj, [name], firmness.NEUTRAL)[:, 0]
-    _write(obj, name, np.maximum(weights, firmness.NEUTRAL + (1.0 - firmness.NEUTRAL) * held))
-    _choose(obj, name)
+    name = _map_name(obj, FIRMNESS)
+    weights = mesh_data.group_weights(obj, [name], FIRMNESS.neutral)[:, 0]
+    _write(obj, name, np.maximum(weights, FIRMNESS.neutral + (1.0 - FIRMNESS.neutral) * held))
+    _choose(obj, FIRMNESS, name)
     _look(obj)
 
 
-def mirror(obj, to: str) -> int:
-    """Copy the map to the character's LEFT or RIGHT, about the mesh's X axis; how many vertices have no mirror image
+def mirror(obj, of: PaintedMap, to: str) -> int:
+    """Copy a map to the character's LEFT or RIGHT, about the mesh's X axis; how many vertices have no mirror image
     and stay as they are. Raises SceneError.
     """
     points = mesh_data.rest_points(obj)
@@ -78,28 +77,28 @@ def mirror(obj, to: str) -> int:
     overwritten = (points[:, 0] < 0.0 if to == "RIGHT" else points[:, 0] > 0.0) & (partners >= 0)
     if not overwritten.any():
         raise SceneError("'{name}' is not symmetric about its X axis: paint the other side yourself", name=obj.name)
-    name = obj.dynamorph.firmness_group
-    weights = mesh_data.group_weights(obj, [name], firmness.NEUTRAL)[:, 0]
+    name = getattr(obj.dynamorph, of.group)
+    weights = mesh_data.group_weights(obj, [name], of.neutral)[:, 0]
     _write(obj, name, np.where(overwritten, weights[partners], weights))
     return int(np.count_nonzero(partners < 0))
 
 
-def _map_name(obj) -> str:
-    """The vertex group of the map. A new one is named like no bone and no group of the meshes in the cage, because what
+def _map_name(obj, of: PaintedMap) -> str:
+    """The vertex group of a map. A new one is named like no bone and no group of the meshes in the cage, because what
     is written there would be skin weights, or the artist's.
     """
-    if chosen := obj.dynamorph.firmness_group:
+    if chosen := getattr(obj.dynamorph, of.group):
         return chosen
     rig = references.rig_of(obj)
     taken = {group.name for mesh in (obj, *skin.attached_meshes(obj)) for group in mesh.vertex_groups}
     taken |= {bone.name for bone in rig.data.bones} if rig else set()
-    return targets.free_name(taken, NAME) if NAME in taken else NAME
+    return targets.free_name(taken, of.label) if of.label in taken else of.label
 
 
-def _choose(obj, name: str):
+def _choose(obj, of: PaintedMap, name: str):
     """Make this vertex group the map, and the active one."""
-    if obj.dynamorph.firmness_group != name:
-        obj.dynamorph.firmness_group = name
+    if getattr(obj.dynamorph, of.group) != name:
+        setattr(obj.dynamorph, of.group, name)
     obj.vertex_groups.active_index = obj.vertex_groups[name].index
 
 

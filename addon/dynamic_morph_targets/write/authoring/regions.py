@@ -18,6 +18,7 @@ import numpy as np
 
 from ...core.character import REGION, Skeleton
 from ...core.geometry import diagonal, smooth_step, triangle_areas, turned, welded
+from ...core.painted_map import MAPS
 from ...scene import animation, checks, mesh_data, rig_motion
 from ...scene.source import Source
 from ..reconcile import reconcile
@@ -180,17 +181,17 @@ def _write(obj, together: list, groups, free: set[str]) -> tuple[str, str]:
 def _remove(obj, names):
     """Remove those automatic groups that nothing uses any more."""
     settings = obj.dynamorph
-    used = {settings.firmness_group, *(target.region for target in settings.targets)}
+    used = {*(getattr(settings, each.group) for each in MAPS), *(target.region for target in settings.targets)}
     used |= {each.group for each in settings.attachments}
     for name in names:
         if name.startswith(REGION) and name not in used and name in obj.vertex_groups:
             obj.vertex_groups.remove(obj.vertex_groups[name])
 
 
-def write_group(group, weights: np.ndarray):
-    """Give a vertex group of `obj` the weights (V,), without vertices whose weight is 0."""
+def write_group(group, weights: np.ndarray, absent: float = 0.0):
+    """Give a vertex group the weights (V,), without vertices whose weight is `absent`."""
     group.remove(range(len(weights)))
-    for vertex in np.flatnonzero(weights).tolist():
+    for vertex in np.flatnonzero(weights != absent).tolist():
         group.add([vertex], weights[vertex], "REPLACE")
 
 

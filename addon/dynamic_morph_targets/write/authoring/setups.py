@@ -24,6 +24,7 @@ import numpy as np
 
 from ...core.errors import SetupError
 from ...core.geometry import determinant, turned
+from ...core.painted_map import MAPS
 from ...core.settings import ModelSettings
 from ...io import disk
 from ...scene import checks, rig_motion
@@ -63,7 +64,7 @@ PARTS = {
     "simulation": DynamorphSimulation,
     "output": DynamorphOutput,
 }
-GROUPS = ("firmness_group",)
+GROUPS = tuple(each.group for each in MAPS)
 
 
 # From and to an object ---------------------------------------------------------------------------------------------

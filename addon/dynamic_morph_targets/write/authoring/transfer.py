@@ -14,6 +14,7 @@ import numpy as np
 
 from ...core.errors import SceneError
 from ...core.geometry import determinant, diagonal, inverse
+from ...core.painted_map import MAPS
 from ...scene import checks, mesh_data, rig_motion
 from ...scene.nearest import nearest
 from ...scene.references import rig_of
@@ -25,12 +26,13 @@ from . import regions, setups, targets
 @dataclass(frozen=True)
 class Copy:
     """What one mesh of V vertices gets from another. shapes: displacements (V, 3) in its local space by the name of
-    their shape key; weights (V,) by the name of their vertex group; distance: its largest distance from the source's
-    surface, in meters.
+    their shape key; weights (V,) by the name of their vertex group, and absent: what counts where that has none;
+    distance: its largest distance from the source's surface, in meters.
     """
 
     shapes: dict[str, np.ndarray]
     weights: dict[str, np.ndarray]
+    absent: dict[str, float]
     distance: float
 
 
@@ -76,13 +78,15 @@ def copy(source, obj) -> Copy:
     found = nearest(_moved(to_basis, to_world), _moved(from_basis, from_world), triangles)
     to_local = (inverse(to_world) @ from_world)[:3, :3]
     groups = mesh_data.VertexGroups(source)
-    names = _own_groups(source)
+    absent = dict.fromkeys(_own_groups(source), 0.0)
+    absent |= {name: each.neutral for each in MAPS if (name := getattr(source.dynamorph, each.group)) in absent}
     return Copy(
         {
             target.name: found.carry(mesh_data.target_shape(source, target.name, groups)) @ to_local.T
             for target in source.dynamorph.targets[1:]
         },
-        dict(zip(names, found.carry(groups.weights(names)).T, strict=True)),
+        {name: found.carry(groups.weights([name], value)[:, 0]) for name, value in absent.items()},
+        absent,
         float(found.distances.max()),
     )
 
@@ -98,7 +102,8 @@ def write(obj, made: Copy, overwrite: bool):
             targets.sculpt_anew(block, shape)
     for name, weights in made.weights.items():
         if overwrite or name not in obj.vertex_groups:
-            regions.write_group(obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name), weights)
+            group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
+            regions.write_group(group, weights, made.absent[name])
     obj.data.update_tag()
 
 
