@@ -18,18 +18,19 @@ def motions(addon):
     return {weight: moved(weight) for weight in (None, 0.0, 0.5, 0.9, 1.0)}
 
 
-def moved(weight) -> np.ndarray:
+def moved(weight, limit=0.0, of="firmness") -> np.ndarray:
+    """limit: of the displacement, of the body's size; of: which map is painted."""
     bpy.ops.wm.read_homefile(use_empty=True)
     obj = body(bpy.context.scene)
     activate(obj)
     bpy.ops.dynamorph.add_soft_skin()
     obj.dynamorph.model.cage_nodes, obj.dynamorph.model.modes = 500, 40
-    obj.dynamorph.simulation.max_displacement = obj.dynamorph.simulation.max_thickness = 0.0
+    obj.dynamorph.simulation.max_displacement, obj.dynamorph.simulation.max_thickness = limit, 0.0
     height = np.array([vertex.co.z for vertex in obj.data.vertices])
     if weight is not None:
-        group = obj.vertex_groups.new(name="Firmness")
+        group = obj.vertex_groups.new(name="Painted")
         group.add(np.flatnonzero(height < 0.95).tolist(), weight, "REPLACE")
-        obj.dynamorph.firmness_group = group.name
+        setattr(obj.dynamorph, f"{of}_group", group.name)
     job = bake(obj)
     assert obj.dynamorph.targets[0].bounce == pytest.approx(3.5, rel=1e-4)  # of the body without paint
     shown = np.einsum("fk,kvc->fvc", job.outcome.bake.coordinates, job.outcome.bake.modes)
@@ -77,3 +78,13 @@ def test_the_chest_stays_as_it_was(motions):
 
 def test_a_new_map_changes_nothing(motions):
     np.testing.assert_array_equal(motions[0.5], motions[None])
+
+
+@pytest.mark.parametrize("weight", [0.5, 0.3, 0.05])
+def test_a_belly_stays_within_its_max_distance_and_the_chest_moves_as_it_did(addon, weight):
+    limit = 0.02
+    free, now = moved(None, limit), moved(weight, limit, "max_distance")
+    size = np.linalg.norm([0.6, 0.6, 2.0])
+    assert free[0] > 1.5 * weight * limit * size
+    assert now[0] < 1.5 * weight * limit * size
+    assert now[1] == pytest.approx(free[1], rel=0.1)
