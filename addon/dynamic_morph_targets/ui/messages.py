@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 
 import bpy
 
@@ -33,7 +33,8 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
     settings, skinning = obj.dynamorph, Skinning.of(obj)
     if engine.engine_problem():
         yield Problem(engine.engine_problem()), "ERROR"
-    for problem in checks.problems(skinning):
+    problems = list(checks.problems(skinning))
+    for problem in problems:
         yield problem, "ERROR"
     if not settings.targets and settings.follows:
         text: str = Message("'{name}' moves with '{body}'", name=obj.name, body=settings.follows.name)
@@ -42,7 +43,7 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
     for problem in body_checks.known(skinning):
         yield problem, "ERROR"
     if settings.targets:
-        for text in texts(obj):
+        for text in texts(obj, {problem.text for problem in problems}):
             yield Problem(text), "ERROR"
         for problem in checks.next_steps(obj):
             yield problem, "INFO"
@@ -66,8 +67,11 @@ def verdict(obj) -> judge.Verdict | None:
         return None
 
 
-def texts(obj) -> Iterator[str]:
-    """What is out of date, what stopped Live, and the warnings of the last build and bake."""
+def texts(obj, said: Set[str]) -> Iterator[str]:
+    """What is out of date, what stopped Live, and the warnings of the last build and bake.
+
+    said: the problems. What could not be compared because of one is not also out of date because of it.
+    """
     model, bake = obj.dynamorph.model, obj.dynamorph.bake
     if checks.outgrown(obj):
         yield checks.outgrown(obj)
@@ -75,7 +79,8 @@ def texts(obj) -> Iterator[str]:
         yield live.problem(obj)
     if comparison.is_plain(obj):
         yield "Plain skinning is shown: the soft skin stays hidden until you press Show Soft Skin or save"
-    reasons = list(dict.fromkeys((*staleness.model_age(obj), *staleness.outdated(obj))))
+    ages = dict.fromkeys((*staleness.model_age(obj), *staleness.outdated(obj)))
+    reasons = [reason for reason in ages if reason not in said]
     if reasons and not batch.running:  # while a job runs they are outdated themselves
         more = len(reasons) - MOST_REASONS
         text = "Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}"

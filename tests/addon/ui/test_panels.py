@@ -12,6 +12,7 @@ from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import properties
 from bl_ext.user_default.dynamic_morph_targets.ui.panels import sections
 from bl_ext.user_default.dynamic_morph_targets.ui.panels import status as panels_status
+from bl_ext.user_default.dynamic_morph_targets.write import storage
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from builders import activate, hand_made_bake, rig_of
 from layout import Layout, controls, drawn, region
@@ -70,6 +71,19 @@ def test_no_button_at_the_top_ever_moves(soft_arm, stand_in, panel):
         "Plain skinning is shown",
     ]
     assert all(buttons == BUTTONS for _, buttons in seen)
+
+
+def test_a_problem_is_not_also_why_the_model_is_out_of_date(soft_arm, stand_in):
+    bpy.ops.dynamorph.bake()
+    soft_arm.modifiers["Armature"].use_bone_envelopes = True
+    storage.show_stale(soft_arm)
+    problem = "'Arm' is skinned by bone envelopes"
+    assert soft_arm.dynamorph.model.stale.startswith(problem)
+    said = " ".join(drawn(soft_arm))
+    assert said.count(problem) == 1 and "Out of date" not in said
+    soft_arm.dynamorph.model.modes = 5
+    said = " ".join(drawn(soft_arm))
+    assert said.count(problem) == 1 and "Out of date: Detail (Modes) changed" in said
 
 
 def test_the_row_below_the_buttons_says_what_is_next(soft_arm, stand_in, monkeypatch):
