@@ -29,6 +29,7 @@ _WORK, PART = sys.argv[sys.argv.index("--") + 1 :]  # the part is the name of th
 WORK = Path(_WORK)
 ROW = 16  # less than a button's height: none is missed
 HEADER = 24  # pixels, nearly: from one closed section's header to the next
+SLIDE = 0.35  # seconds: a section slides open or shut for 0.3, and with it all below
 ASIDE = 90  # pixels from the left: a header, and of a list neither the button nor the handle at its bottom
 END = 500  # no buttons for so many pixels: there are none below
 AROUND = 350  # pixels: where of a button that which it opens is looked for
@@ -432,7 +433,7 @@ class Region:
     def _click_header(self, header):
         yield from move(header)
         yield from tap("LEFTMOUSE", header)
-        yield 0.1
+        yield SLIDE
 
     def enter(self, wanted: str, text: str):
         """Type a number into a field."""
