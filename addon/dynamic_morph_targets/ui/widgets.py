@@ -16,6 +16,7 @@ FRAME = 76  # pixels at a UI scale of 1 beside a text: the sidebar's tabs, margi
 CHARACTER = 6.2  # such pixels that a character takes in a line of many wide ones
 SHORTEST = 16  # characters of a line, even where fewer fit
 DEFAULT = 280  # such pixels: the sidebar's width
+ROOM = 28  # characters of a line from which on a region is not narrow
 BUTTON = 10  # characters that make room for a button
 
 
@@ -40,6 +41,26 @@ def draw_message(layout, text: str, icon="ERROR", width: int | None = None):
     column = layout.column(align=True)
     for i, line in enumerate(textwrap.wrap(translated(text, iface_), width or line_length())):
         column.label(text=line, icon="BLANK1" if i else icon, translate=False)
+
+
+def is_narrow() -> bool:
+    """Whether the region has no room for icons in a row of two buttons, nor for names beside fields."""
+    return line_length() < ROOM
+
+
+def pair(layout):
+    """Where to put two buttons: beside each other, if there is room."""
+    return layout.column(align=True) if is_narrow() else layout.row(align=True)
+
+
+def draw_setting(layout, owner, name: str):
+    """A property. Blender cuts off the name of a list where there is little room, so there it is above."""
+    prop = owner.bl_rna.properties[name]
+    if is_narrow() and prop.type in ("ENUM", "POINTER"):
+        layout.label(text=prop.name, text_ctxt=prop.translation_context)
+        layout.prop(owner, name, text="")
+    else:
+        layout.prop(owner, name)
 
 
 def line_length() -> int:

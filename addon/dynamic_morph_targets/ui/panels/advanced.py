@@ -8,7 +8,7 @@ from __future__ import annotations
 from bpy.types import UIList
 
 from ...run import batch, expected_error, preview
-from ..widgets import draw_message
+from ..widgets import draw_message, draw_setting, pair
 
 
 class DYNAMORPH_UL_modes(UIList):
@@ -26,7 +26,7 @@ def draw_cage(layout, context, obj):
     column = layout.column()
     column.enabled = batch.running is None
     column.prop(model, "cage_nodes")
-    column.prop(model, "cage_object")
+    draw_setting(column, model, "cage_object")
     layout.operator("dynamorph.build_cage", icon="MESH_ICOSPHERE")
     shown = layout.row()
     shown.enabled = bool(model.cage)
@@ -42,7 +42,7 @@ def draw_detail(layout, _context, obj):
     column.prop(model, "modes")
     if obj.dynamorph.output.format == "MODES":
         column.prop(obj.dynamorph.output, "keys")
-    column.prop(model, "method")
+    draw_setting(column, model, "method")
     layout.operator("dynamorph.check_targets", icon="CHECKMARK")
     for line in filter(None, obj.dynamorph.live.checks.split("\n")):
         draw_message(layout, line, icon="DOT")
@@ -59,7 +59,7 @@ def has_modes(obj) -> bool:
 def draw_modes(layout, _context, obj):
     settings = obj.dynamorph
     layout.template_list("DYNAMORPH_UL_modes", "", settings, "modes", settings, "active_mode_index", rows=4)
-    row = layout.row(align=True)
+    row = pair(layout)
     playing = preview.is_running("dynamorph.play_mode")
     row.operator("dynamorph.play_mode", icon="PAUSE" if playing else "PLAY", depress=playing)
     row.operator("dynamorph.reset_gains", icon="LOOP_BACK")
@@ -68,7 +68,7 @@ def draw_modes(layout, _context, obj):
 def draw_solver(layout, _context, obj):
     layout.enabled = batch.running is None
     for name in ("substeps", "samples", "gravity", "fields", "initial_state"):
-        layout.prop(obj.dynamorph.simulation, name)
+        draw_setting(layout, obj.dynamorph.simulation, name)
 
 
 def draw_rare(layout, _context, obj):
@@ -76,17 +76,17 @@ def draw_rare(layout, _context, obj):
     model, simulation = obj.dynamorph.model, obj.dynamorph.simulation
     layout.enabled = batch.running is None
     column = layout.column()
-    column.prop(model, "hold")
+    draw_setting(column, model, "hold")
     pinning = column.row()
     pinning.active = model.hold == "BONES"
     pinning.prop(model, "pin_radius")
     column = layout.column()
-    column.prop(model, "basis")
+    draw_setting(column, model, "basis")
     fitting = column.row()
     fitting.active = model.basis == "MODES"
     fitting.prop(model, "fit_to_shot")
     for name in ("material_model", "blending"):
-        column.prop(model, name)
+        draw_setting(column, model, name)
     column = layout.column()
     for name in ("max_thickness", "integrator"):
-        column.prop(simulation, name)
+        draw_setting(column, simulation, name)

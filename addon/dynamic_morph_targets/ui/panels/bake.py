@@ -12,7 +12,7 @@ from ...write.bake import influence as bake_influence
 from ...write.display import comparison
 from ..messages import verdict
 from ..operators.compare import draw_compare_beside
-from ..widgets import draw_message
+from ..widgets import draw_message, draw_setting, pair
 
 
 def draw_trying(layout, _context, obj):
@@ -96,7 +96,7 @@ def draw_bake(layout, _context, obj):
     settings = obj.dynamorph
     simulation, output = settings.simulation, settings.output
     layout.enabled = batch.running is None
-    layout.prop(settings.model, "solver")
+    draw_setting(layout, settings.model, "solver")
     layout.prop(simulation, "max_displacement")
     layout.prop(simulation, "use_scene_range")
     if not simulation.use_scene_range:
@@ -104,7 +104,7 @@ def draw_bake(layout, _context, obj):
         for name in ("frame_start", "frame_end", "keep_outside"):
             column.prop(simulation, name)
     layout.prop(simulation, "loop")
-    layout.prop(output, "format")
+    draw_setting(layout, output, "format")
     if output.format == "FRAMES":
         column = layout.column(align=True)
         column.prop(output, "tolerance")
@@ -127,7 +127,7 @@ def draw_export(layout, _context, obj):
 
 def draw_setup(layout, _context, _obj):
     """Setups as files, and copies for other meshes."""
-    layout.operator("dynamorph.copy_to_selected", icon="COPYDOWN")
-    row = layout.row(align=True)
+    layout.operator("dynamorph.copy_to_selected", text="Copy to Selected", icon="COPYDOWN")
+    row = pair(layout)
     row.operator("dynamorph.save_setup", icon="EXPORT")
     row.operator("dynamorph.load_setup", icon="IMPORT")

@@ -16,7 +16,7 @@ from ...run import batch, preview
 from ...scene import skin
 from ...scene.registration import of_classes
 from ..operators.presets import DYNAMORPH_PT_material_presets, DYNAMORPH_PT_setup_presets, PresetList
-from ..widgets import draw_message, progress_text
+from ..widgets import draw_message, is_narrow, progress_text
 from .advanced import DYNAMORPH_UL_modes, draw_cage, draw_detail, draw_modes, draw_rare, draw_solver, has_modes
 from .attachments import DYNAMORPH_UL_attachments, attachments_title, draw_attachments
 from .bake import draw_bake, draw_details, draw_export, draw_result, draw_setup, draw_trying, is_baked
@@ -59,7 +59,7 @@ class SoftSkinPanel:
             self.section.presets.draw_panel_header(self.layout)
 
     def draw(self, context):
-        self.layout.use_property_split = True
+        self.layout.use_property_split = not is_narrow()
         self.layout.use_property_decorate = False
         self.section.draw(self.layout, context, skin.mesh_in(context))
 

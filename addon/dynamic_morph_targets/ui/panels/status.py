@@ -12,9 +12,7 @@ from ...scene import checks, skin, staleness
 from ...scene.skinning import Skinning
 from ...write.display import comparison
 from .. import messages
-from ..widgets import draw_problem, line_length, progress_text
-
-ROOM = 28  # characters of a line with which the widest button of the pair has room for an icon too
+from ..widgets import draw_problem, is_narrow, progress_text
 
 
 def draw_top(layout, context, obj):
@@ -27,13 +25,12 @@ def draw_top(layout, context, obj):
         return
     playing = live.is_on(obj)
     buttons = layout.column(align=True)
-    has_room = line_length() >= ROOM
     row = buttons.row(align=True)
     row.operator("dynamorph.live", text="Live", icon="PAUSE" if playing else "PLAY", depress=playing)
-    row.operator("dynamorph.build", icon="MOD_LATTICE" if has_room else "NONE")
+    row.operator("dynamorph.build", icon="NONE" if is_narrow() else "MOD_LATTICE")
     row = buttons.row(align=True)
     row.operator("dynamorph.bake", text="Bake", icon="REC")
-    row.operator("dynamorph.delete_bake", icon="TRASH" if has_room else "NONE")
+    row.operator("dynamorph.delete_bake", icon="NONE" if is_narrow() else "TRASH")
     hint = "" if batch.running else next_step(obj)
     layout.label(text=hint, icon="LIGHT" if hint else "NONE")
 
