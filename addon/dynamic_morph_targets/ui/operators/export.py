@@ -59,12 +59,12 @@ class DYNAMORPH_OT_export_check(BakedOperator, Operator):
 
     def apply(self, obj):
         lost = list(losses.losses(obj, self.format))
-        for text in lost:
-            self.report({"WARNING"}, translated(text, rpt_))
         label = exports.FORMATS[self.format].label
         if not lost:
             self.report({"INFO"}, rpt_("{format} will show everything of '{name}'").format(format=label, name=obj.name))
-        elif not bpy.app.background:  # the status bar shows the last alone
+        elif bpy.app.background:
+            self.warn(lost)
+        else:  # the status bar would show the last alone
             window = bpy.context.window_manager
             window.popup_menu(lambda menu, _: draw_losses(menu.layout, lost, LINE), title=label, icon="ERROR")
 
