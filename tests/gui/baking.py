@@ -89,6 +89,7 @@ def out_of_date():
     yield from sidebar.enter("targets[1].stiffness", str(round(2.0 * settings().targets[1].stiffness)))
     assert addon("scene.staleness").outdated(skin()) == ['Stiffness of "flexed" changed']
     yield from sidebar.fold("DYNAMORPH_PT_material")
+    yield from sidebar.fold("DYNAMORPH_PT_details")  # which would leave no room for the message
 
 
 @step("Bake All")

@@ -28,7 +28,7 @@ import numpy as np
 _WORK, PART = sys.argv[sys.argv.index("--") + 1 :]  # the part is the name of the module with its steps
 WORK = Path(_WORK)
 ROW = 16  # less than a button's height: none is missed
-HEADER = 24  # pixels, nearly: from one closed section's header to the next
+HEADER = 26  # pixels: from one closed section's header to the next
 SLIDE = 0.35  # seconds: a section slides open or shut for 0.3, and with it all below
 ASIDE = 90  # pixels from the left: a header, and of a list neither the button nor the handle at its bottom
 END = 500  # no buttons for so many pixels: there are none below
