@@ -33,8 +33,8 @@ def body():
 def held():
     """How firmly each node is held, and the nodes."""
     mesh, nodes, surface = body()
-    zeros = np.zeros(len(nodes))
-    found = hold.hold(mesh, hold.depths(mesh, nodes, surface), zeros, zeros + 0.5, np.ones(len(mesh.tets)))
+    zeros, bones = np.zeros(len(nodes)), np.ones((len(nodes), 1))
+    found = hold.hold(mesh, hold.depths(mesh, bones, nodes, surface), zeros, zeros + 0.5, np.ones(len(mesh.tets)))
     return found, nodes
 
 
@@ -52,9 +52,23 @@ def test_the_thickness_that_is_lent_falls_off_with_the_distance(held):
     mesh, nodes, surface = body()
     own = dynamorph.Thickness(nodes, surface).at(nodes)[0][mesh.tets] @ hold.QUADRATURE.T
     x = nodes[mesh.tets, 0] @ hold.QUADRATURE.T
-    lent = hold.with_neighbors(mesh, own)
+    bones = np.ones((len(nodes), 1))
+    lent = hold.with_lent(mesh, bones, own)
     assert (lent >= own).all()
-    assert (lent <= hold.BESIDE[1] * own).all()
+    assert (lent <= hold.LENT * own).all()
     far, near = x < -2.6, (x < -HALF - 0.2) & (x > -HALF - 0.4)
     assert lent[far].max() == own[far].max()  # that of the rod
     assert np.median(lent[near] / own[near]) > 1.5
+
+
+def test_no_thickness_is_lent_to_what_another_bone_moves():
+    """An arm, and half of it on the border."""
+    mesh, nodes, surface = body()
+    own = dynamorph.Thickness(nodes, surface).at(nodes)[0][mesh.tets] @ hold.QUADRATURE.T
+    arm = np.clip((-HALF - nodes[:, 0]) / 0.1, 0.0, 1.0)
+    one, two = (hold.with_lent(mesh, bones, own) for bones in (np.ones((len(nodes), 1)), np.stack([arm, 1 - arm], 1)))
+    x = nodes[mesh.tets, 0] @ hold.QUADRATURE.T
+    beyond = x < -HALF - 0.2
+    assert (two <= one).all()
+    assert np.median(two[beyond] / own[beyond]) < 1.1
+    np.testing.assert_array_equal(two[x > HALF], one[x > HALF])  # the bump

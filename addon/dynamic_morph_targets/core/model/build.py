@@ -199,11 +199,11 @@ def repainted(model: Model, character: Character) -> Model:
     """
     mesh = dynamorph.TetMesh(model.nodes, model.tets)
     embedding = dynamorph.Embedding(model.embedding_nodes, model.embedding_weights)
-    weights, rigidity = cage.painted(character, mesh, embedding)
-    hold = cage.held_by_thickness(character, mesh, weights, rigidity, model.fill)
+    inherited = cage.inherit(character, mesh, embedding)
+    hold = cage.held_by_thickness(character, mesh, inherited, model.fill)
     model = replace(
         model,
-        stiffness=hold.stiffness * _factor(weights, mesh.tets),
+        stiffness=hold.stiffness * _factor(inherited.firmness, mesh.tets),
         hold_strength=hold.strength,
         hold=hold.phi,
         unpainted_stiffness=hold.stiffness,

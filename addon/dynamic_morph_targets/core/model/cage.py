@@ -70,7 +70,7 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
         mesh, embedding = _together(character.cage_index, list(contents), cages)
         embedding = _alike(embedding, character.coincident)
         fill = np.concatenate([cage.fill for cage in cages])
-        inherited = _inherited(character, mesh, embedding)
+        inherited = inherit(character, mesh, embedding)
         if character.settings.hold == "BONES":
             painted = (inherited.firmness - paint.NEUTRAL) / (1.0 - paint.NEUTRAL)
             firm = np.maximum(inherited.rigidity, painted)
@@ -79,7 +79,7 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
             of_thickness = None
         else:
             pinned, warned = np.zeros(len(mesh.nodes), bool), []
-            of_thickness = held_by_thickness(character, mesh, inherited.firmness, inherited.rigidity, fill)
+            of_thickness = held_by_thickness(character, mesh, inherited, fill)
     glued = {name: sum(cage.glued[name] for cage in cages) for name in cages[0].glued}
     warnings = (*(text for cage in cages for text in cage.warnings), *warned)
     summary = Summary(
@@ -101,19 +101,17 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
 _depths: dict[bytes, Depths] = {}  # of the last bodies, by what they follow from: a stroke of paint changes none
 
 
-def held_by_thickness(
-    character: Character, mesh: dynamorph.TetMesh, firmness: np.ndarray, rigidity: np.ndarray, fill: np.ndarray
-) -> Hold:
-    """The hold of a character's cage. firmness, rigidity (n,): at the nodes; fill (m,)."""
+def held_by_thickness(character: Character, mesh: dynamorph.TetMesh, inherited: Inherited, fill: np.ndarray) -> Hold:
+    """The hold of a character's cage. fill (m,)."""
     surface = (character.vertices @ character.to_bind.T)[character.coincident]
     triangles = character.triangles[(character.cage_index[character.triangles] >= 0).all(axis=1)]
-    made_from = (mesh.nodes, mesh.tets, surface, triangles)
+    made_from = (mesh.nodes, mesh.tets, inherited.weights, surface, triangles)
     key = b"".join(hashlib.sha256(array.tobytes()).digest() for array in made_from)
     if key not in _depths:
         while len(_depths) >= KEPT:
             del _depths[next(iter(_depths))]
-        _depths[key] = depths(mesh, surface, triangles)
-    return hold(mesh, _depths[key], rigidity, firmness, fill)
+        _depths[key] = depths(mesh, inherited.weights, surface, triangles)
+    return hold(mesh, _depths[key], inherited.rigidity, inherited.firmness, fill)
 
 
 # Cages: of the body, and of attachments that have their own -----------------------------------------------------------
@@ -265,15 +263,7 @@ def _whole(mesh: dynamorph.TetMesh) -> dynamorph.TetMesh:
 # What the cage inherits from the skin --------------------------------------------------------------------------------
 
 
-def painted(
-    character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.Embedding
-) -> tuple[np.ndarray, np.ndarray]:
-    """The weights of the Firmness map and the rigidity at the nodes (n,)."""
-    firmness, _, rigidity, _ = _inherited(character, mesh, embedding)
-    return firmness, rigidity
-
-
-class _Inherited(NamedTuple):
+class Inherited(NamedTuple):
     """What the cage inherits from the skin: firmness (n,) of the Firmness map, weights (n, B + 1) of the bones,
     rigidity (n,), region_weights (m, S) of the tets.
     """
@@ -284,7 +274,8 @@ class _Inherited(NamedTuple):
     region_weights: np.ndarray
 
 
-def _inherited(character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.Embedding) -> _Inherited:
+def inherit(character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.Embedding) -> Inherited:
+    """Values at the skin's points, extended to the cage around them."""
     # Exactly neutral where nothing is painted, and never beyond what is.
     painted = character.firmness - paint.NEUTRAL
     parts = [target_set.region_weights for target_set in character.target_sets]
@@ -296,7 +287,7 @@ def _inherited(character: Character, mesh: dynamorph.TetMesh, embedding: dynamor
     region_weights = region_weights[mesh.tets].mean(axis=1)
     weights /= weights.sum(axis=1, keepdims=True)
     region_weights /= region_weights.sum(axis=1, keepdims=True)
-    return _Inherited(firmness, weights, rigidity[:, 0].clip(max=1.0), region_weights)
+    return Inherited(firmness, weights, rigidity[:, 0].clip(max=1.0), region_weights)
 
 
 class Stages:

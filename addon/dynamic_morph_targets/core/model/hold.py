@@ -24,7 +24,10 @@ from ..geometry import determinant, smooth_step
 FIRMNESS = 100.0  # of fully held tissue, which then moves like tissue of a tenth of its thickness
 CORE = 0.35, 0.65  # depth over thickness where the hold of the core begins, and where it is full
 THIN = 0.3, 0.55  # thickness relative to the body's below which a part is fully held, and above which it is not held
-BESIDE = 0.5, 1.8  # of the distance from thicker tissue, by which its thickness fades; largest factor it adds
+# Thickness lent to thin tissue: how it fades with the distance from thick tissue, and with the change of the bones, of
+# the body's thickness; the largest factor; thickness relative to the body's below which none is lent, and from which
+# all of it.
+FADES, BONES, LENT, BORROWS = 0.5, 1.0, 1.8, (0.12, 0.25)
 STIFFER = 0.9, 20.0  # fraction of the body's thickness below which tissue is stiffer, and the largest factor
 THICKEST = 0.98  # quantile of the thickness over the soft volume that counts as the body's
 # Quadrature points of a tetrahedron, as weights of its corners; each represents a quarter of it.
@@ -59,33 +62,36 @@ class Depths:
     at_skin: np.ndarray
 
 
-def depths(mesh: dynamorph.TetMesh, surface: np.ndarray, triangles: np.ndarray) -> Depths:
-    """surface (V, 3): the skin, bind space; triangles (T, 3): those that enclose the body."""
+def depths(mesh: dynamorph.TetMesh, weights: np.ndarray, surface: np.ndarray, triangles: np.ndarray) -> Depths:
+    """weights (n, B): skin weights of the bones at the nodes; surface (V, 3): the skin, bind space; triangles (T, 3):
+    those that enclose the body.
+    """
     thickness = dynamorph.Thickness(surface, triangles)
     points = np.einsum("qa,eac->eqc", QUADRATURE, mesh.nodes[mesh.tets])
     radius, depth = (part.reshape(-1, len(QUADRATURE)) for part in thickness.at(points.reshape(-1, 3)))
-    return Depths(with_neighbors(mesh, radius), depth, thickness.at(surface)[0])
+    return Depths(with_lent(mesh, weights, radius), depth, thickness.at(surface)[0])
 
 
-def with_neighbors(mesh: dynamorph.TetMesh, radius: np.ndarray) -> np.ndarray:
-    """The thickness (m, 4) at the quadrature points, of thin tissue beside thick one with something of that: a breast
-    is not held like a finger, which is as thin, but far from the trunk. Distances are in the tissue, along edges.
+def with_lent(mesh: dynamorph.TetMesh, weights: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """The thickness (m, 4) at the quadrature points, and what thick tissue lends to thin one beside it on the same
+    bones: a breast or an udder is not held like a finger, which is as thin, but far from the trunk, nor like an arm,
+    which has a bone of its own. Along the edges of the tets.
     """
-    fades, most = BESIDE
     ends = np.unique(np.sort(mesh.tets[:, PAIRS].reshape(-1, 2), axis=1), axis=0)
     ends = np.concatenate([ends, ends[:, ::-1]])
-    ends = ends[np.argsort(ends[:, 0], kind="stable")]
-    lengths = np.linalg.norm(mesh.nodes[ends[:, 0]] - mesh.nodes[ends[:, 1]], axis=1)
-    nodes, starts = np.unique(ends[:, 0], return_index=True)
-    beside = np.zeros(len(mesh.nodes))
-    np.maximum.at(beside, mesh.tets, radius)
+    first, second = ends[np.argsort(ends[:, 0], kind="stable")].T
+    changed = 0.5 * np.abs(weights[first] - weights[second]).sum(axis=1)
+    fades = FADES * np.linalg.norm(mesh.nodes[first] - mesh.nodes[second], axis=1) + BONES * radius.max() * changed
+    nodes, starts = np.unique(first, return_index=True)
+    lent = np.zeros(len(mesh.nodes))
+    np.maximum.at(lent, mesh.tets, radius)
     while True:
-        raised = beside.copy()
-        raised[nodes] = np.maximum(beside[nodes], np.maximum.reduceat(beside[ends[:, 1]] - fades * lengths, starts))
-        if np.array_equal(raised, beside):
+        raised = np.maximum(lent[nodes], np.maximum.reduceat(lent[second] - fades, starts))
+        if np.array_equal(raised, lent[nodes]):
             break
-        beside = raised
-    return np.clip(beside[mesh.tets] @ QUADRATURE.T, radius, most * radius)
+        lent[nodes] = raised
+    most = 1.0 + (LENT - 1.0) * smooth_step(radius / radius.max(), *BORROWS)
+    return np.clip(lent[mesh.tets] @ QUADRATURE.T, radius, most * radius)
 
 
 def hold(mesh: dynamorph.TetMesh, at: Depths, rigidity: np.ndarray, firmness: np.ndarray, fill: np.ndarray) -> Hold:
