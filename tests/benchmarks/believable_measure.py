@@ -236,12 +236,13 @@ class Skin:
     @classmethod
     def of(cls, soft: Sequence) -> Skin:
         surfaces = [(rest(obj), triangles_of(obj)) for obj in soft]
-        points = np.concatenate([points for points, _ in surfaces])
-        before = np.cumsum([0] + [len(points) for points, _ in surfaces])
-        triangles = np.concatenate([outward(*each) + first for each, first in zip(surfaces, before, strict=False)])
-        size = diagonal(points[np.unique(triangles)])
+        size = diagonal(np.concatenate([points[np.unique(triangles)] for points, triangles in surfaces]))
+        random = np.random.default_rng(0)
         return cls(
-            points, vertex_areas(points, triangles), thickness(points, triangles, size, np.random.default_rng(0)), size
+            np.concatenate([points for points, _ in surfaces]),
+            np.concatenate([vertex_areas(*surface) for surface in surfaces]),
+            np.concatenate([thickness(*surface, size, random) for surface in surfaces]),
+            size,
         )
 
     @cached_property
@@ -259,15 +260,11 @@ class Skin:
         return float(np.sqrt((areas * values[where] ** 2).sum() / max(areas.sum(), 1e-30)))
 
 
-def outward(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """The triangles (T, 3), turned over if their normals point inward."""
-    away = points[triangles[:, 0]] - points.mean(axis=0)
-    return triangles if np.einsum("ij,ij->", away, normals_of(points, triangles)) >= 0 else triangles[:, ::-1]
-
-
 def thickness(points: np.ndarray, triangles: np.ndarray, size: float, random: np.random.Generator) -> np.ndarray:
     """Median length (V,) of rays inward to the surface behind; NaN where there is none, and at all but PROBES."""
     normals = normals_of(points, triangles)
+    if np.einsum("ij,ij->", points[triangles[:, 0]] - points.mean(axis=0), normals) < 0:  # they point inward
+        normals = -normals
     inward = np.zeros_like(points)
     np.add.at(inward, triangles.ravel(), -np.repeat(normals, 3, axis=0))
     inward, normals = normalized(inward), normalized(normals)

@@ -27,7 +27,7 @@ THIN = 0.3, 0.55  # thickness relative to the body's below which a part is fully
 # Thickness lent to thin tissue: how it fades with the distance from thick tissue, and with the change of the bones, of
 # the body's thickness; the largest factor; thickness relative to the body's below which none is lent, and from which
 # all of it.
-FADES, BONES, LENT, BORROWS = 0.5, 1.0, 1.8, (0.12, 0.25)
+FADES, BONES, LENT, BORROWS = 0.5, 1.5, 1.2, (0.25, 0.4)
 STIFFER = 0.9, 20.0  # fraction of the body's thickness below which tissue is stiffer, and the largest factor
 THICKEST = 0.98  # quantile of the thickness over the soft volume that counts as the body's
 # Quadrature points of a tetrahedron, as weights of its corners; each represents a quarter of it.
