@@ -188,10 +188,10 @@ def _remove(obj, names):
             obj.vertex_groups.remove(obj.vertex_groups[name])
 
 
-def write_group(group, weights: np.ndarray, absent: float = 0.0):
-    """Give a vertex group the weights (V,), without vertices whose weight is `absent`."""
+def write_group(group, weights: np.ndarray, members: np.ndarray | None = None):
+    """Give a vertex group the weights (V,) of its members (V,), by default of all vertices where they are not 0."""
     group.remove(range(len(weights)))
-    for vertex in np.flatnonzero(weights != absent).tolist():
+    for vertex in np.flatnonzero(weights if members is None else members).tolist():
         group.add([vertex], weights[vertex], "REPLACE")
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...core.character import SurfaceMap
 from ...core.errors import SceneError
 from ...core.geometry import determinant, diagonal, inverse
 from ...core.painted_map import MAPS
@@ -26,13 +27,12 @@ from . import regions, setups, targets
 @dataclass(frozen=True)
 class Copy:
     """What one mesh of V vertices gets from another. shapes: displacements (V, 3) in its local space by the name of
-    their shape key; weights (V,) by the name of their vertex group, and absent: what counts where that has none;
-    distance: its largest distance from the source's surface, in meters.
+    their shape key; weights (V,), and which vertices (V,) have some, by the name of their vertex group; distance: its
+    largest distance from the source's surface, in meters.
     """
 
     shapes: dict[str, np.ndarray]
-    weights: dict[str, np.ndarray]
-    absent: dict[str, float]
+    weights: dict[str, tuple[np.ndarray, np.ndarray]]
     distance: float
 
 
@@ -85,8 +85,7 @@ def copy(source, obj) -> Copy:
             target.name: found.carry(mesh_data.target_shape(source, target.name, groups)) @ to_local.T
             for target in source.dynamorph.targets[1:]
         },
-        {name: found.carry(groups.weights([name], value)[:, 0]) for name, value in absent.items()},
-        absent,
+        {name: _carried(found, groups, name, value) for name, value in absent.items()},
         float(found.distances.max()),
     )
 
@@ -100,11 +99,17 @@ def write(obj, made: Copy, overwrite: bool):
             targets.new_key(obj, name, shape)
         elif overwrite:
             targets.sculpt_anew(block, shape)
-    for name, weights in made.weights.items():
+    for name, (weights, members) in made.weights.items():
         if overwrite or name not in obj.vertex_groups:
             group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
-            regions.write_group(group, weights, made.absent[name])
+            regions.write_group(group, weights, members)
     obj.data.update_tag()
+
+
+def _carried(found: SurfaceMap, groups, name: str, absent: float) -> tuple[np.ndarray, np.ndarray]:
+    """The weights (V,) of a group at the other mesh, and its members there; absent: what counts where it has none."""
+    weights, members = groups.weights([name], absent)[:, 0], groups.weights([name], -1.0)[:, 0] >= 0.0
+    return found.carry(weights), found.carry(members.astype(float)) > 0.0
 
 
 def size(obj) -> float:
