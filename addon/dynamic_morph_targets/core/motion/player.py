@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import chain, islice
 
 import numpy as np
@@ -56,7 +55,8 @@ class Player:
 
     keep_going() -> bool is asked at every frame, for an unreduced model at every iteration; False raises
     dynamorph.Cancelled. number: the current frame; passes: how often the motion has begun again. amounts:
-    applied by `shown`. engine: model.engine(character), if it exists already; afterward None for static targets.
+    applied by `shown`; skin: what the coordinates move. engine: model.engine(character), if it exists already;
+    afterward None for static targets.
     """
 
     def __init__(
@@ -83,6 +83,7 @@ class Player:
             self._simulation = self._stepper(self.engine)
             self._simulation.set_limit(motion_limit(model, self.engine, self.character, settings))
         self.posing = Posing(model, self.character, self.probed)
+        self.skin = ShownSkin(model, self.character)
         self.amounts = Amounts(model, self.character, self._shapes, settings)
 
     @property
@@ -102,11 +103,6 @@ class Player:
     @past.setter
     def past(self, coordinates: np.ndarray) -> None:
         self.state = list(coordinates), *self.state[1:]
-
-    @cached_property
-    def skin(self) -> ShownSkin:
-        """The skin to show."""
-        return ShownSkin(self.model, self.character)
 
     @property
     def probed(self) -> bool:
