@@ -156,9 +156,10 @@ Embedding of_points(const Embedding& all, const std::vector<int>& chosen) {
   return {all.nodes(chosen, Eigen::all), all.weights(chosen, Eigen::all), VectorXd::Zero(Index(chosen.size()))};
 }
 
-/// The edges that the loads of a bone stretch most.
+/// The edges of a bone.
 struct CriticalEdges {
-  std::set<int> edges;  ///< places in skin.edges
+  std::set<int> edges;       ///< that its loads stretch most: places in skin.edges
+  std::vector<int> between;  ///< that are pulled back too
   /// Twice that of the static answer in which they reach their limit, the least of the loads.
   double energy = kInfinity;
 };
@@ -362,8 +363,8 @@ struct Tissue {
   std::vector<CriticalEdges> edges;  ///< of each bone (G)
 };
 
-/// Adds edges that loads strain, far from those that are there: between few edges that are held, others would give way.
-/// strain, bone (of all edges): by which bone's load, and how much.
+/// Finds edges that loads strain, far from those that are there: between few edges that are held, others would give
+/// way. strain, bone (of all edges): by which bone's load, and how much.
 void add_between(const Points& rest, const std::vector<double>& strain, const std::vector<int>& bone, Tissue& tissue) {
   const std::vector<Edge>& edges = tissue.skin.edges;
   Points middles(Index(edges.size()), 3);
@@ -379,7 +380,7 @@ void add_between(const Points& rest, const std::vector<double>& strain, const st
   for (int k = 0; k < kEdgesBetween; ++k) {
     Index best = 0;
     if (edges.empty() || !(square.cwiseProduct(nearest).maxCoeff(&best) > 0)) return;
-    tissue.edges[std::size_t(bone[std::size_t(best)])].edges.insert(int(best));
+    tissue.edges[std::size_t(bone[std::size_t(best)])].between.push_back(int(best));
     take(int(best));
   }
 }
@@ -487,15 +488,18 @@ std::vector<Pull> pulls_of(const Tissue& tissue, const SkinLimits& limits, const
     }
   }
   std::vector<int> ends;
-  for (const CriticalEdges& critical : tissue.edges)
-    for (int e : critical.edges) {
+  for (const CriticalEdges& critical : tissue.edges) {
+    std::vector<int> pulled(critical.edges.begin(), critical.edges.end());
+    pulled.insert(pulled.end(), critical.between.begin(), critical.between.end());
+    for (int e : pulled) {
       const Edge& edge = tissue.skin.edges[std::size_t(e)];
       const int first = int(points.nodes.rows() + Index(ends.size()));
       out.push_back(
-          {numbers.size(), 1, kPulledStretch / kStretch, kEdgePull * critical.energy / double(critical.edges.size())});
+          {numbers.size(), 1, kPulledStretch / kStretch, kEdgePull * critical.energy / double(pulled.size())});
       add_stretch(limits, edge, first, first + 1, numbers);
       ends.insert(ends.end(), {edge.first, edge.second});
     }
+  }
   append(of_points(limits.embedding, ends), points);
   return out;
 }
