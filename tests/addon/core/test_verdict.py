@@ -56,6 +56,7 @@ def test_a_verdict_is_read(addon):
         "Stretch": "0.70 to 1.20", "Flicker": "38%",
         "Largest Load": "20.3 of limit", "Between Frames": "125% of limit",
     }  # fmt: skip
+    assert FAR.figures.keys() - Verdict().figures.keys() == {"Largest Load", "Between Frames"}  # of no limits
     assert FAR.factor == pytest.approx((0.08 / 0.05) ** 0.75)
 
 

@@ -145,16 +145,18 @@ class Verdict:
     def figures(self) -> dict[str, str]:
         """What was measured, by name, as the panel shows it."""
         low, high = self.stretch
-        return {
+        figures = {
             "Displacement": f"{self.displacement:.1%} of size",
             "Of Thickness": f"{self.over_thickness:.2f}",
             "Inverted Volume": f"{self.inverted:.2%}",
             "Flipped Skin": f"{self.flipped:.2%}",
             "Stretch": f"{low:.2f} to {high:.2f}",
             "Flicker": f"{(1.0 + self.flicker) / 2.0:.0%}",  # 0 % a slow swing, 100 % up and down at every other frame
-            "Largest Load": f"{self.held.excess:.1f} of limit",
-            "Between Frames": f"{self.held.reached:.0%} of limit",
         }
+        if self.limits != Limits():
+            figures["Largest Load"] = f"{self.held.excess:.1f} of limit"
+            figures["Between Frames"] = f"{self.held.reached:.0%} of limit"
+        return figures
 
     @property
     def record(self) -> str:
