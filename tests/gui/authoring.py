@@ -135,6 +135,29 @@ def firmer():
     yield from sidebar.fold("DYNAMORPH_PT_firmness")
 
 
+@step("A map of how far the skin may move")
+def max_distance():
+    yield from sidebar.unfold("DYNAMORPH_PT_max_distance")
+    yield from sidebar.look_into("dynamorph.max_distance_group")
+    yield from sidebar.press("dynamorph.paint_max_distance")
+    yield from until(lambda: skin().mode == "WEIGHT_PAINT", "Weight Paint")
+    yield from stroke(0.0, 0.56, 0.58)
+    group = settings().max_distance_group
+    painted = addon("scene.mesh_data").group_weights(skin(), [group])[:, 0]
+    assert painted.min() < 0.5 and painted.max() == 1.0, "the stroke painted nothing"
+    yield from sidebar.press("dynamorph.paint_max_distance")
+    yield from until(lambda: skin().mode == "OBJECT", "Object Mode")
+    before = driver.pixels(viewport.box)
+    yield from sidebar.press("dynamorph.max_distance")
+    yield from driver.drawn()
+    assert differing(before) > 0.01, "the viewport shows no map"
+    yield from sidebar.press("dynamorph.max_distance")
+    skin().vertex_groups.remove(skin().vertex_groups[group])
+    settings().max_distance_group = ""  # the next steps are about an arm without a map
+    yield from driver.drawn()
+    yield from sidebar.fold("DYNAMORPH_PT_max_distance")
+
+
 @step("Attachments: find another mesh, and remove it from the list")
 def attachments():
     cuff = add_a_cuff()  # not by hand
