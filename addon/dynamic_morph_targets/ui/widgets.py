@@ -16,6 +16,7 @@ FRAME = 76  # pixels at a UI scale of 1 beside a text: the sidebar's tabs, margi
 CHARACTER = 6.2  # such pixels that a character takes in a line of many wide ones
 SHORTEST = 16  # characters of a line, even where fewer fit
 DEFAULT = 280  # such pixels: the sidebar's width
+VALUE = 8  # characters that make room for a number in its field
 ROOM = 28  # characters of a line from which on a region is not narrow
 BUTTON = 10  # characters that make room for a button
 
@@ -54,10 +55,11 @@ def pair(layout):
 
 
 def draw_setting(layout, owner, name: str):
-    """A property. Blender cuts off the name of a list where there is little room, so there it is above."""
+    """A property. Where there is little room, Blender cuts off the names of lists and long ones: these are above."""
     prop = owner.bl_rna.properties[name]
-    if is_narrow() and prop.type in ("ENUM", "POINTER"):
-        layout.label(text=prop.name, text_ctxt=prop.translation_context)
+    label = iface_(prop.name, prop.translation_context)
+    if is_narrow() and (prop.type in ("ENUM", "POINTER") or len(label) + VALUE > line_length()):
+        layout.label(text=label, translate=False)
         layout.prop(owner, name, text="")
     else:
         layout.prop(owner, name)

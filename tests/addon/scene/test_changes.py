@@ -215,7 +215,7 @@ def test_an_edit_in_pose_mode_outdates_the_bake_at_once(baked, edit, monkeypatch
         bpy.context.view_layer.update()
         monkeypatch.setattr(events, "redraw", redrawn.append)
     assert redrawn == [events.PANELS]
-    assert "Arm: The bake is out of date" in drawn(rig)
+    assert "Arm: Bake out of date" in drawn(rig)
     assert 'animation of "Arm Rig" changed' in " ".join(drawn(rig))
 
 

@@ -247,7 +247,7 @@ def test_nothing_but_the_button_where_nothing_is_wrong(arm):
     shown = ["Not a soft skin yet", "dynamorph.add_soft_skin", "Nothing needs attention"]
     assert drawn(arm) == shown
     stone = drawn(make_mesh(bpy.context.scene, "Stone", *scenes.tube()))
-    assert stone[:2] == ["A problem: see Messages", "dynamorph.add_soft_skin"] and shown[2] not in stone
+    assert stone[:2] == ["See Messages", "dynamorph.add_soft_skin"] and shown[2] not in stone
 
 
 def added(capfd):
@@ -395,11 +395,11 @@ def test_a_mesh_with_other_vertices_is_built_again_and_loses_nothing(soft_arm, s
     bpy.ops.object.mode_set(mode="OBJECT")
     texts = drawn(soft_arm)
     assert f"'Arm' has {len(soft_arm.data.vertices)} vertices now, its model was built for 272." in " ".join(texts)
-    assert "The model is out of date" in texts and "dynamorph.build" in texts
+    assert "Model out of date" in texts and "dynamorph.build" in texts
     assert [target.name for target in soft_arm.dynamorph.targets] == ["Neutral", "flexed"]
     assert soft_arm.dynamorph.model.content_id
     OPS.build()
-    assert checks.outgrown(soft_arm) == "" and "The model is out of date" not in drawn(soft_arm)
+    assert checks.outgrown(soft_arm) == "" and "Model out of date" not in drawn(soft_arm)
 
 
 # The cage ----------------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
 from bl_ext.user_default.dynamic_morph_targets.run import job_data, live, preview
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import properties
+from bl_ext.user_default.dynamic_morph_targets.ui import widgets
 from bl_ext.user_default.dynamic_morph_targets.ui.panels import sections
 from bl_ext.user_default.dynamic_morph_targets.ui.panels import status as panels_status
 from bl_ext.user_default.dynamic_morph_targets.write import storage
@@ -35,7 +36,7 @@ def test_through_the_workflow(arm, stand_in):
     arm.dynamorph.model.modes = 5
     for panel in (SIDEBAR, PHYSICS):
         texts = drawn(arm, panel)
-        assert "The bake is out of date" in texts and "Out of date: Detail (Modes) changed" in " ".join(texts)
+        assert "Bake out of date" in texts and "Out of date: Detail (Modes) changed" in " ".join(texts)
 
 
 @pytest.mark.parametrize("panel", [SIDEBAR, PHYSICS])
@@ -44,7 +45,7 @@ def test_no_button_at_the_top_ever_moves(soft_arm, stand_in, panel):
 
     def top():
         texts = drawn(soft_arm, panel)
-        assert len(texts[0]) <= 26, "it does not fit into a sidebar of 250 pixels"
+        assert len(texts[0]) <= 18, "it does not fit into the Physics tab at a scale of 1.5"
         return texts[0], texts[1:7]
 
     seen = [top()]
@@ -63,12 +64,12 @@ def test_no_button_at_the_top_ever_moves(soft_arm, stand_in, panel):
     seen.append(top())
     assert [text for text, _ in seen] == [
         "Not built yet",
-        "A problem: see Messages",
+        "See Messages",
         "Ready",
-        "The model is out of date",
+        "Model out of date",
         "Baked",
-        "The bake is out of date",
-        "Plain skinning is shown",
+        "Bake out of date",
+        "Plain skinning",
     ]
     assert all(buttons == BUTTONS for _, buttons in seen)
 
@@ -107,16 +108,25 @@ def test_the_row_below_the_buttons_says_what_is_next(soft_arm, stand_in, monkeyp
     soft_arm.modifiers["Armature"].use_bone_envelopes = True
     seen.append(next_step(soft_arm))
     assert seen == [
-        "Live or Bake builds it first",
+        "Live builds it, Bake too",
         "Live shows it, Bake keeps it",
         "Space plays, Bake keeps it",
         "Space stops, Bake keeps it",
-        "Build Model updates Live",
+        "Build updates Live",
         "Space plays it",
         "Bake updates it",
         "",
     ]
     assert max(map(len, seen)) <= 28, "it does not fit into a sidebar of 250 pixels"
+
+
+def test_in_a_narrow_region_half_a_hint_is_shown_and_long_names_are_above_their_fields(soft_arm, monkeypatch):
+    assert next_step(soft_arm) == "Live builds it, Bake too"
+    assert "Max Displacement" not in drawn(soft_arm, PHYSICS)  # but in its field
+    monkeypatch.setattr(widgets, "line_length", lambda: 19)
+    assert next_step(soft_arm) == "Live builds it"
+    texts = drawn(soft_arm, PHYSICS)
+    assert texts[texts.index("Max Displacement") + 1] == "max_displacement"
 
 
 def test_the_stages_of_a_build_are_in_an_artists_words(soft_arm):
@@ -320,4 +330,4 @@ def test_a_target_without_its_key_is_marked(soft_arm):
     soft_arm.shape_key_clear()
     assert "flexed" in drawn(soft_arm)
     writer.free(soft_arm)
-    assert not bpy.ops.dynamorph.delete_bake.poll() and "A problem: see Messages" in drawn(soft_arm)
+    assert not bpy.ops.dynamorph.delete_bake.poll() and "See Messages" in drawn(soft_arm)

@@ -117,7 +117,7 @@ class Verdict:
         elif self.is_too_large:
             fault = "moves farther than Max Displacement allows"
         else:
-            return "The skin flickers: it turns at nearly every frame"
+            return "The skin flickers: it turns at every other frame, or more often"
         return f"The skin {fault} at frame {self.frame:g}"
 
     @property

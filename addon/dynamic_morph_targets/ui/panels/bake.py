@@ -97,7 +97,7 @@ def draw_bake(layout, _context, obj):
     simulation, output = settings.simulation, settings.output
     layout.enabled = batch.running is None
     draw_setting(layout, settings.model, "solver")
-    layout.prop(simulation, "max_displacement")
+    draw_setting(layout, simulation, "max_displacement")
     layout.prop(simulation, "use_scene_range")
     if not simulation.use_scene_range:
         column = layout.column(align=True)

@@ -32,7 +32,10 @@ def draw_top(layout, context, obj):
     row.operator("dynamorph.bake", text="Bake", icon="REC")
     row.operator("dynamorph.delete_bake", icon="NONE" if is_narrow() else "TRASH")
     hint = "" if batch.running else next_step(obj)
-    layout.label(text=hint, icon="LIGHT" if hint else "NONE")
+    hint = iface_(hint)
+    if is_narrow():  # one line, so that no button moves
+        hint = hint.partition(", ")[0]
+    layout.label(text=hint, icon="LIGHT" if hint else "NONE", translate=False)
 
 
 def draw_state(layout, context, obj):
@@ -54,26 +57,26 @@ def state(obj) -> tuple[str, str]:
     settings = obj.dynamorph
     follows, sculpt, baked = settings.follows, settings.sculpt, settings.bake.exists
     if engine.engine_problem() or any(checks.problems(Skinning.of(obj))):
-        return iface_("A problem: see Messages"), "ERROR"
+        return iface_("See Messages"), "ERROR"
     if not settings.targets:
         return (follows.name, "LINKED") if follows else (iface_("Not a soft skin yet"), "INFO")
     if sculpt.active:
         return iface_("Sculpting '{name}'").format(name=sculpt.key.name), "SCULPTMODE_HLT"
     if comparison.is_plain(obj):
-        return iface_("Plain skinning is shown"), "HIDE_ON"
+        return iface_("Plain skinning"), "HIDE_ON"
     if preview.preview and preview.preview.object.session_uid == obj.session_uid:
         return iface_(preview.preview.label), "PLAY"
     if live.is_on(obj):
         if live.problem(obj) or is_outdated(obj):
-            return iface_("Live is out of date"), "ERROR"
-        return iface_("Live plays over the bake" if baked else "Live is on"), "PLAY"
+            return iface_("Live out of date"), "ERROR"
+        return iface_("Live over the bake" if baked else "Live is on"), "PLAY"
     if baked:
         outdated = staleness.outdated(obj)
-        return (iface_("The bake is out of date"), "ERROR") if outdated else (iface_("Baked"), "CHECKMARK")
+        return (iface_("Bake out of date"), "ERROR") if outdated else (iface_("Baked"), "CHECKMARK")
     if not settings.model.content_id:
         return iface_("Not built yet"), "INFO"
     if is_outdated(obj):
-        return iface_("The model is out of date"), "INFO"
+        return iface_("Model out of date"), "INFO"
     return iface_("Ready"), "CHECKMARK"
 
 
@@ -85,7 +88,7 @@ def next_step(obj) -> str:
     if comparison.is_plain(obj) or obj.dynamorph.sculpt.active:
         return ""
     if live.is_on(obj) and is_outdated(obj):
-        return "Build Model updates Live"
+        return "Build updates Live"
     if not live.is_on(obj) and baked and staleness.outdated(obj):
         return "Bake updates it"
     if live.is_on(obj) and not baked:
@@ -93,7 +96,7 @@ def next_step(obj) -> str:
     if live.is_on(obj) or baked:
         return "Space stops it" if is_playing() else "Space plays it"
     if is_outdated(obj) or not obj.dynamorph.model.content_id:
-        return "Live or Bake builds it first"
+        return "Live builds it, Bake too"
     return "Live shows it, Bake keeps it"
 
 
