@@ -70,7 +70,7 @@ def test_before_a_build_the_frequency_waits(soft_arm):
     neutral, flexed = soft_arm.dynamorph.targets
     stiffness = neutral.stiffness
     OPS.apply_feel(feel="SUBTLE")
-    assert neutral.frequency == flexed.frequency == 5.0 and neutral.stiffness == stiffness
+    assert neutral.frequency == flexed.frequency == 4.5 and neutral.stiffness == stiffness
     assert neutral.mass_damping == 0.0
     OPS.build()
     assert felt(neutral) == pytest.approx((5.0, 0.25), rel=0.01)

@@ -29,9 +29,9 @@ class Feel:
 
 
 FEELS = {
-    "SUBTLE": Feel("Subtle", "A firm body with small, quick motion, for athletic characters", 5.0, 0.25, 0.025, 0.3),
+    "SUBTLE": Feel("Subtle", "A firm body with small, quick motion, for athletic characters", 4.5, 0.3, 0.03, 0.4),
     "NATURAL": Feel("Natural", "An average body", 3.5, 0.2, 0.05, 0.6),
-    "CARTOON": Feel("Cartoon", "A very soft body with large, slow motion, for caricatures", 2.5, 0.12, 0.08, 0.9),
+    "CARTOON": Feel("Cartoon", "A very soft body with large, slow motion, for caricatures", 2.5, 0.12, 0.07, 0.75),
 }
 
 
