@@ -16,6 +16,8 @@ gui_test = pytest.importorskip("gui_test", reason="needs what tools/gui_test.py 
 @pytest.fixture
 def work(tmp_path, monkeypatch):
     monkeypatch.setattr(gui_test, "WORK", tmp_path)
+    monkeypatch.setattr(gui_test, "INSTALLED", tmp_path / "installed")
+    (tmp_path / "extension.zip").touch()
     monkeypatch.setattr(gui_test, "inside", lambda path: path)
     return tmp_path
 
@@ -56,7 +58,11 @@ def test_a_part_begins_with_what_the_one_before_it_has_saved(work, monkeypatch):
     (work / "authoring.blend").touch()
     asked = blender(monkeypatch)
     gui_test.run_part("trying")
-    assert str(work / "authoring.blend") in asked[0] and asked[0][:2] == ["timeout", str(gui_test.PARTS["trying"])]
+    assert asked[0][-1] == str(work / "extension.zip")  # it runs alone, so nothing is installed yet
+    assert str(work / "authoring.blend") in asked[1] and asked[1][:2] == ["timeout", str(gui_test.PARTS["trying"])]
+    gui_test.INSTALLED.touch()
+    gui_test.run_part("trying")
+    assert len(asked) == 3 and "timeout" in asked[2]
     assert gui_test.start_of("repository") is gui_test.start_of("first_bake") is None
 
 
