@@ -73,15 +73,16 @@ is measured from Blender's evaluated meshes, in every frame.
 {limits}
 *Size*: diagonal of the box around the character at rest. Figures of a frame are of its worst one. *Displacement*: how
 far the skin is from where the bones alone have it, before they move it. *Over thickness*: 99th percentile of the
-displacement divided by the local thickness. *Stretch*: length of edges, compared with plain skinning. *Stretch, least,
-of the bones' own*: divided by the same figure of plain skinning, because the bones alone may make an edge vanish where
-a joint folds. *Flipped*: share of the surface that turns over. *Inverted*: share of the cage's volume that turns inside
-out. *Thin parts*: how much the thinnest fifth of the surface moves, compared with the thickest, if that is at least
-twice as thick. *Seam*: gap between meshes that touch at rest. *Alive*: motion of the liveliest tenth of the surface,
-and the share of it that moves at least a tenth as much; asked where the clip shakes the character by {shaken:g} of its
-size. *Flicker*: how often the skin's own motion turns from frame to frame: a slow swing is near -1, a swing of a
-quarter of the frame rate 0, up and down at every other frame 1; it may be above 0 where that of the bones alone in the
-world is, and then {more_flicker:g} above it. Wholly hard characters ({hard}) must be refused with "nothing soft found".
+displacement divided by the local thickness, from the skin through all of its mesh that is there: an eye counts as the
+head that it is sunk into. *Stretch*: length of edges, compared with plain skinning. *Stretch, least, of the bones'
+own*: divided by the same figure of plain skinning, because the bones alone may make an edge vanish where a joint folds.
+*Flipped*: share of the surface that turns over. *Inverted*: share of the cage's volume that turns inside out. *Thin
+parts*: how much the thinnest fifth of the surface moves, compared with the thickest, if that is at least twice as
+thick. *Seam*: gap between meshes that touch at rest. *Alive*: motion of the liveliest tenth of the surface, and the
+share of it that moves at least a tenth as much; asked where the clip shakes the character by {shaken:g} of its size.
+*Flicker*: how often the skin's own motion turns from frame to frame: a slow swing is near -1, a swing of a quarter of
+the frame rate 0, up and down at every other frame 1; it may be above 0 where that of the bones alone in the world is,
+and then {more_flicker:g} above it. Wholly hard characters ({hard}) must be refused with "nothing soft found".
 
 Without a limit: *jitter*, the share of the acceleration's power above 0.35 of the frame rate, and the same at 24 frames
 a second; *between frames*, the largest distance over the limit of the place where it is, at any step; *held back*, the

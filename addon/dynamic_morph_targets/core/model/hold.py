@@ -30,8 +30,8 @@ THIN = 0.3, 0.55  # thickness relative to the body's below which a part is fully
 FADES, BONES, LENT, BORROWS = 0.5, 1.5, 1.2, (0.25, 0.4)
 STIFFER = 0.9, 20.0  # fraction of the body's thickness below which tissue is stiffer, and the largest factor
 THICKEST = 0.98  # quantile of the thickness over the soft volume that counts as the body's
+EDGES = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]  # of a tetrahedron, by its corners
 # Quadrature points of a tetrahedron, as weights of its corners; each represents a quarter of it.
-PAIRS = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]
 A, B = 0.5854101966249685, 0.1381966011250105
 QUADRATURE = np.full((4, 4), B) + (A - B) * np.eye(4)
 
@@ -77,7 +77,7 @@ def with_lent(mesh: dynamorph.TetMesh, weights: np.ndarray, radius: np.ndarray) 
     bones: a breast or an udder is not held like a finger, which is as thin, but far from the trunk, nor like an arm,
     which has a bone of its own. Along the edges of the tets.
     """
-    ends = np.unique(np.sort(mesh.tets[:, PAIRS].reshape(-1, 2), axis=1), axis=0)
+    ends = np.unique(np.sort(mesh.tets[:, EDGES].reshape(-1, 2), axis=1), axis=0)
     ends = np.concatenate([ends, ends[:, ::-1]])
     first, second = ends[np.argsort(ends[:, 0], kind="stable")].T
     changed = 0.5 * np.abs(weights[first] - weights[second]).sum(axis=1)
@@ -87,7 +87,7 @@ def with_lent(mesh: dynamorph.TetMesh, weights: np.ndarray, radius: np.ndarray) 
     np.maximum.at(lent, mesh.tets, radius)
     while True:
         raised = np.maximum(lent[nodes], np.maximum.reduceat(lent[second] - fades, starts))
-        if np.array_equal(raised, lent[nodes]):
+        if not (raised > lent[nodes]).any():
             break
         lent[nodes] = raised
     most = 1.0 + (LENT - 1.0) * smooth_step(radius / radius.max(), *BORROWS)
