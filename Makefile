@@ -2,7 +2,7 @@
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build module test gui-test demo gallery figures materials bench bench-docs robustness believable \
 	believable-docs convergence accuracy bakes farm-demo golden fuzz soak faults coverage sanitize stubs format lint wheels \
-	platforms extension repository sdist version reliability feels clean
+	platforms extension repository sdist version reliability feels limit clean
 
 started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
@@ -126,6 +126,10 @@ accuracy: build
 # docs/feels.md with its picture, the presets of Feel on six characters of ../shared; takes about 3 minutes.
 feels: build
 	@$(python) tests/benchmarks/feels.py
+
+# docs/limit.md with its curves, what the limits of the motion do on six characters of ../shared; takes about 2 minutes.
+limit: build
+	@$(python) tests/benchmarks/limit.py
 
 # docs/believable.md from what was measured before.
 believable-docs: build

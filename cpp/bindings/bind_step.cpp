@@ -51,11 +51,12 @@ void balance_targets_in(InTurn<Stepper>& stepper, const FloatArray& bones) {
   changing(stepper, [&] { stepper.balance_targets(frames); });
 }
 
-py::dict summary(const StepReport& worst, int steps, double seconds) {
+/// pulled: how many of the steps were.
+py::dict summary(const StepReport& worst, int steps, double seconds, int pulled = 0) {
   return py::dict("steps"_a = steps, "iterations"_a = worst.iterations, "converged"_a = worst.converged,
                   "residual"_a = worst.residual, "energy"_a = worst.energy, "teleported"_a = worst.teleported,
                   "seconds"_a = seconds, "excess"_a = worst.excess, "excess_bone"_a = worst.excess_bone,
-                  "farthest"_a = worst.farthest);
+                  "farthest"_a = worst.farthest, "pulled"_a = pulled);
 }
 
 /// Springs between points of the skin and goals (S, K, 3), one row of goals for each step.
@@ -197,6 +198,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
             if (grabs) check_shape("grabs: goals", grabs->goals, {steps, -1, 3});
             External forces(s.model().body(), external, steps);
             StepReport worst;
+            int pulled = 0;
             const auto begin = std::chrono::steady_clock::now();
             changing(s, [&] {
               Transforms frame;
@@ -214,6 +216,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
                 worst.energy = report.energy;
                 worst.teleported |= report.teleported;
                 worst.farthest = std::max(worst.farthest, report.farthest);
+                pulled += report.pulled;
                 if (report.excess_bone >= 0 && report.excess >= worst.excess) {
                   worst.excess = report.excess;
                   worst.excess_bone = report.excess_bone;
@@ -221,7 +224,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
               }
             });
             const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
-            return summary(worst, int(steps), elapsed.count());
+            return summary(worst, int(steps), elapsed.count(), pulled);
           },
           "bones"_a, "weights"_a, "external"_a = py::none(), "grabs"_a = py::none(),
           "Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, "
@@ -230,7 +233,9 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a "
           "motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which "
           "bone's; "
-          "farthest, the largest distance of a point from its targets' shape, relative to its limit.")
+          "farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how "
+          "many "
+          "steps anything was pulled back.")
       .def(
           "solve_static",
           [](Sim& s, const FloatArray& bones, const VectorXd& weights, const std::optional<FloatArray>& external,

@@ -45,7 +45,7 @@ LONGEST = 900  # seconds that a character may take
 ASKED = 0.95  # of the bakes are to pass
 APART = 0.15  # of the finest cage's motion, that of the coarsest
 SHAKEN = 0.005  # body sizes: what is shaken less need not move
-HARD = ("Leela", "Mech_Rae", "RobotExpressive")  # nothing of them is soft
+HARD = ("Cyberpunk_Enemy_Large", "Leela", "Mech_Rae", "RobotExpressive")  # machines: nothing of them is soft
 NOTHING_SOFT = "nothing soft"  # is in what the add-on says of them
 GOAL = (5000, 5.0)  # vertices, and seconds from the click to the baked clip
 MORE_FLICKER = 0.1  # than that of the bones alone
@@ -86,7 +86,8 @@ and then {more_flicker:g} above it. Wholly hard characters ({hard}) must be refu
 
 Without a limit: *jitter*, the share of the acceleration's power above 0.35 of the frame rate, and the same at 24 frames
 a second; *between frames*, the largest distance over the limit of the place where it is, at any step; *held back*, the
-bone whose load exceeded the limit of its tissue most, and by which factor.
+bone whose load exceeded the limit of its tissue most, and by which factor; *pulled*, the share of the steps in which
+anything was pulled back.
 
 ## Characters
 
@@ -427,9 +428,10 @@ def characters_table(baked: list[dict]) -> str:
                  f"{measured['shaken']:.3f}")  # fmt: skip
         cells = (bold(shown(limit, found), not limit.is_within(found)) for limit in LIMITS)
         beside = (number(measured[key]) for key in BESIDE)
-        rows.append((title(found), *about, *cells, *beside, f"{found['between_frames']:.2f}", held_back(found)))
+        rows.append((title(found), *about, *cells, *beside, f"{found['between_frames']:.2f}", held_back(found),
+                     f"{found['pulled']:.0%}"))  # fmt: skip
     return grid(("", "vertices", "meshes", "clip, frames", "shaken", *(limit.title for limit in LIMITS),
-                 *BESIDE.values(), "between frames", "held back"), rows)  # fmt: skip
+                 *BESIDE.values(), "between frames", "held back", "pulled"), rows)  # fmt: skip
 
 
 def held_back(found: dict) -> str:

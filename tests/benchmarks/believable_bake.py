@@ -132,6 +132,7 @@ def of_job(job: job.Job) -> dict:
     return {
         "held": {"bone": held.bone, "excess": held.excess, "frames": held.frames},
         "between_frames": held.reached,
+        "pulled": held.pulled,
         "verdict": job.outcome.verdict.text,
         "nodes": len(job.outcome.model.nodes),
         "tets": tets,

@@ -155,6 +155,7 @@ HELD: dict[str, Callable[[object], bool]] = {
         _are_numbers(value) and len(value) == 2 and all(abs(frame) <= LAST_FRAME for frame in value)
     ),
     "reached": is_number,
+    "pulled": is_number,
 }
 VERDICT_FIELDS: dict[str, Callable[[object], bool]] = {
     **dict.fromkeys(("displacement", "percentile", "over_thickness", "flipped", "inverted", "flicker"), is_number),

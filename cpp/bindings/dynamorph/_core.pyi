@@ -555,7 +555,7 @@ class FullSimulation:
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None) -> dict:
         """
-        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back.
         """
     def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
@@ -613,7 +613,7 @@ class ReducedSimulation:
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None) -> dict:
         """
-        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back.
         """
     def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """

@@ -313,6 +313,7 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   report.residual = found.residual;
   report.energy = elastic_.value();
   report.farthest = pulls_.farthest();
+  report.pulled = pulls_.value() > 0;
   if (excess_.size() > 0) report.excess = excess_.maxCoeff(&report.excess_bone);
   if (found.unseen) {  // the last step is short: its third power does not count
     multiply(elastic_.hessian(), newton_.direction, resistance_);

@@ -44,6 +44,7 @@ struct StepReport {
   double excess = 0;     ///< the largest of the state's; above 1/2 the load of that bone was held back
   int excess_bone = -1;  ///< whose it is; -1 without a motion limit
   double farthest = 0;   ///< of a point from its targets' shape, relative to its limit, before Newton's method
+  bool pulled = false;   ///< whether anything was so far that a motion limit pulled it back
 };
 
 template <class Model>

@@ -55,13 +55,15 @@ def motion_limit(model: Model, engine: EngineModel, character: Character, settin
 class Held:
     """Where the limits worked hardest in a shot. bone: whose load exceeded its limit most, and excess: by which factor;
     frames: the first and last about that one in which it exceeded it by half as much. reached: the largest distance of
-    a point from its targets' shape over its limit, between frames too.
+    a point from its targets' shape over its limit, between frames too; pulled: share of the steps in which something
+    was so far that it was pulled back.
     """
 
     bone: str = ""
     excess: float = 0.0
     frames: tuple[int, int] = (0, 0)
     reached: float = 0.0
+    pulled: float = 0.0
 
 
 def held(times: np.ndarray, steps: dict[str, np.ndarray], bones: Sequence[str]) -> Held:
@@ -69,9 +71,10 @@ def held(times: np.ndarray, steps: dict[str, np.ndarray], bones: Sequence[str]) 
     excess, bone = steps["excess"], steps["excess_bone"].astype(int)
     worst = int(excess.argmax())
     reached = float(steps["farthest"].max(initial=0.0))
+    pulled = float(steps["pulled"].sum() / max(steps["steps"].sum(), 1))
     if not 0 <= bone[worst] < len(bones):
-        return Held(reached=reached)
+        return Held(reached=reached, pulled=pulled)
     less = np.flatnonzero((excess < 0.5 * excess[worst]) | (bone != bone[worst]))
     first, last = less[less < worst].max(initial=-1) + 1, less[less > worst].min(initial=len(times)) - 1
     frames = int(np.floor(times[first])), int(np.ceil(times[last]))
-    return Held(bones[bone[worst]], float(excess[worst]), frames, reached)
+    return Held(bones[bone[worst]], float(excess[worst]), frames, reached, pulled)

@@ -34,6 +34,7 @@ STEP = (
     "excess",
     "excess_bone",
     "farthest",
+    "pulled",
 )  # statistics of a frame's steps
 NO_STEPS = dict.fromkeys(STEP, 0) | {"converged": True, "excess_bone": -1}
 # Of the engine: coordinates, bones' transforms, and how far the bones' loads exceed their limit.

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`make limit`: docs/limit.md and its curves, what the limits of the motion do in clips of ../shared, and cost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from accuracy_shots import ROOT, Shot, dynamic_morph_targets, quiet, read_shot  # isort: split
+
+import bpy
+import characters
+import numpy as np
+import plots
+from dynamic_morph_targets.__main__ import leave
+from dynamic_morph_targets.core.geometry import diagonal
+from dynamic_morph_targets.core.model.model import Model
+from dynamic_morph_targets.core.motion import simulate
+from dynamic_morph_targets.core.motion.simulate import build_for
+from dynamorph import set_threads
+from measured import measured_at
+from performance_page import grid
+from run import machine
+
+PAGE, CURVES = ROOT / "docs/limit.md", "images/limit/curves_{}.svg"
+CLIPS = {
+    "zoo/Anglerfish.glb": "Out_Of_Water",
+    "zoo/Blobfish.glb": "Out_Of_Water",
+    "zoo/Husky.glb": "Gallop",
+    "zoo/Cow.glb": "Death",
+    "mh_male_53bones.blend": "gen_jump",
+    "mh_chubby_53bones.blend": "cmu_131_02_walk",
+}
+FRAMES = 48
+RATE = 480  # steps a second at most: the finest, and its divisors below
+SLOWER = (1, 2, 4, 8)  # so many times fewer steps: 480 to 60 a second where the frame rate divides them
+LIKE, ROUNDS = 0.08, 5  # asked: how alike motions of different steps are; rounds in which steps are timed
+COST = 1.3  # asked: of a step with limits that nobody comes near, over one without
+PANELS = 3  # in a row
+
+PAGE_TEXT = """# What the limits of the motion do
+
+Flesh limits itself, see [theory](theory.md): where a bone drives its tissue faster than that can follow, the load is
+held back, and what still comes near the largest distance is pulled back. `make limit` measures it on characters made
+elsewhere, after one click, and writes this page.
+
+{commit}; {machine}; one thread.
+
+## The worst vertex
+
+The offset of the vertex that goes farthest without limits, along its main axis, in percent of the body's size.
+
+{curves}
+## How often they act, and what they cost
+
+*Held back*: share of the steps in which the load of some bone is held back. *Pulled*: share of the steps in which
+anything is pulled back. *Without*: microseconds a step without limits. Then what a step with limits takes over one
+without, in frames in which nothing is pulled, and in those whose steps all pull; asked of the former: {cost:g}. Each
+frame counts with the fastest of {rounds} rounds, and the median over the frames is shown.
+
+{costs}
+## The step
+
+The same clip with steps that are 2, 4 and 8 times as long as the shortest: largest displacement and RMS motion of the
+whole skin, over those with the shortest. Asked: within {like:.0%} of one. What the rows without limits show is due to
+the time stepping alone.
+
+{steps}"""
+
+
+@dataclass(frozen=True)
+class Played:
+    """offsets (F, V, 3): of a shot from the targets' shapes, bind space, of the body's size."""
+
+    offsets: np.ndarray
+
+    @property
+    def farthest(self) -> float:
+        return float(np.linalg.norm(self.offsets, axis=2).max())
+
+    @property
+    def motion(self) -> float:
+        return float(np.sqrt(((self.offsets - self.offsets.mean(axis=0)) ** 2).sum(axis=2).mean()))
+
+
+def main() -> int:
+    if not characters.ASSETS.is_dir():
+        print("limit: there is no ../shared/assets: nothing is written")
+        return 0
+    dynamic_morph_targets.register()
+    set_threads(1)
+    panels, costs, steps = [], [], []
+    for asset, clip in CLIPS.items():
+        with quiet():
+            body, shot, model = opened(asset, clip)
+        title = f"{Path(asset).stem.replace('_', ' ')}, {clip}"
+        panels.append((title, curves(shot, model)))
+        costs.append([title, *cost(shot, model)])
+        with quiet():
+            fine = finest(body, clip, shot)
+        steps.append([title, *step_lengths(fine, model)])
+        steps.append([f"{title}, without limits", *step_lengths(without_limits(fine), model)])
+        print(f"limit: {title}", flush=True)
+    PAGE.write_text(
+        PAGE_TEXT.format(
+            commit=measured_at(PAGE.name),
+            machine=machine(),
+            rounds=ROUNDS,
+            cost=COST,
+            like=LIKE,
+            curves="\n".join(drawn(panels)),
+            costs=grid(["", "held back", "pulled", "without", "not pulled, over that", "pulled, over that"], costs),
+            steps=grid(["", "shortest, a second", *(f"{k} times as long" for k in SLOWER[1:])], steps),
+        ).rstrip()
+        + "\n",
+        encoding="utf-8",
+    )
+    print(f"written to {PAGE.relative_to(ROOT)}")
+    return 0
+
+
+# Shots ----------------------------------------------------------------------------------------------------------------
+
+
+def opened(asset: str, clip: str) -> tuple[object, Shot, Model]:
+    """The character after Add Soft Skin, the shot, and its model."""
+    characters.open_file(characters.ASSETS / asset)
+    body, scene = characters.largest_skinned(), bpy.context.scene
+    (action,) = [each for each in bpy.data.actions if each.name.split("|")[-1] == clip]
+    characters.play(characters.armature_of(body), action)
+    first, last = map(round, action.frame_range)
+    scene.frame_start, scene.frame_end = first, min(last, first + FRAMES - 1)
+    bpy.context.view_layer.objects.active = body
+    bpy.ops.dynamorph.add_soft_skin()
+    shot = read_shot(body, clip)
+    return body, shot, build_for(shot.character, None, None)
+
+
+def finest(body, clip: str, shot: Shot) -> Shot:
+    """The same shot in at most RATE steps a second, as many a frame as SLOWER divides."""
+    most = max(SLOWER)
+    body.dynamorph.simulation.substeps = most * max(int(RATE / shot.settings.fps) // most, 1)
+    return read_shot(body, clip)
+
+
+def without_limits(shot: Shot) -> Shot:
+    return replace(shot, settings=replace(shot.settings, max_displacement=0.0, max_thickness=0.0))
+
+
+def played(shot: Shot, model: Model) -> Played:
+    moving = simulate.Shot(model, shot.character, shot.settings)
+    moving.play(shot.rig)
+    bake, _ = moving.bake(exact=True)
+    offsets = np.tensordot(bake.coordinates - bake.static, bake.modes, 1)
+    return Played(offsets / diagonal(shot.character.vertices @ shot.character.to_bind.T))
+
+
+def stepped(shot: Shot, model: Model) -> list[dict]:
+    """What each frame's steps report."""
+    frames = simulate.simulate(model, shot.character, shot.rig, shot.settings)
+    return [frame.steps for frame in frames if frame.steps["steps"]]
+
+
+# Figures --------------------------------------------------------------------------------------------------------------
+
+
+def curves(shot: Shot, model: Model) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    free, limited = played(without_limits(shot), model), played(shot, model)
+    worst = int(np.linalg.norm(free.offsets, axis=2).max(axis=0).argmax())
+    path = free.offsets[:, worst] - free.offsets[:, worst].mean(axis=0)
+    axis = np.linalg.svd(path, full_matrices=False)[2][0]
+    frames = shot.settings.frames
+    return {
+        "without limits": (frames, 100.0 * free.offsets[:, worst] @ axis),
+        "as it is": (frames, 100.0 * limited.offsets[:, worst] @ axis),
+    }
+
+
+def drawn(panels: list) -> Iterator[str]:
+    """Draws so many panels in a row; the lines that show them."""
+    for row, first in enumerate(range(0, len(panels), PANELS), 1):
+        part = panels[first : first + PANELS]
+        drawing, axes = plots.figure(len(part), 2.6)
+        for panel, (title, lines) in zip(axes, part, strict=True):
+            plots.draw(panel, title, lines, "frame", "% of size")
+        plots.save(drawing, PAGE.parent / CURVES.format(row))
+        yield f"![{part[0][0]} to {part[-1][0]}]({CURVES.format(row)})\n"
+
+
+def cost(shot: Shot, model: Model) -> list[str]:
+    free, limited = [], []
+    for _ in range(ROUNDS):
+        free.append(microseconds(stepped(without_limits(shot), model)))
+        reports = stepped(shot, model)
+        limited.append(microseconds(reports))
+    without = np.min(free, axis=0)
+    ratios = np.min(limited, axis=0) / without
+    pulled = np.array([each["pulled"] / each["steps"] for each in reports])
+    held = np.mean([each["excess"] > 0.5 for each in reports])
+    parts = [f"{np.median(ratios[which]):.2f}" if which.any() else "-" for which in (pulled == 0, pulled == 1)]
+    return [f"{held:.0%}", f"{pulled.mean():.0%}", f"{np.median(without):.0f} µs", *parts]
+
+
+def microseconds(reports: list[dict]) -> list[float]:
+    return [1e6 * each["seconds"] / each["steps"] for each in reports]
+
+
+def step_lengths(fine: Shot, model: Model) -> list[str]:
+    """Largest displacement and RMS motion with longer steps, over those with the shortest; bold: not alike."""
+    best = played(fine, model)
+    cells = []
+    for times in SLOWER[1:]:
+        settings = replace(fine.settings, substeps=fine.settings.substeps // times)
+        coarse = played(replace(fine, settings=settings, rig=fine.rig[::times]), model)
+        ratios = coarse.farthest / best.farthest, coarse.motion / best.motion
+        cells.append(", ".join(f"{r:.2f}" if abs(r - 1) <= LIKE else f"**{r:.2f}**" for r in ratios))
+    return [f"{fine.settings.fps * fine.settings.substeps:.0f}", *cells]
+
+
+if __name__ == "__main__":
+    leave(main())
