@@ -72,13 +72,14 @@ class Shot:
 
 
 def one_click_shots(subject: Subject) -> list[Shot]:
-    """The character after Add Soft Skin and one Bake of its liveliest clip, in each of the subject's clips."""
+    """The character after Add Soft Skin and Build, in each of the subject's clips, or in its liveliest."""
     characters.open_file(characters.ASSETS / subject.file)
     body = characters.largest_skinned()
     rig = characters.armature_of(body)
     liveliest = believable_bake.choose_clip(rig)["clip"]
     bpy.context.view_layer.objects.active = body
     bpy.ops.dynamorph.add_soft_skin()
+    bpy.ops.dynamorph.build()  # which sets the stiffness that gives the Bounce
     if not subject.clips:
         return [read_shot(body, liveliest.rpartition("|")[2])]
     shots = []

@@ -13,6 +13,7 @@ import bpy
 import characters
 import numpy as np
 import plots
+from believable_bake import choose_clip
 from dynamic_morph_targets.__main__ import leave
 from dynamic_morph_targets.core.geometry import diagonal
 from dynamic_morph_targets.core.model.model import Model
@@ -32,7 +33,6 @@ CLIPS = {
     "mh_male_53bones.blend": "gen_jump",
     "mh_chubby_53bones.blend": "cmu_131_02_walk",
 }
-FRAMES = 48
 RATE = 480  # steps a second at most: the finest, and its divisors below
 SLOWER = (1, 2, 4, 8)  # so many times fewer steps: 480 to 60 a second where the frame rate divides them
 LIKE, ROUNDS = 0.08, 5  # asked: how alike motions of different steps are; rounds in which steps are timed
@@ -124,15 +124,14 @@ def main() -> int:
 
 
 def opened(asset: str, clip: str) -> tuple[object, Shot, Model]:
-    """The character after Add Soft Skin, the shot, and its model."""
+    """The character after Add Soft Skin and Build, the liveliest part of the clip, and its model."""
     characters.open_file(characters.ASSETS / asset)
-    body, scene = characters.largest_skinned(), bpy.context.scene
-    (action,) = [each for each in bpy.data.actions if each.name.split("|")[-1] == clip]
-    characters.play(characters.armature_of(body), action)
-    first, last = map(round, action.frame_range)
-    scene.frame_start, scene.frame_end = first, min(last, first + FRAMES - 1)
+    body = characters.largest_skinned()
+    (action,) = [each.name for each in bpy.data.actions if each.name.split("|")[-1] == clip]
+    choose_clip(characters.armature_of(body), action)
     bpy.context.view_layer.objects.active = body
     bpy.ops.dynamorph.add_soft_skin()
+    bpy.ops.dynamorph.build()  # which sets the stiffness that gives the Bounce
     shot = read_shot(body, clip)
     return body, shot, build_for(shot.character, None, None)
 
@@ -152,8 +151,9 @@ def played(shot: Shot, model: Model) -> Played:
     moving = simulate.Shot(model, shot.character, shot.settings)
     moving.play(shot.rig)
     bake, _ = moving.bake(exact=True)
-    offsets = np.tensordot(bake.coordinates - bake.static, bake.modes, 1)
-    return Played(offsets / diagonal(shot.character.vertices @ shot.character.to_bind.T))
+    to_bind = shot.character.to_bind.T
+    offsets = np.tensordot(bake.coordinates - bake.static, bake.modes @ to_bind, 1)
+    return Played(offsets / diagonal(shot.character.vertices @ to_bind))
 
 
 def stepped(shot: Shot, model: Model) -> list[dict]:
