@@ -79,7 +79,8 @@ own*: divided by the same figure of plain skinning, because the bones alone may 
 *Flipped*: share of the surface that turns over. *Inverted*: share of the cage's volume that turns inside out. *Thin
 parts*: how much the thinnest fifth of the surface moves, compared with the thickest, if that is at least twice as
 thick. *Seam*: gap between meshes that touch at rest. *Alive*: motion of the liveliest tenth of the surface, and the
-share of it that moves at least a tenth as much; asked where the clip shakes the character by {shaken:g} of its size.
+share of it that moves at least a tenth as much; asked where the clip shakes the thickest fifth of the character by
+{shaken:g} of its size: wings must not move.
 *Flicker*: how often the skin's own motion turns from frame to frame: a slow swing is near -1, a swing of a quarter of
 the frame rate 0, up and down at every other frame 1; it may be above 0 where that of the bones alone in the world is,
 and then {more_flicker:g} above it. Wholly hard characters ({hard}) must be refused with "nothing soft found".

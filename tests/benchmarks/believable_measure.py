@@ -20,8 +20,8 @@ alive, alive_area        RMS motion about its mean of the liveliest tenth, of si
                          of that
 thin_moves               RMS motion of the thinnest fifth of the surface over that of the thickest fifth; None where
                          that is not twice as thick: there are no thin parts
-shaken                   RMS acceleration of plain skinning over (2 pi 3.5 Hz)^2, of size: how far tissue of 3.5 Hz is
-                         asked to move
+shaken                   RMS acceleration of the thickest fifth of the surface in plain skinning over (2 pi 3.5 Hz)^2,
+                         of size: how far tissue of 3.5 Hz is asked to move
 flicker, flicker_plain   how often the displacement turns, and plain skinning in the world, see judge.flicker_of
 jitter, jitter_24        share of the power of the displacement's acceleration above 0.35 of the frame rate, at the
                          scene's frames and at 24 a second; None below 16 of them
@@ -103,7 +103,7 @@ def measure(scene) -> dict:
         "flipped": round(max(flipped(obj, baked[obj], plain[obj]) for obj in soft) / skin.areas.sum(), 5),
         **liveliness(motion, skin),
         "thin_moves": rounded_or_none(thin_moves(motion, skin), 3),
-        "shaken": rounded_or_none(shaken(world, skin.areas, rate), 4),
+        "shaken": rounded_or_none(shaken(world[:, skin.thick], skin.areas[skin.thick], rate), 4),
         "flicker": round(flicker(motion, skin.areas), 3),
         "flicker_plain": round(flicker(world, skin.areas), 3),
         "jitter": rounded_or_none(jitter(motion, skin.areas), 3),
@@ -250,6 +250,12 @@ class Skin:
         """The vertices whose thickness is known."""
         return np.flatnonzero(np.isfinite(self.thickness) & (self.areas > 0))
 
+    @cached_property
+    def thick(self) -> np.ndarray:
+        """The vertices of the thickest fifth of the surface."""
+        (high,) = self.probed_quantiles(self.thickness, [0.8])
+        return np.flatnonzero(self.thickness >= high)  # false where it is not known
+
     def probed_quantiles(self, values: np.ndarray, shares: Sequence[float]) -> list[float]:
         """Of values (V,) where the thickness is known."""
         return quantiles(values[self.probed], self.areas[self.probed], shares)
@@ -374,11 +380,11 @@ def liveliness(motion: np.ndarray, skin: Skin) -> dict[str, float]:
 
 
 def thin_moves(motion: np.ndarray, skin: Skin) -> float | None:
-    low, high = skin.probed_quantiles(skin.thickness, [0.2, 0.8])
-    if low > 0.5 * high:
+    (low,) = skin.probed_quantiles(skin.thickness, [0.2])
+    if low > 0.5 * skin.thickness[skin.thick].min():
         return None
-    moves, thin, thick = swings(motion), skin.thickness <= low, skin.thickness >= high  # false where it is not known
-    return skin.mean(moves, thin) / max(skin.mean(moves, thick), 1e-12)
+    moves, thin = swings(motion), skin.thickness <= low  # false where it is not known
+    return skin.mean(moves, thin) / max(skin.mean(moves, skin.thick), 1e-12)
 
 
 def swings(motion: np.ndarray) -> np.ndarray:
