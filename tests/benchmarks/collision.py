@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`make collision`: docs/collision.md and its pictures, a ball pressed into characters of ../shared.
+
+    python tests/benchmarks/collision.py --page   the page from what was measured before
+
+Every way to simulate a character runs in a process of its own (collision_press.py); its findings stay in
+build/collision.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import collision_press
+import numpy as np
+from characters import ASSETS
+from collision_press import DRAGS, LAST, RESTS, ROOT
+from contact_sheet import Row, compose, save
+from dynamic_morph_targets.__main__ import leave
+from measured import measured_at
+from performance_page import grid
+from PIL import Image
+from run import machine
+
+CACHE, PAGE, PICTURES = ROOT / "build/collision", ROOT / "docs/collision.md", "images/collision/{}.png"
+CHARACTERS = ("mh_male_53bones.blend", "mh_chubby_53bones.blend", "zoo/Cow.glb", "zoo/Husky.glb", "zoo/Blobfish.glb",
+              "zoo/Woman_Casual.glb", "zoo/Platformer_Enemy.glb", "zoo/Space_Enemy_Large.glb")  # fmt: skip
+OURS = ("full", "full_0", "reduced", "off")
+PEERS = ("soft_body", "cloth")
+PEERS_BODY = "mh_chubby_53bones.blend"
+LONGEST = 900  # seconds that one may take
+MOVING, RESTING = 0.0015, 0.0011  # of size, with Distance 0: asked of the penetration
+ITERATIONS = 10  # a step, asked with both rounds of friction
+COST = 4.0  # asked of a step with collision, over one without
+NONE = "-"
+
+PAGE_TEXT = """# Collision
+
+A ball with Blender's Collision, of {radius:.0%} of the body's size, is pressed {deep:.1%} into the thickest part of a
+character's front and dragged {dragged:.0%} over it, with friction {friction:g}. `make collision` measures it and
+writes this page.
+
+{commit}; {machine}; two at a time.
+
+## Characters
+
+After one click, in Full Quality. *Depth*: of the deepest vertex in the ball, in percent of size, from Blender's
+evaluated meshes; below zero it is outside. Asked without Distance: at most {moving:.2%} while the ball moves, and
+{resting:.2%} at rest; with the default Distance, none. *Iterations*: of Newton's method in a step, both rounds of
+friction included; asked: {iterations}. *Cost*: of a step, over one without collision; asked: {cost:g}. *Reduced*: RMS
+difference of the dent in Reduced Quality, over the dent; asked: 60 %.
+
+{figures}
+![Characters, pressed]({pressed})
+
+## Beside what Blender has
+
+The same ball and the same body ({peer_body}, {vertices:,} vertices). Soft Body and Cloth as they come, with all of the
+body held at {held:g}: they are shells, and know no volume. Depth as above; seconds for {last} frames, ours with the
+build of the model.
+
+{peers}"""
+
+
+def main() -> int:
+    if not ASSETS.is_dir():
+        print("collision: there is no ../shared/assets: nothing is written")
+        return 0
+    if "--page" not in sys.argv:
+        shutil.rmtree(CACHE, ignore_errors=True)
+        work = [(body, way) for body in CHARACTERS for way in OURS] + [(PEERS_BODY, way) for way in PEERS]
+        with ThreadPoolExecutor(2) as pool:
+            list(pool.map(lambda each: measure(*each), work))
+    write_page()
+    print(f"written to {PAGE.relative_to(ROOT)}")
+    return 0
+
+
+def measure(body: str, way: str) -> None:
+    folder = CACHE / name_of(body)
+    folder.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, collision_press.__file__, ASSETS / body, folder, way]
+    with (folder / f"{way}.log").open("w") as log:
+        try:
+            subprocess.run(command, stdout=log, stderr=subprocess.STDOUT, timeout=LONGEST, check=False)
+        except subprocess.TimeoutExpired:
+            log.write(f"takes over {LONGEST} s\n")
+    print(f"collision: {body}, {way}", flush=True)
+
+
+def name_of(body: str) -> str:
+    return body.rpartition("/")[2].partition(".")[0]
+
+
+def found(body: str, way: str) -> dict | None:
+    """What was measured; None if it did not end."""
+    path = CACHE / name_of(body) / f"{way}.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+
+
+# The page -------------------------------------------------------------------------------------------------------------
+
+
+def write_page() -> None:
+    rows, pictures = [], []
+    for body in CHARACTERS:
+        full, bare, off = (found(body, way) for way in ("full", "full_0", "off"))
+        title = name_of(body).replace("_", " ")
+        if not (full and bare and off):
+            rows.append([title, *["did not end"] * 8])
+            continue
+        cost = full["microseconds"] / off["microseconds"]
+        rows.append([
+            title,
+            percent(bare["moving"], MOVING), percent(bare["resting"], RESTING),
+            percent(full["moving"], 0.0), percent(full["resting"], 0.0),
+            bold(f"{full['iterations']:.1f}", full["iterations"] > ITERATIONS),
+            bold(f"{cost:.1f}", cost > COST),
+            f"{off['keys']} / {full['keys']}",
+            reduced(body),
+        ])  # fmt: skip
+        images = [Image.open(CACHE / name_of(body) / f"{way}_{k}.png").convert("RGB")
+                  for way, k in (("off", 1), ("full", 1), ("full", 2), ("reduced", 1))]  # fmt: skip
+        pictures.append(Row(title, "", images, [""] * len(images)))
+    columns = ("no collision", f"frame {RESTS}", f"dragged, frame {DRAGS}", f"Reduced, frame {RESTS}")
+    path = PAGE.parent / PICTURES.format("pressed")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save(compose("Collision", "A ball pressed into the belly", columns, pictures), path, small=True)
+    titles = ["", "depth, Distance 0, moving", "at rest", "depth, moving", "at rest", "iterations", "cost",
+              "keys without / with", "Reduced"]  # fmt: skip
+    PAGE.write_text(
+        PAGE_TEXT.format(
+            commit=measured_at(PAGE.name), machine=machine(), radius=collision_press.RADIUS, deep=collision_press.DEEP,
+            dragged=collision_press.DRAGGED, friction=collision_press.FRICTION, moving=MOVING, resting=RESTING,
+            iterations=ITERATIONS, cost=COST, figures=grid(titles, rows), pressed=PICTURES.format("pressed"),
+            peer_body=name_of(PEERS_BODY).replace("_", " "), vertices=found(PEERS_BODY, "full")["vertices"],
+            held=collision_press.HELD, last=LAST, peers=peers(),
+        ).rstrip() + "\n",
+        encoding="utf-8",
+    )  # fmt: skip
+
+
+def reduced(body: str) -> str:
+    """How far the dent in Reduced Quality is from that in Full Quality, at the frame at which the ball rests."""
+    if not found(body, "reduced"):
+        return NONE
+    full, few, off = (np.load(CACHE / name_of(body) / f"{way}.npy")[0] for way in ("full", "reduced", "off"))
+    dent = full - off
+    near = np.linalg.norm(dent, axis=1) > 0.1 * np.linalg.norm(dent, axis=1).max()
+    share = np.sqrt(((few - full)[near] ** 2).sum() / (dent[near] ** 2).sum())
+    return bold(f"{share:.0%}", share > 0.6)
+
+
+def peers() -> str:
+    rows = []
+    for way, title in (("full", "Dynamorph, Full"), ("reduced", "Dynamorph, Reduced"), ("soft_body", "Soft Body"),
+                       ("cloth", "Cloth")):  # fmt: skip
+        each = found(PEERS_BODY, way)
+        cells = [f"{100 * each['moving']:.3f}", f"{100 * each['resting']:.3f}", f"{each['seconds']:.0f}"] if each else [
+            NONE, NONE, f"over {LONGEST}"]  # fmt: skip
+        rows.append([title, *cells])
+    return grid(["", "depth, moving, %", "at rest, %", "seconds"], rows)
+
+
+def percent(value: float, limit: float) -> str:
+    return bold(f"{100 * value:.3f}", value > limit)
+
+
+def bold(text: str, wrong: bool) -> str:
+    return f"**{text}**" if wrong else text
+
+
+if __name__ == "__main__":
+    leave(main())
