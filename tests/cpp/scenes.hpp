@@ -3,7 +3,10 @@
 #pragma once
 
 #include <Eigen/Geometry>
+#include <algorithm>
+#include <array>
 #include <cmath>
+#include <map>
 #include <memory>
 
 #include "dynamorph/models/full_model.hpp"
@@ -39,6 +42,22 @@ inline TetMesh bar(int nx, int ny, int nz, double size) {
           mesh.tets.row(tet++) << corner[0], corner[1], corner[2], corner[3];
         }
   return mesh;
+}
+
+/// The faces of one tet alone (T, 3), outward.
+inline Triangles surface_of(const TetMesh& mesh) {
+  std::map<std::array<int, 3>, std::array<int, 3>> faces;  // by their sorted corners
+  for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t)
+    for (const std::array<int, 3>& k : {std::array{0, 2, 1}, {0, 1, 3}, {1, 2, 3}, {0, 3, 2}}) {
+      const std::array<int, 3> face{mesh.tets(t, k[0]), mesh.tets(t, k[1]), mesh.tets(t, k[2])};
+      std::array<int, 3> sorted = face;
+      std::sort(sorted.begin(), sorted.end());
+      if (!faces.emplace(sorted, face).second) faces.erase(sorted);
+    }
+  Triangles out(Eigen::Index(faces.size()), 3);
+  Eigen::Index row = 0;
+  for (const auto& [_, face] : faces) out.row(row++) << face[0], face[1], face[2];
+  return out;
 }
 
 /// The bar pinned at x = 0, weights passing smoothly from bone 0 to bone 1.

@@ -41,6 +41,17 @@ void check(Blending blending) {
     throw std::invalid_argument("blending: expected one of Blending's values, got " + std::to_string(int(blending)));
 }
 
+VectorXd neutral_weights(const SoftBody& body, const std::vector<MorphTarget>& targets) {
+  VectorXd out = VectorXd::Zero(Eigen::Index(targets.size()));
+  for (int s = 0; s < body.sets(); ++s)
+    for (std::size_t j = 0; j < targets.size(); ++j)
+      if (targets[j].set == s) {
+        out(Eigen::Index(j)) = 1;
+        break;
+      }
+  return out;
+}
+
 void SetDensities::blend(const std::vector<MorphTarget>& targets, int sets, const VectorXd& w) {
   density.setZero(sets);
   damped.setZero(sets);

@@ -32,6 +32,17 @@ struct MorphTarget {
 /// most 100 mu. Its displacement must be finite at every node and zero at pinned nodes.
 void check_targets(const SoftBody& body, const std::vector<MorphTarget>& targets);
 
+/// Weights (J): one for the first target of each set.
+VectorXd neutral_weights(const SoftBody& body, const std::vector<MorphTarget>& targets);
+
+/// Coordinates of the targets' shapes blended by the weights (J).
+template <class Model>
+void blended_shape(const Model& model, const VectorXd& weights, VectorXd& q) {
+  q.setZero(model.dofs());
+  for (Eigen::Index j = 0; j < weights.size(); ++j)
+    if (weights(j) != 0) q += weights(j) * model.target(int(j));
+}
+
 /// Throws std::invalid_argument unless `blending` is one of the enumeration's values.
 void check(Blending blending);
 

@@ -196,18 +196,6 @@ VectorXd neutral_mass(const SoftBody& body, const std::vector<MorphTarget>& targ
   return body.volumes * densities.density;
 }
 
-/// One for the first target of each set.
-VectorXd neutral_weights(const SoftBody& body, const std::vector<MorphTarget>& targets) {
-  VectorXd out = VectorXd::Zero(Index(targets.size()));
-  for (int s = 0; s < body.sets(); ++s)
-    for (std::size_t j = 0; j < targets.size(); ++j)
-      if (targets[j].set == s) {
-        out(Index(j)) = 1;
-        break;
-      }
-  return out;
-}
-
 /// Solves K x = b.
 class NeutralFactor {
  public:

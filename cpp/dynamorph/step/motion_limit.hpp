@@ -142,14 +142,6 @@ class MotionLimit {
   std::conditional_t<kNodal, SparseRows, std::optional<SingleRows>> pull_rows_;
 };
 
-/// Coordinates of the targets' shapes blended by the weights (J).
-template <class Model>
-void blended_shape(const Model& model, const VectorXd& weights, VectorXd& q) {
-  q.setZero(model.dofs());
-  for (Eigen::Index j = 0; j < weights.size(); ++j)
-    if (weights(j) != 0) q += weights(j) * model.target(int(j));
-}
-
 /// s of rbar.
 double load_scale(double excess);
 

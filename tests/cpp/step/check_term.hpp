@@ -17,6 +17,18 @@ inline void add_points(const DensePoints& points, const VectorXd& x, VectorXd& y
   if (points.stiffness.size() > 0) y += points.rows.transpose() * points.stiffness.cwiseProduct(points.rows * x);
 }
 
+/// The term at a distance from other coordinates, where its derivatives are checked: its second ones have kinks.
+template <class Term>
+struct Around {
+  Term& term;
+  VectorXd center;
+  void at(const VectorXd& q) { term.at(center + q); }
+  double value() { return term.value(); }
+  const VectorXd& gradient() { return term.gradient(); }
+  decltype(auto) hessian() { return term.hessian(); }
+  RoundOff round_off() { return term.round_off(); }
+};
+
 /// Checks a term (newton.hpp) at scales * x for some x of size `step`, with differences of that size: its gradient and
 /// its Hessian against its value, that the value is the same whether it is asked for alone or not, and that its
 /// round-off is sane. scales: of the coordinates, so that no part is hidden behind a stiffer one.

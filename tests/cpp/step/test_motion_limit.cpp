@@ -4,7 +4,6 @@
 #include <doctest/doctest.h>
 
 #include <cmath>
-#include <map>
 
 #include "check_term.hpp"
 #include "dynamorph/step/simulation.hpp"
@@ -17,20 +16,10 @@ namespace {
 
 /// The surface of a body. Each node may move by `distance` meters.
 SkinLimits limits_of(const SoftBody& body, double distance) {
-  std::map<std::array<int, 3>, std::array<int, 3>> faces;  // those of one tet alone, by their sorted corners
-  for (Eigen::Index t = 0; t < body.mesh.tets.rows(); ++t)
-    for (const std::array<int, 3>& k : {std::array{0, 2, 1}, {0, 1, 3}, {1, 2, 3}, {0, 3, 2}}) {
-      const std::array<int, 3> face{body.mesh.tets(t, k[0]), body.mesh.tets(t, k[1]), body.mesh.tets(t, k[2])};
-      std::array<int, 3> sorted = face;
-      std::sort(sorted.begin(), sorted.end());
-      if (!faces.emplace(sorted, face).second) faces.erase(sorted);
-    }
   SkinLimits out;
   out.rest = body.mesh.nodes;
   out.embedding = embed(body.mesh, out.rest);
-  out.triangles.resize(Eigen::Index(faces.size()), 3);
-  Eigen::Index row = 0;
-  for (const auto& [_, face] : faces) out.triangles.row(row++) << face[0], face[1], face[2];
+  out.triangles = surface_of(body.mesh);
   out.weights = MatrixXd::Zero(out.rest.rows(), body.skin.cols());
   for (Eigen::Index i = 0; i < out.rest.rows(); ++i)
     if (const int free = body.free_of_node[std::size_t(i)]; free >= 0)
@@ -42,18 +31,6 @@ SkinLimits limits_of(const SoftBody& body, double distance) {
 }
 
 const VectorXd kBetween = Vector3d(0.2, 0.5, 0.3);
-
-/// The term at a distance from other coordinates, where its derivatives are checked: its second ones have kinks.
-template <class Term>
-struct Around {
-  Term& term;
-  VectorXd center;
-  void at(const VectorXd& q) { term.at(center + q); }
-  double value() { return term.value(); }
-  const VectorXd& gradient() { return term.gradient(); }
-  decltype(auto) hessian() { return term.hessian(); }
-  RoundOff round_off() { return term.round_off(); }
-};
 
 /// Its derivatives where the limit lets go of some points and pulls others.
 template <class Model>

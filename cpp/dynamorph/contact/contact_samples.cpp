@@ -1,0 +1,166 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/contact/contact_samples.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "dynamorph/elastic/sparse_cholesky.hpp"
+
+namespace dynamorph {
+
+using Eigen::Index;
+
+namespace {
+
+constexpr double kFirmness = 30;        // times the stiffness of the body: what is left of a dent is 1/30
+constexpr double kStep = 2.0 / 3 / 96;  // s, where the mass is fitted: c h of BDF2 at 24 fps and 4 substeps
+constexpr double kAtRest = 10;          // s: a step so long is a static answer, also of a body that nothing holds
+constexpr double kFree = 0.3;           // of a sample's weights on free nodes; with less, pins hold it
+constexpr int kTogether = 256;          // samples solved at a time, so that memory stays small
+
+/// j^T A^-1 j of each row j.
+VectorXd compliance(const SparseMatrix& A, const SparseRows& J) {
+  BlockCholesky<double> factor;
+  VectorXd out = VectorXd::Zero(J.rows());
+  if (!factor.factorize(A)) return out;
+  MatrixXd columns;
+  for (Index first = 0; first < J.rows(); first += kTogether) {
+    const Index count = std::min<Index>(kTogether, J.rows() - first);
+    columns.setZero(A.rows(), count);
+    for (Index k = 0; k < count; ++k) {
+      const auto column = J.parts.row(J.first(first + k));
+      columns.col(k) = column.transpose();
+    }
+    factor.solve_in_place(columns);
+    for (Index k = 0; k < count; ++k) out(first + k) = J.parts.row(J.first(first + k)).dot(columns.col(k));
+  }
+  return out;
+}
+VectorXd compliance(const ArrowMatrix& A, const RowMajor& J) {
+  const Eigen::LLT<MatrixXd> factor(A.dense());
+  if (factor.info() != Eigen::Success) return VectorXd::Zero(J.rows());
+  return factor.matrixL().solve(J.transpose()).colwise().squaredNorm();
+}
+
+/// The sum of the weights of each point's free nodes.
+VectorXd free_weights(const SoftBody& body, const Embedding& embedding) {
+  VectorXd out = VectorXd::Zero(embedding.nodes.rows());
+  for (Index p = 0; p < out.size(); ++p)
+    for (int k = 0; k < 4; ++k)
+      if (body.free_of_node[std::size_t(embedding.nodes(p, k))] >= 0) out(p) += embedding.weights(p, k);
+  return out;
+}
+
+/// The target sets' shares of the tissue at the nodes of each point (P, S).
+MatrixXd set_shares(const SoftBody& body, const Embedding& embedding) {
+  MatrixXd out = MatrixXd::Zero(embedding.nodes.rows(), body.sets());
+  for (Index p = 0; p < out.rows(); ++p) {
+    for (int k = 0; k < 4; ++k)
+      if (const int free = body.free_of_node[std::size_t(embedding.nodes(p, k))]; free >= 0)
+        out.row(p) += std::abs(embedding.weights(p, k)) * body.volumes.row(free);
+    const double sum = out.row(p).sum();
+    if (sum > 0) out.row(p) /= sum;
+  }
+  return out;
+}
+
+/// K at the neutral targets, and M in the pose of the targets' sculpts.
+template <class Model>
+std::pair<typename Model::Matrix, typename Model::Matrix> stiffness_and_mass(const Model& model,
+                                                                             const VectorXd& weights) {
+  typename Model::Blend blend;
+  model.blend(weights, blend);
+  VectorXd rest, force;
+  blended_shape(model, weights, rest);
+  typename Model::Matrix K = model.zero();
+  model.linearize(blend, rest, force, K);
+  Transforms still(model.body().skin.cols(), 12);
+  still.rowwise() = Eigen::Matrix<double, 1, 12>{{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}};
+  InertialTarget inertial;
+  inertial.q.fill(&rest);
+  inertial.bones.fill(&still);
+  typename Model::Inertia inertia;
+  model.inertia(inertial, blend.mass, inertia);
+  return {K, inertia.mass};
+}
+
+const ContactSkin& checked(const ContactSkin& samples) {
+  const Index P = samples.skin.rest.rows();
+  check_size("normals", samples.normals.rows(), P);
+  check_size("thickness", samples.thickness.size(), P);
+  if (!samples.normals.allFinite() || !(samples.normals.rowwise().norm().array() > 0).all())
+    throw std::invalid_argument("normals: must be finite and longer than zero");
+  if (!samples.thickness.allFinite() || !(samples.thickness.array() > 0).all())
+    throw std::invalid_argument("thickness: must be finite and above zero");
+  return samples;
+}
+
+}  // namespace
+
+template <class Model>
+ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, ContactSkin samples)
+    : map_(model, checked(samples).skin),
+      normals_(samples.normals.rowwise().normalized()),
+      thickness_(std::move(samples.thickness)),
+      share_(set_shares(model->body(), map_.skin().embedding)),
+      softness_(model->body().sets()) {
+  const VectorXd neutral = neutral_weights(model->body(), model->targets());
+  for (std::size_t j = 0; j < model->targets().size(); ++j)
+    if (neutral(Index(j)) == 1) softness_(model->targets()[j].set) = 1 / model->targets()[j].lame.mu;
+
+  PointRows numbers;
+  for (int p = 0; p < int(size()); ++p) {
+    numbers.add_row();
+    numbers.add(p, normals_.row(p));
+  }
+  typename SkinMap<Model>::Rows rows;
+  model->skin_points(map_.skin().embedding).rows(numbers, rows);
+  auto [K, M] = stiffness_and_mass(*model, neutral);
+  typename Model::Matrix A = K;
+  values(A) = values(K) + values(M) / (kAtRest * kAtRest);
+  const VectorXd lasting = compliance(A, rows);
+  values(A) = values(K) + values(M) / (kStep * kStep);
+  const VectorXd in_step = compliance(A, rows);
+  const VectorXd free = free_weights(model->body(), map_.skin().embedding);
+  stiffness_.setZero(size());
+  mass_.setZero(size());
+  for (Index p = 0; p < size(); ++p) {
+    if (!(in_step(p) > 0)) continue;
+    // A sample that moves little with its nodes would move them far: no more than it moves itself is asked for.
+    const double counts = std::pow(std::clamp(free(p) / kFree, 0.0, 1.0), 4);
+    stiffness_(p) = counts / lasting(p);
+    mass_(p) = counts * std::max(1 / in_step(p) - 1 / lasting(p), 0.0) * kStep * kStep;
+  }
+}
+
+template <class Model>
+double ContactSamples<Model>::stiffness(Index sample, const VectorXd& weights, double square) const {
+  double stiffer = 0;
+  const auto& targets = model().targets();
+  for (std::size_t j = 0; j < targets.size(); ++j)
+    if (const double w = weights(Index(j)); w != 0)
+      stiffer += share_(sample, targets[j].set) * w * targets[j].lame.mu * softness_(targets[j].set);
+  return kFirmness * (stiffer * stiffness_(sample) + mass_(sample) / square);
+}
+
+template <class Model>
+void ContactSamples<Model>::normals(const Transforms& bones, Points& out) const {
+  out.resize(size(), 3);
+  for (Index p = 0; p < size(); ++p) {
+    const Matrix3d A = map_.skin().transform(bones, p).template leftCols<3>();
+    // The cofactors of A turn a surface as A does, and exist where A has no inverse.
+    Matrix3d cofactors;
+    for (int c = 0; c < 3; ++c) cofactors.row(c) = A.row((c + 1) % 3).cross(A.row((c + 2) % 3));
+    const Vector3d turned = cofactors * normals_.row(p).transpose() * (A.determinant() < 0 ? -1 : 1);
+    const double length = turned.norm();
+    if (length > 0)
+      out.row(p) = turned / length;
+    else
+      out.row(p) = normals_.row(p);
+  }
+}
+
+template class ContactSamples<FullModel>;
+template class ContactSamples<ReducedModel>;
+
+}  // namespace dynamorph

@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The points of a skin that can touch something, and how firmly they do. A sample p under a surface is pushed out with
+// the stiffness
+//
+//   k_p = 30 (f_p / C_p + m_p / (c h)^2),      f_p = sum_j w_j mu_j / mu_0,
+//
+// where C_p is the compliance of the body at the sample along its normal, n^T E K^-1 E^T n at the neutral targets,
+// 1 / C_p + m_p / (c h)^2 that in a step (m_p is fitted at 1/96 s), and f_p how much stiffer the blended targets are.
+// So what is left of a dent that the surface makes is about 1/30 at every mesh size, stiffness and step, no number has
+// to be tuned, and what is held firmly is pushed firmly. K is the model's own: a reduced model is stiffer at a point.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "dynamorph/core/types.hpp"
+#include "dynamorph/models/full_model.hpp"
+#include "dynamorph/models/skin.hpp"
+#include "dynamorph/reduced/reduced_model.hpp"
+
+namespace dynamorph {
+
+/// Points of a skin that can touch something. Bind space, meters.
+struct ContactSkin {
+  Skin skin;           ///< of P points
+  Points normals;      ///< (P): out of the body, any length above zero
+  VectorXd thickness;  ///< T (P) > 0: of the tissue below; a collider that the bones take in deeper pushes less
+};
+
+/// Immutable: simulations may share it.
+template <class Model>
+class ContactSamples {
+ public:
+  /// Throws std::invalid_argument unless the arrays fit each other and the model.
+  ContactSamples(std::shared_ptr<const Model> model, ContactSkin samples);
+
+  const Model& model() const { return map_.model(); }
+  const SkinMap<Model>& map() const { return map_; }
+  Eigen::Index size() const { return map_.size(); }  ///< P
+  const VectorXd& thickness() const { return thickness_; }
+  /// 1 / C (P), N/m, at the neutral targets; 0 where pins leave next to nothing to move.
+  const VectorXd& stiffness() const { return stiffness_; }
+  const VectorXd& mass() const { return mass_; }  ///< m (P), kg
+
+  /// k of a sample at target weights (J); square: (c h)^2, s^2.
+  double stiffness(Eigen::Index sample, const VectorXd& weights, double square) const;
+
+  /// Out of the body, unit, world space (P), as the bones pose them.
+  void normals(const Transforms& bones, Points& out) const;
+
+ private:
+  SkinMap<Model> map_;
+  Points normals_;  ///< unit
+  VectorXd thickness_, stiffness_, mass_;
+  MatrixXd share_;     ///< of the target sets in a sample's tissue (P, S); rows sum to one
+  VectorXd softness_;  ///< 1 / mu of each set's neutral target
+};
+
+extern template class ContactSamples<FullModel>;
+extern template class ContactSamples<ReducedModel>;
+
+}  // namespace dynamorph

@@ -1,0 +1,243 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The term of contact in a step's potential. Each contact is a plane for the length of the step, with the gap g and the
+// slip t, which are linear in the coordinates q:
+//
+//   g = n . (x_p(q) - point),     t = (I - n n^T) (x_p(q) - x_p(before) - motion),
+//   E = s k ramp(distance - g) + mu lambda F(|t|),
+//
+// where s is the contact's weight, k the sample's stiffness (contact_samples.hpp), ramp and F are of contact_law.hpp,
+// mu is the friction, and lambda the pressure in the round before. Friction has no potential of its own: with lambda of
+// the round before it has one, and each step takes two rounds. The first one has the pressures of the step before.
+#pragma once
+
+#include <algorithm>
+#include <vector>
+
+#include "dynamorph/contact/contact.hpp"
+#include "dynamorph/contact/contact_law.hpp"
+#include "dynamorph/contact/contact_samples.hpp"
+#include "dynamorph/step/newton.hpp"
+
+namespace dynamorph {
+
+/// How firmly a sample presses on a collider.
+struct Pressure {
+  int sample, collider;
+  Vector3d normal;  ///< unit, out of the collider, world space
+  double force;     ///< newtons
+};
+
+/// The same for all contacts of a step. It owns nothing.
+struct ContactStep {
+  const Transforms& bones;              ///< at the end of the step
+  const VectorXd& weights;              ///< of the targets (J)
+  const VectorXd& before;               ///< x (3P) of the samples at the beginning
+  const std::vector<double>& friction;  ///< mu of the colliders
+  double square;                        ///< (c h)^2, s^2
+  double distance;                      ///< at which samples begin to be pushed, meters
+  double width;                         ///< over which the push grows to its full stiffness, meters
+  double sticks;                        ///< slip below which friction holds, meters
+};
+
+namespace contact_rows {
+
+/// A row that is made of a row of J and the one after it, which are of the same point.
+struct Sum {
+  int first;
+  double factor, after;
+};
+
+inline void make(const RowMajor& J, const std::vector<Sum>& sums, RowMajor& out) {
+  out.resize(Eigen::Index(sums.size()), J.cols());
+  for (std::size_t k = 0; k < sums.size(); ++k) {
+    out.row(Eigen::Index(k)) = sums[k].factor * J.row(sums[k].first);
+    if (sums[k].after != 0) out.row(Eigen::Index(k)) += sums[k].after * J.row(sums[k].first + 1);
+  }
+}
+inline void make(const SparseRows& J, const std::vector<Sum>& sums, SparseRows& out) {
+  using Part = Eigen::SparseMatrix<double, Eigen::RowMajor>::InnerIterator;
+  out.ends.clear();
+  out.parts.resize(Eigen::Index(sums.size()), J.parts.cols());
+  out.parts.reserve(12 * Eigen::Index(sums.size()));
+  for (std::size_t k = 0; k < sums.size(); ++k) {
+    out.ends.push_back(int(k) + 1);
+    out.parts.startVec(Eigen::Index(k));
+    const bool both = sums[k].after != 0;
+    Part after(J.parts, sums[k].first + (both ? 1 : 0));  // with the same columns
+    for (Part it(J.parts, sums[k].first); it; ++it, ++after)
+      out.parts.insertBack(Eigen::Index(k), it.col()) =
+          sums[k].factor * it.value() + (both ? sums[k].after * after.value() : 0);
+  }
+  out.parts.finalize();
+}
+
+}  // namespace contact_rows
+
+/// Contacts that begin where the samples' stiffness is above zero.
+template <class Model>
+struct ContactTerm {
+  using Points = PointStiffness<typename Model::Matrix>;
+
+  /// Nothing touches anything.
+  void clear() {
+    touching_.clear();
+    points_.stiffness.resize(0);
+  }
+
+  /// contacts: by sample. pressures: of the step before, by sample.
+  void begin(const ContactSamples<Model>& samples, const std::vector<Contact>& contacts, const ContactStep& step,
+             const std::vector<Pressure>& pressures) {
+    clear();
+    width_ = step.width;
+    sticks_ = step.sticks;
+    numbers_.clear();
+    offsets_.resize(3 * Eigen::Index(contacts.size()));
+    for (const Contact& contact : contacts) {
+      const double stiffness = contact.weight * samples.stiffness(contact.sample, step.weights, step.square);
+      if (!(stiffness > 0)) continue;
+      const double friction = step.friction[std::size_t(contact.collider)];
+      const Vector3d unmoved = samples.map().unmoved(step.bones, step.weights, contact.sample);
+      const auto add = [&](const Vector3d& direction, const Vector3d& from) {
+        offsets_(numbers_.size()) = direction.dot(unmoved - from);
+        numbers_.add_row();
+        numbers_.add(contact.sample, direction);
+      };
+      touching_.push_back({contact,
+                           numbers_.size(),
+                           stiffness,
+                           stiffness * (unmoved.norm() + contact.point.norm()),
+                           friction,
+                           friction * force_of(pressures, contact),
+                           {},
+                           {}});
+      add(contact.normal, contact.point + step.distance * contact.normal);
+      if (!(friction > 0)) continue;
+      const Vector3d across = contact.normal.unitOrthogonal();
+      const Vector3d from = step.before.template segment<3>(3 * contact.sample) + contact.motion;
+      add(across, from);
+      add(contact.normal.cross(across), from);
+    }
+    offsets_.conservativeResize(numbers_.size());
+    if (!touching_.empty()) samples.map().rows(step.bones, numbers_, scratch_, rows_);
+  }
+
+  bool empty() const { return touching_.empty(); }
+
+  /// Takes the pressures where it is for those that friction is proportional to. Returns false when there is none.
+  bool next_round() {
+    bool any = false;
+    for (Touch& touch : touching_) {
+      any |= touch.friction > 0 && (touch.held > 0 || touch.normal.force > 0);
+      touch.held = touch.friction * touch.pressure();
+    }
+    return any;
+  }
+
+  void at(const VectorXd& q) {
+    gradient_.setZero(q.size());
+    value_ = magnitude_ = 0;
+    length_ = q.norm();
+    if (touching_.empty()) return;
+    multiply(rows_, q, values_);
+    values_ += offsets_;
+    forces_.setZero(values_.size());
+    for (Touch& touch : touching_) {
+      touch.normal = contact_ramp(-values_(touch.row), width_);
+      value_ += touch.stiffness * touch.normal.energy;
+      forces_(touch.row) = -touch.pressure();
+      if (touch.normal.force > 0) magnitude_ += touch.magnitude;
+      if (!(touch.held > 0)) continue;
+      const auto slip = values_.segment<2>(touch.row + 1);
+      touch.slip = smoothed_slip(slip.norm(), sticks_);
+      value_ += touch.held * touch.slip.energy;
+      forces_.segment<2>(touch.row + 1) = touch.held * touch.slip.across * slip;
+    }
+    add_transposed_product(rows_, forces_, gradient_);
+  }
+  double value() const { return value_; }
+  const VectorXd& gradient() const { return gradient_; }
+
+  /// Along the normals, and along and across the slips.
+  const Points& hessian() {
+    sums_.clear();
+    stiffness_.clear();
+    const auto add = [&](double stiffness, const contact_rows::Sum& sum) {
+      if (!(stiffness > 0)) return;
+      stiffness_.push_back(stiffness);
+      sums_.push_back(sum);
+    };
+    for (const Touch& touch : touching_) {
+      add(touch.stiffness * touch.normal.stiffness, {touch.row, 1, 0});
+      if (!(touch.held > 0)) continue;
+      Eigen::Vector2d along = values_.segment<2>(touch.row + 1);
+      along = along.isZero(0) ? Eigen::Vector2d(1, 0) : Eigen::Vector2d(along.normalized());
+      add(touch.held * touch.slip.along, {touch.row + 1, along.x(), along.y()});
+      add(touch.held * touch.slip.across, {touch.row + 1, -along.y(), along.x()});
+    }
+    points_.stiffness = Eigen::Map<const VectorXd>(stiffness_.data(), Eigen::Index(stiffness_.size()));
+    if (!stiffness_.empty()) contact_rows::make(rows_, sums_, points_.rows);
+    return points_;
+  }
+  RoundOff round_off() const { return {gradient_.norm(), 1e-15 * magnitude_, length_}; }
+
+  /// Those where it is.
+  void pressures(std::vector<Pressure>& out) const {
+    out.clear();
+    for (const Touch& touch : touching_)
+      if (touch.normal.force > 0)
+        out.push_back({touch.contact.sample, touch.contact.collider, touch.contact.normal, touch.pressure()});
+  }
+
+  /// Of a contact that is not faded to less than half: the largest depth under a surface, meters; 0 for none.
+  double penetration(double distance) const {
+    double deepest = 0;
+    for (const Touch& touch : touching_)
+      if (touch.contact.weight >= 0.5) deepest = std::max(deepest, -values_(touch.row) - distance);
+    return deepest;
+  }
+
+  /// Newtons on each collider (C), where it is.
+  void forces(std::vector<Vector3d>& on_colliders) const {
+    for (const Touch& touch : touching_) {
+      Vector3d& sum = on_colliders[std::size_t(touch.contact.collider)];
+      const int rows = touch.friction > 0 ? 3 : 1;
+      for (int k = 0; k < rows; ++k) sum += forces_(touch.row + k) * numbers_.direction(touch.row + k);
+    }
+  }
+
+ private:
+  struct Touch {
+    Contact contact;
+    int row;  ///< of the gap in rows_; those of the slip follow where there is friction
+    double stiffness, magnitude, friction;
+    double held;  ///< friction times the pressure of the round before
+    ContactRamp normal;
+    SmoothedSlip slip;
+    double pressure() const { return stiffness * normal.force; }
+  };
+
+  /// Of the one at the same place whose normal is nearest: a sample may touch several sides of a collider.
+  static double force_of(const std::vector<Pressure>& pressures, const Contact& contact) {
+    double force = 0, nearest = 0;
+    const auto less = [](const Pressure& a, int sample) { return a.sample < sample; };
+    auto at = std::lower_bound(pressures.begin(), pressures.end(), contact.sample, less);
+    for (; at != pressures.end() && at->sample == contact.sample; ++at)
+      if (const double near = at->normal.dot(contact.normal); at->collider == contact.collider && near > nearest) {
+        nearest = near;
+        force = at->force;
+      }
+    return force;
+  }
+
+  double width_ = 1, sticks_ = 1;
+  std::vector<Touch> touching_;
+  PointRows numbers_, scratch_;
+  typename Model::SkinPoints::Rows rows_;
+  VectorXd offsets_, values_, forces_, gradient_;  ///< gaps (less the distance) and slips; at q = 0; what resists them
+  std::vector<contact_rows::Sum> sums_;
+  std::vector<double> stiffness_;
+  Points points_;
+  double value_ = 0, magnitude_ = 0, length_ = 0;
+};
+
+}  // namespace dynamorph

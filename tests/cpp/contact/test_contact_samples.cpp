@@ -1,0 +1,160 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// How firmly the points of a skin press, against dense matrices.
+#include <doctest/doctest.h>
+
+#include <Eigen/Cholesky>
+#include <cmath>
+
+#include "contact_skins.hpp"
+#include "derivatives.hpp"
+#include "dynamorph/contact/contact_law.hpp"
+#include "scenes.hpp"
+
+using namespace dynamorph;
+using namespace scenes;
+
+namespace {
+
+const VectorXd kNeutral = Vector3d(1, 0, 0);
+constexpr double kSquare = 4.0 / 9 / (96 * 96);  // (c h)^2, s^2
+
+/// A model's matrices at its neutral target, dense, and the row of a sample's normal.
+template <class Model>
+struct DenseModel {
+  MatrixXd K, M, J;
+
+  DenseModel(const Model& model, const ContactSkin& skin) {
+    typename Model::Blend blend;
+    typename Model::Matrix tangent = model.zero();
+    VectorXd force, column;
+    const VectorXd rest = VectorXd::Zero(model.dofs());
+    model.blend(kNeutral, blend);
+    model.linearize(blend, rest, force, tangent);
+    Transforms still(2, 12);
+    still.rowwise() = Eigen::Matrix<double, 1, 12>{{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}};
+    InertialTarget inertial;
+    inertial.q.fill(&rest);
+    inertial.bones.fill(&still);
+    typename Model::Inertia inertia;
+    model.inertia(inertial, blend.mass, inertia);
+    const SkinMap<Model> map(std::shared_ptr<const Model>(&model, [](const Model*) {}), skin.skin);
+    const Eigen::Index n = model.dofs();
+    K.resize(n, n);
+    M.resize(n, n);
+    J.resize(skin.normals.rows(), n);
+    for (Eigen::Index i = 0; i < n; ++i) {
+      const VectorXd unit = VectorXd::Unit(n, i);
+      multiply(tangent, unit, column);
+      K.col(i) = column;
+      multiply(inertia.mass, unit, column);
+      M.col(i) = column;
+      map.displacement(VectorXd::Zero(0), unit, column);
+      for (Eigen::Index p = 0; p < J.rows(); ++p)
+        J(p, i) = skin.normals.row(p).normalized().dot(column.segment<3>(3 * p).transpose());
+    }
+  }
+  double stiffness(Eigen::Index sample, double square) const {
+    const MatrixXd A = square > 0 ? MatrixXd(K + M / square) : K;
+    const VectorXd j = J.row(sample);
+    return 1 / j.dot(A.ldlt().solve(j));
+  }
+};
+
+template <class Model>
+void check_stiffness(std::shared_ptr<const Model> model) {
+  const ContactSkin skin = contact_skin_of(model->body(), 0.05);
+  const ContactSamples<Model> samples(model, skin);
+  const DenseModel<Model> dense(*model, skin);
+  int held = 0, checked = 0;
+  for (Eigen::Index p = 0; p < samples.size(); ++p) {
+    if (skin.skin.rest(p, 0) < 1e-9) {  // pinned
+      CHECK(samples.stiffness(p, kNeutral, kSquare) == 0);
+      ++held;
+    } else if (p % 7 == 0) {
+      CHECK(samples.stiffness()(p) == doctest::Approx(dense.stiffness(p, 0)).epsilon(1e-3));
+      CHECK(samples.stiffness(p, kNeutral, kSquare) == doctest::Approx(30 * dense.stiffness(p, kSquare)).epsilon(1e-6));
+      CHECK(
+          samples.stiffness(p, Vector3d(0, 1, 0), kSquare) - samples.stiffness(p, kNeutral, kSquare) ==
+          doctest::Approx(8 * 30 * samples.stiffness()(p)).epsilon(1e-6));  // mu is 9 times that of the neutral target
+      ++checked;
+    }
+  }
+  CHECK(held == 9);
+  CHECK(checked > 3);
+}
+
+}  // namespace
+
+TEST_CASE("samples press with thirty times the stiffness that the body has at them, in a step and at rest") {
+  const auto body = two_bone_bar();
+  const auto all = targets(*body);
+  check_stiffness(std::make_shared<const FullModel>(body, all, MaterialModel::stable_stvk, Blending::even));
+  check_stiffness(reduced_model(body, all, MaterialModel::stable_stvk, Blending::even, 10));
+  check_stiffness(ResponseScene(body, all, MaterialModel::stable_stvk, Blending::even).model);
+}
+
+TEST_CASE("the normals of samples turn with their bones, and stay outside in a mirror") {
+  const auto body = two_bone_bar();
+  const auto model = reduced_model(body, targets(*body), MaterialModel::linear, Blending::even, 8);
+  ContactSkin skin = contact_skin_of(*body, 0.05);
+  skin.normals *= 3;
+  const ContactSamples<ReducedModel> samples(model, skin);
+  Transforms bones(2, 12);
+  Points normals;
+  const auto pose = [&](const Matrix3d& A) {
+    for (int b = 0; b < 2; ++b)
+      Eigen::Map<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>>(bones.data() + 12 * b) << A, Vector3d(1, 2, 3);
+    samples.normals(bones, normals);
+  };
+  const Points rest = skin.normals.rowwise().normalized();
+  const Matrix3d turn = Eigen::AngleAxisd(0.7, Vector3d(1, 2, 3).normalized()).toRotationMatrix();
+  pose(turn);
+  CHECK((normals - rest * turn.transpose()).cwiseAbs().maxCoeff() < 1e-12);
+  pose(Vector3d(-1, 1, 1).asDiagonal());
+  CHECK((normals - rest * Vector3d(-1, 1, 1).asDiagonal()).cwiseAbs().maxCoeff() < 1e-12);
+  pose(Vector3d(2, 1, 1).asDiagonal());  // a face across x keeps its normal, others lean away from x
+  for (Eigen::Index p = 0; p < samples.size(); ++p) {
+    const Vector3d expected = Vector3d(rest(p, 0) / 2, rest(p, 1), rest(p, 2)).normalized();
+    CHECK((normals.row(p).transpose() - expected).norm() < 1e-12);
+  }
+  pose(Matrix3d::Zero());  // nowhere is outside: whatever they are, they are unit vectors
+  CHECK((normals.rowwise().norm().array() - 1).abs().maxCoeff() < 1e-12);
+}
+
+TEST_CASE("the laws of contact: forces and stiffness are derivatives of their energies") {
+  constexpr double width = 0.3, e = 1e-6;
+  for (double depth : {-0.1, 0.05, 0.2, 0.299, 0.301, 2.0}) {
+    const ContactRamp at = contact_ramp(depth, width), less = contact_ramp(depth - e, width),
+                      more = contact_ramp(depth + e, width);
+    CHECK((more.energy - less.energy) / (2 * e) == doctest::Approx(at.force).epsilon(1e-6));
+    CHECK((more.force - less.force) / (2 * e) == doctest::Approx(at.stiffness).epsilon(1e-4));
+  }
+  CHECK(contact_ramp(0, width).energy == 0);
+  CHECK(contact_ramp(width, width).stiffness == 1);
+  for (double slip : {0.01, 0.2, 0.299, 0.301, 2.0}) {
+    const SmoothedSlip at = smoothed_slip(slip, width), less = smoothed_slip(slip - e, width),
+                       more = smoothed_slip(slip + e, width);
+    CHECK((more.energy - less.energy) / (2 * e) == doctest::Approx(at.across * slip).epsilon(1e-6));
+    CHECK((more.across * (slip + e) - less.across * (slip - e)) / (2 * e) == doctest::Approx(at.along).epsilon(1e-4));
+    CHECK(at.across * slip <= 1);
+  }
+  CHECK(smoothed_slip(0, width).energy == 0);
+  CHECK(smoothed_slip(2 * width, width).across * 2 * width == 1);
+}
+
+TEST_CASE("samples that do not fit are refused") {
+  const auto body = two_bone_bar();
+  const auto model = reduced_model(body, targets(*body), MaterialModel::linear, Blending::even, 8);
+  const auto refused = [&](const char* what, auto change) {
+    ContactSkin skin = contact_skin_of(*body, 0.05);
+    change(skin);
+    CHECK_THROWS_WITH_AS(ContactSamples<ReducedModel>(model, skin), doctest::Contains(what), std::invalid_argument);
+  };
+  refused("thickness: must be finite and above zero", [](ContactSkin& s) { s.thickness(0) = 0; });
+  refused("thickness: must be finite and above zero", [](ContactSkin& s) { s.thickness(0) = kInfinity; });
+  refused("thickness: expected", [](ContactSkin& s) { s.thickness.setOnes(1); });
+  refused("normals: must be finite and longer than zero", [](ContactSkin& s) { s.normals.row(0).setZero(); });
+  refused("normals: must be finite and longer than zero", [](ContactSkin& s) { s.normals(0, 0) = NAN; });
+  refused("normals: expected", [](ContactSkin& s) { s.normals = s.normals.topRows(1).eval(); });
+  refused("embedding: it belongs to another mesh", [](ContactSkin& s) { s.skin.embedding.nodes(0, 0) = 1 << 20; });
+}

@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The term of contact: derivatives over models, pressures and forces.
+#include <doctest/doctest.h>
+
+#include "check_term.hpp"
+#include "contact_skins.hpp"
+#include "dynamorph/step/contact_term.hpp"
+#include "scenes.hpp"
+
+using namespace dynamorph;
+using namespace scenes;
+
+namespace {
+
+const VectorXd kBetween = Vector3d(0.2, 0.5, 0.3);
+
+template <class Model>
+void check_contact(std::shared_ptr<const Model> model) {
+  const ContactSamples<Model> samples(model, contact_skin_of(model->body(), 0.05));
+  const Transforms bones = bent(0.4);
+  VectorXd before, now, shape;
+  blended_shape(*model, kBetween, shape);
+  samples.map().positions(bones, kBetween, shape, before);
+  const std::vector<double> friction{0.5, 0};
+  // Some samples deep, some in the transition, some free; slips of about the one at which friction is whole.
+  constexpr double kWidth = 0.01;
+  std::vector<Contact> contacts;
+  std::vector<Pressure> pressures;
+  for (int p = 0; p < int(samples.size()); p += 3) {
+    const Vector3d normal = random_vector(3, 1, unsigned(p)).normalized(), x = before.segment<3>(3 * p);
+    const double depth = kWidth * (p % 4 - 0.5);
+    contacts.push_back({p, p % 2, x + depth * normal, normal, 0.004 * normal.unitOrthogonal() * (1 + p % 5), 0.7, -1});
+    if (p % 2 == 0) pressures.push_back({p, 0, normal, 0.1 * (p % 7)});
+  }
+  const ContactStep step{bones, kBetween, before, friction, 1e-4, 0, kWidth, 0.01};
+  ContactTerm<Model> term;
+  term.begin(samples, contacts, step, pressures);
+  typename Model::Blend blend;
+  model->blend(kBetween, blend);
+  typename Model::Matrix K = model->zero();
+  VectorXd force;
+  model->linearize(blend, shape, force, K);
+  const VectorXd scales = K.diagonal().cwiseAbs().cwiseSqrt().cwiseInverse();
+  Around<ContactTerm<Model>> around{term, shape};
+  check_term<typename Model::Matrix>(around, scales, 1e-5);
+
+  // What presses is pushed with its stiffness, and pushes the colliders as much as the body.
+  term.at(shape);
+  std::vector<Pressure> now_pressed;
+  term.pressures(now_pressed);
+  std::vector<Vector3d> forces(2, Vector3d::Zero());
+  term.forces(forces);
+  double pressed = 0;
+  for (const Pressure& pressure : now_pressed) {
+    CHECK(pressure.force > 0);
+    CHECK(pressure.sample % 4 != 0);
+    if (pressure.collider == 1) pressed += pressure.force;
+  }
+  CHECK(pressed > 0);
+  CHECK(forces[1].norm() <= pressed);
+  CHECK(term.penetration(0) == doctest::Approx(2.5 * kWidth).epsilon(1e-9));
+  CHECK(term.next_round());
+  check_term<typename Model::Matrix>(around, scales, 1e-5);  // with the pressures that it has itself
+
+  contacts.resize(0);
+  term.begin(samples, contacts, step, pressures);
+  CHECK(term.empty());
+  CHECK_FALSE(term.next_round());
+  term.at(shape);
+  CHECK(term.value() == 0);
+  CHECK(term.gradient().isZero(0));
+  CHECK(term.hessian().stiffness.size() == 0);
+}
+
+}  // namespace
+
+TEST_CASE("contact has the derivatives of its energy, over models") {
+  const auto body = two_bone_bar();
+  const auto all = targets(*body);
+  check_contact(std::make_shared<const FullModel>(body, all, MaterialModel::stable_stvk, Blending::even));
+  check_contact(reduced_model(body, all, MaterialModel::stable_stvk, Blending::even, 10));
+  check_contact(ResponseScene(body, all, MaterialModel::stable_stvk, Blending::even).model);
+}
