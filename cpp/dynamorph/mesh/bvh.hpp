@@ -28,6 +28,16 @@ class Bvh {
     if (!boxes.empty()) build(boxes, 0, int(boxes.size()));
   }
 
+  /// Follows the items to where they are now; the tree stays as it was built. box(item) is an item's new box.
+  template <class BoxOf>
+  void refit(const BoxOf& box) {
+    for (int index = int(nodes.size()) - 1; index >= 0; --index) {  // children come after their parents
+      Node& node = nodes[index];
+      node.box = node.leaf() ? Box() : nodes[index + 1].box.merged(nodes[node.right].box);
+      for (int i = node.begin; node.leaf() && i < node.end; ++i) node.box.extend(box(order[i]));
+    }
+  }
+
   /// Calls visit(item) for the items that may lie nearer to p than sqrt(best), nearest boxes first. visit lowers `best`
   /// (squared distance) when its item is nearer.
   template <class Visit>
@@ -39,7 +49,13 @@ class Bvh {
   /// `direction`. visit lowers `best` when the line meets its item sooner.
   template <class Visit>
   void along(const Vector3d& p, const Vector3d& direction, const double& best, Visit visit) const {
-    if (!nodes.empty()) along(0, p, direction, best, visit);
+    if (!nodes.empty()) along(0, p, direction, best, visit, nullptr);
+  }
+
+  /// The same for items that move: `moved` is this tree, refitted to where they get to.
+  template <class Visit>
+  void along(const Vector3d& p, const Vector3d& direction, const double& best, const Bvh& moved, Visit visit) const {
+    if (!nodes.empty()) along(0, p, direction, best, visit, &moved);
   }
 
   std::vector<Node> nodes;
@@ -90,11 +106,13 @@ class Bvh {
   }
 
   template <class Visit>
-  void along(int index, const Vector3d& p, const Vector3d& direction, const double& best, Visit& visit) const {
+  void along(int index, const Vector3d& p, const Vector3d& direction, const double& best, Visit& visit,
+             const Bvh* moved) const {
     const Node& node = nodes[index];
+    const Box box = moved ? node.box.merged(moved->nodes[index].box) : node.box;
     double enter = 0, leave = best;
     for (int axis = 0; axis < 3; ++axis) {
-      const double low = node.box.min()[axis] - p[axis], high = node.box.max()[axis] - p[axis];
+      const double low = box.min()[axis] - p[axis], high = box.max()[axis] - p[axis];
       if (direction[axis] == 0 && low <= 0 && high >= 0) continue;  // avoids 0 / 0 on the side of a box
       enter = std::max(enter, std::min(low / direction[axis], high / direction[axis]));
       leave = std::min(leave, std::max(low / direction[axis], high / direction[axis]));
@@ -104,8 +122,8 @@ class Bvh {
       for (int i = node.begin; i < node.end; ++i) visit(order[i]);
       return;
     }
-    along(index + 1, p, direction, best, visit);
-    along(node.right, p, direction, best, visit);
+    along(index + 1, p, direction, best, visit, moved);
+    along(node.right, p, direction, best, visit, moved);
   }
 };
 

@@ -15,6 +15,38 @@ std::vector<Bvh::Box> boxes(const Points& vertices, const Triangles& triangles) 
   return boxes;
 }
 
+struct Corners {
+  Vector3d a, b, c;
+};
+
+Corners corners(const Points& vertices, const Triangles& triangles, int t) {
+  return {vertices.row(triangles(t, 0)), vertices.row(triangles(t, 1)), vertices.row(triangles(t, 2))};
+}
+
+// Van Oosterom and Strackee 1983: tan(Omega / 2) = a . (b x c) / (|a||b||c| + (a.b)|c| + (b.c)|a| + (c.a)|b|).
+double solid_angle(const Corners& triangle, const Vector3d& p) {
+  const Vector3d a = triangle.a - p, b = triangle.b - p, c = triangle.c - p;
+  const double la = a.norm(), lb = b.norm(), lc = c.norm();
+  const double y = a.dot(b.cross(c)), x = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
+  return 2 * std::atan2(y, x);
+}
+
+/// The sum of what is seen of the triangles below a node.
+double winding_number(const Points& vertices, const Triangles& triangles, const Bvh& bvh,
+                      const std::vector<Dipole>& dipoles, int index, const Vector3d& p) {
+  const Bvh::Node& node = bvh.nodes[index];
+  const Dipole& d = dipoles[index];
+  const Vector3d to = d.centroid - p;
+  const double distance2 = to.squaredNorm();
+  if (distance2 > 4 * d.radius * d.radius) return d.area_vector.dot(to) / (4 * kPi * distance2 * std::sqrt(distance2));
+  if (!node.leaf())
+    return winding_number(vertices, triangles, bvh, dipoles, index + 1, p) +
+           winding_number(vertices, triangles, bvh, dipoles, node.right, p);
+  double omega = 0;
+  for (int i = node.begin; i < node.end; ++i) omega += solid_angle(corners(vertices, triangles, bvh.order[i]), p);
+  return omega / (4 * kPi);
+}
+
 }  // namespace
 
 void check_triangles(const Points& vertices, const Triangles& triangles) {
@@ -39,26 +71,37 @@ Vector3d closest_on_triangle(const Vector3d& p, const Vector3d& a, const Vector3
   return a + (vb * ab + vc * ac) / (va + vb + vc);
 }
 
-Surface::Surface(Points vertices, Triangles triangles)
-    : vertices_(std::move(vertices)), triangles_(std::move(triangles)), bvh_(boxes(vertices_, triangles_)) {
-  dipoles_.reserve(bvh_.nodes.size());
-  for (const Bvh::Node& node : bvh_.nodes) dipoles_.push_back(dipole(node));
+void find_dipoles(const Points& vertices, const Triangles& triangles, const Bvh& bvh, std::vector<Dipole>& out) {
+  out.resize(bvh.nodes.size());
+  for (int index = int(bvh.nodes.size()) - 1; index >= 0; --index) {  // children come after their parents
+    const Bvh::Node& node = bvh.nodes[index];
+    Dipole d;
+    const auto add = [&](const Vector3d& area_vector, double area, const Vector3d& centroid) {
+      d.area_vector += area_vector;
+      d.area += area;
+      d.centroid += area * centroid;
+    };
+    if (!node.leaf())
+      for (int child : {index + 1, node.right}) add(out[child].area_vector, out[child].area, out[child].centroid);
+    for (int i = node.begin; node.leaf() && i < node.end; ++i) {
+      const auto [a, b, c] = corners(vertices, triangles, bvh.order[i]);
+      const Vector3d vector = (b - a).cross(c - a) / 2;
+      add(vector, vector.norm(), (a + b + c) / 3);
+    }
+    d.centroid = d.area > 0 ? Vector3d(d.centroid / d.area) : node.box.center();
+    d.radius = (node.box.center() - d.centroid).norm() + node.box.diagonal().norm() / 2;
+    out[index] = d;
+  }
 }
 
-Surface::Dipole Surface::dipole(const Bvh::Node& node) const {
-  Dipole d;
-  double area = 0;
-  for (int i = node.begin; i < node.end; ++i) {
-    const int t = bvh_.order[i];
-    const Vector3d a = corner(t, 0), b = corner(t, 1), c = corner(t, 2);
-    const Vector3d vector = (b - a).cross(c - a) / 2;
-    d.area_vector += vector;
-    d.centroid += vector.norm() * (a + b + c) / 3;
-    area += vector.norm();
-  }
-  d.centroid = area > 0 ? Vector3d(d.centroid / area) : node.box.center();
-  d.radius = (node.box.center() - d.centroid).norm() + node.box.diagonal().norm() / 2;
-  return d;
+double winding_number(const Points& vertices, const Triangles& triangles, const Bvh& bvh,
+                      const std::vector<Dipole>& dipoles, const Vector3d& p) {
+  return bvh.nodes.empty() ? 0 : winding_number(vertices, triangles, bvh, dipoles, 0, p);
+}
+
+Surface::Surface(Points vertices, Triangles triangles)
+    : vertices_(std::move(vertices)), triangles_(std::move(triangles)), bvh_(boxes(vertices_, triangles_)) {
+  find_dipoles(vertices_, triangles_, bvh_, dipoles_);
 }
 
 Vector3d Surface::nearest(const Vector3d& p) const {
@@ -72,26 +115,6 @@ Vector3d Surface::nearest(const Vector3d& p) const {
     nearest = closest;
   });
   return nearest;
-}
-
-double Surface::winding_number(int index, const Vector3d& p) const {
-  const Bvh::Node& node = bvh_.nodes[index];
-  const Dipole& d = dipoles_[index];
-  const Vector3d to = d.centroid - p;
-  const double distance2 = to.squaredNorm();
-  if (distance2 > 4 * d.radius * d.radius) return d.area_vector.dot(to) / (4 * kPi * distance2 * std::sqrt(distance2));
-  if (!node.leaf()) return winding_number(index + 1, p) + winding_number(node.right, p);
-  double omega = 0;
-  for (int i = node.begin; i < node.end; ++i) omega += solid_angle(bvh_.order[i], p);
-  return omega / (4 * kPi);
-}
-
-// Van Oosterom and Strackee 1983: tan(Omega / 2) = a . (b x c) / (|a||b||c| + (a.b)|c| + (b.c)|a| + (c.a)|b|).
-double Surface::solid_angle(int triangle, const Vector3d& p) const {
-  const Vector3d a = corner(triangle, 0) - p, b = corner(triangle, 1) - p, c = corner(triangle, 2) - p;
-  const double la = a.norm(), lb = b.norm(), lc = c.norm();
-  const double y = a.dot(b.cross(c)), x = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
-  return 2 * std::atan2(y, x);
 }
 
 }  // namespace dynamorph

@@ -13,6 +13,7 @@
 #include <algorithm>
 #include <array>
 #include <utility>
+#include <vector>
 
 #include "dynamorph/core/types.hpp"
 #include "dynamorph/mesh/bvh.hpp"
@@ -31,6 +32,19 @@ void check_triangles(const Points& vertices, const Triangles& triangles);
 /// The point of triangle abc nearest to p.
 Vector3d closest_on_triangle(const Vector3d& p, const Vector3d& a, const Vector3d& b, const Vector3d& c);
 
+/// The triangles below a node of a tree, seen from afar.
+struct Dipole {
+  Vector3d centroid = Vector3d::Zero(), area_vector = Vector3d::Zero();
+  double area = 0, radius = 0;
+};
+
+/// Those of all nodes of a tree over the triangles.
+void find_dipoles(const Points& vertices, const Triangles& triangles, const Bvh& bvh, std::vector<Dipole>& out);
+
+/// About 1 inside a closed mesh of outward triangles, about 0 outside, and in between for open ones.
+double winding_number(const Points& vertices, const Triangles& triangles, const Bvh& bvh,
+                      const std::vector<Dipole>& dipoles, const Vector3d& p);
+
 class Surface {
  public:
   Surface(Points vertices, Triangles triangles);
@@ -41,22 +55,14 @@ class Surface {
   double distance(const Vector3d& p) const { return (nearest(p) - p).norm(); }
   /// The point of the surface nearest to p; infinite without triangles.
   Vector3d nearest(const Vector3d& p) const;
-  /// About 1 inside a closed mesh of outward triangles, about 0 outside, and in between for open ones.
-  double winding_number(const Vector3d& p) const { return bvh_.nodes.empty() ? 0 : winding_number(0, p); }
+  double winding_number(const Vector3d& p) const {
+    return dynamorph::winding_number(vertices_, triangles_, bvh_, dipoles_, p);
+  }
   /// Whether p is inside. This also works for a mesh that is inside out.
   bool contains(const Vector3d& p) const { return std::abs(winding_number(p)) > 0.5; }
 
  private:
-  /// The triangles below a node of the tree, seen from afar.
-  struct Dipole {
-    Vector3d centroid = Vector3d::Zero(), area_vector = Vector3d::Zero();
-    double radius = 0;
-  };
-
   Vector3d corner(int triangle, int k) const { return vertices_.row(triangles_(triangle, k)); }
-  double winding_number(int node, const Vector3d& p) const;
-  double solid_angle(int triangle, const Vector3d& p) const;
-  Dipole dipole(const Bvh::Node& node) const;
 
   Points vertices_;
   Triangles triangles_;
