@@ -1,0 +1,366 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/contact/find_contacts.hpp"
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "dynamorph/core/errors.hpp"
+
+namespace dynamorph {
+
+namespace {
+
+constexpr double kIntoSkin = -0.3;   // n . N below which a surface presses on the skin from outside
+constexpr double kFromWithin = 0.5;  // above it, from within the body
+constexpr double kFadeBegins = 0.7;  // of a contact, in thicknesses of tissue
+constexpr double kFadeEnds = 1.2;    // there it has no weight left
+constexpr double kNudge = 1e-7;      // of a collider's size: what a point is put off its surface
+constexpr double kNothing = 1e-6;    // meters, or relative to the longest side: a collider of that size is none
+constexpr double kRigid = 1e-5;      // of a stretch; transforms come in single precision
+constexpr int kMostPlanes = 3;       // of a sample and a collider: a corner of a room
+
+/// Without the last bits, so that a turning collider has the same stretch at each step.
+double rounded(double x) {
+  int exponent;
+  const double mantissa = std::frexp(x, &exponent);
+  return std::ldexp(std::round(std::ldexp(mantissa, 16)), exponent - 16);
+}
+
+}  // namespace
+
+// --- Colliders -------------------------------------------------------------------------------------------------------
+
+bool ContactFinder::Surface::is(const Collider& other, const Matrix3d& other_stretch) const {
+  return collider == other.id() && stretch == other_stretch;
+}
+
+bool ContactFinder::Surface::is(const Collider& other, const Eigen::Map<const Points>& points) const {
+  return collider == other.id() && stretch.isZero(0) && pose.points == points;
+}
+
+void ContactFinder::Surface::set(const Collider& other, const Matrix3d& other_stretch) {
+  if (is(other, other_stretch)) return;
+  other.refit(other.rest().points * other_stretch, pose);
+  collider = other.id();
+  stretch = other_stretch;
+}
+
+void ContactFinder::Surface::set(const Collider& other, const Eigen::Map<const Points>& points) {
+  if (is(other, points)) return;
+  other.refit(points, pose);
+  collider = other.id();
+  stretch.setZero();
+}
+
+/// Splits a transform (3, 4) into a symmetric stretch, and what carries the stretched collider to the world without
+/// changing its lengths. Returns whether something is left of it.
+bool ContactFinder::split(const Eigen::Map<const RowMajor>& transform, Frame& frame, Matrix3d& stretch) {
+  if (!transform.allFinite()) return false;
+  const Matrix3d linear = transform.leftCols(3), square = linear.transpose() * linear;
+  stretch.setIdentity();
+  if (!square.isIdentity(kRigid)) {
+    const Eigen::SelfAdjointEigenSolver<Matrix3d> solver(square);
+    const Vector3d lengths = solver.eigenvalues().cwiseMax(0).cwiseSqrt();
+    if (!(lengths[0] > kNothing * lengths[2])) return false;
+    const Matrix3d exact = solver.eigenvectors() * lengths.asDiagonal() * solver.eigenvectors().transpose();
+    for (int i = 0; i < 3; ++i) stretch(i, i) = rounded(exact(i, i));
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < i; ++j) {
+        const double scale = std::sqrt(stretch(i, i) * stretch(j, j));
+        stretch(i, j) = stretch(j, i) = scale * std::ldexp(std::round(std::ldexp(exact(i, j) / scale, 16)), -16);
+      }
+  }
+  frame.turn = linear * stretch.inverse();
+  frame.back = frame.turn.inverse();
+  frame.shift = transform.col(3);
+  return frame.turn.allFinite() && frame.back.allFinite();
+}
+
+/// Finds where a collider is during the step. Returns whether it can act.
+bool ContactFinder::pose(const ColliderStep& step, Posed& posed) {
+  const Collider& collider = step.collider;
+  // What was last is first in the next step.
+  const auto set = [&](const auto& begin, const auto& end, bool at_rest) {
+    if (!posed.first.is(collider, begin) && posed.last.is(collider, begin)) std::swap(posed.first, posed.last);
+    if (!at_rest) posed.last.set(collider, end);
+    posed.begin = posed.end = at_rest ? &collider.rest() : &posed.last.pose;
+  };
+  if (step.rigid()) {
+    Matrix3d begin, end;
+    if (!split(step.after, posed.from_end, end)) return false;
+    posed.came = split(step.before, posed.from_begin, begin);
+    if (!posed.came) posed.from_begin = posed.from_end, begin = end;
+    set(begin, end, end.isIdentity(0));
+    if (begin != end) {
+      posed.first.set(collider, begin);
+      posed.begin = &posed.first.pose;
+    }
+  } else {
+    if (!step.after.allFinite()) return false;
+    posed.from_begin = posed.from_end = {Matrix3d::Identity(), Matrix3d::Identity(), Vector3d::Zero()};
+    posed.came = step.before.allFinite();
+    const Eigen::Map<const Points> end(step.after.data(), step.after.rows(), 3);
+    const Eigen::Map<const Points> begin(posed.came ? step.before.data() : end.data(), end.rows(), 3);
+    set(begin, end, false);
+    if (begin != end) {
+      posed.first.set(collider, begin);
+      posed.begin = &posed.first.pose;
+    }
+  }
+  posed.deforms = 0;
+  if (posed.begin != posed.end)
+    posed.deforms = std::sqrt((posed.end->points - posed.begin->points).rowwise().squaredNorm().maxCoeff());
+  return posed.end->bvh.nodes[0].box.diagonal().norm() > kNothing;
+}
+
+// --- One sample and one collider -------------------------------------------------------------------------------------
+
+/// In the collider's own frame, meters.
+struct ContactFinder::Sample {
+  Vector3d from, to;  ///< its way
+  Vector3d normal;    ///< N, outward
+  double thickness;
+};
+
+struct ContactFinder::Plane {
+  ColliderPoint at;
+  Vector3d normal;
+  double depth = kInfinity;  ///< of the sample at the nearest way out, if it is another one
+};
+
+class ContactFinder::Search {
+ public:
+  Search(const Collider& collider, const Posed& posed, double margin)
+      : collider_(collider),
+        begin_(*posed.begin),
+        end_(*posed.end),
+        deforms_(posed.deforms),
+        margin_(margin),
+        size_(end_.bvh.nodes[0].box.diagonal().norm()),
+        nudge_(kNudge * size_),
+        drift_(end_.bvh.nodes[0].box.center() - begin_.bvh.nodes[0].box.center()) {}
+
+  /// Whether it came so far that it cannot have been a motion.
+  bool jumps(const Sample& sample) const {
+    return (sample.to - sample.from - drift_).norm() > sample.thickness + size_;
+  }
+  Vector3d let_out(const Vector3d& x, const Vector3d& point, const Vector3d& normal) const;
+  void run(const Sample& sample);
+  void appear(const Sample& sample);
+
+  Plane planes[kMostPlanes];
+  int count = 0;
+
+ private:
+  Vector3d slide(const Vector3d& to) const;
+  void approach(const Sample& sample, const ColliderPoint& nearest);
+  void get_out(const Sample& sample, const ColliderPoint& nearest);
+  Vector3d direction(const Vector3d& x, const ColliderPoint& nearest, double& distance) const;
+  void add(const ColliderPoint& at, const Vector3d& normal, double depth = kInfinity) {
+    if (count < kMostPlanes && !normal.isZero(0)) planes[count++] = {at, normal, depth};
+  }
+
+  const Collider& collider_;
+  const ColliderPose &begin_, &end_;
+  double deforms_, margin_, size_, nudge_;
+  Vector3d drift_;
+};
+
+/// Where x gets out of the collider along the normal of the plane that held it; x if it is not behind it.
+Vector3d ContactFinder::Search::let_out(const Vector3d& x, const Vector3d& point, const Vector3d& normal) const {
+  const double depth = normal.dot(point - x);
+  if (depth < 0) return x;
+  const Vector3d beyond = x + (2 * depth + nudge_) * normal;
+  const ColliderPoint out = collider_.first_crossing(begin_, begin_, x, beyond, Collider::Crossing::either);
+  if (!out || (out.front && !collider_.sheet(out.triangle))) return x;  // it came free past an edge
+  return out.point + nudge_ * normal;
+}
+
+/// Where the way ends that leads to a point but stays outside of the planes.
+Vector3d ContactFinder::Search::slide(const Vector3d& to) const {
+  const auto outside = [&](const Vector3d& x, const Plane& p) -> Vector3d {
+    return x + std::max(0.0, nudge_ - p.normal.dot(x - p.at.point)) * p.normal;
+  };
+  const Plane& last = planes[count - 1];
+  if (count == kMostPlanes) return last.at.point;
+  const Vector3d end = outside(to, last);
+  if (count == 1 || planes[0].normal.dot(end - planes[0].at.point) >= 0) return end;
+  const Vector3d along = planes[0].normal.cross(last.normal);
+  return last.at.point + along * along.dot(to - last.at.point) / std::max(along.squaredNorm(), 1e-12);
+}
+
+/// From the nearest point to x, unit. On the surface itself: its normal.
+Vector3d ContactFinder::Search::direction(const Vector3d& x, const ColliderPoint& nearest, double& distance) const {
+  const Vector3d away = x - nearest.point;
+  distance = away.norm();
+  return distance > 2 * nudge_ ? Vector3d(away / distance) : collider_.pseudonormal(end_, nearest);
+}
+
+/// Follows a sample that begins outside.
+void ContactFinder::Search::run(const Sample& sample) {
+  const double way = (sample.to - sample.from).norm() + deforms_ + 2 * nudge_;
+  ColliderPoint nearest = collider_.nearest(end_, sample.to, std::max(margin_, way));
+  if (!nearest) return;
+  const double distance = (nearest.point - sample.to).norm();
+  Vector3d from = sample.from, to = sample.to;
+  while (distance <= way && count < kMostPlanes) {
+    const ColliderPoint hit =
+        collider_.first_crossing(count ? end_ : begin_, end_, from, to, Collider::Crossing::entering);
+    if (!hit) break;
+    const Vector3d normal = (hit.front ? 1 : -1) * collider_.normal(end_, hit.triangle);
+    if (normal.dot(sample.normal) > kFromWithin) break;
+    add(hit, normal);
+    to = slide(sample.to);
+    from = hit.point + nudge_ * normal;
+  }
+  if (count == 0) {
+    if (collider_.contains(end_, to, nearest))
+      get_out(sample, nearest);
+    else if (distance < margin_)
+      approach(sample, nearest);
+  } else if (count == 1) {
+    nearest = collider_.nearest(end_, to);
+    double off;
+    Vector3d normal = direction(to, nearest, off);
+    if (off <= 2 * nudge_) normal = planes[0].normal;
+    if (normal.dot(planes[0].normal) > 0 && !collider_.contains(end_, to, nearest)) planes[0] = {nearest, normal};
+  }
+}
+
+/// A sample of which nothing is known but where it gets.
+void ContactFinder::Search::appear(const Sample& sample) {
+  const bool within = collider_.solid() && end_.bvh.nodes[0].box.contains(sample.to);
+  const double reach = std::max(margin_, kFadeEnds * sample.thickness);
+  const ColliderPoint nearest = collider_.nearest(end_, sample.to, within ? kInfinity : reach);
+  if (!nearest) return;
+  double distance;
+  const Vector3d normal = direction(sample.to, nearest, distance);
+  const double outward = normal.dot(sample.normal);
+  if (collider_.contains(end_, sample.to, nearest))
+    get_out(sample, nearest);
+  else if (collider_.sheet(nearest.triangle) && !collider_.on_border(nearest) && outward > -kIntoSkin &&
+           distance < reach)
+    add(nearest, -normal);
+  else if (distance < margin_)
+    approach(sample, nearest);
+}
+
+void ContactFinder::Search::approach(const Sample& sample, const ColliderPoint& nearest) {
+  double distance;
+  Vector3d normal = direction(sample.to, nearest, distance);
+  if (collider_.sheet(nearest.triangle) && distance <= 2 * nudge_ && normal.dot(sample.from - nearest.point) < 0)
+    normal = -normal;
+  if (normal.dot(sample.normal) <= kFromWithin) add(nearest, normal);
+}
+
+/// A sample that is inside.
+void ContactFinder::Search::get_out(const Sample& sample, const ColliderPoint& nearest) {
+  double distance;
+  Vector3d normal = direction(sample.to, nearest, distance);
+  if (distance > 2 * nudge_) normal = -normal;
+  const double outward = normal.dot(sample.normal);
+  if (outward < kIntoSkin) return add(nearest, normal);
+  const Vector3d beyond = sample.to - 2 * size_ * sample.normal;
+  const ColliderPoint out = collider_.first_crossing(end_, end_, sample.to, beyond, Collider::Crossing::leaving);
+  // Out of something broad, as a floor, the nearest way is the better one where the skin is beside it.
+  const bool far = out && (out.point - sample.to).norm() > kFadeEnds * sample.thickness;
+  if (!out || (far && outward < -kIntoSkin)) return add(nearest, normal);
+  add(out, -sample.normal, far ? distance : kInfinity);
+}
+
+// --- All -------------------------------------------------------------------------------------------------------------
+
+namespace {
+
+/// Where a collider is at the beginning or the end of a step.
+Bvh::Box corners_box(const Bvh::Box& own, const Matrix3d& turn, const Vector3d& shift) {
+  Bvh::Box box;
+  for (int corner = 0; corner < 8; ++corner)
+    box.extend(Vector3d(turn * own.corner(Bvh::Box::CornerType(corner)) + shift));
+  return box;
+}
+
+void check(const std::vector<ColliderStep>& colliders, const SampleStep& samples) {
+  const Eigen::Index count = samples.before.rows();
+  check_size("predicted", samples.predicted.rows(), count);
+  check_size("unmoved", samples.unmoved.rows(), count);
+  check_size("normal", samples.normal.rows(), count);
+  check_size("thickness", samples.thickness.size(), count);
+  for (const ColliderStep& step : colliders) {
+    const Eigen::Index rows = step.rigid() ? 3 : step.collider.rest().points.rows();
+    check_size("collider, after", step.after.rows(), rows);
+    check_size("collider, before", step.before.rows(), rows);
+    if (step.before.cols() != step.after.cols() || (!step.rigid() && step.after.cols() != 3))
+      throw std::invalid_argument("collider: expected transforms (3, 4) or points (V, 3)");
+  }
+}
+
+}  // namespace
+
+void ContactFinder::find(const std::vector<ColliderStep>& colliders, const SampleStep& samples, double margin,
+                         ContactMemory& memory, std::vector<Contact>& contacts) {
+  check(colliders, samples);
+  contacts.clear();
+  unusable_.clear();
+  posed_.resize(colliders.size());
+  memory.active.resize(colliders.size(), false);
+  for (int c = 0; c < int(colliders.size()); ++c) {
+    const ColliderStep& step = colliders[c];
+    const bool usable = step.active && pose(step, posed_[c]);
+    if (step.active && !usable) unusable_.push_back(c);
+    const bool known = std::exchange(memory.active[c], usable) && usable && posed_[c].came;
+    if (usable) touch(step.collider, c, posed_[c], known, samples, margin, memory.planes, contacts);
+  }
+  memory.planes.clear();
+  for (const Contact& contact : contacts)
+    memory.planes.push_back({contact.sample, contact.collider, contact.point, contact.normal});
+}
+
+/// Adds the contacts of all samples with one collider. known: whether it was there in the last step.
+void ContactFinder::touch(const Collider& collider, int number, const Posed& posed, bool known,
+                          const SampleStep& samples, double margin, const std::vector<ContactMemory::Plane>& held,
+                          std::vector<Contact>& contacts) {
+  const Bvh::Box region =
+      corners_box(posed.begin->bvh.nodes[0].box, posed.from_begin.turn, posed.from_begin.shift)
+          .merged(corners_box(posed.end->bvh.nodes[0].box, posed.from_end.turn, posed.from_end.shift));
+  auto plane = std::lower_bound(held.begin(), held.end(), number,
+                                [](const ContactMemory::Plane& plane, int c) { return plane.collider < c; });
+  Search search(collider, posed, margin);
+  for (int p = 0; p < int(samples.before.rows()); ++p) {
+    const Vector3d before = samples.before.row(p), predicted = samples.predicted.row(p);
+    const double thickness = samples.thickness[p], reach = known ? margin : std::max(margin, kFadeEnds * thickness);
+    const Bvh::Box way(before.cwiseMin(predicted), before.cwiseMax(predicted));
+    if (region.squaredExteriorDistance(way) > reach * reach) continue;
+
+    Sample sample{posed.from_begin.to_own(before), posed.from_end.to_own(predicted),
+                  posed.from_end.turn.transpose() * Vector3d(samples.normal.row(p)), thickness};
+    search.count = 0;
+    const bool jumps = search.jumps(sample);
+    if (known && !jumps) {
+      while (plane != held.end() && plane->collider == number && plane->sample < p) ++plane;
+      for (; plane != held.end() && plane->collider == number && plane->sample == p; ++plane)
+        sample.from = search.let_out(sample.from, posed.from_begin.to_own(plane->point),
+                                     posed.from_begin.turn.transpose() * plane->normal);
+      search.run(sample);
+    } else {
+      search.appear(sample);
+    }
+
+    const Vector3d unmoved = posed.from_end.to_own(samples.unmoved.row(p));
+    for (int i = 0; i < search.count; ++i) {
+      const Plane& found = search.planes[i];
+      const double depth = found.normal.dot(found.at.point - unmoved);
+      const double fade = (depth / thickness - kFadeBegins) / (kFadeEnds - kFadeBegins);
+      const Vector3d point = posed.from_end.to_world(found.at.point);
+      const Vector3d came =
+          posed.from_begin.to_world(posed.begin == posed.end ? found.at.point : collider.at(*posed.begin, found.at));
+      contacts.push_back({p, number, point, (posed.from_end.turn * found.normal).normalized(),
+                          jumps || !posed.came ? Vector3d(Vector3d::Zero()) : Vector3d(point - came),
+                          1 - smooth_step(fade), std::min(depth, found.depth) - thickness});
+    }
+  }
+}
+
+}  // namespace dynamorph
