@@ -171,9 +171,9 @@ class ContactFinder::Search {
 /// Where x gets out of the collider along the normal of the plane that held it; x if it is not behind it.
 Vector3d ContactFinder::Search::let_out(const Vector3d& x, const Vector3d& point, const Vector3d& normal) const {
   const double depth = normal.dot(point - x);
-  if (depth < 0) return x;
-  const Vector3d beyond = x + (2 * depth + nudge_) * normal;
-  const ColliderPoint out = collider_.first_crossing(begin_, begin_, x, beyond, Collider::Crossing::either);
+  if (depth < -nudge_) return x;
+  const Vector3d behind = x - 2 * nudge_ * normal, beyond = x + (2 * std::max(depth, 0.0) + 2 * nudge_) * normal;
+  const ColliderPoint out = collider_.first_crossing(begin_, begin_, behind, beyond, Collider::Crossing::either);
   if (!out || (out.front && !collider_.sheet(out.triangle))) return x;  // it came free past an edge
   return out.point + nudge_ * normal;
 }
