@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include <chrono>
+#include <cmath>
 #include <memory>
 #include <mutex>
+#include <set>
 #include <tuple>
 
+#include "collider_motion.hpp"
 #include "dynamorph/step/simulation.hpp"
 #include "model_interface.hpp"
 
@@ -51,12 +54,99 @@ void balance_targets_in(InTurn<Stepper>& stepper, const FloatArray& bones) {
   changing(stepper, [&] { stepper.balance_targets(frames); });
 }
 
-/// pulled: how many of the steps were.
-py::dict summary(const StepReport& worst, int steps, double seconds, int pulled = 0) {
+/// Adds the report of a step to that of those before it.
+void add(const StepReport& step, StepReport& all) {
+  all.iterations += step.iterations;
+  all.converged &= step.converged;
+  all.residual = std::max(all.residual, step.residual);
+  all.energy = step.energy;
+  all.teleported |= step.teleported;
+  all.farthest = std::max(all.farthest, step.farthest);
+  all.pulled += step.pulled;
+  if (step.excess_bone >= 0 && step.excess >= all.excess) {
+    all.excess = step.excess;
+    all.excess_bone = step.excess_bone;
+  }
+  all.contacts = std::max(all.contacts, step.contacts);
+  all.penetration = std::max(all.penetration, step.penetration);
+  if (step.too_deep > all.too_deep) {
+    all.too_deep = step.too_deep;
+    all.too_deep_sample = step.too_deep_sample;
+    all.too_deep_collider = step.too_deep_collider;
+  }
+  all.contact_forces = step.contact_forces;
+  all.unusable_colliders.insert(all.unusable_colliders.end(), step.unusable_colliders.begin(),
+                                step.unusable_colliders.end());
+}
+
+py::dict summary(const StepReport& worst, int steps, double seconds) {
+  Points forces(Eigen::Index(worst.contact_forces.size()), 3);
+  for (Eigen::Index c = 0; c < forces.rows(); ++c) forces.row(c) = worst.contact_forces[std::size_t(c)];
+  const std::set<int> unusable(worst.unusable_colliders.begin(), worst.unusable_colliders.end());
   return py::dict("steps"_a = steps, "iterations"_a = worst.iterations, "converged"_a = worst.converged,
                   "residual"_a = worst.residual, "energy"_a = worst.energy, "teleported"_a = worst.teleported,
                   "seconds"_a = seconds, "excess"_a = worst.excess, "excess_bone"_a = worst.excess_bone,
-                  "farthest"_a = worst.farthest, "pulled"_a = pulled);
+                  "farthest"_a = worst.farthest, "pulled"_a = worst.pulled, "contacts"_a = worst.contacts,
+                  "penetration"_a = worst.penetration, "too_deep"_a = worst.too_deep,
+                  "too_deep_sample"_a = worst.too_deep_sample, "too_deep_collider"_a = worst.too_deep_collider,
+                  "contact_forces"_a = forces,
+                  "unusable_colliders"_a = std::vector<int>(unusable.begin(), unusable.end()));
+}
+
+/// What a state remembers of contact, as numbers: how many planes and colliders there are, then the planes (sample,
+/// collider, point, normal), whether each collider acted, and the pressures (sample, collider, normal, force). Empty
+/// when there is nothing.
+VectorXd contact_numbers(const State& state) {
+  std::vector<double> out;
+  const auto add = [&](const Vector3d& v) { out.insert(out.end(), v.data(), v.data() + 3); };
+  if (state.contact.planes.empty() && state.contact.active.empty() && state.pressures.empty()) return {};
+  out = {double(state.contact.planes.size()), double(state.contact.active.size())};
+  for (const ContactMemory::Plane& plane : state.contact.planes) {
+    out.insert(out.end(), {double(plane.sample), double(plane.collider)});
+    add(plane.point);
+    add(plane.normal);
+  }
+  out.insert(out.end(), state.contact.active.begin(), state.contact.active.end());
+  for (const Pressure& pressure : state.pressures) {
+    out.insert(out.end(), {double(pressure.sample), double(pressure.collider)});
+    add(pressure.normal);
+    out.push_back(pressure.force);
+  }
+  return Eigen::Map<const VectorXd>(out.data(), Eigen::Index(out.size()));
+}
+
+/// Throws std::invalid_argument for what `contact_numbers` would not give.
+void read_contact(const VectorXd& numbers, State& state) {
+  if (numbers.size() == 0) return;
+  Eigen::Index at = 0;
+  const auto fits = [](bool good) {
+    if (!good) throw std::invalid_argument("state: its contact is not one that a simulation had");
+  };
+  const auto whole = [&] {
+    fits(at < numbers.size());
+    const double number = numbers(at++);
+    fits(number >= 0 && number < 1 << 30 && number == std::floor(number));
+    return int(number);
+  };
+  const auto vector = [&] {
+    fits(at + 3 <= numbers.size());
+    at += 3;
+    return Vector3d(numbers.segment<3>(at - 3));
+  };
+  const int planes = whole(), colliders = whole();
+  fits(8.0 * planes + colliders <= double(numbers.size()));
+  for (int k = 0; k < planes; ++k) {
+    const int sample = whole(), collider = whole();
+    const Vector3d point = vector();
+    state.contact.planes.push_back({sample, collider, point, vector()});
+  }
+  for (int k = 0; k < colliders; ++k) state.contact.active.push_back(whole() != 0);
+  while (at < numbers.size()) {
+    const int sample = whole(), collider = whole();
+    const Vector3d normal = vector();
+    fits(at < numbers.size());
+    state.pressures.push_back({sample, collider, normal, numbers(at++)});
+  }
 }
 
 /// Springs between points of the skin and goals (S, K, 3), one row of goals for each step.
@@ -191,51 +281,51 @@ void bind_simulation_of(py::module_& m, const char* name) {
       .def(
           "advance",
           [](Sim& s, const FloatArray& bones, const FloatArray& weights, const std::optional<FloatArray>& external,
-             const std::optional<Grabs>& grabs) {
+             const std::optional<Grabs>& grabs, const std::optional<std::vector<ColliderMotion>>& colliders) {
             check_shape("bones", bones, {-1, -1, 3, 4});
             check_shape("weights", weights, {bones.shape(0), py::ssize_t(s.model().targets().size())});
             const py::ssize_t steps = bones.shape(0), count = bones.shape(1);
             if (grabs) check_shape("grabs: goals", grabs->goals, {steps, -1, 3});
+            const std::vector<ColliderMotion> moving = colliders.value_or(std::vector<ColliderMotion>());
+            for (const ColliderMotion& collider : moving)
+              if (collider.steps() != steps)
+                throw std::invalid_argument("colliders: expected the motion of " + std::to_string(steps) +
+                                            " steps, got " + std::to_string(collider.steps()));
             External forces(s.model().body(), external, steps);
             StepReport worst;
-            int pulled = 0;
             const auto begin = std::chrono::steady_clock::now();
             changing(s, [&] {
               Transforms frame;
               VectorXd w;
               std::vector<Grab> grabbed;
+              std::vector<ColliderStep> met;
               s.forget();  // so that a state resumes bit for bit, between any two calls
               for (py::ssize_t i = 0; i < steps; ++i) {
                 frame = Eigen::Map<const Transforms>(bones.data() + i * count * 12, count, 12);
                 w = Eigen::Map<const VectorXd>(weights.data() + i * weights.shape(1), weights.shape(1));
                 if (grabs) grabs->at(i, grabbed);
-                const StepReport report = s.step({frame, w, forces.at(i), &grabbed});
-                worst.iterations += report.iterations;
-                worst.converged &= report.converged;
-                worst.residual = std::max(worst.residual, report.residual);
-                worst.energy = report.energy;
-                worst.teleported |= report.teleported;
-                worst.farthest = std::max(worst.farthest, report.farthest);
-                pulled += report.pulled;
-                if (report.excess_bone >= 0 && report.excess >= worst.excess) {
-                  worst.excess = report.excess;
-                  worst.excess_bone = report.excess_bone;
-                }
+                met.clear();
+                for (const ColliderMotion& collider : moving) met.push_back(collider.at(i));
+                add(s.step({frame, w, forces.at(i), &grabbed, &met}), worst);
               }
             });
             const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
-            return summary(worst, int(steps), elapsed.count(), pulled);
+            return summary(worst, int(steps), elapsed.count());
           },
-          "bones"_a, "weights"_a, "external"_a = py::none(), "grabs"_a = py::none(),
+          "bones"_a, "weights"_a, "external"_a = py::none(), "grabs"_a = py::none(), "colliders"_a = py::none(),
           "Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, "
-          "world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on "
-          "the "
-          "steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a "
-          "motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which "
-          "bone's; "
-          "farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how "
-          "many "
-          "steps anything was pulled back.")
+          "world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. colliders: what "
+          "pushes "
+          "the points of `set_contact`. Returns a report on the steps: total iterations, converged, worst residual, "
+          "elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, "
+          "which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from "
+          "its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back. With "
+          "colliders: the largest number of contacts in a step; "
+          "penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point "
+          "into a collider than its tissue is thick, so that contact gives way (0: nowhere), and the sample "
+          "and collider where that is (-1: none); contact_forces, newtons on each collider (C, 3) at the last step; "
+          "unusable_colliders, the "
+          "numbers of those that were active but not finite or without extent.")
       .def(
           "solve_static",
           [](Sim& s, const FloatArray& bones, const VectorXd& weights, const std::optional<FloatArray>& external,
@@ -260,6 +350,13 @@ void bind_simulation_of(py::module_& m, const char* name) {
             changing(s, [&] { s.set_limit(std::move(limit)); });
           },
           "limit"_a, "Limits the motion from now on; None for no limit.")
+      .def(
+          "set_contact",
+          [](Sim& s, std::shared_ptr<ContactSamples<Model>> contact, double distance) {
+            changing(s, [&] { s.set_contact(std::move(contact), distance); });
+          },
+          "contact"_a, "distance"_a = 0.0,
+          "The points that the colliders of `advance` push, from a distance in meters on; None for none.")
       .def_property_readonly("model", &Sim::shared_model)
       .def_property_readonly(
           "coordinates", [](const Sim& s) { return in_turn(s, [&] { return VectorXd(s.coordinates()); }); },
@@ -275,16 +372,20 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "state",
           [](const Sim& s) {
             const State state = in_turn(s, [&] { return State(s.state()); });
-            return py::make_tuple(state.q, state.bones, state.excess);
+            return py::make_tuple(state.q, state.bones, state.excess, contact_numbers(state));
           },
-          [](Sim& s, const std::tuple<std::array<VectorXd, 4>, std::array<Transforms, 4>, VectorXd>& state) {
-            const auto& [q, bones, excess] = state;
-            changing(s, [&] { s.set_state({q, bones, excess}); });
+          [](Sim& s,
+             const std::tuple<std::array<VectorXd, 4>, std::array<Transforms, 4>, VectorXd, VectorXd>& numbers) {
+            const auto& [q, bones, excess, contact] = numbers;
+            State state{q, bones, excess, {}, {}};
+            read_contact(contact, state);
+            changing(s, [&] { s.set_state(state); });
           },
-          "(coordinates, bones' transforms (B, 12), excess (G)): the first two now and at the last three steps, the "
-          "last of each bone's load, empty without a motion limit. Set it to resume a simulation; raises Error for "
-          "what "
-          "is not finite.");
+          "(coordinates, bones' transforms (B, 12), excess (G), contact (any)): the first two now and at the last "
+          "three "
+          "steps, the third of each bone's load, empty without a motion limit, the last what was touched, empty "
+          "without "
+          "colliders. Set it to resume a simulation; raises Error for what is not finite.");
 }
 
 }  // namespace

@@ -24,6 +24,7 @@ PYBIND11_MODULE(_core, m) {
   bind_pose(m);
   bind_models(m);
   bind_reduced(m);
+  bind_contact(m);
   bind_step(m);
   bind_file(m);
 }

@@ -119,6 +119,15 @@ inline MatrixXd residual_columns(const FloatArray& shapes, Eigen::Index points) 
   return Eigen::Map<const MatrixXd>(shapes.data(), 3 * points, shapes.shape(0));
 }
 
+inline Skin skin_of(const FloatArray& rest, const Embedding& embedding, const MatrixXd& weights,
+                    const std::optional<FloatArray>& residual_shapes) {
+  Skin skin{as_points(flat_points("rest", rest, -1)), embedding, normalized(weights), {}};
+  check_finite("rest", skin.rest);
+  if (residual_shapes) skin.residual_shapes = residual_columns(*residual_shapes, skin.rest.rows());
+  check_finite("residual_shapes", skin.residual_shapes);
+  return skin;
+}
+
 /// The skin of a model: dynamorph.FullSkin, dynamorph.ReducedSkin.
 template <class Model>
 void bind_skin(py::module_& m, const char* name) {
@@ -137,11 +146,7 @@ void bind_skin(py::module_& m, const char* name) {
       m, name, "P points that move with a model: x = A (X + E u(q) + R w) + a. Simulations may share it.")
       .def(py::init([](std::shared_ptr<Model> model, const FloatArray& rest, const Embedding& embedding,
                        const MatrixXd& weights, const std::optional<FloatArray>& residual_shapes) {
-             Skin skin{as_points(flat_points("rest", rest, -1)), embedding, normalized(weights), {}};
-             check_finite("rest", skin.rest);
-             if (residual_shapes) skin.residual_shapes = residual_columns(*residual_shapes, skin.rest.rows());
-             check_finite("residual_shapes", skin.residual_shapes);
-             return std::make_shared<Map>(model, std::move(skin));
+             return std::make_shared<Map>(model, skin_of(rest, embedding, weights, residual_shapes));
            }),
            "model"_a.none(false), "rest"_a, "embedding"_a, "weights"_a, "residual_shapes"_a = py::none(),
            "rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin "

@@ -67,6 +67,15 @@ def scene() -> SimpleNamespace:
     s.own_full = dynamorph.FullModel(own, s.targets, s.material_model, s.blending)
     s.own_reduced = dynamorph.ReducedModel(own, s.targets, s.tables, s.blending)
     s.groups = np.ones((len(own.free_nodes), 1))
+    normals = s.points - s.points.mean(axis=0)
+    s.samples = {"rest": s.points, "embedding": s.embedding, "weights": np.ones((len(s.points), 1)),
+                 "normals": normals, "thickness": np.full(len(s.points), 0.05)}  # fmt: skip
+    s.full_contact = dynamorph.FullContact(s.full, **s.samples)
+    s.reduced_contact = dynamorph.ReducedContact(s.reduced, **s.samples)
+    s.collider_points = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
+    s.collider_triangles = np.array([[0, 1, 2]], np.int32)
+    s.collider = dynamorph.Collider(s.collider_points, s.collider_triangles)
+    s.collider_motion = dynamorph.ColliderMotion(s.collider, np.repeat(s.bones, 2, 0), [0.5])
     s.grabs = dynamorph.Grabs([0, 3], s.points[None, [0, 3]] + 0.01, [10.0, 20.0])
     s.heads, s.tails = np.array([[0.0, 0.0, 0.1]]), np.array([[0.0, 0.0, 1.9]])
     turned = np.repeat(np.eye(4)[None], 2, 0)
@@ -86,8 +95,15 @@ def started(kind: str):
     simulation = getattr(dynamorph, kind)(model, 0.01)
     simulation.set_skin(s.full_skin if kind == "FullSimulation" else s.reduced_skin)
     simulation.set_limit(s.full_limit if kind == "FullSimulation" else s.reduced_limit)
+    simulation.set_contact(s.full_contact if kind == "FullSimulation" else s.reduced_contact, 0.01)
     simulation.start(s.bones, s.next, s.weights)
     return simulation
+
+
+def touched(motion, kind="FullSimulation"):
+    """A simulation that such a collider touches, if it moves for one step."""
+    simulation, s = started(kind), scene()
+    return simulation.advance(s.next[None], s.weights[None], colliders=[motion]), simulation
 
 
 def run_on(simulation):
@@ -129,6 +145,8 @@ USES: dict[str, Callable] = {
         scene().body.extend_shapes(embedding, np.zeros((1, len(embedding.nodes), 3))),
     ),
     "MeshCut": lambda cut: cut.embed(cut.cut()),
+    "Collider": lambda collider: touched(dynamorph.ColliderMotion(collider, np.repeat(scene().bones, 2, 0))),
+    "ColliderMotion": touched,
     "Thickness": lambda thickness: thickness.at(scene().vertices),
 }
 
@@ -167,6 +185,11 @@ def calls() -> dict[str, tuple[object, dict]]:
         "MorphTarget": (lib, {"name": "flexed", "displacement": s.shape, **material, "set": 0, "shifted": False}),
         "SoftBody": (lib, {"mesh": s.mesh, "fill": s.ones, "stiffness": s.ones, "region_weights": s.ones[:, None],
                            "pinned": s.pinned.tolist(), "weights": np.ones((s.n, 1)), "hold": s.ones}),
+        "Collider": (lib, {"points": s.collider_points, "triangles": s.collider_triangles, "one_sided": False}),
+        "ColliderMotion": (lib, {"collider": s.collider, "motion": np.repeat(s.bones, 2, 0),
+                                 "friction": np.array([0.5]), "active": np.array([True])}),
+        "FullContact": (lib, {"model": s.full, **s.samples, "residual_shapes": np.zeros((2, len(s.points), 3))}),
+        "ReducedContact": (lib, {"model": s.reduced, **s.samples, "residual_shapes": np.zeros((2, len(s.points), 3))}),
         "SoftBody.extend_shapes": (s.body, {"embedding": s.embedding,
                                             "surfaces": np.zeros((2, len(s.embedding.nodes), 3))}),
         "FullModel": (lib, {"body": s.body, "targets": s.targets, "material_model": s.material_model,
@@ -221,13 +244,26 @@ def calls() -> dict[str, tuple[object, dict]]:
         push = {"external": np.zeros((s.n, 3))}
         skin = s.full_skin if kind == "FullSimulation" else s.reduced_skin
         found |= {
-            f"{kind}.advance": (new, {"bones": s.next[None], "weights": s.weights[None], **push, "grabs": s.grabs}),
+            f"{kind}.advance": (
+                new,
+                {
+                    "bones": s.next[None],
+                    "weights": s.weights[None],
+                    **push,
+                    "grabs": s.grabs,
+                    "colliders": [s.collider_motion],
+                },
+            ),
             f"{kind}.set_skin": (new, {"skin": skin}),
             f"{kind}.set_limit": (new, {"limit": s.full_limit if kind == "FullSimulation" else s.reduced_limit}),
+            f"{kind}.set_contact": (
+                new,
+                {"contact": s.full_contact if kind == "FullSimulation" else s.reduced_contact, "distance": 0.01},
+            ),
             f"{kind}.balance_targets": (new, {"bones": np.repeat(s.bones[None], 2, 0)}),
             f"{kind}.solve_static": (new, {"bones": s.bones, "weights": s.weights, **push, "guess": zero}),
             f"{kind}.start": (new, {"now": s.bones, "next": s.next, "weights": s.weights}),
-            f"{kind}.state": (new, {"value": started(kind).state}),
+            f"{kind}.state": (new, {"value": touched(s.collider_motion, kind)[1].state}),
         }
     return found
 

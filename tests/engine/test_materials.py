@@ -199,8 +199,8 @@ def let_go(model, character, target, push, seconds, h=1 / 600):
     simulation = simulation_of(engine, h)
     weights = np.eye(len(character.targets))[target]
     simulation.start(BONES, BONES, weights)
-    _, posed, _ = simulation.state
-    simulation.state = ([bent] * 4, posed, np.zeros(0))
+    _, posed, *_ = simulation.state
+    simulation.state = ([bent] * 4, posed, np.zeros(0), np.zeros(0))
     path = []
     for _ in range(round(seconds / h)):
         assert simulation.advance(BONES[None], weights[None])["converged"]

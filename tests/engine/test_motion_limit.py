@@ -309,15 +309,15 @@ def test_a_state_resumes_to_the_last_bit(limited):
         second.advance(frame[None], made.neutral[None])
     np.testing.assert_array_equal(second.coordinates, whole.coordinates)
     np.testing.assert_array_equal(second.state[2], whole.state[2])
-    second.state = (*first.state[:2], np.zeros(0))  # of a simulation without a limit
+    second.state = (*first.state[:2], np.zeros(0), np.zeros(0))  # of a simulation without a limit
     np.testing.assert_array_equal(second.state[2], np.zeros(2))
     free = made.simulation()
     free.state = first.state
     assert free.state[2].size == 0
     with pytest.raises(ValueError, match="expected the excess of 2 bones, got 3"):
-        second.state = (*first.state[:2], np.zeros(3))
+        second.state = (*first.state[:2], np.zeros(3), np.zeros(0))
     with pytest.raises(dynamorph.Error, match="excess that is not a finite number"):
-        second.state = (*first.state[:2], np.array([0.0, np.nan]))
+        second.state = (*first.state[:2], np.array([0.0, np.nan]), np.zeros(0))
 
 
 @pytest.mark.parametrize("kind", KINDS)

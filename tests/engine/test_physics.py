@@ -52,8 +52,8 @@ def hold(simulation, steps):
 def displaced(simulation, q):
     """Put a simulation at rest at coordinates q: bones at the identity, no velocity."""
     simulation.start(bones(), bones(), ONE)
-    _, posed, _ = simulation.state
-    simulation.state = ([q] * 4, posed, np.zeros(0))
+    _, posed, *_ = simulation.state
+    simulation.state = ([q] * 4, posed, np.zeros(0), np.zeros(0))
 
 
 def simulation_displacement(simulation, q):
@@ -110,8 +110,13 @@ def test_free_oscillator_converges_to_the_analytic_motion(integrator, order):
         simulation, _, _ = one_mode_oscillator(end / steps, integrator)
         # A past on the exact trajectory: the integrator's own error alone is measured.
         simulation.start(bones(), bones(), ONE)
-        _, posed, _ = simulation.state
-        simulation.state = ([np.array([np.cos(-k * omega * end / steps)]) for k in range(4)], posed, np.zeros(0))
+        _, posed, *_ = simulation.state
+        simulation.state = (
+            [np.array([np.cos(-k * omega * end / steps)]) for k in range(4)],
+            posed,
+            np.zeros(0),
+            np.zeros(0),
+        )
         hold(simulation, steps)
         errors.append(abs(simulation.coordinates[0] - np.cos(omega * end)))
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
@@ -161,9 +166,9 @@ def test_reduced_energy_never_grows_between_targets(material_model, blending):
     weights = np.array([0.4, 0.3, 0.3])
     simulation.start(TWO_BONES, TWO_BONES, weights)
     rest = simulation.elastic_energy
-    coordinates, posed, _ = simulation.state
+    coordinates, posed, *_ = simulation.state
     nudge = np.random.default_rng(3).standard_normal(model.dofs) * 0.01 * np.sqrt(0.004)
-    simulation.state = ([q + nudge for q in coordinates], posed, np.zeros(0))
+    simulation.state = ([q + nudge for q in coordinates], posed, np.zeros(0), np.zeros(0))
     begin = simulation.elastic_energy - rest
     total = []
     for _ in range(120):
@@ -365,10 +370,10 @@ def test_small_swings_about_a_large_sculpt_are_not_lost(h):
         simulation = simulation_of(model, h, tolerance=tolerance)
         weights = np.eye(3)[2]
         simulation.start(TWO_BONES, TWO_BONES, weights)
-        coordinates, posed, _ = simulation.state
+        coordinates, posed, *_ = simulation.state
         nudge = np.zeros(model.dofs)
         nudge[3] = 1e-4 * np.sqrt(0.004)
-        simulation.state = ([q + nudge for q in coordinates], posed, np.zeros(0))
+        simulation.state = ([q + nudge for q in coordinates], posed, np.zeros(0), np.zeros(0))
         path = []
         for _ in range(60):
             simulation.advance(TWO_BONES[None], weights[None])
@@ -582,7 +587,7 @@ def test_kinetic_energy_has_the_integrator_s_velocity(integrator, stencil):
     simulation = dynamorph.FullSimulation(model, h, integrator=integrator)
     simulation.start(frames[0], frames[1], ONE)
     simulation.advance(frames[1:], np.ones((5, 1)))
-    coordinates, posed, _ = simulation.state
+    coordinates, posed, *_ = simulation.state
     velocity = 0.0
     for coefficient, q, bone in zip(stencil, coordinates, posed, strict=False):
         matrix = np.reshape(bone, (3, 4))
@@ -620,13 +625,13 @@ def test_a_step_that_fails_leaves_the_past_where_it_was():
     simulation = dynamorph.ReducedSimulation(model, 1 / 60, teleport=0.2)
     simulation.start(rig[0], rig[1], weights[0])
     simulation.advance(rig[1:4], weights[1:4])
-    coordinates, posed, _ = simulation.state
+    coordinates, posed, *_ = simulation.state
     away = rig[4].copy()
     away[:, 0, 3] += 50.0
     with pytest.raises(ValueError, match="finite"):
         simulation.advance(
             away[None], weights[4][None], np.full((len(model.displacement(np.zeros(model.dofs))), 3), np.nan)
         )
-    after, still, _ = simulation.state
+    after, still, *_ = simulation.state
     assert all(map(np.array_equal, coordinates, after)) and all(map(np.array_equal, posed, still))
     assert simulation.advance(away[None], weights[4][None])["teleported"]

@@ -8,7 +8,7 @@ import numpy.typing
 import scipy.sparse
 import typing
 import typing_extensions
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Embedding', 'Error', 'FullModel', 'FullMotionLimit', 'FullSimulation', 'FullSkin', 'Grabs', 'Integrator', 'MaterialModel', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedMotionLimit', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Embedding', 'Error', 'FullContact', 'FullModel', 'FullMotionLimit', 'FullSimulation', 'FullSkin', 'Grabs', 'Integrator', 'MaterialModel', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedContact', 'ReducedModel', 'ReducedMotionLimit', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -456,6 +456,48 @@ class ReducedSkin:
         """
         Forces on the coordinates (dofs) that do the work of forces on the points (P, 3), newtons, world space.
         """
+class Collider:
+    """
+    A triangle mesh that soft skins run into. Simulations may share it.
+    """
+    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], one_sided: bool = False) -> None:
+        """
+        points (V, 3): meters, in its own frame. triangles (T, 3): any triangle soup; closed parts push outward, open ones from both sides. one_sided: all that is behind its faces counts as inside. Raises ValueError without triangles, for indices out of range and for points that are not finite.
+        """
+class ColliderMotion:
+    """
+    Where a collider is during S steps, in world space.
+    """
+    def __init__(self, collider: Collider, motion: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], friction: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] = 0.5, active: typing.Annotated[numpy.typing.ArrayLike, numpy.bool] = True) -> None:
+        """
+        motion: meters, a rigid collider's transforms (S + 1, 3, 4) or a deforming one's points (S + 1, V, 3), the first at the beginning of the first step, each other at the end of one. They need not be finite: where they are not, nothing touches the collider. friction: Coulomb's coefficient, for each step (S) or for all. active: whether something can touch it, for each step (S) or for all.
+        """
+class FullContact:
+    """
+    The points of a model's skin that can touch colliders. Simulations may share them.
+    """
+    def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> None:
+        """
+        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale; those below 1 % do not count. normals (P, 3): out of the body, bind space. thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by 1.2 times that not at all. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None.
+        """
+    @property
+    def stiffness(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        The model's own stiffness at each point (P) along its normal, N/m, at the neutral targets; 0 where pins hold it.
+        """
+class ReducedContact:
+    """
+    The points of a model's skin that can touch colliders. Simulations may share them.
+    """
+    def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> None:
+        """
+        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale; those below 1 % do not count. normals (P, 3): out of the body, bind space. thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by 1.2 times that not at all. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None.
+        """
+    @property
+    def stiffness(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        The model's own stiffness at each point (P) along its normal, N/m, at the neutral targets; 0 where pins hold it.
+        """
 class Integrator:
     """
     Members:
@@ -553,13 +595,17 @@ class FullSimulation:
         """
         h: seconds per step. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, meters, above which the past is carried along (0: never). keep_going() -> bool is called before every Newton iteration; returning False raises Cancelled.
         """
-    def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None) -> dict:
+    def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None, colliders: collections.abc.Sequence[ColliderMotion] | None = None) -> dict:
         """
-        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. colliders: what pushes the points of `set_contact`. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back. With colliders: the largest number of contacts in a step; penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point into a collider than its tissue is thick, so that contact gives way (0: nowhere), and the sample and collider where that is (-1: none); contact_forces, newtons on each collider (C, 3) at the last step; unusable_colliders, the numbers of those that were active but not finite or without extent.
         """
     def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
         Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, so that targets do not sag.
+        """
+    def set_contact(self, contact: FullContact, distance: typing.SupportsFloat | typing.SupportsIndex = 0.0) -> None:
+        """
+        The points that the colliders of `advance` push, from a distance in meters on; None for none.
         """
     def set_limit(self, limit: FullMotionLimit) -> None:
         """
@@ -596,12 +642,12 @@ class FullSimulation:
     def model(self) -> FullModel:
         ...
     @property
-    def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
+    def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
         """
-        (coordinates, bones' transforms (B, 12), excess (G)): the first two now and at the last three steps, the last of each bone's load, empty without a motion limit. Set it to resume a simulation; raises Error for what is not finite.
+        (coordinates, bones' transforms (B, 12), excess (G), contact (any)): the first two now and at the last three steps, the third of each bone's load, empty without a motion limit, the last what was touched, empty without colliders. Set it to resume a simulation; raises Error for what is not finite.
         """
     @state.setter
-    def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]]) -> None:
+    def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]]) -> None:
         ...
 class ReducedSimulation:
     """
@@ -611,13 +657,17 @@ class ReducedSimulation:
         """
         h: seconds per step. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, meters, above which the past is carried along (0: never). keep_going() -> bool is called before every Newton iteration; returning False raises Cancelled.
         """
-    def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None) -> dict:
+    def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None, colliders: collections.abc.Sequence[ColliderMotion] | None = None) -> dict:
         """
-        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. colliders: what pushes the points of `set_contact`. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back. With colliders: the largest number of contacts in a step; penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point into a collider than its tissue is thick, so that contact gives way (0: nowhere), and the sample and collider where that is (-1: none); contact_forces, newtons on each collider (C, 3) at the last step; unusable_colliders, the numbers of those that were active but not finite or without extent.
         """
     def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
         Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, so that targets do not sag.
+        """
+    def set_contact(self, contact: ReducedContact, distance: typing.SupportsFloat | typing.SupportsIndex = 0.0) -> None:
+        """
+        The points that the colliders of `advance` push, from a distance in meters on; None for none.
         """
     def set_limit(self, limit: ReducedMotionLimit) -> None:
         """
@@ -654,12 +704,12 @@ class ReducedSimulation:
     def model(self) -> ReducedModel:
         ...
     @property
-    def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
+    def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
         """
-        (coordinates, bones' transforms (B, 12), excess (G)): the first two now and at the last three steps, the last of each bone's load, empty without a motion limit. Set it to resume a simulation; raises Error for what is not finite.
+        (coordinates, bones' transforms (B, 12), excess (G), contact (any)): the first two now and at the last three steps, the third of each bone's load, empty without a motion limit, the last what was touched, empty without colliders. Set it to resume a simulation; raises Error for what is not finite.
         """
     @state.setter
-    def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]]) -> None:
+    def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]]) -> None:
         ...
 def adapt_response_basis(model: FullModel, U: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], W: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]) -> ResponseBasis:
     """

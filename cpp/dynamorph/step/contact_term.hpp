@@ -11,6 +11,7 @@
 #pragma once
 
 #include <algorithm>
+#include <utility>
 #include <vector>
 
 #include "dynamorph/contact/contact.hpp"
@@ -31,7 +32,7 @@ struct Pressure {
 struct ContactStep {
   const Transforms& bones;              ///< at the end of the step
   const VectorXd& weights;              ///< of the targets (J)
-  const VectorXd& before;               ///< x (3P) of the samples at the beginning
+  const Points& before;                 ///< x (P) of the samples at the beginning
   const std::vector<double>& friction;  ///< mu of the colliders
   double square;                        ///< (c h)^2, s^2
   double distance;                      ///< at which samples begin to be pushed, meters
@@ -84,10 +85,11 @@ struct ContactTerm {
     points_.stiffness.resize(0);
   }
 
-  /// contacts: by sample. pressures: of the step before, by sample.
+  /// contacts: by collider, and those of a collider by sample. pressures: of the step before, likewise.
   void begin(const ContactSamples<Model>& samples, const std::vector<Contact>& contacts, const ContactStep& step,
              const std::vector<Pressure>& pressures) {
     clear();
+    distance_ = step.distance;
     width_ = step.width;
     sticks_ = step.sticks;
     numbers_.clear();
@@ -113,7 +115,7 @@ struct ContactTerm {
       add(contact.normal, contact.point + step.distance * contact.normal);
       if (!(friction > 0)) continue;
       const Vector3d across = contact.normal.unitOrthogonal();
-      const Vector3d from = step.before.template segment<3>(3 * contact.sample) + contact.motion;
+      const Vector3d from = step.before.row(contact.sample).transpose() + contact.motion;
       add(across, from);
       add(contact.normal.cross(across), from);
     }
@@ -121,6 +123,10 @@ struct ContactTerm {
     if (!touching_.empty()) samples.map().rows(step.bones, numbers_, scratch_, rows_);
   }
 
+  /// Samples that are pushed, where it is.
+  int count() const {
+    return int(std::count_if(touching_.begin(), touching_.end(), [](const Touch& t) { return t.normal.force > 0; }));
+  }
   bool empty() const { return touching_.empty(); }
 
   /// Takes the pressures where it is for those that friction is proportional to. Returns false when there is none.
@@ -188,11 +194,12 @@ struct ContactTerm {
         out.push_back({touch.contact.sample, touch.contact.collider, touch.contact.normal, touch.pressure()});
   }
 
-  /// Of a contact that is not faded to less than half: the largest depth under a surface, meters; 0 for none.
-  double penetration(double distance) const {
+  /// The largest depth of a sample under a surface, meters, where it is; 0 for none. Those with less than half of their
+  /// weight do not count.
+  double penetration() const {
     double deepest = 0;
     for (const Touch& touch : touching_)
-      if (touch.contact.weight >= 0.5) deepest = std::max(deepest, -values_(touch.row) - distance);
+      if (touch.contact.weight >= 0.5) deepest = std::max(deepest, -values_(touch.row) - distance_);
     return deepest;
   }
 
@@ -218,18 +225,21 @@ struct ContactTerm {
 
   /// Of the one at the same place whose normal is nearest: a sample may touch several sides of a collider.
   static double force_of(const std::vector<Pressure>& pressures, const Contact& contact) {
+    using Place = std::pair<int, int>;
+    const Place place(contact.collider, contact.sample);
+    const auto of = [](const Pressure& pressure) { return Place(pressure.collider, pressure.sample); };
+    auto at = std::lower_bound(pressures.begin(), pressures.end(), place,
+                               [&](const Pressure& pressure, const Place& wanted) { return of(pressure) < wanted; });
     double force = 0, nearest = 0;
-    const auto less = [](const Pressure& a, int sample) { return a.sample < sample; };
-    auto at = std::lower_bound(pressures.begin(), pressures.end(), contact.sample, less);
-    for (; at != pressures.end() && at->sample == contact.sample; ++at)
-      if (const double near = at->normal.dot(contact.normal); at->collider == contact.collider && near > nearest) {
+    for (; at != pressures.end() && of(*at) == place; ++at)
+      if (const double near = at->normal.dot(contact.normal); near > nearest) {
         nearest = near;
         force = at->force;
       }
     return force;
   }
 
-  double width_ = 1, sticks_ = 1;
+  double distance_ = 0, width_ = 1, sticks_ = 1;
   std::vector<Touch> touching_;
   PointRows numbers_, scratch_;
   typename Model::SkinPoints::Rows rows_;

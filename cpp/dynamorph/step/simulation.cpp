@@ -12,8 +12,11 @@ namespace dynamorph {
 
 namespace {
 
-constexpr int kStaticIterations = 200;  // needed only once, and gravity moves a soft body far
-constexpr double kWatched = 0.45;       // of its limit: what is nearer than that is not pulled in this step
+constexpr int kStaticIterations = 200;   // needed only once, and gravity moves a soft body far
+constexpr double kWatched = 0.45;        // of its limit: what is nearer than that is not pulled in this step
+constexpr double kContactWidth = 1e-3;   // of the body's size: the depth over which contact gets its full stiffness
+constexpr double kContactMargin = 0.02;  // of the size: samples that come so near in a step can touch something
+constexpr double kSticks = 1e-3;         // of the size, per second: what slips slower than that is held by friction
 
 /// Gravity (m/s^2, world) on the soft tissue at the bones, without a past.
 InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3d& gravity) {
@@ -159,6 +162,62 @@ void Simulation<Model>::set_limit(std::shared_ptr<const MotionLimit<Model>> limi
 }
 
 template <class Model>
+void Simulation<Model>::set_contact(std::shared_ptr<const ContactSamples<Model>> samples, double distance) {
+  if (samples && &samples->model() != model_.get())
+    throw std::invalid_argument("contact: its samples belong to another model");
+  if (!(distance >= 0) || !std::isfinite(distance))
+    throw std::invalid_argument("distance: must be finite and not negative");
+  samples_ = std::move(samples);
+  distance_ = distance;
+  state_.contact.clear();
+  state_.pressures.clear();
+}
+
+template <class Model>
+void Simulation<Model>::find_contacts(const StepInput& input, const StepRule& rule) {
+  contacts_.clear();
+  found_.clear();
+  memory_ = state_.contact;
+  if (!input.colliders || input.colliders->empty()) return memory_.clear();
+  if (!samples_) throw std::invalid_argument("colliders: the simulation has no samples that can touch them");
+  const double size = model_->body().size;
+  SampleScratch& at = sampled_;
+  const auto place = [&](const Transforms& bones, const VectorXd& q, Points& out) {
+    samples_->map().positions(bones, input.weights, q, at.at_coordinates);
+    out = as_points(at.at_coordinates);
+  };
+  blended_shape(*model_, input.weights, at.shape);
+  place(state_.bones[0], state_.q[0], at.before);
+  place(input.bones, next_, at.predicted);
+  place(input.bones, at.shape, at.unmoved);
+  samples_->normals(input.bones, at.normals);
+  finder_.find(*input.colliders, {at.before, at.predicted, at.unmoved, at.normals, samples_->thickness()},
+               distance_ + kContactMargin * size, memory_, found_);
+  at.friction.clear();
+  for (const ColliderStep& collider : *input.colliders) at.friction.push_back(collider.friction);
+  contacts_.begin(*samples_, found_,
+                  {input.bones, input.weights, at.before, at.friction, rule.square, distance_, kContactWidth * size,
+                   kSticks * size * options_.h},
+                  state_.pressures);
+}
+
+template <class Model>
+void Simulation<Model>::report_contacts(const StepInput& input, StepReport& report) {
+  if (!input.colliders || input.colliders->empty()) return;
+  report.contacts = contacts_.count();
+  if (report.converged) report.penetration = contacts_.penetration();
+  for (const Contact& contact : found_) {
+    if (!(contact.too_deep > report.too_deep)) continue;
+    report.too_deep = contact.too_deep;
+    report.too_deep_sample = contact.sample;
+    report.too_deep_collider = contact.collider;
+  }
+  report.contact_forces.assign(input.colliders->size(), Vector3d::Zero());
+  contacts_.forces(report.contact_forces);
+  report.unusable_colliders = finder_.unusable();
+}
+
+template <class Model>
 StepReport Simulation<Model>::solve_static(const StepInput& input, VectorXd& q) {
   const VectorXd& weights = input.weights;
   check_weights(model_->targets(), model_->body().sets(), weights);
@@ -173,6 +232,7 @@ StepReport Simulation<Model>::solve_static(const StepInput& input, VectorXd& q) 
   if (limit_) hold_back(gravity, 1, input, VectorXd::Zero(model_->dofs()), true);
   grabs_.begin(skin_.get(), input);
   pulls_.begin(limit_.get(), weights, q, 0);
+  contacts_.clear();
   forget();
   values(quadratic_.H).setZero();
   quadratic_.origin = VectorXd::Zero(model_->dofs());
@@ -193,7 +253,23 @@ StepReport Simulation<Model>::start(const Transforms& now, const Transforms& nex
     state_.q[k] = q;
     state_.bones[k] = extrapolate_back(now, next, k);
   }
+  state_.contact.clear();
+  state_.pressures.clear();
   return report;
+}
+
+/// Throws Error unless a state's contacts are of samples that there are (0: without contact).
+void check_contacts(const State& state, Eigen::Index samples) {
+  const auto good = [&](int sample, int collider, const Vector3d& normal) {
+    return sample >= 0 && sample < samples && collider >= 0 && normal.allFinite();
+  };
+  for (const ContactMemory::Plane& plane : state.contact.planes)
+    if (!good(plane.sample, plane.collider, plane.normal) || !plane.point.allFinite())
+      throw Error("The state has a contact that does not fit");
+  for (const Pressure& pressure : state.pressures)
+    if (!good(pressure.sample, pressure.collider, pressure.normal) || !(pressure.force >= 0) ||
+        !std::isfinite(pressure.force))
+      throw Error("The state has a contact that does not fit");
 }
 
 template <class Model>
@@ -212,7 +288,12 @@ void Simulation<Model>::set_state(const State& state) {
                                 std::to_string(state.excess.size()));
   if (!(state.excess.array() >= 0).all() || !state.excess.allFinite())
     throw Error("The state has an excess that is not a finite number");
+  if (samples_) check_contacts(state, samples_->size());
   state_ = state;
+  if (!samples_) {
+    state_.contact.clear();
+    state_.pressures.clear();
+  }
   if (state_.excess.size() != limited) state_.excess.setZero(limited);
 }
 
@@ -229,14 +310,16 @@ StepReport Simulation<Model>::step(const StepInput& input) {
   pose(input.bones, input.weights);
   const bool teleported = jumps(model_->body(), options_.teleport, input.bones, state_.bones);
   if (!teleported) return advance(input);
-  before_ = state_.bones;
+  before_ = state_;
   carry_past(model_->body(), input.bones, state_.bones);
+  state_.contact.clear();
+  state_.pressures.clear();
   try {
     StepReport report = advance(input);
     report.teleported = true;
     return report;
   } catch (...) {
-    state_.bones = before_;
+    state_ = before_;
     throw;
   }
 }
@@ -265,6 +348,7 @@ StepReport Simulation<Model>::advance(const StepInput& input) {
   }
   grabs_.begin(skin_.get(), input);
   pulls_.begin(limit_.get(), input.weights, next_, kWatched);
+  find_contacts(input, rule);
 
   // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h and a constant, symmetric, positive C.
   values(damped_) = values(inertia_.damped) + values(blend_.damping);
@@ -278,12 +362,20 @@ StepReport Simulation<Model>::advance(const StepInput& input) {
       1e-14 / rule.square * farthest(bones) *
       std::sqrt(model_->body().volume * blend_.mass.density.maxCoeff() * values(inertia_.mass).cwiseAbs().maxCoeff());
 
-  const StepReport report = minimize(next_, options_.max_iterations);
+  StepReport report = minimize(next_, options_.max_iterations);
+  if (contacts_.next_round()) {  // friction with the pressures that the first one found
+    const int iterations = report.iterations;
+    report = minimize(next_, options_.max_iterations);
+    report.iterations += iterations;
+  }
+  report_contacts(input, report);
   std::rotate(state_.q.rbegin(), state_.q.rbegin() + 1, state_.q.rend());
   std::rotate(state_.bones.rbegin(), state_.bones.rbegin() + 1, state_.bones.rend());
   state_.q[0] = next_;
   state_.bones[0] = bones;
   state_.excess = excess_;
+  state_.contact = memory_;
+  contacts_.pressures(state_.pressures);
   weights_ = input.weights;
   return report;
 }
@@ -297,8 +389,8 @@ void Simulation<Model>::require_pose() const {
 template <class Model>
 StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   elastic_.begin(*model_, blend_, quadratic_.origin.norm(), options_.tolerance);
-  Potential<Matrix, decltype(quadratic_), decltype(elastic_), decltype(grabs_), decltype(pulls_)> potential(
-      quadratic_, elastic_, grabs_, pulls_);
+  Potential<Matrix, decltype(quadratic_), decltype(elastic_), decltype(grabs_), decltype(pulls_), decltype(contacts_)>
+      potential(quadratic_, elastic_, grabs_, pulls_, contacts_);
   const auto ask = [&] {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();
   };
@@ -316,6 +408,7 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   report.pulled = pulls_.value() > 0;
   if (excess_.size() > 0) report.excess = excess_.maxCoeff(&report.excess_bone);
   if (found.unseen) {  // the last step is short: its third power does not count
+    contacts_.at(q);
     multiply(elastic_.hessian(), newton_.direction, resistance_);
     report.energy += newton_.direction.dot(elastic_.gradient() + 0.5 * resistance_);
   }

@@ -14,20 +14,26 @@
 #include <array>
 #include <memory>
 
+#include "dynamorph/contact/contact_samples.hpp"
+#include "dynamorph/contact/find_contacts.hpp"
 #include "dynamorph/models/full_model.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/reduced/reduced_model.hpp"
+#include "dynamorph/step/contact_term.hpp"
 #include "dynamorph/step/step_options.hpp"
 #include "dynamorph/step/terms.hpp"
 
 namespace dynamorph {
 
-/// Where a soft skin is: its coordinates and the bones' transforms, now and at the last three steps; and with a motion
-/// limit, how far each bone's load has lately exceeded it. Copy it to undo, resume or fork a simulation.
+/// Where a soft skin is: its coordinates and the bones' transforms, now and at the last three steps; with a motion
+/// limit, how far each bone's load has lately exceeded it; with contact, what it touches. Copy it to undo, resume or
+/// fork a simulation.
 struct State {
   std::array<VectorXd, InertialTarget::kMoments> q;
   std::array<Transforms, InertialTarget::kMoments> bones;
-  VectorXd excess;  ///< rbar of motion_limit.hpp (G); empty without a limit
+  VectorXd excess;        ///< rbar of motion_limit.hpp (G); empty without a limit
+  ContactMemory contact;  ///< from which sides
+  std::vector<Pressure> pressures;
 };
 
 /// Throws std::invalid_argument unless the weights of every target set are >= 0 and sum to one.
@@ -41,10 +47,23 @@ struct StepReport {
   double residual = 0;  ///< gradient relative to the largest force term
   double energy = 0;    ///< elastic energy, J
   bool teleported = false;
-  double excess = 0;     ///< the largest of the state's; above 1/2 the load of that bone was held back
-  int excess_bone = -1;  ///< whose it is; -1 without a motion limit
-  double farthest = 0;   ///< of a point from its targets' shape, relative to its limit, before Newton's method
-  bool pulled = false;   ///< whether anything was so far that a motion limit pulled it back
+  double excess = 0;       ///< the largest of the state's; above 1/2 the load of that bone was held back
+  int excess_bone = -1;    ///< whose it is; -1 without a motion limit
+  double farthest = 0;     ///< of a point from its targets' shape, relative to its limit, before Newton's method
+  int pulled = 0;          ///< 1 where anything was so far that a motion limit pulled it back
+  int contacts = 0;        ///< samples that are pushed
+  double penetration = 0;  ///< the largest depth of a sample under a surface, meters, where the bones leave it room
+  double too_deep = 0;     ///< how much deeper the bones take a sample into a collider than its tissue is thick, meters
+  int too_deep_sample = -1, too_deep_collider = -1;  ///< which ones; -1 where nothing is too deep
+  std::vector<Vector3d> contact_forces;              ///< newtons on each collider
+  std::vector<int> unusable_colliders;               ///< active, but not finite or without extent
+};
+
+/// Where the samples of contact are during a step.
+struct SampleScratch {
+  VectorXd at_coordinates, shape;
+  Points before, predicted, unmoved, normals;
+  std::vector<double> friction;  ///< of the colliders
 };
 
 template <class Model>
@@ -73,6 +92,10 @@ class Simulation {
 
   /// Limits the motion from now on; null for no limit. Its model must be this one.
   void set_limit(std::shared_ptr<const MotionLimit<Model>> limit);
+
+  /// Lets colliders push the samples from now on; null for none. Their model must be this one. The push begins at a
+  /// distance in meters.
+  void set_contact(std::shared_ptr<const ContactSamples<Model>> samples, double distance);
 
   /// Drops the factors of earlier steps, which save time: the steps that follow depend on the state alone, to the last
   /// bit. Call it where the state is copied, and after it is set.
@@ -110,6 +133,10 @@ class Simulation {
   /// The same inertial target with the accelerations of the transforms, and of gravity, scaled: the past x^ becomes
   /// x_in + s (x^ - x_in), where x_in is the past without the motion of the bones.
   InertialTarget scaled(InertialTarget inertial, double square);
+  /// Decides what can touch what in a step that would end at next_ without contact.
+  void find_contacts(const StepInput& input, const StepRule& rule);
+  /// Adds what the contacts do at next_.
+  void report_contacts(const StepInput& input, StepReport& report);
   /// Moves q to the minimum of the sum of the terms.
   StepReport minimize(VectorXd& q, int max_iterations);
   void require_pose() const;
@@ -118,8 +145,8 @@ class Simulation {
   std::shared_ptr<const Model> model_;
   StepOptions options_;
   State state_;
-  VectorXd weights_;                                         ///< of the last start() or step()
-  std::array<Transforms, InertialTarget::kMoments> before_;  ///< bones before a jump, in case the step fails
+  VectorXd weights_;  ///< of the last start() or step()
+  State before_;      ///< before a jump, in case the step fails
   typename Model::Blend blend_;
   typename Model::Inertia inertia_;
   Matrix damped_;
@@ -133,6 +160,13 @@ class Simulation {
   typename MotionLimit<Model>::Scratch answers_;
   VectorXd own_, driven_, excess_, scales_;                  ///< of the limit: forces, rbar at the end of the step, s
   std::array<Transforms, InertialTarget::kMoments> slowed_;  ///< bones of a scaled past
+  ContactTerm<Model> contacts_;
+  std::shared_ptr<const ContactSamples<Model>> samples_;
+  double distance_ = 0;
+  ContactFinder finder_;
+  std::vector<Contact> found_;
+  ContactMemory memory_;  ///< at the end of the step
+  SampleScratch sampled_;
   NewtonScratch<Matrix> newton_;
   MatrixXd rest_gravity_;     ///< gravity in each target's own pose (dofs, J), or empty
   MatrixXd rest_directions_;  ///< the same at each transform, A^T g (3T, J)

@@ -3,6 +3,7 @@
 
 #include <vector>
 
+#include "dynamorph/contact/collider.hpp"
 #include "dynamorph/core/types.hpp"
 #include "dynamorph/pose/skinning.hpp"
 
@@ -21,6 +22,8 @@ struct StepInput {
   const VectorXd& weights;                   ///< of the targets (J)
   const VectorXd* external = nullptr;        ///< newtons on the free nodes (3 free), world space
   const std::vector<Grab>* grabs = nullptr;  ///< need Simulation::set_skin()
+  /// Need Simulation::set_contact(). Static solutions ignore them.
+  const std::vector<ColliderStep>* colliders = nullptr;
 };
 
 }  // namespace dynamorph

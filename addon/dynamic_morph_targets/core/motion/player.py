@@ -38,7 +38,7 @@ STEP = (
 )  # statistics of a frame's steps
 NO_STEPS = dict.fromkeys(STEP, 0) | {"converged": True, "excess_bone": -1}
 # Of the engine: coordinates, bones' transforms, and how far the bones' loads exceed their limit.
-State = tuple[Sequence[np.ndarray], Sequence[np.ndarray], np.ndarray]
+State = tuple[Sequence[np.ndarray], Sequence[np.ndarray], np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Player:
         self._balance_targets(rig[:1])
         bones, weights = self.posing.posed(rig[:2])  # or of the nodes, if they are probed
         if self.settings.initial_state == "REST_SHAPE":
-            self.state = [self.static(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4, np.zeros(0)
+            self.state = [self.static(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4, np.zeros(0), np.zeros(0)
             begun = NO_STEPS
         else:
             begun = self._simulation.start(bones[0], bones[-1], weights[0])
@@ -144,11 +144,11 @@ class Player:
         """
         first, last = self._ends(rig)
         turn, shift = _rigid_fit(last, first)
-        coordinates, bones, excess = self.state
+        coordinates, bones, excess, _ = self.state  # what is touched in the first frame is found again
         moved = [turn @ past.reshape(-1, 3, 4) for past in bones]
         for past in moved:
             past[:, :, 3] += shift
-        self.state = coordinates, [past.reshape(-1, 12) for past in moved], excess
+        self.state = coordinates, [past.reshape(-1, 12) for past in moved], excess, np.zeros(0)
         self.number, self.passes = self.settings.frame_start, self.passes + 1
         return Frame(self.number, frame.coordinates, self.posing.posed(rig[:1])[1][0], NO_STEPS)
 
@@ -265,7 +265,7 @@ class _NothingMoves:
     """Replaces the engine's simulation for static morph targets, which have no coordinates."""
 
     coordinates = np.zeros(0)
-    state: State = (), (), np.zeros(0)
+    state: State = (), (), np.zeros(0), np.zeros(0)
 
     def start(self, _now: np.ndarray, _next: np.ndarray, _weights: np.ndarray) -> dict:
         return NO_STEPS

@@ -126,7 +126,7 @@ class Shot:
 
     def kept(self) -> dict[str, np.ndarray]:
         """Everything that `resume` needs."""
-        coordinates, bones, excess = self.player.state
+        coordinates, bones, excess, contact = self.player.state
         return {
             "coordinates": np.concatenate(self._coordinates),
             "weights": np.concatenate(self._weights),
@@ -134,13 +134,14 @@ class Shot:
             "past": np.array(coordinates),
             "bones": np.array(bones),
             "excess": excess,
+            "contact": contact,
         }
 
     def resume(self, kept: dict[str, np.ndarray], first: RigSamples) -> None:
         """Continues after the frames of another instance of the same shot; first: the sample of the first frame."""
         self._coordinates, self._weights, self._steps = ([kept[name]] for name in ("coordinates", "weights", "steps"))
         self.done = len(kept["coordinates"])
-        self.player.resume(first, (list(kept["past"]), list(kept["bones"]), kept["excess"]))
+        self.player.resume(first, (list(kept["past"]), list(kept["bones"]), kept["excess"], kept["contact"]))
 
     @property
     def held(self) -> Held:

@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "collider_motion.hpp"
+#include "dynamorph/contact/contact_samples.hpp"
+#include "model_interface.hpp"
+
+using namespace dynamorph;
+
+namespace {
+
+using Flags = py::array_t<bool, py::array::c_style>;
+
+/// One value for each step, or the same for all: how far apart they are.
+py::ssize_t checked_stride(const char* name, const py::array& values, py::ssize_t steps) {
+  if (values.ndim() == 0) return 0;
+  check_shape(name, values, {steps});
+  return 1;
+}
+
+ColliderMotion collider_motion(std::shared_ptr<Collider> collider, const FloatArray& motion, const FloatArray& friction,
+                               const Flags& active) {
+  if (motion.ndim() == 3 && motion.shape(2) == 4)
+    check_shape("motion", motion, {-1, 3, 4});
+  else
+    check_shape("motion", motion, {-1, py::ssize_t(collider->rest().points.rows()), 3});
+  if (motion.shape(0) < 1) throw std::invalid_argument("motion: expected the beginning of the first step");
+  const py::ssize_t steps = motion.shape(0) - 1;
+  const py::ssize_t each = checked_stride("friction", friction, steps), on = checked_stride("active", active, steps);
+  ColliderMotion out{std::move(collider), motion, VectorXd(steps), std::vector<bool>(std::size_t(steps))};
+  for (py::ssize_t i = 0; i < steps; ++i) {
+    out.friction(i) = friction.data()[each * i];
+    out.active[std::size_t(i)] = active.data()[on * i];
+  }
+  if (!out.friction.allFinite() || (out.friction.array() < 0).any())
+    throw std::invalid_argument("friction: must be finite and not negative");
+  return out;
+}
+
+void bind_collider(py::module_& m) {
+  py::class_<Collider, std::shared_ptr<Collider>>(m, "Collider",
+                                                  "A triangle mesh that soft skins run into. Simulations may share it.")
+      .def(py::init([](const FloatArray& points, const IndexArray& triangles, bool one_sided) {
+             Points p = to_matrix<Points>(points, "points");
+             Triangles t = to_indices<Triangles>(triangles, "triangles");
+             check_finite("points", p);
+             return without_gil([&] { return std::make_shared<Collider>(std::move(p), std::move(t), one_sided); });
+           }),
+           "points"_a, "triangles"_a, "one_sided"_a = false,
+           "points (V, 3): meters, in its own frame. triangles (T, 3): any triangle soup; closed parts push outward, "
+           "open ones from both sides. one_sided: all that is behind its faces counts as inside. Raises ValueError "
+           "without triangles, for indices out of range and for points that are not finite.");
+  py::class_<ColliderMotion>(m, "ColliderMotion", "Where a collider is during S steps, in world space.")
+      .def(py::init(&collider_motion), "collider"_a.none(false), "motion"_a, "friction"_a = 0.5,
+           "active"_a = py::bool_(true),
+           "motion: meters, a rigid collider's transforms (S + 1, 3, 4) or a deforming one's points (S + 1, V, 3), the "
+           "first at the beginning of the first step, each other at the end of one. They need not be finite: where "
+           "they are not, nothing touches the collider. friction: Coulomb's coefficient, for each step (S) or for all. "
+           "active: whether something can touch it, for each step (S) or for all.");
+}
+
+template <class Model>
+void bind_contact_of(py::module_& m, const char* name) {
+  using Samples = ContactSamples<Model>;
+  py::class_<Samples, std::shared_ptr<Samples>>(
+      m, name, "The points of a model's skin that can touch colliders. Simulations may share them.")
+      .def(py::init([](std::shared_ptr<Model> model, const FloatArray& rest, const Embedding& embedding,
+                       const MatrixXd& weights, const FloatArray& normals, const VectorXd& thickness,
+                       const std::optional<FloatArray>& residual_shapes) {
+             ContactSkin samples{skin_of(rest, embedding, weights, residual_shapes),
+                                 as_points(flat_points("normals", normals, rest.shape(0))), thickness};
+             return without_gil([&] { return std::make_shared<Samples>(model, std::move(samples)); });
+           }),
+           "model"_a.none(false), "rest"_a, "embedding"_a, "weights"_a, "normals"_a, "thickness"_a,
+           "residual_shapes"_a = py::none(),
+           "rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin "
+           "weights at any positive scale; those below 1 % do not count. normals (P, 3): out of the body, bind space. "
+           "thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by "
+           "1.2 times that not at all. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, "
+           "or None.")
+      .def_property_readonly(
+          "stiffness", [](const Samples& s) { return VectorXd(s.stiffness()); },
+          "The model's own stiffness at each point (P) along its normal, N/m, at the neutral "
+          "targets; 0 where pins hold it.");
+}
+
+}  // namespace
+
+void bind_contact(py::module_& m) {
+  bind_collider(m);
+  bind_contact_of<FullModel>(m, "FullContact");
+  bind_contact_of<ReducedModel>(m, "ReducedContact");
+}
