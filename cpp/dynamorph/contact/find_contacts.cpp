@@ -229,7 +229,7 @@ void ContactFinder::Search::run(const Sample& sample) {
   }
 }
 
-/// A sample of which nothing is known but where it gets.
+/// A sample that may be inside already: nothing is known but where it gets.
 void ContactFinder::Search::appear(const Sample& sample) {
   const bool within = collider_.solid() && end_.bvh.nodes[0].box.contains(sample.to);
   const double reach = std::max(margin_, kFadeEnds * sample.thickness);
