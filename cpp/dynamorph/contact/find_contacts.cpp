@@ -19,6 +19,7 @@ constexpr double kFadeEnds = 1.2;    // there it has no weight left
 constexpr double kNudge = 1e-7;      // of a collider's size: what a point is put off its surface
 constexpr double kNothing = 1e-6;    // meters, or relative to the longest side: a collider of that size is none
 constexpr double kRigid = 1e-5;      // of a stretch; transforms come in single precision
+constexpr int kMostPieces = 8;       // of a collider that lie within each other where a sample gets out
 constexpr int kMostPlanes = 3;       // of a sample and a collider: a corner of a room
 
 /// Without the last bits, so that a turning collider has the same stretch at each step.
@@ -79,35 +80,35 @@ bool ContactFinder::split(const Eigen::Map<const RowMajor>& transform, Frame& fr
 }
 
 /// Finds where a collider is during the step. Returns whether it can act.
-bool ContactFinder::pose(const ColliderStep& step, Posed& posed) {
+bool ContactFinder::pose(const ColliderStep& step, const Bvh::Box& samples, Posed& posed) {
   const Collider& collider = step.collider;
   // What was last is first in the next step.
   const auto set = [&](const auto& begin, const auto& end, bool at_rest) {
     if (!posed.first.is(collider, begin) && posed.last.is(collider, begin)) std::swap(posed.first, posed.last);
     if (!at_rest) posed.last.set(collider, end);
     posed.begin = posed.end = at_rest ? &collider.rest() : &posed.last.pose;
+    if (begin == end) return;
+    posed.first.set(collider, begin);
+    posed.begin = &posed.first.pose;
   };
+  posed.away = false;
   if (step.rigid()) {
     Matrix3d begin, end;
     if (!split(step.after, posed.from_end, end)) return false;
     posed.came = split(step.before, posed.from_begin, begin);
     if (!posed.came) posed.from_begin = posed.from_end, begin = end;
     set(begin, end, end.isIdentity(0));
-    if (begin != end) {
-      posed.first.set(collider, begin);
-      posed.begin = &posed.first.pose;
-    }
   } else {
     if (!step.after.allFinite()) return false;
-    posed.from_begin = posed.from_end = {Matrix3d::Identity(), Matrix3d::Identity(), Vector3d::Zero()};
     posed.came = step.before.allFinite();
+    posed.from_begin = posed.from_end = {Matrix3d::Identity(), Matrix3d::Identity(), Vector3d::Zero()};
     const Eigen::Map<const Points> end(step.after.data(), step.after.rows(), 3);
     const Eigen::Map<const Points> begin(posed.came ? step.before.data() : end.data(), end.rows(), 3);
+    const Bvh::Box box(end.colwise().minCoeff().transpose(), end.colwise().maxCoeff().transpose());
+    const Bvh::Box before(begin.colwise().minCoeff().transpose(), begin.colwise().maxCoeff().transpose());
+    posed.away = !samples.intersects(box.merged(before));  // then it need not follow its points
+    if (posed.away) return box.diagonal().norm() > kNothing;
     set(begin, end, false);
-    if (begin != end) {
-      posed.first.set(collider, begin);
-      posed.begin = &posed.first.pose;
-    }
   }
   posed.deforms = 0;
   if (posed.begin != posed.end)
@@ -154,6 +155,8 @@ class ContactFinder::Search {
   int count = 0;
 
  private:
+  void sweep(const Sample& sample);
+  bool open(const Vector3d& point, const Vector3d& normal) const;
   Vector3d slide(const Vector3d& to) const;
   void approach(const Sample& sample, const ColliderPoint& nearest);
   void get_out(const Sample& sample, const ColliderPoint& nearest);
@@ -201,31 +204,38 @@ Vector3d ContactFinder::Search::direction(const Vector3d& x, const ColliderPoint
 /// Follows a sample that begins outside.
 void ContactFinder::Search::run(const Sample& sample) {
   const double way = (sample.to - sample.from).norm() + deforms_ + 2 * nudge_;
-  ColliderPoint nearest = collider_.nearest(end_, sample.to, std::max(margin_, way));
-  if (!nearest) return;
-  const double distance = (nearest.point - sample.to).norm();
-  Vector3d from = sample.from, to = sample.to;
-  while (distance <= way && count < kMostPlanes) {
-    const ColliderPoint hit =
-        collider_.first_crossing(count ? end_ : begin_, end_, from, to, Collider::Crossing::entering);
-    if (!hit) break;
-    const Vector3d normal = (hit.front ? 1 : -1) * collider_.normal(end_, hit.triangle);
-    if (normal.dot(sample.normal) > kFromWithin) break;
-    add(hit, normal);
-    to = slide(sample.to);
-    from = hit.point + nudge_ * normal;
-  }
+  ColliderPoint nearest;
+  if (way <= margin_) nearest = collider_.nearest(end_, sample.to, margin_);
+  if (way > margin_ || (nearest && (nearest.point - sample.to).norm() <= way)) sweep(sample);
   if (count == 0) {
-    if (collider_.contains(end_, to, nearest))
+    if (way > margin_) nearest = collider_.nearest(end_, sample.to, margin_);
+    if (nearest && collider_.contains(end_, sample.to, nearest))
       get_out(sample, nearest);
-    else if (distance < margin_)
+    else if (nearest)
       approach(sample, nearest);
   } else if (count == 1) {
-    nearest = collider_.nearest(end_, to);
+    Plane& plane = planes[0];
+    const Vector3d x = slide(sample.to);
+    nearest = collider_.nearest(end_, x, (x - plane.at.point).norm() + nudge_);
     double off;
-    Vector3d normal = direction(to, nearest, off);
-    if (off <= 2 * nudge_) normal = planes[0].normal;
-    if (normal.dot(planes[0].normal) > 0 && !collider_.contains(end_, to, nearest)) planes[0] = {nearest, normal};
+    Vector3d normal = direction(x, nearest, off);
+    if (off <= 2 * nudge_) normal = plane.normal;
+    if (normal.dot(plane.normal) > 0 && !collider_.contains(end_, x, nearest)) plane = {nearest, normal};
+  }
+}
+
+/// Finds the planes of what it runs into, one after the other.
+void ContactFinder::Search::sweep(const Sample& sample) {
+  Vector3d from = sample.from, to = sample.to;
+  while (count < kMostPlanes) {
+    const ColliderPoint hit =
+        collider_.first_crossing(count ? end_ : begin_, end_, from, to, Collider::Crossing::entering);
+    if (!hit) return;
+    const Vector3d normal = (hit.front ? 1 : -1) * collider_.normal(end_, hit.triangle);
+    if (normal.dot(sample.normal) > kFromWithin) return;
+    add(hit, normal);
+    from = hit.point + nudge_ * normal;
+    to = slide(sample.to);
   }
 }
 
@@ -261,13 +271,25 @@ void ContactFinder::Search::get_out(const Sample& sample, const ColliderPoint& n
   Vector3d normal = direction(sample.to, nearest, distance);
   if (distance > 2 * nudge_) normal = -normal;
   const double outward = normal.dot(sample.normal);
-  if (outward < kIntoSkin) return add(nearest, normal);
+  if (outward < kIntoSkin && open(nearest.point, normal)) return add(nearest, normal);
   const Vector3d beyond = sample.to - 2 * size_ * sample.normal;
-  const ColliderPoint out = collider_.first_crossing(end_, end_, sample.to, beyond, Collider::Crossing::leaving);
+  ColliderPoint out;
+  Vector3d from = sample.to;
+  for (int piece = 0; piece < kMostPieces; ++piece) {
+    out = collider_.first_crossing(end_, end_, from, beyond, Collider::Crossing::leaving);
+    if (!out || open(out.point, -sample.normal)) break;
+    from = out.point - nudge_ * sample.normal;
+  }
   // Out of something broad, as a floor, the nearest way is the better one where the skin is beside it.
   const bool far = out && (out.point - sample.to).norm() > kFadeEnds * sample.thickness;
   if (!out || (far && outward < -kIntoSkin)) return add(nearest, normal);
   add(out, -sample.normal, far ? distance : kInfinity);
+}
+
+/// Whether a point of the surface leads outside along the normal, not into another piece.
+bool ContactFinder::Search::open(const Vector3d& point, const Vector3d& normal) const {
+  const Vector3d x = point + 2 * nudge_ * normal;
+  return !collider_.contains(end_, x, collider_.nearest(end_, x));
 }
 
 // --- All -------------------------------------------------------------------------------------------------------------
@@ -280,6 +302,18 @@ Bvh::Box corners_box(const Bvh::Box& own, const Matrix3d& turn, const Vector3d& 
   for (int corner = 0; corner < 8; ++corner)
     box.extend(Vector3d(turn * own.corner(Bvh::Box::CornerType(corner)) + shift));
   return box;
+}
+
+/// Around all samples of a step and what may touch them.
+Bvh::Box samples_box(const SampleStep& samples, double margin) {
+  Bvh::Box box;
+  if (samples.before.rows() == 0) return box;
+  for (const Points* points : {&samples.before, &samples.predicted}) {
+    box.extend(Vector3d(points->colwise().minCoeff().transpose()));
+    box.extend(Vector3d(points->colwise().maxCoeff().transpose()));
+  }
+  const Vector3d reach = Vector3d::Constant(std::max(margin, kFadeEnds * samples.thickness.maxCoeff()));
+  return {box.min() - reach, box.max() + reach};
 }
 
 void check(const std::vector<ColliderStep>& colliders, const SampleStep& samples) {
@@ -305,13 +339,15 @@ void ContactFinder::find(const std::vector<ColliderStep>& colliders, const Sampl
   contacts.clear();
   unusable_.clear();
   posed_.resize(colliders.size());
+  const Bvh::Box around = samples_box(samples, margin);
   memory.active.resize(colliders.size(), false);
   for (int c = 0; c < int(colliders.size()); ++c) {
     const ColliderStep& step = colliders[c];
-    const bool usable = step.active && pose(step, posed_[c]);
+    const bool usable = step.active && pose(step, around, posed_[c]);
     if (step.active && !usable) unusable_.push_back(c);
     const bool known = std::exchange(memory.active[c], usable) && usable && posed_[c].came;
-    if (usable) touch(step.collider, c, posed_[c], known, samples, margin, memory.planes, contacts);
+    if (usable && !posed_[c].away)
+      touch(step.collider, c, posed_[c], known, samples, around, margin, memory.planes, contacts);
   }
   memory.planes.clear();
   for (const Contact& contact : contacts)
@@ -320,11 +356,12 @@ void ContactFinder::find(const std::vector<ColliderStep>& colliders, const Sampl
 
 /// Adds the contacts of all samples with one collider. known: whether it was there in the last step.
 void ContactFinder::touch(const Collider& collider, int number, const Posed& posed, bool known,
-                          const SampleStep& samples, double margin, const std::vector<ContactMemory::Plane>& held,
-                          std::vector<Contact>& contacts) {
+                          const SampleStep& samples, const Bvh::Box& around, double margin,
+                          const std::vector<ContactMemory::Plane>& held, std::vector<Contact>& contacts) {
   const Bvh::Box region =
       corners_box(posed.begin->bvh.nodes[0].box, posed.from_begin.turn, posed.from_begin.shift)
           .merged(corners_box(posed.end->bvh.nodes[0].box, posed.from_end.turn, posed.from_end.shift));
+  if (!region.intersects(around)) return;
   auto plane = std::lower_bound(held.begin(), held.end(), number,
                                 [](const ContactMemory::Plane& plane, int c) { return plane.collider < c; });
   Search search(collider, posed, margin);

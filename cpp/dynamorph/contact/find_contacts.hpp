@@ -90,6 +90,7 @@ class ContactFinder {
     Surface first, last;
     const ColliderPose *begin, *end;
     Frame from_begin, from_end;
+    bool away;       ///< from all samples; the following is then not set
     bool came;       ///< whether it was somewhere at the beginning
     double deforms;  ///< how far any of its points moves in its own frame, meters
   };
@@ -99,10 +100,11 @@ class ContactFinder {
   class Search;
 
   void touch(const Collider& collider, int number, const Posed& posed, bool known, const SampleStep& samples,
-             double margin, const std::vector<ContactMemory::Plane>& held, std::vector<Contact>& contacts);
+             const Bvh::Box& around, double margin, const std::vector<ContactMemory::Plane>& held,
+             std::vector<Contact>& contacts);
 
   static bool split(const Eigen::Map<const RowMajor>& transform, Frame& frame, Matrix3d& stretch);
-  static bool pose(const ColliderStep& step, Posed& posed);
+  static bool pose(const ColliderStep& step, const Bvh::Box& samples, Posed& posed);
 
   std::vector<Posed> posed_;
   std::vector<int> unusable_;

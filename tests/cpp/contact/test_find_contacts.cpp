@@ -213,6 +213,20 @@ TEST_CASE("what is deep inside at the beginning gets out through the collider, n
   CHECK(skin.contacts[0].point.y() == doctest::Approx(0.011).epsilon(0.1));
 }
 
+TEST_CASE("what is deep inside overlapping pieces gets out of all of them") {
+  // Two blocks one upon the other, the upper one sunk into the lower; a sample in both.
+  const shapes::Mesh block = shapes::box({0.5, 0.5, 0.05});
+  const Collider blocks = shapes::collider(shapes::joined(block, shapes::moved(block, {0, 0, 0.06})));
+  const RowMajor there = shifted(0, 0, 0);
+  for (const double z : {-1., 1.}) {  // z: where the skin faces
+    shapes::Skin skin({0.1, 0.1, 0.03}, {0, 0, z}, 0.5);
+    skin.step(way(blocks, there, there), 0.02);
+    REQUIRE(skin.contacts.size() == 1);
+    CHECK(skin.contacts[0].normal.z() == doctest::Approx(-z));
+    CHECK(skin.at(0, 2) == doctest::Approx(z > 0 ? -0.05 : 0.11));
+  }
+}
+
 TEST_CASE("a floor that stands in a foot at the beginning lifts it, a sheet as well as a block") {
   const Collider sheet = shapes::collider(shapes::floor(1)),
                  block = shapes::collider(shapes::moved(shapes::box({1, 1, 0.5}), {0, 0, -0.5}));
@@ -337,6 +351,56 @@ TEST_CASE("a copy of the memory continues as the first did, to the last bit") {
     step(second, unmoved, k);
     CHECK(first.at == second.at);
     CHECK(first.contacts.size() == second.contacts.size());
+  }
+}
+
+TEST_CASE("a deforming collider that is away costs nothing, and is met when it comes") {
+  const Collider block = shapes::collider(shapes::box({0.5, 0.5, 0.05}));
+  shapes::Skin skin({0.1, 0.1, 0}, {0, 0, 1}, 0.2);
+  const Points unmoved = skin.at;
+  for (int k = 0; k < 30; ++k) {
+    const auto at = [&](int step) {
+      return Points(block.rest().points.rowwise() + Eigen::RowVector3d(0, 0, 0.5 - 0.02 * step));
+    };
+    const Points before = at(k), after = at(k + 1);
+    skin.step({{block, rows(before), rows(after), 0, true}}, unmoved, 0.02);
+    const double face = 0.45 - 0.02 * (k + 1);
+    CHECK(skin.contacts.size() == size_t(face < 0.02));
+    if (face > -0.13) CHECK(skin.at(0, 2) == doctest::Approx(std::min(face, 0.0)));
+  }
+}
+
+TEST_CASE("nonsense of every kind neither fails nor makes a contact that is not finite") {
+  std::mt19937 random(7);
+  const auto number = [&] { return 2 * (random() / 4294967295.0) - 1; };
+  for (int round = 0; round < 200; ++round) {
+    const int vertices = 3 + int(random() % 20), triangles = 1 + int(random() % 40);
+    shapes::Mesh mesh{Points(vertices, 3), Triangles(triangles, 3)};
+    for (double& x : mesh.points.reshaped()) x = random() % 3 ? 0.2 * number() : 0.1 * double(random() % 3);
+    for (int& i : mesh.triangles.reshaped()) i = int(random() % vertices);
+    mesh.triangles.row(0) << 0, 1, 2;
+    mesh.points.row(0) << 0.3, 0, 0;
+    mesh.points.row(1) << 0, 0.31, 0;
+    mesh.points.row(2) << 0, 0, 0.32;
+    const Collider collider = shapes::collider(mesh, round % 5 == 0);
+    shapes::Skin skin = patch(0, 0.1);
+    for (int k = 0; k < 6; ++k) {
+      Points before = mesh.points, after = mesh.points;
+      for (double& x : after.reshaped()) x += 0.05 * number();
+      RowMajor from = shifted(0, 0, 0.05 * number()), to = from;
+      for (double& x : to.reshaped()) x += 0.3 * number();
+      if (random() % 2)
+        skin.step({{collider, rows(before), rows(after), 0, true}}, 0.02, 0.1);
+      else
+        skin.step(way(collider, from, to), 0.02, 0.1);
+      for (const Contact& contact : skin.contacts) {
+        CHECK(contact.point.allFinite());
+        CHECK(contact.motion.allFinite());
+        CHECK(contact.normal.norm() == doctest::Approx(1));
+        CHECK((contact.weight >= 0 && contact.weight <= 1));
+        CHECK_FALSE(std::isnan(contact.too_deep));
+      }
+    }
   }
 }
 
