@@ -8,6 +8,7 @@
 #include "dynamorph/mesh/fill.hpp"
 #include "dynamorph/mesh/mesh_cut.hpp"
 #include "dynamorph/mesh/pins.hpp"
+#include "dynamorph/mesh/symmetry.hpp"
 #include "dynamorph/mesh/tet_mesh.hpp"
 #include "dynamorph/mesh/tetrahedralize.hpp"
 #include "dynamorph/mesh/thickness.hpp"
@@ -127,6 +128,19 @@ it in a child process.)");
 }
 
 void bind_body_in_mesh(py::module_& m) {
+  m.def(
+      "symmetric_like",
+      [](const TetMesh& mesh, const FloatArray& vertices, const IndexArray& faces) {
+        const Points v = points(vertices, "vertices");
+        const Triangles f = triangles(faces);
+        check_finite("vertices", v);
+        return without_gil([&] { return symmetric_like(mesh, v, f); });
+      },
+      "mesh"_a, "vertices"_a, "triangles"_a, R"(Returns a mirror-symmetric mesh for a mirror-symmetric skin.
+
+Half of the mesh and its mirror image, whose nodes and tets come last, if the mirror image of the skin about the middle
+of one of its axes, X first, is nowhere farther from it than 1/500 of its diagonal. The same mesh otherwise. vertices
+(V, 3): meters. triangles (T, 3): vertex indices.)");
   m.def(
       "embed",
       [](const TetMesh& mesh, const FloatArray& array) {

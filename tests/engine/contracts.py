@@ -221,6 +221,7 @@ def calls() -> dict[str, tuple[object, dict]]:
         "points_on_bones": (lib, {**skin, "skin": 0.8 * s.vertices, "skin_triangles": s.triangles, "heads": s.heads,
                                   "tails": s.tails, "ratio": 0.4}),
         "reduce": (lib, {"model": s.full, "U": s.basis.U, "progress": going}),
+        "symmetric_like": (lib, {"mesh": s.tube, **skin}),
         "set_threads": (lib, {"limit": 2}),
         "tetrahedralize": (lib, {**skin, "target_nodes": 120, "inner": np.array([[0.0, 0.0, 1.0]])}),
         "unpack_model": (lib, {"buffer": b"\0" * 16}),

@@ -194,6 +194,7 @@ class Prepared:
             "full step": (lambda *a: stepped(dm.FullSimulation, full, *a), motion),
             "reduced step": (lambda *a: stepped(dm.ReducedSimulation, reduced, *a), motion),
             "fill_fractions": (lambda *a: dm.fill_fractions(cage, *a), [skin, triangles]),
+            "symmetric_like": (lambda *a: dm.symmetric_like(cage, *a).volumes, [skin, triangles]),
             "pinned": (lambda *a: dm.pinned(cage, *a), [skin, triangles, heads, tails, 0.4]),
             "points_on_bones": (dm.points_on_bones, [skin, triangles, skin, triangles, heads, tails, 0.4]),
             "MeshCut": (lambda *a: dm.MeshCut(cage, *a).cut().volumes, [skin, triangles]),

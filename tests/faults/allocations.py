@@ -146,6 +146,7 @@ def constructors(scene: Scene) -> dict[str, Callable]:
         "FullSkin": lambda: dm.FullSkin(scene.full, **scene.points),
         "FullMotionLimit": lambda: dm.FullMotionLimit(scene.full, **scene.limits),
         "ReducedMotionLimit": lambda: dm.ReducedMotionLimit(scene.reduced, **scene.limits),
+        "symmetric": lambda: dm.symmetric_like(scene.cage, scene.skin, scene.triangles),
         "MeshCut": lambda: dm.MeshCut(scene.cage, scene.skin, scene.triangles),
         "PoseSpace": lambda: dm.PoseSpace([scene.set]),
     }

@@ -8,7 +8,7 @@ import numpy.typing
 import scipy.sparse
 import typing
 import typing_extensions
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Embedding', 'Error', 'FullContact', 'FullModel', 'FullMotionLimit', 'FullSimulation', 'FullSkin', 'Grabs', 'Integrator', 'MaterialModel', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedContact', 'ReducedModel', 'ReducedMotionLimit', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Embedding', 'Error', 'FullContact', 'FullModel', 'FullMotionLimit', 'FullSimulation', 'FullSkin', 'Grabs', 'Integrator', 'MaterialModel', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedContact', 'ReducedModel', 'ReducedMotionLimit', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -794,6 +794,14 @@ def reduce(model: FullModel, basis: ResponseBasis, progress: typing.Any = None) 
 def set_threads(limit: typing.SupportsInt | typing.SupportsIndex) -> None:
     """
     Uses at most this many cores from now on; 0 means all that the process may use. Results do not depend on it.
+    """
+def symmetric_like(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32]) -> TetMesh:
+    """
+    Returns a mirror-symmetric mesh for a mirror-symmetric skin.
+    
+    Half of the mesh and its mirror image, whose nodes and tets come last, if the mirror image of the skin about the middle
+    of one of its axes, X first, is nowhere farther from it than 1/500 of its diagonal. The same mesh otherwise. vertices
+    (V, 3): meters. triangles (T, 3): vertex indices.
     """
 def tetrahedralize(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], target_nodes: typing.SupportsInt | typing.SupportsIndex, inner: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] = ...) -> TetMesh:
     """

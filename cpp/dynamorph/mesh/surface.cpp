@@ -110,7 +110,7 @@ Vector3d Surface::nearest(const Vector3d& p) const {
   bvh_.nearest(p, best, [&](int t) {
     const Vector3d closest = closest_on_triangle(p, corner(t, 0), corner(t, 1), corner(t, 2));
     const double distance = (closest - p).squaredNorm();
-    if (distance >= best) return;
+    if (!(distance < best)) return;  // NaN at a triangle with equal corners, whose edges its neighbors have too
     best = distance;
     nearest = closest;
   });
