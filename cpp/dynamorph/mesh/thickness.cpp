@@ -7,6 +7,7 @@
 #include "dynamorph/core/parallel.hpp"
 #include "dynamorph/mesh/closed_surface.hpp"
 #include "dynamorph/mesh/refine.hpp"
+#include "dynamorph/mesh/symmetry.hpp"
 
 namespace dynamorph {
 
@@ -88,6 +89,11 @@ Thickness::Thickness(const Points& vertices, const Triangles& triangles, const P
   if (outside.rows() == 0) outside = closed.triangles;
   skin_ = Surface(closed.vertices, outside);
   find_balls(closed.vertices, outside, progress);
+  const std::optional<MirrorPlane> plane = mirror_plane(vertices, triangles);
+  // Samples are not symmetric, and small differences of the thickness decide what is held.
+  for (size_t i = 0, found = balls_.size(); plane && i < found; ++i)
+    balls_.push_back({plane->image(balls_[i].center), balls_[i].radius});
+  std::stable_sort(balls_.begin(), balls_.end(), [](const Ball& a, const Ball& b) { return a.radius > b.radius; });
 }
 
 void Thickness::find_balls(const Points& vertices, const Triangles& triangles, const ProgressFn& progress) {
@@ -111,7 +117,6 @@ void Thickness::find_balls(const Points& vertices, const Triangles& triangles, c
     }
     report(done, 1);
   });
-  std::stable_sort(balls_.begin(), balls_.end(), [](const Ball& a, const Ball& b) { return a.radius > b.radius; });
 }
 
 double Thickness::thickness(const Vector3d& p) const {
