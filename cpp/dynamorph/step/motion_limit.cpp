@@ -4,11 +4,13 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <map>
 #include <set>
 #include <string>
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/mesh/surface.hpp"
+#include "dynamorph/mesh/symmetry.hpp"
 #include "dynamorph/reduced/modes/polynomial_kernels.hpp"
 #include "dynamorph/reduced/modes/table_layout.hpp"
 
@@ -86,10 +88,71 @@ void check(const SkinLimits& limits, const SoftBody& body) {
                                 " bones, got " + std::to_string(limits.weights.cols()));
 }
 
-/// Points as far from each other as possible (farthest point sampling), at least a few of each bone in `needed`.
+/// Which points, edges and bones of a mirror-symmetric skin are images of each other; -1 where one has no image.
+class Mirror {
+ public:
+  /// Completes the skin's edges: of faces whose diagonals are not symmetric, the images of these are edges too.
+  Mirror(const SkinLimits& limits, SoftSkin& skin) : points_(mirror_images(limits.rest, limits.triangles)) {
+    std::vector<Edge> all;
+    for (const Edge& edge : skin.edges) {
+      const Edge image = image_of(edge), again = image_of(image);
+      if (again.first < 0 || again.first == again.second)
+        all.push_back(edge);
+      else
+        all.insert(all.end(), {image, again});  // of the points at one place, the same for all edges
+    }
+    std::sort(all.begin(), all.end());
+    all.erase(std::unique(all.begin(), all.end()), all.end());
+    skin.edges = std::move(all);
+    for (const Edge& edge : skin.edges) {
+      const auto found = std::lower_bound(skin.edges.begin(), skin.edges.end(), image_of(edge));
+      const bool is_edge = found != skin.edges.end() && *found == image_of(edge);
+      edges_.push_back(is_edge ? int(found - skin.edges.begin()) : -1);
+    }
+    find_bones(limits.weights.sparseView());
+  }
+  int point(Index p) const { return points_[std::size_t(p)]; }
+  int edge(int e) const { return edges_[std::size_t(e)]; }
+  int bone(Index b) const { return bones_[std::size_t(b)]; }
+
+  /// Values of chosen points, each averaged with that of its image: what is on the plane is as near to both.
+  VectorXd evened(const std::vector<int>& chosen, const VectorXd& values) const {
+    std::map<int, Index> place;
+    for (std::size_t k = 0; k < chosen.size(); ++k) place.emplace(chosen[k], Index(k));
+    VectorXd out = values;
+    for (std::size_t k = 0; k < chosen.size(); ++k)
+      if (const auto image = place.find(point(chosen[k])); image != place.end())
+        out(Index(k)) = 0.5 * (values(Index(k)) + values(image->second));
+    return out;
+  }
+
+ private:
+  Edge image_of(const Edge& edge) const {
+    return edge.first < 0 ? edge : undirected(point(edge.first), point(edge.second));
+  }
+  /// The image of a bone is that which owns most of the image of its skin.
+  void find_bones(const SkinWeights& weights) {
+    MatrixXd shared = MatrixXd::Zero(weights.cols(), weights.cols());
+    for (Index p = 0; p < weights.rows(); ++p)
+      if (point(p) >= 0)
+        for (SkinWeights::InnerIterator b(weights, p); b; ++b)
+          for (SkinWeights::InnerIterator c(weights, point(p)); c; ++c)
+            shared(b.col(), c.col()) += b.value() * c.value();
+    for (Index b = 0; b < weights.cols(); ++b) {
+      Index image = 0;
+      bones_.push_back(shared.row(b).maxCoeff(&image) > 0 ? int(image) : -1);
+    }
+  }
+
+  std::vector<int> points_, edges_, bones_;
+};
+
+/// Points of a skin as far from each other as possible (farthest point sampling), with their mirror images where they
+/// have such.
 class Sampling {
  public:
-  Sampling(const Points& points, const VectorXd& areas) : points_(points), areas_(areas), nearest_(points.rows()) {
+  Sampling(const Points& points, const VectorXd& areas, const Mirror& mirror)
+      : points_(points), areas_(areas), mirror_(mirror), nearest_(points.rows()) {
     for (Index p = 0; p < points.rows(); ++p) nearest_(p) = areas(p) > 0 ? kInfinity : -1;
     owner_.assign(std::size_t(points.rows()), 0);
   }
@@ -118,6 +181,10 @@ class Sampling {
 
  private:
   void take(Index point) {
+    take_alone(point);
+    if (const int image = mirror_.point(point); image >= 0 && nearest_(image) > 0) take_alone(image);
+  }
+  void take_alone(Index point) {
     const int number = int(chosen_.size());
     chosen_.push_back(int(point));
     for (Index p = 0; p < points_.rows(); ++p) {
@@ -131,6 +198,7 @@ class Sampling {
   }
   const Points& points_;
   const VectorXd& areas_;
+  const Mirror& mirror_;
   VectorXd nearest_;  ///< square of the distance from the nearest chosen point
   std::vector<int> owner_, chosen_;
 };
@@ -348,6 +416,7 @@ struct Tissue {
   std::vector<int> chosen;           ///< points of the skin that say how far a load carries it
   VectorXd area;                     ///< of the skin that is nearest to each of them
   std::vector<int> pulled;           ///< points that are pulled back: the same, and more where L is painted smaller
+  VectorXd pulled_mass;              ///< of the nodes that are nearest to each of these
   std::vector<CriticalEdges> edges;  ///< of each bone (G)
 };
 
@@ -373,6 +442,20 @@ void add_between(const Points& rest, const std::vector<double>& strain, const st
   }
 }
 
+/// Adds the mirror images of edges, to those of their bones' images.
+void add_images(const Mirror& mirror, std::vector<CriticalEdges>& of_bones) {
+  const std::vector<CriticalEdges> found = of_bones;
+  for (std::size_t b = 0; b < found.size(); ++b) {
+    if (mirror.bone(Index(b)) < 0) continue;
+    CriticalEdges& image = of_bones[std::size_t(mirror.bone(Index(b)))];
+    for (int e : found[b].edges)
+      if (mirror.edge(e) >= 0) image.edges.insert(mirror.edge(e));
+    for (int e : found[b].between)
+      if (mirror.edge(e) >= 0) image.between.push_back(mirror.edge(e));
+    make_unique(image.between);
+  }
+}
+
 template <class Model>
 Tissue tissue_of(Neutral<Model>& neutral, const SkinLimits& limits) {
   const Model& model = neutral.model;
@@ -394,7 +477,8 @@ Tissue tissue_of(Neutral<Model>& neutral, const SkinLimits& limits) {
   out.carried = limits.groups.size() > 0 ? SkinWeights(limits.groups.sparseView()) : model.body().skin;
   out.carried_mass = out.carried.transpose() * out.mass;
   out.skin = soft_skin(limits);
-  Sampling sampling(limits.rest, out.skin.areas);
+  const Mirror mirror(limits, out.skin);
+  Sampling sampling(limits.rest, out.skin.areas, mirror);
   sampling.add(kPoints);
   out.edges.resize(std::size_t(out.carried_mass.size()));
   std::vector<double> strain(out.skin.edges.size(), 0.0);
@@ -410,10 +494,13 @@ Tissue tissue_of(Neutral<Model>& neutral, const SkinLimits& limits) {
     strain = std::move(more);
   }
   add_between(limits.rest, strain, strained_by, out);
+  add_images(mirror, out.edges);
   out.chosen = sampling.chosen();
-  out.area = sampling.sums(out.skin.areas);
+  out.area = mirror.evened(out.chosen, sampling.sums(out.skin.areas));
   if (limits.painted.size() > 0) sampling.add((1 - limits.painted.array()).matrix(), kPaintedPoints);
   out.pulled = sampling.chosen();
+  out.pulled_mass =
+      mirror.evened(out.pulled, sums_at_nearest(limits.rest(out.pulled, Eigen::all), model.body().rest, out.mass));
   return out;
 }
 
@@ -465,8 +552,7 @@ std::vector<Pull> pulls_of(const Tissue& tissue, const SkinLimits& limits, const
   const VectorXd distances = at_points(limits.distances);
   VectorXd painted = VectorXd::Ones(distances.size());
   if (limits.painted.size() > 0) painted = at_points(limits.painted);
-  const VectorXd mass =
-      nodal ? tissue.mass : sums_at_nearest(limits.rest(tissue.pulled, Eigen::all), body.rest, tissue.mass);
+  const VectorXd& mass = nodal ? tissue.mass : tissue.pulled_mass;
   std::vector<Pull> out;
   for (int p = 0; p < int(points.nodes.rows()); ++p) {
     out.push_back({numbers.size(), 3, painted(p) * distances(p), pull / painted(p) * mass(p)});
