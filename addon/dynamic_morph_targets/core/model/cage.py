@@ -204,10 +204,10 @@ def _alike(embedding: dynamorph.Embedding, coincident: np.ndarray) -> dynamorph.
 def _tetrahedra(character: Character, surface: np.ndarray, report: Report) -> dynamorph.TetMesh:
     settings, cage = character.settings, character.cage
     grid = GRID * 2.0 ** np.floor(np.log2(diagonal(surface[np.unique(character.triangles)])))
-    bones = np.round(character.bone_segments / grid) * grid
+    skin, bones = (np.round(points / grid) * grid for points in (surface, character.bone_segments))
     try:
         _, _, mesh = dynamorph.mesh_body(
-            np.round(surface / grid) * grid,
+            skin,
             character.triangles,
             settings.cage_nodes,
             cage=cage and cage[1:],
@@ -217,7 +217,7 @@ def _tetrahedra(character: Character, surface: np.ndarray, report: Report) -> dy
         )
     except dynamorph.Error as error:
         raise dynamorph.Error(f"Cage Object '{cage.name}': {error}") if cage else error from None
-    return mesh
+    return dynamorph.symmetric_like(mesh, *(cage[1:] if cage else (skin, character.triangles)))
 
 
 def _outside(character: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> list[str]:
