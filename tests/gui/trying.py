@@ -31,7 +31,7 @@ from editors import (
 @step("Scrub while the rig is read")
 def read_while_scrubbing():
     """As when the mesh is compared with its model, a second after an edit."""
-    read = lambda: addon("scene.mesh_data").worlds_at_start(skin(), rig())  # noqa: E731
+    read = lambda: addon("scene.rig_motion").worlds_at_start(skin(), rig())  # noqa: E731
     yield from frames.scrub(limb.FIRST, limb.FLEXED, read)
     yield from frames.click(limb.FIRST)
 

@@ -106,7 +106,8 @@ class SimulationSettings:
     simulated before `frame_start` and dropped; a cycle needs none. loop: the range is a cycle. gains: factors on the
     modes' motion about the targets' shapes, 1 for further modes; amount: on all of it. max_displacement,
     max_thickness: how far the skin may move away from its targets' shapes, as fractions of the body's size and of its
-    thickness there; 0 for no limit.
+    thickness there; 0 for no limit. collision: whether colliders stop the skin; distance: how far from them, as a
+    fraction of the body's size.
     """
 
     frame_start: int = 1
@@ -123,6 +124,8 @@ class SimulationSettings:
     amount: float = 1.0
     max_displacement: float = 0.0
     max_thickness: float = 0.0
+    collision: bool = False
+    distance: float = 0.002
 
     def __post_init__(self) -> None:
         if self.substeps % self.samples:

@@ -25,7 +25,7 @@ from ..core.model.model import Model
 from ..core.result.keys import united
 from ..io import outputs, paths
 from ..io.cache_dir import CacheDir
-from ..scene import animation, extract, probe, rig_motion, run_settings, staleness
+from ..scene import animation, colliders, extract, probe, rig_motion, run_settings, staleness
 from ..scene.checks import skinned
 from ..scene.model_store import blend_folder, load_model, stale_reasons
 from ..scene.skin import ObjectHandle, SceneHandle
@@ -37,6 +37,7 @@ from ..write.reconcile import reconcile
 from .job_data import BakeInput
 
 CHUNK_FRAMES = 1000  # of a shot, that are read and simulated at once: bounds memory
+COLLIDER_BYTES = 2**28  # of a chunk that those colliders take which may deform
 SHORT_CHUNK_FRAMES = 100  # where each node is read, or chunks are kept for other processes, which go on from there
 
 
@@ -110,7 +111,9 @@ def _chunk(given: BakeInput) -> int:
     """How many frames of the rig are read at once."""
     if given.whole:
         return given.settings.frame_end - given.settings.first
-    return SHORT_CHUNK_FRAMES if given.kept or given.character.probed else CHUNK_FRAMES
+    frames = SHORT_CHUNK_FRAMES if given.kept or given.character.probed else CHUNK_FRAMES
+    bytes_per_frame = 12 * given.deforming_vertices * given.settings.substeps
+    return min(frames, max(COLLIDER_BYTES // max(bytes_per_frame, 1), 1))
 
 
 def handles(attachments: Sequence[Attachment]) -> list[ObjectHandle]:
@@ -183,6 +186,7 @@ def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: boo
     obj = skinning.obj
     settings = run_settings.simulation_settings(obj, bpy.context.scene, request.frames, request.substeps)
     given.has_shot, given.settings = True, replace(settings, **request.changes)
+    given.deforming_vertices = colliders.deforming_vertices(obj)
     given.inputs = staleness.bake_inputs(skinning, given.settings)
     given.inputs |= {"animation": animation.animation(skinning), "painted": staleness.map_hash(given.character)}
     chosen = obj.dynamorph.simulation

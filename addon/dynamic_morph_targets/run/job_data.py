@@ -82,6 +82,7 @@ class BakeInput:
     settings: SimulationSettings = field(init=False)
     inputs: dict = field(default_factory=dict)
     whole: bool = True  # it is read as one chunk
+    deforming_vertices: int = 0  # of the colliders that may deform
     before: Bake | None = None
     kept: Path | None = None  # the file that keeps it for other processes while it is unfinished
     resumed: dict = field(default_factory=dict)  # what another process stored there

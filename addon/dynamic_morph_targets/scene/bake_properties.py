@@ -20,7 +20,7 @@ from bpy.props import (
 from bpy.types import PropertyGroup
 
 from ..core.material.feel import FEELS
-from ..core.settings import MOST_SUBSTEPS, OutputSettings
+from ..core.settings import MOST_SUBSTEPS, OutputSettings, SimulationSettings
 from .events import shown_changed
 from .references import OVERRIDE
 from .target_properties import DynamorphKey
@@ -168,6 +168,42 @@ class DynamorphSimulation(PropertyGroup):
 
     def steps_per_frame(self, fps: float) -> int:
         return self.substeps or max(1, math.ceil(120.0 / fps - 1e-6))
+
+
+class DynamorphCollision(PropertyGroup):
+    """What stops the skin, and how."""
+
+    use: BoolProperty(
+        name="Collision",
+        description="Let the mesh objects that have Blender's Collision (Physics tab) stop the skin, so that it dents "
+        "instead of passing through them. Their thicknesses are ignored, for which the skin has a Distance",
+        override=OVERRIDE,
+    )  # fmt: skip
+    collection: PointerProperty(
+        name="Collection",
+        description="Limit the objects that stop the skin to this collection. Empty for all that have Collision",
+        type=bpy.types.Collection,
+        override=OVERRIDE,
+    )
+    distance: FloatProperty(
+        name="Distance",
+        description="How far from other objects the skin stops, as a fraction of the body's size. Raise it where "
+        "objects show through the skin",
+        default=SimulationSettings.distance, min=0.0, max=0.05, soft_max=0.01, precision=4, subtype="FACTOR",
+        override=OVERRIDE,
+    )  # fmt: skip
+    use_friction: BoolProperty(
+        name="Override Friction",
+        description="Use one friction for all objects instead of their own, which is a tenth of the Friction for "
+        "cloth of their Collision",
+        override=OVERRIDE,
+    )
+    friction: FloatProperty(
+        name="Friction",
+        description="How much the skin clings to what it slides over: 0 is ice, 0.5 dry skin. Raise it where the skin "
+        "slips away",
+        default=0.5, min=0.0, max=5.0, soft_max=1.0, precision=2, override=OVERRIDE,
+    )  # fmt: skip
 
 
 class DynamorphOutput(PropertyGroup):

@@ -19,7 +19,8 @@ SAME_POSE = np.radians(0.5)  # the engine cannot interpolate between targets tha
 def settings(obj) -> Iterator[Problem]:
     """Values that no button sets, as a damaged .blend, or a stranger's, may have them."""
     authored = obj.dynamorph
-    whole = [(each, "'{name}': {setting}") for each in (authored, authored.model, authored.simulation, authored.output)]
+    groups = authored, authored.model, authored.simulation, authored.collision, authored.output
+    whole = [(each, "'{name}': {setting}") for each in groups]
     targets = [(each, "'{name}': {setting} of target '{target}'") for each in authored.targets]
     for group, text in whole + targets:
         for name, value in plain(group).items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The mesh of an object as arrays: points, triangles, vertex groups, skin weights, and its transform.
+"""The mesh of an object as arrays: points, triangles, vertex groups, skin weights.
 
 Skinning is Blender's: shape keys first, then the Armature modifier, weights normalized over the deforming bones.
 """
@@ -7,8 +7,8 @@ Skinning is Blender's: shape keys first, then the Armature modifier, weights nor
 from __future__ import annotations
 
 import itertools
+from zlib import crc32
 
-import bpy
 import numpy as np
 
 from ..core.character import Skeleton
@@ -17,8 +17,6 @@ from ..core.geometry import determinant
 from ..core.message import Message
 from ..core.painted_map import PaintedMap
 from .references import key_points
-from .rig_motion import in_meters, not_a_number, rig_scene
-from .skin import unit_scale
 
 MEMBER = 0.5  # smallest weight with which a vertex belongs to an attachment
 NO_WEIGHT = 1e-4  # Blender does not move a vertex whose weights sum to less
@@ -166,21 +164,12 @@ def mesh_triangles(mesh) -> np.ndarray:
     return triangles
 
 
-def worlds_at_start(obj, rig) -> list[np.ndarray]:
-    """World transforms of both, meters, when the scene starts: a model that depended on the current frame would become
-    outdated by playing. Raises SceneError.
-    """
-    with rig_scene(obj, rig) as (scene, _follower):
-        scene.frame_set(bpy.context.scene.frame_start)
-        depsgraph = scene.view_layers[0].depsgraph
-        worlds = [np.array(moving.evaluated_get(depsgraph).matrix_world) for moving in (obj, rig)]
-    for moving, world in zip((obj, rig), worlds, strict=True):
-        if not np.isfinite(world).all():
-            raise SceneError(not_a_number(moving.name, bpy.context.scene.frame_start))
-        sizes = np.linalg.svd(world[:3, :3], compute_uv=False)
-        if sizes[-1] <= 1e-6 * sizes[0]:
-            raise SceneError("'{name}' is scaled to zero: give it a size", name=moving.name)
-    return [in_meters(world, unit_scale()) for world in worlds]
+def mesh_topology(mesh) -> int:
+    """Tells the faces of a mesh from those of others, whatever its shape."""
+    corners, starts = np.empty(len(mesh.loops), np.int32), np.empty(len(mesh.polygons), np.int32)
+    mesh.loops.foreach_get("vertex_index", corners)
+    mesh.polygons.foreach_get("loop_start", starts)
+    return crc32(starts.tobytes(), crc32(corners.tobytes()))
 
 
 def stretch(world) -> np.ndarray:

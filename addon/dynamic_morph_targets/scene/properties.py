@@ -13,7 +13,14 @@ from bpy.props import BoolProperty, CollectionProperty, IntProperty, PointerProp
 from bpy.types import PropertyGroup
 
 from . import events
-from .bake_properties import DynamorphBake, DynamorphLive, DynamorphOutput, DynamorphSculpt, DynamorphSimulation
+from .bake_properties import (
+    DynamorphBake,
+    DynamorphCollision,
+    DynamorphLive,
+    DynamorphOutput,
+    DynamorphSculpt,
+    DynamorphSimulation,
+)
 from .model_properties import DynamorphAttachment, DynamorphMode, DynamorphModel
 from .references import OVERRIDE, OVERRIDE_LIST
 from .registration import of_classes
@@ -69,6 +76,9 @@ class DynamorphSettings(PropertyGroup):
     )
     simulation: PointerProperty(
         name="Simulation", description="How a shot is simulated", type=DynamorphSimulation, override=OVERRIDE
+    )
+    collision: PointerProperty(
+        name="Collision", description="What stops the skin, and how", type=DynamorphCollision, override=OVERRIDE
     )
     live: PointerProperty(name="Live", description="Simulation during playback", type=DynamorphLive)
     output: PointerProperty(
@@ -151,6 +161,7 @@ CLASSES = (
     DynamorphMode,
     DynamorphLive,
     DynamorphSimulation,
+    DynamorphCollision,
     DynamorphOutput,
     DynamorphBake,
     DynamorphSculpt,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A rig over the frames of a shot: poses, worlds and force fields, sampled as Blender evaluates them."""
+"""A rig over the frames of a shot: poses, worlds, force fields and colliders, sampled as Blender evaluates them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import bpy
@@ -17,7 +18,7 @@ from ..core.errors import SceneError
 from ..core.geometry import determinant, invertible, turned
 from ..core.message import Message
 from ..core.motion.rig_samples import ForceField, RigSamples
-from . import checks, events
+from . import checks, colliders, events
 from .checks import armature_modifier, refuse
 from .references import rest_skeleton
 from .skin import unit_scale
@@ -166,6 +167,7 @@ class RigSampling:
         self._columns = np.empty((self.count, len(self._order), 4, 4), np.float32)
         self._rig_world, self._object_world = np.empty((2, self.count, 4, 4))
         self._fields = tuple(_empty_samples(source.field, self.count, self._unit) for source in sources)
+        self._colliders = colliders.readers(obj, self.count)
 
     @property
     def frame(self) -> int:
@@ -182,8 +184,9 @@ class RigSampling:
         sources = [bpy.context.scene.objects.get(name) for name in self._sources]
         if _moving(skinning, rest_skeleton(rig.data)) != self._moving or None in sources:
             raise SceneError("'{name}' or what moves it changed while it was read: start again", name=obj.name)
+        stopping = [self._collider(reader.name) for reader in self._colliders]
         with rig_scene(obj, rig, self.probe) as (scene, follower):
-            for source in sources:
+            for source in (*sources, *stopping):
                 if source.name not in scene.collection.objects:  # the rig may be one
                     scene.collection.objects.link(source)
             if self.probe and self._nodes is None:
@@ -192,12 +195,21 @@ class RigSampling:
                 self._nodes = self.probe.empty_samples(self.count)
             while self.done < self.count:
                 self._read(scene, obj, rig, sources)
+                for collider, reader in zip(stopping, self._colliders, strict=True):
+                    reader.read(self.done, collider.evaluated_get(scene.view_layers[0].depsgraph), self.frame)
                 if self.probe:
                     self.probe.read(scene, follower, self._nodes.points[self.done])
                 self.done += 1
                 if time.perf_counter() > ends:
                     break
         return self.done == self.count
+
+    def _collider(self, name: str):
+        """The object of this name. Raises SceneError."""
+        found = bpy.context.scene.objects.get(name)
+        if found is None or not colliders.is_collider(found):
+            raise SceneError("'{name}' was removed, or its Collision, while it was read: start again", name=name)
+        return found
 
     def _read(self, scene, obj, rig, sources):
         s = self.done
@@ -217,7 +229,8 @@ class RigSampling:
         worlds = in_meters(np.stack([self._rig_world, self._object_world], axis=1), self._unit)
         fields = tuple(replace(field, world=in_meters(field.world, self._unit)) for field in self._fields)
         pose = _ordered(self._columns, self._order)
-        tracks = (*fields, self._nodes) if self._nodes else fields
+        stopping = (reader.track(partial(in_meters, unit=self._unit), self._frame) for reader in self._colliders)
+        tracks = (*fields, *stopping, *([self._nodes] if self._nodes else []))
         samples = RigSamples(pose, worlds[:, 0], worlds[:, 1], tracks, self._target_nodes)
         bad = np.argwhere(~np.isfinite(np.concatenate([worlds, samples.pose], axis=1)).all(axis=(2, 3)))
         if len(bad):
@@ -300,6 +313,23 @@ def rig_scene(obj, rig, probe=None):
         remove_scene(scene, follower)
         if mesh:
             bpy.data.meshes.remove(mesh)
+
+
+def worlds_at_start(obj, rig) -> list[np.ndarray]:
+    """World transforms of both, meters, when the scene starts: a model that depended on the current frame would become
+    outdated by playing. Raises SceneError.
+    """
+    with rig_scene(obj, rig) as (scene, _follower):
+        scene.frame_set(bpy.context.scene.frame_start)
+        depsgraph = scene.view_layers[0].depsgraph
+        worlds = [np.array(moving.evaluated_get(depsgraph).matrix_world) for moving in (obj, rig)]
+    for moving, world in zip((obj, rig), worlds, strict=True):
+        if not np.isfinite(world).all():
+            raise SceneError(not_a_number(moving.name, bpy.context.scene.frame_start))
+        sizes = np.linalg.svd(world[:3, :3], compute_uv=False)
+        if sizes[-1] <= 1e-6 * sizes[0]:
+            raise SceneError("'{name}' is scaled to zero: give it a size", name=moving.name)
+    return [in_meters(world, unit_scale()) for world in worlds]
 
 
 def remove_scene(scene, *objects):

@@ -47,7 +47,7 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
     The scene's gravity is taken as m/s^2 whatever its unit scale. Blender's own simulations take it as Blender units
     per s^2.
     """
-    chosen = obj.dynamorph.simulation
+    chosen, collision = obj.dynamorph.simulation, obj.dynamorph.collision
     fps = scene.render.fps / scene.render.fps_base
     start, end = frame_range(obj, scene, frames)
     substeps = substeps or chosen.steps_per_frame(fps)
@@ -76,4 +76,6 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
         amount=chosen.amount,
         max_displacement=chosen.max_displacement,
         max_thickness=chosen.max_thickness,
+        collision=collision.use,
+        distance=collision.distance,
     )

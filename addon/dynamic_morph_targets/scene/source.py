@@ -19,9 +19,9 @@ from .mesh_data import (
     modifier_weights,
     rest_points,
     stretch,
-    worlds_at_start,
 )
 from .references import rest_skeleton
+from .rig_motion import worlds_at_start
 from .skinning import Skinning
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A moving rig as plain data: bones, worlds, nodes and force fields at every step. NumPy only."""
+"""A moving rig as plain data: bones, worlds, nodes, force fields and colliders at every step. NumPy only."""
 
 from __future__ import annotations
 
@@ -62,6 +62,11 @@ class Track:
     def _each(self, change: Callable[[np.ndarray], np.ndarray]) -> Self:
         return replace(self, **{name: change(getattr(self, name)) for name in self.SAMPLED})
 
+    @property
+    def nbytes(self) -> int:
+        """Approximate bytes of what grows with the number of samples, where that is a lot."""
+        return 0
+
 
 @dataclass(frozen=True)
 class ForceField(Track):
@@ -118,14 +123,18 @@ class PosedNodes(Track):
                 frames[..., 3] -= frames[..., axis] * self.rest[:, axis, None]
         return out
 
+    @property
+    def nbytes(self) -> int:
+        return self.points.nbytes
+
 
 @dataclass(frozen=True)
 class RigSamples(Track):
     """The moving rig at S sample times: pose (S, B, 4, 4) armature space, rig_world and object_world (S, 4, 4).
 
-    tracks: what is known at the same times beside the rig, as force fields and, where bones do not say it, the free
-    nodes as Blender poses them. target_nodes: the same nodes (S = J) in the targets' captured poses, the objects being
-    where they are at the first sample.
+    tracks: what is known at the same times beside the rig, as force fields, colliders and, where bones do not say it,
+    the free nodes as Blender poses them. target_nodes: the same nodes (S = J) in the targets' captured poses, the
+    objects being where they are at the first sample.
     """
 
     SAMPLED = ("pose", "rig_world", "object_world")
@@ -167,7 +176,7 @@ class RigSamples(Track):
     @property
     def nbytes(self) -> int:
         """Approximate bytes of what grows with the number of samples."""
-        return self.pose.nbytes + (self.nodes.points.nbytes if self.nodes else 0)
+        return self.pose.nbytes + sum(track.nbytes for track in self.tracks)
 
     def skin_matrices(self, skeleton: Skeleton, to_bind: np.ndarray) -> np.ndarray:
         """The transforms from bind space to world space, one for each bone and one for the object itself.
