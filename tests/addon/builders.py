@@ -41,6 +41,20 @@ def make_mesh(scene, name, vertices, faces, edges=()):
     return obj
 
 
+BOX = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+
+
+def make_box(name="Box", location=(0.0, 1.0, 1.0), collision=True):
+    """A cube of 1 m beside the arm, with Blender's Collision."""
+    faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    made = make_mesh(bpy.context.scene, name, BOX, faces)
+    made.location = location
+    if collision:
+        made.modifiers.new("Collision", "COLLISION")
+    bpy.context.view_layer.update()
+    return made
+
+
 def add_key(obj, name, displacement):
     basis = np.empty((len(obj.data.vertices), 3), np.float32)
     obj.data.shape_keys.reference_key.points.foreach_get("co", basis.ravel())

@@ -372,6 +372,7 @@ def run_info(args: argparse.Namespace) -> None:
         print(f"  bake: {len(settings.bake.keys)} keys, {settings.bake.summary}")
         print(f"  bake made from {settings.bake.content_id[:12]}, result {settings.bake.digest[:12]}")
         staleness.look_at_animation(obj)
+        staleness.look_at_colliders(obj)
         staleness.look_for_caches(obj)
         print(f"  bake state: {'; '.join(staleness.outdated(obj)) or 'up to date'}")
 

@@ -45,10 +45,11 @@ def build_inputs(record: str) -> dict:
 @lru_cache(maxsize=64)
 def bake_inputs(record: str) -> dict:
     """The settings that a bake was made with, as `staleness.bake_inputs` gives them, with the `animation`, the
-    model's `content_id`, and what was `painted`. Not to be changed.
+    model's `content_id`, what was `painted`, and the `colliders`. Not to be changed.
     """
     needed = {"targets": _are_groups, "animation": _is_animation, "content_id": _is_text}
-    return _read(record, BAKE, needed, {**SETTINGS, "simulation": _is_group, "output": _is_group, "painted": _is_text})
+    known = {"simulation": _is_group, "output": _is_group, "collision": _is_group, "painted": _is_text}
+    return _read(record, BAKE, needed, {**SETTINGS, **known, "colliders": _are_colliders})
 
 
 @lru_cache(maxsize=64)
@@ -56,6 +57,17 @@ def animation(record: str) -> list[tuple[str, str]]:
     """What `animation_text` noted; empty without a record."""
     seen = _read(record, BAKE, {"animation": _is_animation}, {})["animation"] if record else []
     return [(name, digest) for name, digest in seen]
+
+
+def colliders_text(seen: list[list[str]]) -> str:
+    """A record of the colliders of a skin: names, and hashes of what moves and shapes them."""
+    return text({"colliders": seen})
+
+
+@lru_cache(maxsize=64)
+def colliders(record: str) -> list[list[str]]:
+    """What `colliders_text` noted; empty without a record. Not to be changed."""
+    return _read(record, BAKE, {"colliders": _are_colliders}, {})["colliders"] if record else []
 
 
 def verdict(record: str) -> dict:
@@ -144,6 +156,12 @@ def _are_indices(value: object) -> bool:
 def _is_animation(value: object) -> TypeGuard[list[list[str]]]:
     return isinstance(value, list) and all(
         isinstance(pair, list) and len(pair) == 2 and all(map(_is_text, pair)) for pair in value
+    )
+
+
+def _are_colliders(value: object) -> TypeGuard[list[list[str]]]:
+    return isinstance(value, list) and all(
+        isinstance(each, list) and len(each) == 3 and all(map(_is_text, each)) for each in value
     )
 
 

@@ -25,7 +25,7 @@ from ..core.model.model import Model
 from ..core.result.keys import united
 from ..io import outputs, paths
 from ..io.cache_dir import CacheDir
-from ..scene import animation, colliders, extract, probe, rig_motion, run_settings, staleness
+from ..scene import animation, collider_state, colliders, extract, probe, rig_motion, run_settings, staleness
 from ..scene.checks import skinned
 from ..scene.model_store import blend_folder, load_model, stale_reasons
 from ..scene.skin import ObjectHandle, SceneHandle
@@ -189,6 +189,7 @@ def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: boo
     given.deforming_vertices = colliders.deforming_vertices(obj)
     given.inputs = staleness.bake_inputs(skinning, given.settings)
     given.inputs |= {"animation": animation.animation(skinning), "painted": staleness.map_hash(given.character)}
+    given.inputs |= {"colliders": collider_state.states(obj)} if given.settings.collision else {}
     chosen = obj.dynamorph.simulation
     is_part = chosen.is_patch or (chosen.keep_outside and request.frames)
     if given.output and is_part and obj.dynamorph.bake.exists:

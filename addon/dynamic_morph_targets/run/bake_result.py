@@ -250,6 +250,7 @@ class Writer:
         record.digest = baked.digest(outcome.bake)
         record.lost = ""
         staleness.look_at_animation(obj)
+        staleness.look_at_colliders(obj)
         staleness.look_at_map(obj, outcome.character)
 
 

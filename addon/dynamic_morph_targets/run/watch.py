@@ -8,7 +8,7 @@ from collections.abc import Callable
 import bpy
 from bpy.app.handlers import persistent
 
-from ..scene import body_checks, events, model_store, references, rig_motion, skin, staleness
+from ..scene import body_checks, colliders, events, model_store, references, rig_motion, skin, staleness
 from ..scene.references import rig_of
 from ..scene.skin import soft_skins
 from ..write import storage
@@ -87,9 +87,11 @@ def _changed(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 
 
 def _may_animate(edited: bpy.types.ID) -> bool:
-    """Whether an edit may be one of an animation. That of a strip names only its object, as posing does."""
+    """Whether an edit may be one of an animation, or of a collider. That of a strip names only its object, as posing
+    does.
+    """
     if isinstance(edited, bpy.types.Object):
-        return edited.animation_data is not None
+        return edited.animation_data is not None or colliders.is_collider(edited)
     return isinstance(edited, (bpy.types.Action, bpy.types.Key))
 
 
@@ -132,6 +134,7 @@ def _look_at_animations() -> float | None:
     for obj in skin.soft_skins(bpy.context.scene.objects):
         if obj.dynamorph.bake.exists and obj.is_editable:
             staleness.look_at_animation(obj)
+            staleness.look_at_colliders(obj)
             staleness.look_for_caches(obj)
             influence.share_strip(obj)
     events.redraw(events.PANELS)

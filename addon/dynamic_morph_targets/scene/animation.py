@@ -114,7 +114,7 @@ USUAL = {"use_nla": True, "action_blend_type": "REPLACE", "action_extrapolation"
 
 def animation(skinning: Skinning) -> list[tuple[str, str]]:
     """(name, hash of the F-curves and NLA strips) of the objects that move the skin."""
-    return [(mover.name, _animation_hash(mover.animation_data)) for mover in _movers(skinning)]
+    return [(mover.name, animation_hash(mover.animation_data)) for mover in _movers(skinning)]
 
 
 def is_animated(skinning: Skinning) -> bool:
@@ -133,7 +133,8 @@ def _movers(skinning: Skinning) -> list:
     return moving
 
 
-def _animation_hash(data) -> str:
+def animation_hash(data) -> str:
+    """Of the F-curves and NLA strips that animation data, or None, play."""
     if data is None:
         return ""
     digest = hashlib.blake2b(digest_size=8)

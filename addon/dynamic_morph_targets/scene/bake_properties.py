@@ -263,6 +263,9 @@ class DynamorphBake(PropertyGroup):
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
     lost: StringProperty(name="Lost", description="Point caches that are missing as last seen, one per line")
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
+    colliders: StringProperty(
+        name="Colliders", description="Hashes of what moves and shapes the colliders as last seen, as JSON"
+    )
     painted: StringProperty(name="Painted", description="Hash of the Max Distance map as last seen")
     off_full: FloatProperty(
         name="Off Full Quality",

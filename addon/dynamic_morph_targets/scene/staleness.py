@@ -2,7 +2,8 @@
 """What a model and a bake were made from, and what has changed since, as sentences for the panels.
 
 Only settings are compared, so panels can do it whenever they draw. `storage.show_stale` examines the mesh and
-`look_at_animation` the animation, and `look_for_caches` the files, a while after an edit.
+`look_at_animation` the animation, `look_at_colliders` the colliders, and `look_for_caches` the files, a while after an
+edit.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from ..core.message import Message
 from ..core.model.model import array_hash
 from ..core.settings import ENGINE, FREE_SETTINGS, SimulationSettings
 from ..io import whole
-from . import animation, run_settings, skin
+from . import animation, collider_state, colliders, run_settings, skin
 from .plain import plain
 from .references import KEY_REFERENCE
 from .skin import attached_meshes, named_targets, own_attachments, shown_attachments
@@ -51,6 +52,14 @@ def look_at_map(obj, character: Character):
     record, seen = obj.dynamorph.bake, map_hash(character)
     if record.exists and record.painted != seen:
         record.painted = seen
+
+
+def look_at_colliders(obj):
+    """Examine the colliders of `obj`, so that `outdated` knows whether they are what the bake met."""
+    record = obj.dynamorph.bake
+    seen = records.colliders_text(collider_state.states(obj)) if record.exists and obj.dynamorph.collision.use else ""
+    if record.colliders != seen:
+        record.colliders = seen
 
 
 def map_hash(character: Character) -> str:
@@ -117,6 +126,7 @@ def outdated(obj) -> list[str]:
         return []
     try:
         then, seen = records.bake_inputs(record.inputs), records.animation(record.animation)
+        met = records.colliders(record.colliders)
         now = bake_inputs(Skinning.of(obj), run_settings.simulation_settings(obj, bpy.context.scene))
     except (RecordError, SceneError) as error:
         return [sentence(error)]
@@ -130,6 +140,8 @@ def outdated(obj) -> list[str]:
     if record.painted != then.get("painted", "") and repainted not in found:
         found.append(repainted)
     found += _piece_changes(obj)
+    if "colliders" in then and settings.collision.use:
+        found += _collider_changes(obj, then["colliders"], met)
     found += [
         Message('animation of "{name}" changed', name=name)
         for (name, digest), (_, before) in zip(seen, then["animation"], strict=False)
@@ -179,6 +191,9 @@ def bake_inputs(skinned: Skinning, simulation: SimulationSettings) -> dict:
     inputs["groups"]["max_distance_group"] = settings.max_distance_group
     inputs["groups"]["armature_modifiers"] = skinned.settings()
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
+    del inputs["simulation"]["distance"]
+    names = ["distance", "use_friction", *(["friction"] if settings.collision.use_friction else [])]
+    inputs["collision"] = {name: getattr(settings.collision, name) for name in names if settings.collision.use}
     inputs["output"] = asdict(settings.output.settings())
     for name, target in named_targets(obj):
         values = plain(target, skip=(*KEY_REFERENCE, *UNUSED))
@@ -192,7 +207,7 @@ def _changes(obj, then: dict, now: dict) -> list[str]:
     settings = obj.dynamorph
     found = _target_changes(obj, then["targets"], now["targets"])
     known = {"model": settings.model, "simulation": settings.simulation, "output": settings.output}
-    known |= {"groups": settings, "scene": None}
+    known |= {"collision": settings.collision, "groups": settings, "scene": None}
     for part, group in known.items():
         before, after = then.get(part, {}), now.get(part, {})
         changed = (_title(group, name) for name in after if before.get(name, after[name]) != after[name])
@@ -229,6 +244,17 @@ def _piece_changes(obj) -> list[str]:
         for mesh in shown
         if mesh not in wanted
     ]
+
+
+def _collider_changes(obj, then: list[list[str]], seen: list[list[str]]) -> list[str]:
+    """What happened to the colliders of `obj`, as `collider_state.states` has them. seen: the last time."""
+    before, names = {name: hashes for name, *hashes in then}, [other.name for other in colliders.colliders(obj)]
+    found: list[str] = [Message("'{name}' collides now", name=name) for name in names if name not in before]
+    found += [Message("'{name}' does not collide any more", name=name) for name in before if name not in names]
+    for name, *hashes in seen:
+        pairs = zip(("'{name}' moved", "'{name}' changed"), before.get(name, hashes), hashes, strict=True)
+        found += [Message(text, name=name) for text, was, is_now in pairs if was != is_now]
+    return found
 
 
 def _title(group, name: str) -> Message:

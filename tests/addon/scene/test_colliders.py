@@ -7,19 +7,7 @@ import pytest
 from bl_ext.user_default.dynamic_morph_targets.core.errors import SceneError
 from bl_ext.user_default.dynamic_morph_targets.core.motion.colliders import ColliderTrack
 from bl_ext.user_default.dynamic_morph_targets.scene import animation, colliders, rig_motion
-from builders import add_key, make_mesh, rig_of
-
-CUBE = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-FACES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-
-
-def box(name="Box", location=(0.0, 1.0, 1.0), collision=True):
-    made = make_mesh(bpy.context.scene, name, CUBE, FACES)
-    made.location = location
-    if collision:
-        made.modifiers.new("Collision", "COLLISION")
-    bpy.context.view_layer.update()
-    return made
+from builders import BOX, add_key, make_box, rig_of
 
 
 @pytest.fixture
@@ -59,31 +47,31 @@ def names(obj) -> list[str]:
 
 
 def test_nothing_collides_before_it_is_turned_on(soft_arm):
-    box()
+    make_box()
     assert names(soft_arm) == []
     assert tracks(soft_arm) == {}
 
 
 def test_what_has_collision_stops_the_skin(arm_with_collision):
-    box("Second")
-    box("First")
-    box("Without", collision=False)
-    hidden, muted = box("Hidden"), box("Muted")
+    make_box("Second")
+    make_box("First")
+    make_box("Without", collision=False)
+    hidden, muted = make_box("Hidden"), make_box("Muted")
     hidden.hide_viewport = True
     muted.modifiers["Collision"].show_viewport = False
-    box("Elsewhere")
+    make_box("Elsewhere")
     bpy.context.scene.collection.objects.unlink(bpy.data.objects["Elsewhere"])
     bpy.context.view_layer.update()
     assert names(arm_with_collision) == ["First", "Second"]
 
 
 def test_a_collection_limits_them(arm_with_collision):
-    box("Out")
+    make_box("Out")
     inside, below = bpy.data.collections.new("Furniture"), bpy.data.collections.new("Chairs")
     bpy.context.scene.collection.children.link(inside)
     inside.children.link(below)
-    inside.objects.link(box("Bench"))
-    below.objects.link(box("Chair"))
+    inside.objects.link(make_box("Bench"))
+    below.objects.link(make_box("Chair"))
     arm_with_collision.dynamorph.collision.collection = inside
     assert names(arm_with_collision) == ["Bench", "Chair"]
     bpy.data.collections.remove(inside)  # which leaves no limit
@@ -93,12 +81,12 @@ def test_a_collection_limits_them(arm_with_collision):
 def test_the_body_and_what_moves_with_it_is_left_out(arm_with_collision):
     obj = arm_with_collision
     obj.modifiers.new("Collision", "COLLISION")
-    attached, skinned, bound, following = box("Shoe"), box("Shirt"), box("Button"), box("Follower")
+    attached, skinned, bound, following = make_box("Shoe"), make_box("Shirt"), make_box("Button"), make_box("Follower")
     obj.dynamorph.attachments.add().object = attached
     skinned.modifiers.new("Armature", "ARMATURE").object = rig_of(obj)
     bound.modifiers.new("Bound", "SURFACE_DEFORM").target = obj
     following.dynamorph.follows = obj
-    box("Prop").parent = rig_of(obj)  # which it may well touch
+    make_box("Prop").parent = rig_of(obj)  # which it may well touch
     assert names(obj) == ["Prop"]
 
 
@@ -106,7 +94,7 @@ def test_the_body_and_what_moves_with_it_is_left_out(arm_with_collision):
 
 
 def test_an_animated_object_is_rigid(arm_with_collision):
-    made = box()
+    made = make_box()
     made.scale = (0.5, 1.0, -2.0)
     for frame, angle in ((1, 0.0), (3, 1.0)):
         made.rotation_euler.z, made.location.x = angle, angle
@@ -118,7 +106,7 @@ def test_an_animated_object_is_rigid(arm_with_collision):
 
 
 def test_substeps_are_read_between_the_frames(arm_with_collision):
-    made = box()
+    made = make_box()
     for frame, place in ((1, 0.0), (3, 1.0)):
         made.location.x = place
         made.keyframe_insert("location", frame=frame)
@@ -129,9 +117,9 @@ def test_substeps_are_read_between_the_frames(arm_with_collision):
 
 
 def test_modifiers_and_shape_keys_deform_it(arm_with_collision):
-    keyed, bent = box("Keyed"), box("Bent")
+    keyed, bent = make_box("Keyed"), make_box("Bent")
     keyed.shape_key_add(name="Basis")
-    key = add_key(keyed, "Grown", CUBE)
+    key = add_key(keyed, "Grown", BOX)
     bend = bent.modifiers.new("Bend", "SIMPLE_DEFORM")
     bend.deform_method = "TWIST"
     bent.modifiers.move(1, 0)
@@ -146,7 +134,7 @@ def test_modifiers_and_shape_keys_deform_it(arm_with_collision):
 
 
 def test_a_prop_in_a_hand_follows_its_bone(arm_with_collision):
-    made = box()
+    made = make_box()
     made.parent, made.parent_type, made.parent_bone = rig_of(arm_with_collision), "BONE", "lower"
     found = tracks(arm_with_collision)["Box"]
     assert len(found.shapes) == 1
@@ -155,7 +143,7 @@ def test_a_prop_in_a_hand_follows_its_bone(arm_with_collision):
 
 
 def test_blenders_own_settings_count(arm_with_collision):
-    made = box()
+    made = make_box()
     made.collision.cloth_friction, made.collision.use_culling = 3.0, True
     for frame, on in ((1, True), (2, False), (3, True)):
         made.collision.use = on
@@ -170,7 +158,7 @@ def test_blenders_own_settings_count(arm_with_collision):
 
 
 def test_lengths_are_meters_whatever_the_unit(arm_with_collision):
-    box(location=(0.0, 2.0, 0.0))
+    make_box(location=(0.0, 2.0, 0.0))
     bpy.context.scene.unit_settings.scale_length = 0.01
     found = tracks(arm_with_collision)["Box"]
     assert found.points(0).mean(axis=0) == pytest.approx([0.0, 0.02, 0.0], abs=1e-6)
@@ -178,7 +166,7 @@ def test_lengths_are_meters_whatever_the_unit(arm_with_collision):
 
 
 def test_reading_leaves_no_trace(arm_with_collision):
-    made = box()
+    made = make_box()
     before = {kind: len(getattr(bpy.data, kind)) for kind in ("objects", "meshes", "scenes")}
     tracks(arm_with_collision)
     assert {kind: len(getattr(bpy.data, kind)) for kind in before} == before
@@ -189,20 +177,20 @@ def test_reading_leaves_no_trace(arm_with_collision):
 
 
 def test_a_curve_that_is_not_a_number_is_refused(arm_with_collision):
-    made = box()
+    made = make_box()
     made.location.x = np.nan
     with pytest.raises(SceneError, match="'Box' collides and is not a number at frame"):
         tracks(arm_with_collision)
 
 
 def test_an_object_without_faces_is_refused(arm_with_collision):
-    box().data.clear_geometry()
+    make_box().data.clear_geometry()
     with pytest.raises(SceneError, match="'Box' collides but has no faces"):
         tracks(arm_with_collision)
 
 
 def test_faces_that_come_later_are_refused(arm_with_collision):
-    made = box()
+    made = make_box()
     array = made.modifiers.new("Array", "ARRAY")
     made.modifiers.move(1, 0)
     for frame, count in ((1, 1), (2, 4)):
@@ -214,7 +202,7 @@ def test_faces_that_come_later_are_refused(arm_with_collision):
 
 
 def test_rigid_bodies_and_cloth_are_refused_before_they_are_baked(arm_with_collision):
-    made = box()
+    made = make_box()
     made.modifiers.new("Cloth", "CLOTH")
     with pytest.raises(SceneError, match="'Box' collides and is simulated by modifier 'Cloth'"):
         tracks(arm_with_collision)
@@ -230,7 +218,7 @@ def test_rigid_bodies_and_cloth_are_refused_before_they_are_baked(arm_with_colli
 
 @pytest.mark.parametrize("lost", ["object", "modifier"])
 def test_what_is_removed_while_it_is_read_is_named(arm_with_collision, lost):
-    made = box()
+    made = make_box()
     sampling = rig_motion.RigSampling(arm_with_collision, 1, 20, 5)
     assert not sampling.advance(arm_with_collision, 0.0)
     if lost == "object":
