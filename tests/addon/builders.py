@@ -9,6 +9,7 @@ import threading
 from contextlib import contextmanager
 from math import pi
 
+import bmesh
 import bpy
 import numpy as np
 import pytest
@@ -55,6 +56,19 @@ def make_box(name="Box", location=(0.0, 1.0, 1.0), collision=True):
     return made
 
 
+def make_ball(name="Ball", radius=0.2):
+    """A ball with Blender's Collision."""
+    mesh, shape = bpy.data.meshes.new(name), bmesh.new()
+    bmesh.ops.create_icosphere(shape, subdivisions=4, radius=radius)
+    shape.to_mesh(mesh)
+    shape.free()
+    ball = bpy.data.objects.new(name, mesh)
+    bpy.context.scene.collection.objects.link(ball)
+    ball.modifiers.new("Collision", "COLLISION")
+    bpy.context.view_layer.update()
+    return ball
+
+
 def add_key(obj, name, displacement):
     basis = np.empty((len(obj.data.vertices), 3), np.float32)
     obj.data.shape_keys.reference_key.points.foreach_get("co", basis.ravel())
@@ -64,9 +78,9 @@ def add_key(obj, name, displacement):
     return block
 
 
-def make_arm(scene, name="Arm"):
+def make_arm(scene, name="Arm", rings=17, around=16):
     rig = make_rig(scene, f"{name} Rig")
-    vertices, faces = scenes.tube()
+    vertices, faces = scenes.tube(rings, around)
     obj = make_mesh(scene, name, vertices, faces)
     obj.shape_key_add(name="Basis", from_mix=False)
     add_key(obj, "flexed", scenes.bulge(vertices))
@@ -267,6 +281,8 @@ class StandInShot:
         from bl_ext.user_default.dynamic_morph_targets.core.motion.limits import Held
 
         return Held()
+
+    touched = None
 
     def play(self, rig):
         engine, settings = self.engine, self.settings

@@ -23,6 +23,13 @@ def vertex_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.bincount(triangles.ravel(), np.repeat(triangle_areas(points, triangles) / 3.0, 3), len(points))
 
 
+def vertex_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Normals (V, 3) of a surface at its vertices, weighted by the areas of its triangles (T, 3); of any length."""
+    a, b, c = points[triangles].swapaxes(0, 1)
+    of_faces = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    return np.column_stack([np.bincount(triangles.ravel(), axis, len(points)) for axis in of_faces.T])
+
+
 def signed_volume(points: np.ndarray, triangles: np.ndarray) -> float:
     """The volume inside a closed surface, negative where it is inside out."""
     a, b, c = points[triangles].swapaxes(0, 1)

@@ -27,6 +27,13 @@ def joined(separator: str, texts: Sequence[str]) -> Message:
     return Message(template, **{f"text{k}": text for k, text in enumerate(texts)})
 
 
+def named_frames(first: int, last: int) -> Message:
+    """A range of frames in words."""
+    if last > first:
+        return Message("frames {first} to {last}", first=first, last=last)
+    return Message("frame {number}", number=first)
+
+
 def listed(names: Sequence[str]) -> str:
     """The names, as many as a report has room for."""
     first, more = ", ".join(names[:LISTED]), len(names) - LISTED

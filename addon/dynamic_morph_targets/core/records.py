@@ -72,8 +72,9 @@ def colliders(record: str) -> list[list[str]]:
 
 def verdict(record: str) -> dict:
     """The fields of a `judge.Verdict`."""
-    values = _read(record, VERDICT, VERDICT_FIELDS, {})
-    return {name: values[name] for name in VERDICT_FIELDS}
+    known = {"touched": _is_touched}
+    values = _read(record, VERDICT, VERDICT_FIELDS, known)
+    return {name: values[name] for name in (*VERDICT_FIELDS, *known) if name in values}
 
 
 def slot(record: str) -> dict:
@@ -149,6 +150,18 @@ def _is_held(value: object) -> bool:
     )
 
 
+def _is_touched(value: object) -> bool:
+    return value is None or (
+        isinstance(value, dict)
+        and value.keys() == TOUCHED.keys()
+        and all(fits(value[name]) for name, fits in TOUCHED.items())
+    )
+
+
+def _are_frames(value: object) -> bool:
+    return _are_numbers(value) and len(value) == 2 and all(abs(frame) <= LAST_FRAME for frame in value)
+
+
 def _are_indices(value: object) -> bool:
     return isinstance(value, list) and all(type(index) is int and index >= 0 for index in value)
 
@@ -169,11 +182,16 @@ LIMITS = {"displacement", "thickness"}
 HELD: dict[str, Callable[[object], bool]] = {
     "bone": _is_text,
     "excess": is_number,
-    "frames": lambda value: (
-        _are_numbers(value) and len(value) == 2 and all(abs(frame) <= LAST_FRAME for frame in value)
-    ),
+    "frames": _are_frames,
     "reached": is_number,
     "pulled": is_number,
+}
+TOUCHED: dict[str, Callable[[object], bool]] = {
+    "penetration": is_number,
+    "depth": is_number,
+    "bone": _is_text,
+    "collider": _is_text,
+    "frames": _are_frames,
 }
 VERDICT_FIELDS: dict[str, Callable[[object], bool]] = {
     **dict.fromkeys(("displacement", "percentile", "over_thickness", "flipped", "inverted", "flicker"), is_number),

@@ -157,7 +157,8 @@ class Computation:
         with self.progress.stage("simulate"):
             outcome.bake, outcome.report = shot.bake(exact=given.output is None or given.output.format != "MODES")
         with self.progress.stage("judge"):
-            outcome.verdict = judge.judge(outcome.model, outcome.character, outcome.bake, given.settings, shot.held)
+            found = shot.held, shot.touched
+            outcome.verdict = judge.judge(outcome.model, outcome.character, outcome.bake, given.settings, *found)
         outcome.report["inverted_volume"] = outcome.verdict.inverted
 
     def _play(self, shot: Shot) -> None:
@@ -205,6 +206,7 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
         outcome.warnings.append(
             Message("The modes were fitted to frames {first} to {last}: press Build Model", first=first, last=last)
         )
+    outcome.warnings += [outcome.verdict.too_deep] if outcome.verdict.too_deep else []
     if outcome.verdict.is_too_large:
         text = "{verdict}. Raise Bounce or Cage Nodes, or paint Firmness"
         outcome.warnings.append(Message(text, verdict=outcome.verdict.text))

@@ -12,7 +12,7 @@ from bpy.app.handlers import persistent
 
 from ..core import engine, errors, logger
 from ..core.message import Message, joined
-from ..scene import events, references, staleness
+from ..scene import colliders, events, references, staleness
 from ..scene.skin import shown_attachments, soft_skins
 from ..write import reconcile, storage
 from ..write.authoring import regions, targets
@@ -81,6 +81,13 @@ def problem(obj: bpy.types.Object) -> str:
     """Why a live object does not play, or ''."""
     text, model = _problems.get(obj.session_uid, ("", None))
     return text if text and model == _stated(obj) else ""
+
+
+def too_deep(obj: bpy.types.Object) -> str:
+    """Where the bones of a live object left its tissue no room in the frames that it has played, or ''."""
+    session = sessions.get(obj.session_uid)
+    found = session.touched() if session else None
+    return (found and found.too_deep) or ""
 
 
 def _stated(obj: bpy.types.Object) -> tuple[str, ...]:
@@ -198,7 +205,7 @@ def _edited(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     reskinned = any(_may_reskin(update) for update in updates)
     for obj in [obj for obj in soft_skins(scene.objects) if obj.session_uid in sessions]:
         session = sessions[obj.session_uid]
-        if moved:
+        if moved or (obj.dynamorph.collision.use and any(_reshapes(update, obj) for update in updates)):
             session.rig_changed()
         if reskinned:
             events.soon(_after_stroke, STROKE)
@@ -231,6 +238,13 @@ def _moves(update: bpy.types.DepsgraphUpdate) -> bool:
     if isinstance(edited, bpy.types.Object):
         return update.is_updated_transform or (update.is_updated_geometry and edited.type != "MESH")
     return isinstance(edited, bpy.types.Action)
+
+
+def _reshapes(update: bpy.types.DepsgraphUpdate, obj: bpy.types.Object) -> bool:
+    """Whether an edit may have changed the shape of something that stops the soft skin `obj`."""
+    edited = update.id
+    is_other = isinstance(edited, bpy.types.Object) and edited.session_uid != obj.session_uid
+    return is_other and update.is_updated_geometry and colliders.is_collider(edited)
 
 
 @persistent

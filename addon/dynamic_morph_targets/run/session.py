@@ -16,11 +16,23 @@ from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
 from ..core.message import joined
 from ..core.motion import rig_samples, simulate
+from ..core.motion.contact import Touched, touched
 from ..core.motion.player import Frame, Player, State
 from ..core.motion.rig_samples import RigSamples
 from ..core.painted_map import MAPS
 from ..core.settings import Material, SimulationSettings
-from ..scene import mesh_data, model_store, probe, references, rig_motion, run_settings, skin, skinning, staleness
+from ..scene import (
+    colliders,
+    mesh_data,
+    model_store,
+    probe,
+    references,
+    rig_motion,
+    run_settings,
+    skin,
+    skinning,
+    staleness,
+)
 from ..write.display import comparison, live_key
 from ..write.reconcile import reconcile
 from .live_surface import LiveMesh, Move, by_modes, by_nodes, still
@@ -213,6 +225,15 @@ class Session:
             surface.object.session_uid: tissue.motion(values, surface) for surface in (tissue.skin, *tissue.attachments)
         }
 
+    def touched(self) -> Touched | None:
+        """How deep the simulated frames went into colliders; None without Collision."""
+        player, numbers = self.tissue.player, sorted(self._frames)
+        if player.collision is None or not numbers:
+            return None
+        names = ("penetration", "too_deep", "too_deep_sample", "too_deep_collider")
+        steps = {name: np.array([self._frames[number].steps[name] for number in numbers]) for name in names}
+        return touched(np.array(numbers), steps, player.collision, self.tissue.model.bone_names)
+
     def knows(self, time: float) -> bool:
         """Whether a frame, or a time between two, has been simulated already."""
         return {math.floor(time), math.ceil(time)} <= self._frames.keys()
@@ -289,8 +310,12 @@ class Session:
         self._keep(number, frame)
 
     def _advance(self, obj: bpy.types.Object) -> None:
-        number = self.last + 1
-        self._keep(number, self.tissue.player.advance(self.rig.after(obj, self.last)[1:], number))
+        number, samples = self.last + 1, self.rig.after(obj, self.last)[1:]
+        collision = self.tissue.player.collision
+        if collision is None or collision.fits(samples):
+            self._keep(number, self.tissue.player.advance(samples, number))
+        else:  # other colliders are there: it begins again
+            self._begin(obj, number)
 
     def _keep(self, number: int, frame: Frame) -> None:
         self._frames[number], self.last = frame, number
@@ -318,10 +343,11 @@ def simulation_settings(obj: bpy.types.Object, scene: bpy.types.Scene) -> Simula
     return replace(run_settings.simulation_settings(obj, scene), samples=1, gains=_gains(obj))
 
 
-def _sampling(obj: bpy.types.Object) -> tuple[bool, int, int, float]:
+def _sampling(obj: bpy.types.Object) -> tuple:
     """What the rig's samples depend on besides its animation."""
-    render = bpy.context.scene.render
-    return obj.dynamorph.simulation.fields, render.frame_map_old, render.frame_map_new, skin.unit_scale()
+    render, collision = bpy.context.scene.render, obj.dynamorph.collision
+    stops = [other.session_uid for other in colliders.colliders(obj)], collision.use_friction, collision.friction
+    return obj.dynamorph.simulation.fields, render.frame_map_old, render.frame_map_new, skin.unit_scale(), stops
 
 
 def _physics(settings: SimulationSettings) -> SimulationSettings:

@@ -181,7 +181,8 @@ class DynamorphCollision(PropertyGroup):
     )  # fmt: skip
     collection: PointerProperty(
         name="Collection",
-        description="Limit the objects that stop the skin to this collection. Empty for all that have Collision",
+        description="Only the objects in this collection stop the skin. Choose one where others that have Collision "
+        "are not for this body",
         type=bpy.types.Collection,
         override=OVERRIDE,
     )
@@ -195,7 +196,7 @@ class DynamorphCollision(PropertyGroup):
     use_friction: BoolProperty(
         name="Override Friction",
         description="Use one friction for all objects instead of their own, which is a tenth of the Friction for "
-        "cloth of their Collision",
+        "cloth of their Collision. Turn it on where that serves other simulations",
         override=OVERRIDE,
     )
     friction: FloatProperty(

@@ -39,22 +39,22 @@ def colliders(obj) -> list:
         for other in bpy.context.view_layer.objects
         if is_collider(other) and not other.hide_viewport and (among is None or other.name in among)
     )
-    mine = _of_body(obj)
+    mine = of_body(obj)
     return sorted((other for other in found if not mine(other)), key=lambda other: other.name)
 
 
-def _of_body(obj):
+def of_body(obj):
     """Which objects are the body `obj` itself, or move with it: a function of an object."""
     attached = {obj, *(each.object for each in obj.dynamorph.attachments)}
     rigs = {modifier.object for modifier in armature_modifiers(obj)}
 
-    def is_of_body(other) -> bool:
+    def belongs(other) -> bool:
         modifiers = other.modifiers
         follows = any(obj in (getattr(m, "target", None), getattr(m, "object", None)) for m in modifiers)
         skinned = any(modifier.object in rigs for modifier in armature_modifiers(other))
         return other in attached or other.dynamorph.follows == obj or follows or skinned
 
-    return is_of_body
+    return belongs
 
 
 def problems(obj) -> Iterator[Problem]:
@@ -75,6 +75,18 @@ def problems(obj) -> Iterator[Problem]:
                     name=other.name,
                     modifier=modifier.name,
                 )
+
+
+def notes(obj) -> Iterator[Problem]:
+    """What does not prevent a collision, but its dents."""
+    settings = obj.dynamorph
+    if settings.collision.use and settings.model.solver == "REDUCED" and settings.model.method != "STATIC":
+        yield Problem(
+            "'{name}' collides in Reduced Quality, which bends the body where it is touched: set Quality to Full for "
+            "dents, which takes longer",
+            "FULL_QUALITY",
+            name=obj.name,
+        )
 
 
 def deforming_vertices(obj) -> int:

@@ -12,7 +12,7 @@ from ..core.errors import RecordError
 from ..core.message import Message, joined
 from ..core.result import judge
 from ..run import batch, live
-from ..scene import body_checks, checks, staleness
+from ..scene import body_checks, checks, colliders, staleness
 from ..scene.checks import Problem
 from ..scene.skinning import Skinning
 from ..write.display import comparison
@@ -45,7 +45,9 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
     if settings.targets:
         for text in texts(obj, {problem.text for problem in problems}):
             yield Problem(text), "ERROR"
-        for problem in checks.next_steps(obj):
+        for problem in colliders.problems(obj):
+            yield problem, "ERROR"
+        for problem in (*checks.next_steps(obj), *colliders.notes(obj)):
             yield problem, "INFO"
     for problem in checks.notes(skinning):
         yield problem, "INFO"
@@ -77,6 +79,8 @@ def texts(obj, said: Set[str]) -> Iterator[str]:
         yield checks.outgrown(obj)
     if live.is_on(obj) and live.problem(obj):
         yield live.problem(obj)
+    if live.is_on(obj) and live.too_deep(obj):
+        yield live.too_deep(obj)
     if comparison.is_plain(obj):
         yield "Plain skinning is shown: the soft skin stays hidden until you press Show Soft Skin or save"
     ages = dict.fromkeys((*staleness.model_age(obj), *staleness.outdated(obj)))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .rig_samples import Track
+from .rig_samples import RigSamples, Track
 
 
 @dataclass(frozen=True)
@@ -57,3 +57,8 @@ class ColliderTrack(Track):
 def with_before(values: np.ndarray) -> np.ndarray:
     """(S, ...) -> (S, 2, ...): before and at each sample."""
     return np.stack([np.concatenate([values[:1], values[:-1]]), values], axis=1)
+
+
+def colliders_of(rig: RigSamples) -> tuple[ColliderTrack, ...]:
+    """What stops the skin."""
+    return tuple(track for track in rig.tracks if isinstance(track, ColliderTrack))

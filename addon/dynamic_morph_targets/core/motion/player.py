@@ -15,6 +15,7 @@ from ..geometry import diagonal
 from ..model.model import EngineModel, EngineSimulation, Model
 from ..settings import SimulationSettings
 from .amounts import Amounts
+from .contact import Collision
 from .limits import motion_limit
 from .posing import Posing
 from .rig_samples import RigSamples
@@ -35,9 +36,13 @@ STEP = (
     "excess_bone",
     "farthest",
     "pulled",
+    "penetration",
+    "too_deep",
+    "too_deep_sample",
+    "too_deep_collider",
 )  # statistics of a frame's steps
 NO_STEPS = dict.fromkeys(STEP, 0) | {"converged": True, "excess_bone": -1}
-# Of the engine: coordinates, bones' transforms, and how far the bones' loads exceed their limit.
+# Of the engine: coordinates, bones' transforms, how far the bones' loads exceed their limit, and what is touched.
 State = tuple[Sequence[np.ndarray], Sequence[np.ndarray], np.ndarray, np.ndarray]
 
 
@@ -75,6 +80,7 @@ class Player:
         self.engine: EngineModel | None = None
         self._keep_going = keep_going
         self.character = character
+        self.collision: Collision | None = None
         self._first: RigSamples | None = None  # the first sample
         self._shapes = np.zeros((len(self.character.targets), 0))
         self._simulation: EngineSimulation | _NothingMoves = _NothingMoves()
@@ -83,6 +89,9 @@ class Player:
             self._shapes = model.target_coordinates(self.engine)
             self._simulation = self._stepper(self.engine)
             self._simulation.set_limit(motion_limit(model, self.engine, self.character, settings))
+            if settings.collision:
+                self.collision = Collision(model, self.engine, character)
+                self._simulation.set_contact(self.collision.skin, settings.distance * self.size)
         self.posing = Posing(model, self.character, self.probed)
         self.skin = ShownSkin(model, self.character)
         self.amounts = Amounts(model, self.character, self._shapes, settings)
@@ -123,7 +132,7 @@ class Player:
 
     def begin(self, rig: RigSamples) -> Frame:
         """The frame settings.first. rig: its sample and those that follow it; only the first is used."""
-        self._balance_targets(rig[:1])
+        self._begin_with(rig[:1])
         bones, weights = self.posing.posed(rig[:2])  # or of the nodes, if they are probed
         if self.settings.initial_state == "REST_SHAPE":
             self.state = [self.static(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4, np.zeros(0), np.zeros(0)
@@ -135,7 +144,7 @@ class Player:
 
     def resume(self, first: RigSamples, state: State) -> None:
         """Continues from the `state` of another player that began with the sample `first`; its next frames follow."""
-        self._balance_targets(first)
+        self._begin_with(first)
         self.state = state
 
     def begin_again(self, rig: RigSamples, frame: Frame) -> Frame:
@@ -195,7 +204,8 @@ class Player:
                     end = (k + 1) * substeps - left * stride
                     steps = slice(end - stride, end)
                     push = self._push(moving[steps], bones[steps])
-                    report = self._simulation.advance(bones[steps], weights[steps], push)
+                    stops = self.collision.motions(moving[steps]) if self.collision else None
+                    report = self._simulation.advance(bones[steps], weights[steps], push, colliders=stops)
                     time = self.number - left / samples
                     yield Frame(time, self._simulation.coordinates, weights[end - 1], report)
 
@@ -206,7 +216,7 @@ class Player:
         other = Player(self.model, character, settings or self.settings, keep_going=self._keep_going)
         other.number, other.passes = self.number, self.passes
         if self._first is not None:
-            other._balance_targets(self._first)
+            other._begin_with(self._first)
             other.state = self.state
         return other
 
@@ -243,22 +253,19 @@ class Player:
             keep_going=self._keep_going if full else None,  # a reduced step takes less time than asking
         )
 
-    def _balance_targets(self, first: RigSamples) -> None:
+    def _begin_with(self, first: RigSamples) -> None:
         """Sculpted shapes are what the artist saw under gravity, so each one is balanced in its own pose."""
         self._first = first
+        if self.collision:
+            self.collision.begin(first)
         if any(self.settings.gravity):
             self._simulation.balance_targets(self.posing.target_frames(first))
 
     def _push(self, rig: RigSamples, bones: np.ndarray) -> np.ndarray | None:
-        """The forces of the force fields on the nodes (n, 3) at each sample, where the skin is displaced as it is now;
-        None without any. A single sample's are constant: (n, 3).
-        """
-        fields = rig.fields
-        if self.engine is None or not any(field.strength.any() for field in fields):
+        """`Skin.pushes` of the force fields, where the skin is displaced as it is now; None without any."""
+        if self.engine is None or not any(field.strength.any() for field in rig.fields):
             return None
-        displacement = self.engine.displacement(self._simulation.coordinates)
-        push = np.array([self.posing.skin.push(fields, k, bones[k], displacement) for k in range(len(rig))])
-        return push[0] if len(push) == 1 else push
+        return self.posing.skin.pushes(rig.fields, bones, self.engine.displacement(self._simulation.coordinates))
 
 
 class _NothingMoves:
@@ -270,7 +277,7 @@ class _NothingMoves:
     def start(self, _now: np.ndarray, _next: np.ndarray, _weights: np.ndarray) -> dict:
         return NO_STEPS
 
-    def advance(self, _bones: np.ndarray, _weights: np.ndarray, _external: np.ndarray | None = None) -> dict:
+    def advance(self, _bones: np.ndarray, _weights: np.ndarray, _external: object, colliders: object) -> dict:
         return NO_STEPS
 
     def balance_targets(self, _bones: np.ndarray) -> None:

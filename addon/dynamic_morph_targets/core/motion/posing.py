@@ -152,6 +152,11 @@ class Skin:
         points = self.posed(frames, moved)
         return model.on_nodes(self.areas[:, None] * sum(field.pull(sample, points) for field in fields))
 
+    def pushes(self, fields: Sequence[ForceField], frames: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+        """`push` at each of the samples (S, n, 3); of a single one, which is constant: (n, 3)."""
+        push = np.array([self.push(fields, k, frame, displacement) for k, frame in enumerate(frames)])
+        return push[0] if len(push) == 1 else push
+
 
 def _resized(world: np.ndarray, like: np.ndarray) -> np.ndarray:
     """The position and orientation of a world transform (4, 4) with the scale of another: a scale may have been applied

@@ -17,6 +17,7 @@ from ..model.cage import ProgressFn, Report
 from ..model.model import Model
 from ..settings import ModelSettings, SimulationSettings
 from .baked import Bake
+from .contact import Touched, touched
 from .limits import Held, held
 from .loops import cycle, loop_warnings
 from .player import STEP, Frame, Player
@@ -146,10 +147,22 @@ class Shot:
     @property
     def held(self) -> Held:
         """Where the limits worked hardest in what was played, without the run-up."""
+        return held(*self._statistics(), self.player.model.bone_names)
+
+    @property
+    def touched(self) -> Touched | None:
+        """How deep it went into colliders, without the run-up; None without Collision."""
+        player = self.player
+        if player.collision is None:
+            return None
+        return touched(*self._statistics(), player.collision, player.model.bone_names)
+
+    def _statistics(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """The times of what was played, without the run-up, and the steps' statistics to each of them by name."""
         settings = self.player.settings
         kept = slice(settings.run_up * settings.samples, None)
         steps = dict(zip(STEP, np.concatenate(self._steps)[kept].T, strict=True))
-        return held(settings.times[kept][: len(steps["steps"])], steps, self.player.model.bone_names)
+        return settings.times[kept][: len(steps["steps"])], steps
 
     def bake(self, exact: bool = False) -> tuple[Bake, dict]:
         """The bake and its report, when all is played. exact: an unreduced one has as many modes as it takes for all of

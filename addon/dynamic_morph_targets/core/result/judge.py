@@ -16,9 +16,10 @@ import numpy as np
 from .. import records
 from ..character import Character
 from ..geometry import determinant, diagonal, vertex_areas
-from ..message import Message
+from ..message import Message, named_frames
 from ..model.model import Model
 from ..motion.baked import Bake
+from ..motion.contact import Touched
 from ..motion.limits import THINNEST, Held
 from ..settings import SimulationSettings
 
@@ -51,7 +52,7 @@ class Verdict:
     the worst frame; over_thickness: 99th percentile over the skin of each point's largest displacement over the
     thickness there; stretch: 0.1th and 99.9th percentile of edges' length over that at rest; flipped: share of the skin
     turned over; inverted: share of the volume turned inside out; flicker: how often the motion turns, see `flicker_of`;
-    frame: the worst; vertices: of the character's own mesh, at its worst place.
+    frame: the worst; vertices: of the character's own mesh, at its worst place. touched: of a bake with Collision.
     """
 
     limits: Limits = Limits()
@@ -65,6 +66,7 @@ class Verdict:
     flicker: float = -1.0
     frame: float = 0.0
     vertices: tuple[int, ...] = ()
+    touched: Touched | None = None
 
     @property
     def excess(self) -> float:
@@ -125,16 +127,18 @@ class Verdict:
         """Where bones move faster than their tissue can follow; None where they hardly do."""
         if self.held.excess < HELD_BACK:
             return None
-        first, last = self.held.frames
-        frames = Message("frame {number}", number=first)
-        if last > first:
-            frames = Message("frames {first} to {last}", first=first, last=last)
+        frames = named_frames(*self.held.frames)
         return Message(
             "'{bone}' moves {factor:.0f} times faster than its tissue can follow at {frames}: held back",
             bone=self.held.bone,
             factor=self.held.excess,
             frames=frames,
         )
+
+    @property
+    def too_deep(self) -> Message | None:
+        """Where the bones leave the tissue no room; None where they always leave some."""
+        return self.touched.too_deep if self.touched else None
 
     @property
     def factor(self) -> float:
@@ -156,6 +160,8 @@ class Verdict:
         if self.limits != Limits():
             figures["Largest Load"] = f"{self.held.excess:.1f} of limit"
             figures["Between Frames"] = f"{self.held.reached:.0%} of limit"
+        if self.touched:
+            figures["Penetration"] = f"{1000.0 * self.touched.penetration:.2g} mm"
         return figures
 
     @property
@@ -170,17 +176,27 @@ def parsed(record: str) -> Verdict | None:
     if not record:
         return None
     values = records.verdict(record)
+    touched = values.get("touched")
+    if touched:
+        values["touched"] = Touched(**touched | {"frames": tuple(touched["frames"])})
     lists = {name: tuple(values[name]) for name in ("stretch", "vertices")}
     held = Held(**values["held"] | {"frames": tuple(values["held"]["frames"])})
     return Verdict(**values | lists | {"limits": Limits(**values["limits"]), "held": held})
 
 
-def judge(model: Model, character: Character, bake: Bake, settings: SimulationSettings, held: Held) -> Verdict:
+def judge(
+    model: Model,
+    character: Character,
+    bake: Bake,
+    settings: SimulationSettings,
+    held: Held,
+    touched: Touched | None = None,
+) -> Verdict:
     """The verdict on a bake of `character` with `model` and these settings. It covers all the character's vertices."""
     limits = Limits(settings.max_displacement, settings.max_thickness)
     triangles = character.triangles[(character.cage_index[character.triangles] >= 0).all(axis=1)]
     if not len(bake.modes) or not len(triangles):
-        return Verdict(limits, held, frame=float(bake.frames[0]))
+        return Verdict(limits, held, frame=float(bake.frames[0]), touched=touched)
     skin = _Skin(character, triangles, model.thickness)
     motion = bake.coordinates - bake.static
     modes = (bake.modes @ character.to_bind.T).reshape(len(bake.modes), -1)
@@ -207,6 +223,7 @@ def judge(model: Model, character: Character, bake: Bake, settings: SimulationSe
         inverted=_inverted(model, bake, chosen[np.argsort(-displacement[chosen])[:CHECKED]]),
         frame=float(bake.frames[worst]),
         vertices=tuple(vertex for vertex in skin.place(u) if vertex < character.own_vertices.stop),
+        touched=touched,
     )
 
 

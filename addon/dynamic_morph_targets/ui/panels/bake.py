@@ -62,6 +62,8 @@ def draw_verdict(layout, obj):
         layout.operator("dynamorph.stiffen", icon="FORCE_HARMONIC")
     if found.held_back:
         draw_message(layout, found.held_back, icon="INFO")
+    if found.too_deep:
+        draw_message(layout, found.too_deep, icon="INFO")
 
 
 def draw_details(layout, context, obj):

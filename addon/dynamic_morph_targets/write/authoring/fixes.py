@@ -152,6 +152,10 @@ def _lock_interface(_obj):
     bpy.context.scene.render.use_lock_interface = True
 
 
+def _full_quality(obj):
+    obj.dynamorph.model.solver = "FULL"
+
+
 def _unpin(obj):
     obj.show_only_shape_key = False
 
@@ -205,6 +209,9 @@ FIXES = {
     "LOCK_INTERFACE": Fix(
         "Lock Interface", "Let Blender hold its window while it renders, so that Live can move the skin then",
         _lock_interface,
+    ),
+    "FULL_QUALITY": Fix(
+        "Full Quality", "Simulate every node of the cage, so that the skin dents where it is touched", _full_quality
     ),
     "UNPIN": Fix("Show All Shape Keys", "Show the mix of all shape keys, not the active one alone", _unpin),
 }  # fmt: skip

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a simulation with collision needs: the points of the skin that can touch something, and the engine's colliders;
+and how deep it went. Never touches bpy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..character import Character
+from ..engine import dynamorph
+from ..errors import SceneError
+from ..geometry import diagonal, signed_volume, vertex_normals
+from ..message import Message, named_frames
+from ..model.model import EngineModel, Model
+from .colliders import ColliderTrack, colliders_of
+from .limits import THINNEST
+from .rig_samples import RigSamples
+
+SAMPLES = 4000  # points of the skin that can touch something, about; of more vertices, those that are spread evenly
+
+
+class Collision:
+    """What a player with collision has of it: the points of the skin that can touch something, P of its vertices, and
+    the engine's colliders in a shot: those of its first sample, whose faces they keep.
+
+    skin: the engine's points of an engine model, or None where no skin is soft.
+    """
+
+    def __init__(self, model: Model, engine: EngineModel, character: Character):
+        rest = character.vertices @ character.to_bind.T
+        soft = character.triangles[(character.cage_index[character.triangles] >= 0).all(axis=1)]
+        outward = -1.0 if signed_volume(rest, soft) < 0.0 else 1.0  # some meshes are inside out
+        normals = outward * vertex_normals(rest, character.triangles)
+        seen = np.unique(character.coincident[soft])  # of points at one place, one
+        seen = seen[model.free[model.embedding_nodes[seen]].any(axis=1) & normals[seen].any(axis=1)]
+        chosen = seen[spread(rest[seen], normals[seen], SAMPLES)]
+        self.skin: Any = None
+        self._bones = character.weights[chosen].argmax(axis=1)
+        self._known: list[tuple[str, int]] = []  # names and topologies of the colliders
+        self._shapes: list[np.ndarray] = []
+        self._colliders: list[Any] = []
+        if not len(chosen):
+            return
+        thickness = model.thickness if len(model.thickness) else dynamorph.Thickness(rest, soft).at(rest)[0]
+        kind: Callable[..., Any] = (
+            dynamorph.FullContact if model.settings.solver == "FULL" else dynamorph.ReducedContact
+        )
+        self.skin = kind(
+            engine,
+            rest[chosen],
+            dynamorph.Embedding(model.embedding_nodes[chosen], model.embedding_weights[chosen]),
+            _moving(model, character, chosen),
+            normals[chosen],
+            np.maximum(thickness[chosen], 0.5 * THINNEST * diagonal(rest)),
+            model.residual_shapes[:, chosen] @ character.to_bind.T,
+        )
+
+    def begin(self, first: RigSamples) -> None:
+        """Take the colliders of the first sample. Raises SceneError for one that the engine refuses."""
+        tracks = colliders_of(first)
+        self._known = [(track.name, track.topology) for track in tracks]
+        self._shapes = [track.shapes[track.shape[0, 1]].copy() for track in tracks]
+        self._colliders = [_collider(track, shape) for track, shape in zip(tracks, self._shapes, strict=True)]
+
+    def fits(self, rig: RigSamples) -> bool:
+        """Whether these samples have the same colliders."""
+        return self._known == [(track.name, track.topology) for track in colliders_of(rig)]
+
+    def motions(self, rig: RigSamples) -> list[Any]:
+        """For the engine: how each collider moves in the steps to these samples. What keeps its shape moves as a
+        whole.
+        """
+        if not self.fits(rig):
+            raise ValueError("the colliders are others than at the first sample: begin again")
+        return [
+            _motion(collider, shape, track)
+            for collider, shape, track in zip(self._colliders, self._shapes, colliders_of(rig), strict=True)
+        ]
+
+    def names(self, sample: int, collider: int, bones: Sequence[str]) -> tuple[str, str]:
+        """The bone that moves a point of the skin most, '' for the object itself, and the collider. bones: names."""
+        bone = int(self._bones[sample])
+        return bones[bone] if bone < len(bones) else "", self._known[collider][0]
+
+
+def _moving(model: Model, character: Character, points: np.ndarray) -> np.ndarray:
+    """Weights (P, B + 1) of what moves these points (P,) of the skin: of the bones, or of the free nodes where Blender
+    poses those.
+    """
+    if not character.probed:
+        return character.weights[points].clip(0.0)  # rounding may leave less than nothing
+    nodes = model.embedding_nodes[points]
+    out = np.zeros((len(points), len(model.nodes)))
+    np.add.at(out, (np.arange(len(points))[:, None], nodes), model.embedding_weights[points].clip(0.0))
+    return out[:, model.free]
+
+
+def spread(points: np.ndarray, normals: np.ndarray, count: int) -> np.ndarray:
+    """Indices of at most `count` of the points (P, 3) that are spread over a surface: one of each cell of a grid and
+    each of six directions of the normals (P, 3), so that both sides of something thin have some.
+    """
+    if len(points) <= count:
+        return np.arange(len(points))
+    axis = np.abs(normals).argmax(axis=1)
+    side = 2 * axis + (normals[np.arange(len(points)), axis] > 0.0)
+    low, high = 0.0, diagonal(points)  # of a cell
+    found = np.zeros(0, np.int64)
+    for _ in range(12):
+        size = 0.5 * (low + high)
+        cells = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
+        _, first = np.unique(np.column_stack([cells, side]), axis=0, return_index=True)
+        if len(first) > count:
+            low = size
+        else:
+            high, found = size, first
+    return np.sort(found)
+
+
+def _collider(track: ColliderTrack, points: np.ndarray) -> Any:
+    try:
+        return dynamorph.Collider(points, track.triangles, track.one_sided)
+    except (ValueError, dynamorph.Error) as error:
+        raise SceneError("'{name}' cannot collide: {reason}", name=track.name, reason=error) from error
+
+
+def _motion(collider: Any, first: np.ndarray, track: ColliderTrack) -> Any:
+    """first (V, 3): the shape at the first sample."""
+    keeps_shape = all(np.array_equal(track.shapes[shape], first) for shape in np.unique(track.shape))
+    if keeps_shape:
+        motion = np.concatenate([track.transforms[:1, 0], track.transforms[:, 1]])
+    else:
+        samples = range(len(track.friction))
+        motion = np.array([track.points(0, side=0), *(track.points(sample) for sample in samples)])
+    return dynamorph.ColliderMotion(collider, motion, track.friction, track.active)
+
+
+@dataclass(frozen=True)
+class Touched:
+    """How deep a shot went into colliders. penetration: of the skin, after a step, at most, meters. depth: how much
+    deeper the bones took it into `collider` than the tissue there is thick, meters, 0 where they never did; bone:
+    which; frames: the first and last about that one.
+    """
+
+    penetration: float = 0.0
+    depth: float = 0.0
+    bone: str = ""
+    collider: str = ""
+    frames: tuple[int, int] = (0, 0)
+
+    @property
+    def too_deep(self) -> Message | None:
+        """Where the bones leave the tissue no room, in a sentence; None where they always leave some."""
+        if self.depth <= 0.0:
+            return None
+        return Message(
+            "The bones take '{bone}' {depth:.3g} mm too deep into '{collider}' at {frames}: pose them out of it",
+            bone=self.bone,
+            depth=1000.0 * self.depth,
+            collider=self.collider,
+            frames=named_frames(*self.frames),
+        )
+
+
+def touched(times: np.ndarray, steps: dict[str, np.ndarray], collision: Collision, bones: Sequence[str]) -> Touched:
+    """Of the steps' statistics by name, each (F,), to each of the times (F,). bones: names."""
+    penetration, depth = float(steps["penetration"].max(initial=0.0)), steps["too_deep"]
+    if not (depth > 0.0).any():
+        return Touched(penetration)
+    worst, collider = int(depth.argmax()), steps["too_deep_collider"].astype(int)
+    less = np.flatnonzero((depth <= 0.0) | (collider != collider[worst]))
+    first, last = less[less < worst].max(initial=-1) + 1, less[less > worst].min(initial=len(times)) - 1
+    frames = int(np.floor(times[first])), int(np.ceil(times[last]))
+    names = collision.names(int(steps["too_deep_sample"][worst]), collider[worst], bones)
+    return Touched(penetration, float(depth[worst]), *names, frames)

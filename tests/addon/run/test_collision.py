@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A ball is pressed into the arm: the skin gives way where it is touched, in bakes and in Live alike."""
+
+import bpy
+import numpy as np
+import pytest
+from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
+from bl_ext.user_default.dynamic_morph_targets.io.cache_dir import CacheDir
+from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch
+from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
+from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene import model_store, staleness
+from bl_ext.user_default.dynamic_morph_targets.scene import plain as scene_plain
+from bl_ext.user_default.dynamic_morph_targets.write import assign, storage
+from builders import activate, evaluated_points, make_arm, make_ball, rig_of
+from layout import drawn
+
+pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+
+RADIUS, HEIGHT, SURFACE, SIZE = 0.2, 1.0, 0.3, 2.18  # meters: of the ball, of its place, of the arm, and its diagonal
+PRESSED, FRAMES = 0.04, 16  # how deep it is pressed, and by which frame it rests
+packed = {}  # the model of the arm, which all tests share
+
+
+@pytest.fixture
+def arm(scene):
+    """A still arm with a fine skin, built, and a ball that is pressed into its side."""
+    obj = make_arm(scene, rings=61, around=48)
+    rig_of(obj).animation_data_clear()
+    rig_of(obj).pose.bones["lower"].rotation_euler.x = 0.0
+    scene.frame_end = FRAMES
+    activate(obj)
+    bpy.ops.dynamorph.add_soft_skin()
+    settings = obj.dynamorph
+    settings.model.cage_nodes, settings.model.modes, settings.simulation.gravity = 800, 60, 0.0
+    if not packed:
+        batch.run(Job(obj, goal="BUILD"))
+        packed["model"], packed["record"] = model_store.stored_model(obj), scene_plain.plain(settings.model)
+    storage.keep_model(obj, packed["model"])
+    assign.assign(settings.model, packed["record"])
+    settings.model.stale = ""
+    storage.fit_modes(obj, 10)
+    ball = make_ball(radius=RADIUS)
+    for frame, depth in ((1, -0.02), (FRAMES // 2, PRESSED)):
+        ball.location = (SURFACE + RADIUS - depth, 0.0, HEIGHT)
+        ball.keyframe_insert("location", frame=frame)
+    scene.frame_set(1)
+    settings.collision.use = True
+    activate(obj)
+    return obj
+
+
+def bake(obj, **options):
+    job = Job(obj, goal="BAKE", **options)
+    batch.run(job)
+    return job
+
+
+def shown(obj, frames=range(1, FRAMES + 1)) -> np.ndarray:
+    """Where Blender shows the skin (F, V, 3)."""
+    found = []
+    for frame in frames:
+        bpy.context.scene.frame_set(frame)
+        found.append(evaluated_points(obj))
+    return np.array(found)
+
+
+def depths(points: np.ndarray, frames=range(1, FRAMES + 1)) -> list[float]:
+    """How deep the skin is in the ball at each frame, meters."""
+    out = []
+    for frame, skin in zip(frames, points, strict=True):
+        bpy.context.scene.frame_set(frame)
+        center = np.array(bpy.data.objects["Ball"].matrix_world.translation)
+        out.append(RADIUS - float(np.linalg.norm(skin - center, axis=1).min()))
+    return out
+
+
+@pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
+def test_the_skin_makes_room_for_a_ball(arm, solver):
+    arm.dynamorph.model.solver = solver
+    rest = evaluated_points(arm)
+    job = bake(arm)
+    points = shown(arm)
+    found = depths(points)
+    print(solver, [round(1000 * depth, 2) for depth in found], job.outcome.report["iterations"])
+    assert max(found) < 0.002 * SIZE
+    assert np.linalg.norm(points[-1] - rest, axis=1).max() > 0.9 * PRESSED  # it is touched at all
+    far = np.linalg.norm(rest - [SURFACE, 0.0, HEIGHT], axis=1) > 0.8
+    arm.dynamorph.collision.use = False
+    bake(arm)
+    without = shown(arm)
+    assert np.abs(without - rest).max() < 1e-4
+    # Global modes alone make no dent: they move what is far away too.
+    assert np.abs(points[-1] - without[-1])[far].max() < (0.1 if solver == "FULL" else 0.35) * PRESSED
+    assert job.outcome.verdict.touched.depth == 0.0 and job.outcome.verdict.too_deep is None
+
+
+def test_live_shows_what_a_reduced_bake_does(arm):
+    bake(arm)
+    expected = shown(arm)
+    bpy.ops.dynamorph.delete_bake()
+    bpy.ops.dynamorph.live()
+    assert np.abs(shown(arm) - expected).max() < 2e-3 * PRESSED + 1e-3 * np.abs(expected - expected[0]).max()
+
+
+def test_chunks_and_another_process_give_the_same_bake(arm, monkeypatch, tmp_path):
+    whole = baked.digest(bake(arm).outcome.bake)
+    monkeypatch.setattr(bake_input, "CHUNK_FRAMES", 4)
+    assert baked.digest(bake(arm).outcome.bake) == whole
+    monkeypatch.setattr(bake_input, "SHORT_CHUNK_FRAMES", 5)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    killed = Job(arm, goal="BAKE", cache_dir=CacheDir(tmp_path))
+    killed.read()
+    for _ in range(2):
+        assert killed.sample()
+        killed.start()
+        while not killed.wait(1.0):
+            pass
+        assert killed.next_chunk()
+    resumed = bake(arm, cache_dir=CacheDir(tmp_path))
+    assert len(resumed.input.resumed["coordinates"]) > 5
+    assert baked.digest(resumed.outcome.bake) == whole
+
+
+@pytest.mark.parametrize("travels", [False, True])
+def test_a_loop_closes(arm, travels):
+    ball, rig = bpy.data.objects["Ball"], rig_of(arm)
+    ball.animation_data_clear()
+    for frame, depth in ((1, -PRESSED), (6, PRESSED), (11, PRESSED), (FRAMES, -PRESSED)):
+        ball.location.x = SURFACE + RADIUS - depth
+        ball.keyframe_insert("location", frame=frame)
+    if travels:
+        ball.parent = arm.parent = rig
+        for frame in (1, FRAMES):
+            rig.location.y = frame / FRAMES
+            rig.keyframe_insert("location", frame=frame)
+    arm.dynamorph.simulation.loop = True
+    job = bake(arm)
+    assert job.outcome.report["gap"] < 1e-6 * SIZE and job.warnings == []
+    assert job.outcome.verdict.displacement > 0.5 * PRESSED / SIZE
+
+
+def test_without_colliders_it_changes_nothing(arm):
+    bpy.data.objects["Ball"].modifiers.clear()
+    bpy.context.view_layer.update()
+    on = baked.digest(bake(arm).outcome.bake)
+    arm.dynamorph.collision.use = False
+    assert baked.digest(bake(arm).outcome.bake) == on
+
+
+def test_what_the_bones_take_too_deep_is_told(arm):
+    ball = bpy.data.objects["Ball"]
+    ball.animation_data_clear()
+    for frame, place in ((1, 0.6), (6, 0.15), (10, 0.15), (15, 0.6)):
+        ball.location.x = place
+        ball.keyframe_insert("location", frame=frame)
+    job = bake(arm)
+    text = job.outcome.verdict.too_deep
+    assert text.startswith("The bones take '") and "mm too deep into 'Ball' at frames" in text
+    assert text in job.warnings and "too deep into 'Ball'" in " ".join(drawn(arm))
+    bpy.ops.dynamorph.delete_bake()
+    bpy.ops.dynamorph.live()
+    points = shown(arm)
+    assert "too deep into 'Ball'" in " ".join(drawn(arm))
+    assert np.isfinite(points).all() and np.abs(points - points[0]).max() < 0.5 * SIZE
+
+
+def test_a_moved_ball_outdates_the_bake(arm):
+    bake(arm)
+    assert staleness.outdated(arm) == []
+    bpy.data.objects["Ball"].parent = rig_of(arm)
+    staleness.look_at_colliders(arm)
+    assert staleness.outdated(arm) == ["'Ball' moved"]
+
+
+# Live ----------------------------------------------------------------------------------------------------
+
+
+def play(obj, first, last):
+    for frame in range(first, last + 1):
+        bpy.context.scene.frame_set(frame)
+    assert run_live.problem(obj) == ""
+    return evaluated_points(obj)
+
+
+def test_live_follows_an_edit_of_the_balls_mesh(arm):
+    bpy.ops.dynamorph.live()
+    before = play(arm, 1, FRAMES)
+    mesh = bpy.data.objects["Ball"].data
+    for vertex in mesh.vertices:
+        vertex.co *= 0.5
+    mesh.update()
+    bpy.context.view_layer.update()
+    after = play(arm, 1, FRAMES)
+    assert np.abs(after - before).max() > 0.5 * PRESSED
+
+
+def test_live_goes_on_when_a_collider_comes_or_goes(arm):
+    bpy.ops.dynamorph.live()
+    pressed = play(arm, 1, FRAMES)
+    bpy.data.objects.remove(bpy.data.objects["Ball"])
+    bpy.context.view_layer.update()
+    free = play(arm, FRAMES + 1, 3 * FRAMES)
+    assert np.abs(free - pressed).max() > 0.5 * PRESSED
+    make_ball(radius=0.1)
+    play(arm, 3 * FRAMES + 1, 3 * FRAMES + 3)
+
+
+def test_turning_it_on_in_live_counts_from_the_next_frame_on(arm):
+    arm.dynamorph.collision.use = False
+    bpy.ops.dynamorph.live()
+    free = play(arm, 1, FRAMES // 2)
+    arm.dynamorph.collision.use = True
+    pressed = play(arm, FRAMES // 2 + 1, FRAMES)
+    assert np.abs(pressed - free).max() > 0.5 * PRESSED

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which points of a skin can touch something, and what of a shot's collisions is told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dynamic_morph_targets.core.geometry import vertex_normals
+from dynamic_morph_targets.core.motion.contact import Touched, spread, touched
+
+
+class Collision:
+    """Stands in for the one of a player: each sample is moved by the bone of its number."""
+
+    def names(self, sample, collider, bones):
+        return bones[sample], ["Ball", "Bench"][collider]
+
+
+def sheet(sides: int, height: float) -> np.ndarray:
+    x, y = np.meshgrid(np.linspace(0.0, 1.0, sides), np.linspace(0.0, 1.0, sides))
+    return np.column_stack([x.ravel(), y.ravel(), np.full(sides**2, height)])
+
+
+def test_points_are_spread_over_both_sides_of_something_thin():
+    points = np.concatenate([sheet(60, 0.0), sheet(60, 0.001)])
+    normals = np.repeat([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]], 3600, axis=0)
+    found = spread(points, normals, 500)
+    assert 300 <= len(found) <= 500
+    assert abs((found < 3600).mean() - 0.5) < 0.05
+    apart = np.linalg.norm(points[found][:, None] - points[found[found < 3600]], axis=2).min(axis=1)
+    assert apart[found >= 3600].max() < 0.1
+    from_all = np.linalg.norm(points[:3600, None] - points[found[found < 3600]], axis=2).min(axis=1)
+    assert from_all.max() < 0.15
+
+
+def test_few_points_are_all_taken():
+    points = sheet(4, 0.0)
+    assert spread(points, np.ones_like(points), 16).tolist() == list(range(16))
+
+
+def test_normals_are_those_of_the_triangles_around():
+    points = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]])
+    normals = vertex_normals(points, np.array([[0, 1, 2], [0, 3, 1]]))
+    assert normals[2].tolist() == [0.0, 0.0, 4.0]
+    assert normals[3].tolist() == [0.0, 2.0, 0.0]
+    assert normals[0].tolist() == normals[1].tolist() == [0.0, 2.0, 4.0]
+
+
+def told(too_deep, collider) -> Touched:
+    count = len(too_deep)
+    steps = {
+        "penetration": np.linspace(0.0, 1e-4, count),
+        "too_deep": np.array(too_deep, float),
+        "too_deep_sample": np.where(np.array(too_deep) > 0.0, 1.0, -1.0),
+        "too_deep_collider": np.array(collider, float),
+    }
+    return touched(np.arange(10.0, 10.0 + count), steps, Collision(), ["hip", "thigh.L"])
+
+
+def test_the_deepest_place_is_told_with_its_frames():
+    found = told([0.0, 0.01, 0.03, 0.02, 0.0, 0.02], [-1, 1, 1, 1, -1, 1])
+    assert found == Touched(pytest.approx(1e-4), 0.03, "thigh.L", "Bench", (11, 13))
+
+
+def test_another_collider_is_another_place():
+    assert told([0.01, 0.03, 0.02], [0, 1, 0]).frames == (11, 11)
+
+
+def test_without_such_a_place_only_the_penetration_is_told():
+    assert told([0.0, 0.0], [-1, -1]) == Touched(pytest.approx(1e-4))
