@@ -18,6 +18,7 @@ def _modules():
     from .ui import languages
     from .ui.operators import (
         attachments,
+        collision,
         compare,
         export,
         feel,
@@ -44,6 +45,7 @@ def _modules():
         setup,
         painting,
         attachments,
+        collision,
         targets,
         poses,
         sculpting,

@@ -10,7 +10,7 @@ from bl_ext.user_default.dynamic_morph_targets.core.result.judge import Limits, 
 from bl_ext.user_default.dynamic_morph_targets.run import batch
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import model_store, target_properties
-from builders import activate, evaluated_points, fingerprint, keys_of, rig_of
+from builders import activate, evaluated_points, fingerprint, keys_of, make_box, rig_of
 from test_targets import drive
 
 OPS = bpy.ops.dynamorph
@@ -217,11 +217,17 @@ def other_mesh_selected(obj):
     obj.select_set(True)
 
 
+def box_selected(obj):
+    for selected in (make_box(collision=False), obj):
+        selected.select_set(True)
+
+
 FOLDER = Path(tempfile.mkdtemp(prefix="dynamorph_test_"))
 SETUP, PRESET = str(FOLDER / "setup.json"), FOLDER / "preset.py"
 
 
 CALLS = {  # what a button needs beforehand, and its arguments
+    "add_floor": (target_selected, {}),
     "add_attachment": (other_mesh_selected, {}),
     "add_soft_skin": (no_soft_skin, {}),
     "add_target": (posed, {"key": "smile"}),
@@ -234,6 +240,7 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "build_cage": (target_selected, {}),
     "capture_pose": (posed, {}),
     "check_targets": (built, {}),
+    "collide": (box_selected, {}),
     "compare_beside": (baked, {}),
     "compare_full": (baked, {}),
     "copy_slot": (target_selected, {}),

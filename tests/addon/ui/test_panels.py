@@ -172,7 +172,7 @@ def test_a_new_soft_skin_shows_twelve_controls_at_most(arm, stand_in):
     names = [name.rpartition(".")[2] for name in shown[7:]]
     assert names == ["amount", "bounce", "settle_time", "DYNAMORPH_PT_material_presets"]
     assert len(shown) <= 12
-    assert controls(arm, PHYSICS, unfolded=False) == [*TOP, "DYNAMORPH_PT_setup_presets"]
+    assert controls(arm, PHYSICS, unfolded=False) == [*TOP, "DynamorphCollision.use", "DYNAMORPH_PT_setup_presets"]
 
 
 # Settings of a new soft skin that stay in sight, section by section; Advanced and Material have the others.
@@ -181,6 +181,7 @@ IN_SIGHT = {
     "firmness": ["firmness_group"],
     "max_distance": ["max_distance_group"],
     "attachments": ["hold_head"],
+    "collision": ["collection", "distance", "use_friction", "friction"],
     "bake": ["solver", "max_displacement", "use_scene_range", "loop", "format"],
 }
 ADVICE = "Raise", "Lower", "Turn", "Choose", "Change", "Paint", "Set", "suit", "where", "sets"  # it says when
@@ -198,7 +199,8 @@ def test_few_settings_are_in_sight(arm, stand_in):
 def test_reset_to_default_changes_nothing_of_a_new_soft_skin(arm, stand_in):
     bpy.ops.dynamorph.add_soft_skin()
     skin = arm.dynamorph
-    groups = {type(each).__name__: each for each in (skin, skin.model, skin.simulation, skin.output, skin.targets[0])}
+    parts = skin, skin.model, skin.simulation, skin.collision, skin.output, skin.targets[0]
+    groups = {type(each).__name__: each for each in parts}
     for group, name in (each.split(".") for found in settings_shown(arm).values() for each in found):
         before = getattr(groups[group], name)
         groups[group].property_unset(name)

@@ -20,6 +20,7 @@ from ..widgets import draw_message, is_narrow, progress_text
 from .advanced import DYNAMORPH_UL_modes, draw_cage, draw_detail, draw_modes, draw_rare, draw_solver, has_modes
 from .attachments import DYNAMORPH_UL_attachments, attachments_title, draw_attachments
 from .bake import draw_bake, draw_details, draw_export, draw_result, draw_setup, draw_trying, is_baked
+from .collision import draw_collision
 from .feel import draw_feel, draw_firmness, draw_material, draw_max_distance
 from .status import draw_messages, draw_top
 from .targets import (
@@ -51,6 +52,8 @@ class SoftSkinPanel:
         return cls.section.needed(obj) if is_soft else obj is not None and cls.section.before
 
     def draw_header(self, context):
+        if self.section.switch:
+            self.layout.prop(*self.section.switch(skin.mesh_in(context)), text="")
         if self.section.title:
             self.layout.label(text=self.section.title(skin.mesh_in(context)), translate=False)
 
@@ -76,6 +79,7 @@ class Section:
     needed: Callable = lambda _obj: True  # (soft skin): whether it is there at all
     before: bool = False  # whether a mesh has it before it is a soft skin
     title: Callable | None = None  # (object)
+    switch: Callable | None = None  # (object): the owner and the name of a property that turns it on, in its header
     presets: type[PresetList] | None = None  # in its header
 
     def panel(self, place: dict) -> type[Panel]:
@@ -109,6 +113,7 @@ SIDEBAR_SECTIONS = (
 # Once.
 PHYSICS_SECTIONS = (
     Section("attachments", "", "physics", draw_attachments, title=attachments_title),
+    Section("collision", "Collision", "physics", draw_collision, switch=lambda obj: (obj.dynamorph.collision, "use")),
     Section("bake", "Bake Settings", "physics", draw_bake),
     Section("export", "Export", "physics", draw_export),
     Section("setup", "Setup", "physics", draw_setup, presets=DYNAMORPH_PT_setup_presets),

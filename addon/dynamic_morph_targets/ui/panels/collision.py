@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The section about what stops the skin."""
+
+from __future__ import annotations
+
+from ...core.message import Message, listed
+from ...run import batch
+from ...scene import colliders
+from ..widgets import draw_message, draw_setting, pair
+
+
+def draw_collision(layout, _context, obj):
+    settings = obj.dynamorph.collision
+    layout.enabled = batch.running is None
+    column = layout.column()
+    column.active = settings.use
+    draw_setting(column, settings, "collection")
+    column.prop(settings, "distance")
+    draw_setting(column, settings, "use_friction")
+    friction = column.row()
+    friction.active = settings.use_friction
+    friction.prop(settings, "friction")
+    row = pair(layout)
+    row.operator("dynamorph.collide", icon="MOD_PHYSICS")
+    row.operator("dynamorph.add_floor", icon="MESH_PLANE")
+    found = [other.name for other in colliders.colliders(obj)]
+    if found:
+        draw_message(layout, Message("Collides with: {names}", names=listed(found)), icon="CHECKMARK")
+    elif settings.use:
+        draw_message(layout, "No object has Collision yet", icon="INFO")

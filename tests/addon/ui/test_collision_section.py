@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The section Collision and its buttons."""
+
+import bpy
+import numpy as np
+import pytest
+from bl_ext.user_default.dynamic_morph_targets.scene import colliders
+from builders import activate, evaluated_points, make_box, make_mesh, refused, rig_of
+from layout import drawn
+
+PHYSICS = "DYNAMORPH_PT_physics"
+
+
+def select(*objects):
+    for obj in bpy.context.view_layer.objects:
+        obj.select_set(obj in objects)
+
+
+def names(obj) -> list[str]:
+    return [other.name for other in colliders.colliders(obj)]
+
+
+def test_selected_meshes_collide_with_one_click(soft_arm, capfd):
+    first, second = make_box("Ball", collision=False), make_box("Bench")
+    second.collision.use = False
+    select(soft_arm, first, second)
+    assert bpy.ops.dynamorph.collide() == {"FINISHED"}
+    assert soft_arm.dynamorph.collision.use and names(soft_arm) == ["Ball", "Bench"]
+    assert first.collision.use and second.collision.use
+    assert [modifier.type for modifier in second.modifiers] == ["COLLISION"]  # and no second one
+    assert "'Arm' collides with Ball, Bench" in capfd.readouterr().out
+
+
+def test_the_armature_may_be_active(soft_arm):
+    box = make_box(collision=False)
+    activate(rig_of(soft_arm))
+    select(box, rig_of(soft_arm))
+    bpy.ops.dynamorph.collide()
+    assert names(soft_arm) == ["Box"]
+
+
+def test_without_others_selected_the_button_is_gray(soft_arm):
+    select(soft_arm)
+    refused(bpy.ops.dynamorph.collide, "Select other mesh objects too")
+
+
+def test_what_belongs_to_the_body_is_refused(soft_arm):
+    shirt = make_box("Shirt", collision=False)
+    soft_arm.dynamorph.attachments.add().object = shirt
+    select(soft_arm, shirt)
+    refused(bpy.ops.dynamorph.collide, "'Shirt' belongs to 'Arm'")
+    assert not soft_arm.dynamorph.collision.use and not shirt.modifiers
+
+
+def test_they_join_the_collection_that_limits_them(soft_arm):
+    furniture = bpy.data.collections.new("Furniture")
+    bpy.context.scene.collection.children.link(furniture)
+    soft_arm.dynamorph.collision.collection = furniture
+    box = make_box(collision=False)
+    select(soft_arm, box)
+    bpy.ops.dynamorph.collide()
+    assert names(soft_arm) == ["Box"] and "Box" in furniture.objects
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.01])
+def test_a_floor_is_below_the_skin_as_it_stands(soft_arm, unit):
+    bpy.context.scene.unit_settings.scale_length = unit
+    rig_of(soft_arm).location.z = 0.7
+    bpy.context.scene.frame_set(20)
+    bpy.ops.dynamorph.add_floor()
+    assert names(soft_arm) == ["Floor"] and soft_arm.dynamorph.collision.use
+    skin, floor = evaluated_points(soft_arm), evaluated_points(bpy.data.objects["Floor"])
+    assert floor[:, 2] == pytest.approx(np.full(4, skin[:, 2].min()), abs=1e-5)
+    assert (floor.min(axis=0)[:2] < skin.min(axis=0)[:2]).all() and (floor.max(axis=0)[:2] > skin.max(axis=0)[:2]).all()
+    bpy.context.view_layer.update()
+    normal = bpy.data.objects["Floor"].data.polygons[0].normal
+    assert tuple(normal) == pytest.approx((0.0, 0.0, 1.0))
+
+
+def test_the_section_says_what_collides(soft_arm):
+    assert "No object has Collision yet" not in drawn(soft_arm, PHYSICS)
+    soft_arm.dynamorph.collision.use = True
+    assert "No object has Collision yet" in drawn(soft_arm, PHYSICS)
+    make_box()
+    assert "Collides with: Box" in drawn(soft_arm, PHYSICS)
+
+
+def test_reduced_quality_is_mentioned_with_a_fix(soft_arm):
+    assert "in Reduced Quality" not in " ".join(drawn(soft_arm))
+    soft_arm.dynamorph.collision.use = True
+    assert "'Arm' collides in Reduced Quality" in " ".join(drawn(soft_arm))
+    bpy.ops.dynamorph.fix(problem="FULL_QUALITY")
+    assert soft_arm.dynamorph.model.solver == "FULL" and "in Reduced Quality" not in " ".join(drawn(soft_arm))
+
+
+def test_what_cannot_collide_is_among_the_messages(soft_arm):
+    soft_arm.dynamorph.collision.use = True
+    make_box().modifiers.new("Cloth", "CLOTH")
+    assert "is simulated by modifier 'Cloth'" in " ".join(drawn(soft_arm))
+
+
+def test_a_linked_object_is_refused(soft_arm, tmp_path):
+    path = str(tmp_path / "library.blend")
+    other = make_mesh(bpy.context.scene, "Linked", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+    bpy.data.libraries.write(path, {other})
+    bpy.data.objects.remove(other)
+    with bpy.data.libraries.load(path, link=True) as (_, linked):
+        linked.objects = ["Linked"]
+    bpy.context.scene.collection.objects.link(linked.objects[0])
+    bpy.context.view_layer.update()
+    select(soft_arm, linked.objects[0])
+    refused(bpy.ops.dynamorph.collide, "'Linked' is linked")
