@@ -30,7 +30,7 @@ from ..scene.source import Source
 from ..write.bake import writer
 from ..write.export import blend_file, exports, losses, process
 from ..write.reconcile import reconcile
-from . import signals
+from . import collision, signals
 from .record import Done, ProgressPrinter, print_table
 
 SETTABLE = (*(field.name for field in fields(Material)), "fade_out_angle", "amount")  # properties of a target
@@ -127,6 +127,7 @@ def apply_settings(args: argparse.Namespace, obj: bpy.types.Object) -> None:
         for name in names:
             if (value := getattr(args, name, None)) is not None:
                 setattr(getattr(obj.dynamorph, group), name, value.upper() if isinstance(value, str) else value)
+    collision.apply(args, obj)
     if args.format:  # files for other programs are made from the modes
         obj.dynamorph.output.format = "MODES" if format_of(args) in exports.FORMATS else format_of(args)
 

@@ -32,7 +32,7 @@ from ..core.errors import InputError
 from ..core.settings import VARIANTS
 from ..io import disk, outputs, paths
 from ..write.export import exports
-from . import signals
+from . import collision, signals
 from .commands import (
     MODEL_SETTINGS,
     OUTPUT_SETTINGS,
@@ -173,6 +173,8 @@ def add_bake(command: Callable[..., argparse.ArgumentParser]) -> None:
     bake.set_defaults(goal="BAKE")
     add_shot(bake)
     add_settings(bake, "simulation", SIMULATION_SETTINGS)
+    collision.add_options(bake)
+    add_settings(bake, "collision", collision.SETTINGS)
     bake.add_argument("--format", choices=[name.lower() for name in (*bake_formats(), *exports.FORMATS)],
                       help="the form of the bake: Blender plays modes, frames and pc2, the others are files for "
                       "other programs; default: the object's own setting")  # fmt: skip

@@ -114,6 +114,30 @@ def test_loops_and_what_is_out_of_date(shot, run, stand_in):
     assert 'bake state: Stiffness of "flexed" changed; animation of "Arm Rig" changed' in out
 
 
+def test_collision_is_turned_on_and_limited(shot, run, stand_in):
+    bpy.ops.wm.open_mainfile(filepath=str(shot))
+    bpy.context.scene.collection.children.link(bpy.data.collections.new("Furniture"))
+    bpy.ops.wm.save_mainfile()
+    output, chosen = shot.parent / "baked.blend", ("--object", "Arm", "-o", shot.parent / "baked.blend")
+
+    def collision(*options):
+        code, _, errors = run("bake", shot, *chosen, *options)
+        assert code == 0, errors
+        bpy.ops.wm.open_mainfile(filepath=str(output))
+        return bpy.data.objects["Arm"].dynamorph.collision
+
+    found = collision("--collision", "--distance", 0.01)
+    assert found.use and found.collection is None and found.distance == pytest.approx(0.01) and not found.use_friction
+    found = collision("--collection", "Furniture", "--friction", 0.8)
+    assert found.use and found.collection.name == "Furniture"
+    assert found.use_friction and found.friction == pytest.approx(0.8)
+    assert not collision("--no-collision").use
+    code, _, errors = run("bake", shot, *chosen, "--collection", "Nowhere")
+    assert code == 2 and "the file has no collection named 'Nowhere'" in errors
+    code, _, errors = run("bake", shot, *chosen, "--collection", "Furniture", "--no-collision")
+    assert code == 2 and "leave out --no-collision" in errors
+
+
 def test_all_in_place(shot, run, stand_in):
     assert run("build", shot, "--all", "--in-place")[0] == 0
     assert stand_in.built == 2

@@ -57,6 +57,8 @@ def rich(soft_arm):
     settings.simulation.integrator, settings.simulation.gravity, settings.simulation.substeps = "EULER", 0.3, 4
     settings.modes.add().gain = 0.4
     settings.modes.add().solo = True
+    settings.collision.use, settings.collision.friction = True, 0.9
+    settings.collision.collection = bpy.data.collections.new("Furniture")
     return soft_arm
 
 
@@ -74,7 +76,7 @@ def file(rich, tmp_path):
 
 def clear(obj):
     settings = obj.dynamorph
-    for group in (settings.model, settings.simulation, settings):
+    for group in (settings.model, settings.simulation, settings.collision, settings):
         for prop in group.bl_rna.properties:
             if not prop.is_readonly:
                 group.property_unset(prop.identifier)

@@ -5,7 +5,8 @@ A setup names shape keys, bones and vertex groups, and holds none of their conte
 
     format, version
     targets: a list, the neutral one first, each its properties, "bones" (names) and "pose" (rest and local, by bone)
-    skin, model, simulation, output: properties by name; modes: a list of such
+    skin, model, simulation, collision, output: properties by name, collision with the name of its "collection" or "";
+    modes: a list of such
     attachments: a list, each its properties and "object", the name of another mesh or ""
 
 What a file leaves out stays as it is. `check` refuses a setup wholly, before `apply` writes anything.
@@ -28,7 +29,7 @@ from ...core.painted_map import MAPS
 from ...core.settings import ModelSettings
 from ...io import disk
 from ...scene import checks, rig_motion
-from ...scene.bake_properties import DynamorphOutput, DynamorphSimulation
+from ...scene.bake_properties import DynamorphCollision, DynamorphOutput, DynamorphSimulation
 from ...scene.model_properties import DynamorphAttachment, DynamorphMode, DynamorphModel
 from ...scene.plain import fits, is_text, plain, wanted
 from ...scene.properties import DynamorphSettings
@@ -52,6 +53,7 @@ NOT_AUTHORED = {
     ),
     DynamorphModel: {"name", *DynamorphModel.__annotations__}.difference(field.name for field in fields(ModelSettings)),
     DynamorphSimulation: ("name",),
+    DynamorphCollision: ("name",),
     DynamorphOutput: ("name",),
     DynamorphMode: ("name",),
     DynamorphTarget: KEY_REFERENCE[1:],  # the name is in the file
@@ -62,6 +64,7 @@ PARTS = {
     "skin": DynamorphSettings,
     "model": DynamorphModel,
     "simulation": DynamorphSimulation,
+    "collision": DynamorphCollision,
     "output": DynamorphOutput,
 }
 GROUPS = tuple(each.group for each in MAPS)
@@ -73,6 +76,7 @@ GROUPS = tuple(each.group for each in MAPS)
 def of_object(obj) -> dict:
     """The setup of a soft skin."""
     settings = obj.dynamorph
+    collection = settings.collision.collection
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -87,6 +91,7 @@ def of_object(obj) -> dict:
         "skin": authored(settings),
         "model": authored(settings.model),
         "simulation": authored(settings.simulation),
+        "collision": {**authored(settings.collision), "collection": collection.name if collection else ""},
         "output": authored(settings.output),
         "modes": [authored(mode) for mode in settings.modes],
         "attachments": [
@@ -116,6 +121,7 @@ def apply(obj, setup: dict) -> dict[str, list[str]]:
     assign(settings, lacking.without_lost_groups(setup.get("skin", {}), GROUPS))
     assign(settings.model, setup.get("model", {}))
     assign(settings.simulation, setup.get("simulation", {}))
+    _apply_collision(settings.collision, setup.get("collision", {}), lacking)
     assign(settings.output, setup.get("output", {}))
     modes = setup.get("modes", [])
     while len(settings.modes) < len(modes):
@@ -148,6 +154,14 @@ def _apply_targets(obj, rig, entries: list[dict], lacking: _Lacking):
     regions.update(obj)
 
 
+def _apply_collision(collision, values: dict, lacking: _Lacking):
+    assign(collision, _simple(values))
+    if "collection" in values:
+        name = values["collection"]
+        there = lacking.present("collections", [name] if name else [], bpy.data.collections)
+        collision.collection = bpy.data.collections[name] if there else None
+
+
 def _apply_pieces(obj, entries: list[dict], lacking: _Lacking):
     meshes = {other.name: other for other in bpy.context.scene.objects if other.type == "MESH" and other != obj}
     obj.dynamorph.attachments.clear()
@@ -165,8 +179,8 @@ def _apply_pieces(obj, entries: list[dict], lacking: _Lacking):
 
 
 def _simple(entry: dict) -> dict:
-    """The simple properties in the entry of a target or attachment."""
-    return {name: value for name, value in entry.items() if name not in ("bones", "pose", "object")}
+    """The simple properties in an entry."""
+    return {name: value for name, value in entry.items() if name not in ("bones", "pose", "object", "collection")}
 
 
 def _apply_pose(target, rig, pose: dict[str, dict], lacking: _Lacking):
@@ -256,7 +270,12 @@ def check(setup):
     for i, attachment in enumerate(attachments):
         _check_attachment(f"Attachment {i + 1}", attachment)
     for part, kind in PARTS.items():
-        _check_values(part.capitalize(), kind, setup.get(part, {}))
+        values = setup.get(part, {})
+        if part == "collision" and isinstance(values, dict):
+            if not is_text(values.get("collection", "")):
+                raise SetupError("Collision: collection must be a name")
+            values = _simple(values)
+        _check_values(part.capitalize(), kind, values)
 
 
 def _check_target(target):

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The options of a bake about what stops the skin."""
+
+from __future__ import annotations
+
+import argparse
+
+import bpy
+
+from ..core.errors import InputError
+
+SETTINGS = ("distance", "friction")  # of the panel, that are options of the same name
+
+
+def add_options(bake: argparse.ArgumentParser) -> None:
+    """All but SETTINGS."""
+    bake.add_argument("--collision", action=argparse.BooleanOptionalAction,
+                      help="let the objects that have Blender's Collision stop the skin")  # fmt: skip
+    bake.add_argument("--collection", metavar="NAME", help="only those in this collection; turns --collision on")
+
+
+def apply(args: argparse.Namespace, obj: bpy.types.Object) -> None:
+    """Apply the options that are given to the object. Raises InputError."""
+    chosen, settings = vars(args), obj.dynamorph.collision
+    name, on = chosen.get("collection"), chosen.get("collision")
+    if name is not None:
+        if on is False:
+            raise InputError("--collection turns collision on: leave out --no-collision")
+        settings.collection = next((each for each in bpy.data.collections if each.name == name), None)
+        if settings.collection is None:
+            raise InputError(f"--collection: the file has no collection named '{name}'")
+        on = True
+    if on is not None:
+        settings.use = on
+    for setting in SETTINGS:
+        if chosen.get(setting) is not None:
+            setattr(settings, setting, chosen[setting])
+    settings.use_friction |= chosen.get("friction") is not None
