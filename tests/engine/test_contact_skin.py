@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which points of a skin can touch something, and what of a shot's collisions is told."""
+"""Which points of a skin can touch something, and what is reported of a shot."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_normals_are_those_of_the_triangles_around():
     assert normals[0].tolist() == normals[1].tolist() == [0.0, 2.0, 4.0]
 
 
-def told(too_deep, collider) -> Touched:
+def found_in(too_deep, collider) -> Touched:
     count = len(too_deep)
     steps = {
         "penetration": np.linspace(0.0, 1e-4, count),
@@ -57,14 +57,14 @@ def told(too_deep, collider) -> Touched:
     return touched(np.arange(10.0, 10.0 + count), steps, Collision(), ["hip", "thigh.L"])
 
 
-def test_the_deepest_place_is_told_with_its_frames():
-    found = told([0.0, 0.01, 0.03, 0.02, 0.0, 0.02], [-1, 1, 1, 1, -1, 1])
+def test_the_deepest_place_is_named_with_its_frames():
+    found = found_in([0.0, 0.01, 0.03, 0.02, 0.0, 0.02], [-1, 1, 1, 1, -1, 1])
     assert found == Touched(pytest.approx(1e-4), 0.03, "thigh.L", "Bench", (11, 13))
 
 
 def test_another_collider_is_another_place():
-    assert told([0.01, 0.03, 0.02], [0, 1, 0]).frames == (11, 11)
+    assert found_in([0.01, 0.03, 0.02], [0, 1, 0]).frames == (11, 11)
 
 
-def test_without_such_a_place_only_the_penetration_is_told():
-    assert told([0.0, 0.0], [-1, -1]) == Touched(pytest.approx(1e-4))
+def test_without_such_a_place_there_is_only_the_penetration():
+    assert found_in([0.0, 0.0], [-1, -1]) == Touched(pytest.approx(1e-4))

@@ -148,7 +148,7 @@ def test_without_colliders_it_changes_nothing(arm):
     assert baked.digest(bake(arm).outcome.bake) == on
 
 
-def test_what_the_bones_take_too_deep_is_told(arm):
+def test_what_the_bones_take_too_deep_is_reported(arm):
     ball = bpy.data.objects["Ball"]
     ball.animation_data_clear()
     for frame, place in ((1, 0.6), (6, 0.15), (10, 0.15), (15, 0.6)):

@@ -9,7 +9,7 @@ from bpy.types import Operator
 
 from ...scene import skin
 from ...scene.registration import of_classes
-from ...write.authoring import obstacles
+from ...write.authoring import collision
 from ..base import SoftSkinOperator, listed
 
 
@@ -25,7 +25,7 @@ class DYNAMORPH_OT_collide(SoftSkinOperator, Operator):
         return reason or ("" if _others(context) else "Select other mesh objects too")
 
     def apply(self, obj):
-        names = obstacles.add_collision(obj, _others(bpy.context))
+        names = collision.add_collision(obj, _others(bpy.context))
         text = rpt_("'{name}' collides with {names}").format(name=obj.name, names=listed(names))
         self.report({"INFO"}, text)
 
@@ -43,7 +43,7 @@ class DYNAMORPH_OT_add_floor(SoftSkinOperator, Operator):
     bl_label = "Add Floor"
 
     def apply(self, obj):
-        obstacles.add_floor(obj)
+        collision.add_floor(obj)
 
 
 CLASSES = (DYNAMORPH_OT_collide, DYNAMORPH_OT_add_floor)
