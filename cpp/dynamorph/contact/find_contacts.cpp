@@ -20,6 +20,8 @@ constexpr double kNudge = 1e-7;      // of a collider's size: what a point is pu
 constexpr double kNothing = 1e-6;    // meters, or relative to the longest side: a collider of that size is none
 constexpr double kRigid = 1e-5;      // of a stretch; transforms come in single precision
 constexpr int kMostPieces = 8;       // of a collider that lie within each other where a sample gets out
+constexpr int kMostHits = 8;         // of a sample that slides
+constexpr double kAlike = 0.9;       // normal . normal of two facets of a smooth surface
 constexpr int kMostPlanes = 3;       // of a sample and a collider: a corner of a room
 
 /// Without the last bits, so that a turning collider has the same stretch at each step.
@@ -148,14 +150,14 @@ class ContactFinder::Search {
     return (sample.to - sample.from - drift_).norm() > sample.thickness + size_;
   }
   Vector3d let_out(const Vector3d& x, const Vector3d& point, const Vector3d& normal) const;
-  void run(const Sample& sample);
+  void run(const Sample& sample, bool held);
   void appear(const Sample& sample);
 
   Plane planes[kMostPlanes];
   int count = 0;
 
  private:
-  void sweep(const Sample& sample);
+  bool sweep(const Sample& sample);
   bool open(const Vector3d& point, const Vector3d& normal) const;
   Vector3d slide(const Vector3d& to) const;
   void approach(const Sample& sample, const ColliderPoint& nearest);
@@ -201,17 +203,18 @@ Vector3d ContactFinder::Search::direction(const Vector3d& x, const ColliderPoint
   return distance > 2 * nudge_ ? Vector3d(away / distance) : collider_.pseudonormal(end_, nearest);
 }
 
-/// Follows a sample that begins outside.
-void ContactFinder::Search::run(const Sample& sample) {
+/// Follows a sample that begins outside. held: whether something held it in the last step.
+void ContactFinder::Search::run(const Sample& sample, bool held) {
   const double way = (sample.to - sample.from).norm() + deforms_ + 2 * nudge_;
   ColliderPoint nearest;
   if (way <= margin_) nearest = collider_.nearest(end_, sample.to, margin_);
-  if (way > margin_ || (nearest && (nearest.point - sample.to).norm() <= way)) sweep(sample);
+  bool lost = held;
+  if (way > margin_ || (nearest && (nearest.point - sample.to).norm() <= way)) lost |= !sweep(sample);
   if (count == 0) {
-    if (way > margin_) nearest = collider_.nearest(end_, sample.to, margin_);
+    if (!nearest) nearest = collider_.nearest(end_, sample.to, lost ? kInfinity : margin_);
     if (nearest && collider_.contains(end_, sample.to, nearest))
       get_out(sample, nearest);
-    else if (nearest)
+    else if (nearest && (nearest.point - sample.to).norm() < margin_)
       approach(sample, nearest);
   } else if (count == 1) {
     Plane& plane = planes[0];
@@ -224,19 +227,22 @@ void ContactFinder::Search::run(const Sample& sample) {
   }
 }
 
-/// Finds the planes of what it runs into, one after the other.
-void ContactFinder::Search::sweep(const Sample& sample) {
+/// Finds the planes of what it runs into, one after the other. Returns false if something swallows it from within the
+/// body.
+bool ContactFinder::Search::sweep(const Sample& sample) {
   Vector3d from = sample.from, to = sample.to;
-  while (count < kMostPlanes) {
+  for (int hits = 0; hits < kMostHits && count < kMostPlanes; ++hits) {
     const ColliderPoint hit =
-        collider_.first_crossing(count ? end_ : begin_, end_, from, to, Collider::Crossing::entering);
-    if (!hit) return;
+        collider_.first_crossing(hits ? end_ : begin_, end_, from, to, Collider::Crossing::entering);
+    if (!hit) return true;
     const Vector3d normal = (hit.front ? 1 : -1) * collider_.normal(end_, hit.triangle);
-    if (normal.dot(sample.normal) > kFromWithin) return;
+    if (normal.dot(sample.normal) > kFromWithin) return false;
+    if (count > 0 && normal.dot(planes[count - 1].normal) > kAlike) --count;  // the next facet of a hollow
     add(hit, normal);
     from = hit.point + nudge_ * normal;
     to = slide(sample.to);
   }
+  return true;
 }
 
 /// A sample that may be inside already: nothing is known but where it gets.
@@ -377,10 +383,11 @@ void ContactFinder::touch(const Collider& collider, int number, const Posed& pos
     const bool jumps = search.jumps(sample);
     if (known && !jumps) {
       while (plane != held.end() && plane->collider == number && plane->sample < p) ++plane;
+      const auto first = plane;
       for (; plane != held.end() && plane->collider == number && plane->sample == p; ++plane)
         sample.from = search.let_out(sample.from, posed.from_begin.to_own(plane->point),
                                      posed.from_begin.turn.transpose() * plane->normal);
-      search.run(sample);
+      search.run(sample, plane != first);
     } else {
       search.appear(sample);
     }
