@@ -20,6 +20,7 @@ constexpr double kTolerance = 0.002;  // of the skin's diagonal; a wrap of 2,000
 constexpr double kNear = 0.5;         // of an edge: an end nearer to the plane is moved onto it
 constexpr double kNearOutside = 0.3;  // of the outside, where that could uncover the skin
 constexpr double kKept = 0.3;         // of a tet's volume: what a move leaves at least
+constexpr int kRounds = 3;            // of smoothing
 
 std::vector<bool> used_by(const Triangles& triangles, Eigen::Index vertices) {
   std::vector<bool> used(vertices, false);
@@ -44,6 +45,7 @@ class Half {
     std::vector<Corners> whole = std::move(tets_);
     tets_.clear();
     for (const Corners& tet : whole) cut(tet);
+    smooth();
   }
 
   TetMesh with_image() const;
@@ -66,6 +68,8 @@ class Half {
   void move_onto_plane();
   void cut(const Corners& tet);
   int middle(int a, int b);
+  double quality(const Corners& tet) const;
+  void smooth();
 
   MirrorPlane plane_;
   std::vector<Vector3d> points_;
@@ -83,7 +87,7 @@ double Half::nearness(int node, const std::vector<int>& around) const {
   return nearest;
 }
 
-/// Whether each node is on the outside of the mesh: on a face of one tet.
+/// Whether each node is on the outside of the mesh: on a face of one tet that is not in the plane.
 std::vector<bool> Half::outside() const {
   std::map<std::array<int, 3>, int> tets_at;
   for (const Corners& tet : tets_)
@@ -93,8 +97,10 @@ std::vector<bool> Half::outside() const {
       ++tets_at[face];
     }
   std::vector<bool> out(points_.size(), false);
+  const auto in_plane = [&](int node) { return height(node) == 0; };
   for (const auto& [face, count] : tets_at)
-    for (int node : face) out[node] = out[node] || count == 1;
+    if (count == 1 && !std::all_of(face.begin(), face.end(), in_plane))
+      for (int node : face) out[node] = true;
   return out;
 }
 
@@ -147,6 +153,42 @@ int Half::middle(int a, int b) {
     height(found->second) = 0;
   }
   return found->second;
+}
+
+/// Above zero, and larger the rounder the tet is.
+double Half::quality(const Corners& tet) const {
+  double squares = 0;
+  for (int a = 0; a < 4; ++a)
+    for (int b = 0; b < a; ++b) squares += (points_[tet[a]] - points_[tet[b]]).squaredNorm();
+  return volume(tet) / std::pow(squares, 1.5);
+}
+
+/// Moves nodes inside, on the plane and next to it, to the middle of their neighbors where that makes the worst tet at
+/// them rounder.
+void Half::smooth() {
+  std::vector<std::vector<int>> around(points_.size());
+  for (size_t t = 0; t < tets_.size(); ++t)
+    for (int node : tets_[t]) around[node].push_back(int(t));
+  const std::vector<bool> fixed = outside();
+  for (int round = 0; round < kRounds; ++round)
+    for (size_t i = 0; i < points_.size(); ++i) {
+      Vector3d sum = Vector3d::Zero();
+      double worst = HUGE_VAL;
+      bool near = false;
+      for (int t : around[i]) {
+        worst = std::min(worst, quality(tets_[t]));
+        for (int node : tets_[t]) {
+          near = near || height(node) == 0;
+          if (node != int(i)) sum += points_[node];
+        }
+      }
+      if (fixed[i] || !near) continue;
+      const Vector3d before = points_[i];
+      points_[i] = sum / (3.0 * double(around[i].size()));
+      if (before[plane_.axis] == 0) height(int(i)) = 0;
+      for (int t : around[i])
+        if (!(quality(tets_[t]) > worst)) points_[i] = before;
+    }
 }
 
 TetMesh Half::with_image() const {

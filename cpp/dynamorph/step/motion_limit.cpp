@@ -130,17 +130,21 @@ class Mirror {
   Edge image_of(const Edge& edge) const {
     return edge.first < 0 ? edge : undirected(point(edge.first), point(edge.second));
   }
-  /// The image of a bone is that which owns most of the image of its skin.
+  /// The image of a bone is that whose weights are most like the image of its own.
   void find_bones(const SkinWeights& weights) {
     MatrixXd shared = MatrixXd::Zero(weights.cols(), weights.cols());
+    VectorXd squares = VectorXd::Zero(weights.cols());
     for (Index p = 0; p < weights.rows(); ++p)
       if (point(p) >= 0)
-        for (SkinWeights::InnerIterator b(weights, p); b; ++b)
+        for (SkinWeights::InnerIterator b(weights, p); b; ++b) {
+          squares(b.col()) += b.value() * b.value();
           for (SkinWeights::InnerIterator c(weights, point(p)); c; ++c)
             shared(b.col(), c.col()) += b.value() * c.value();
+        }
     for (Index b = 0; b < weights.cols(); ++b) {
       Index image = 0;
-      bones_.push_back(shared.row(b).maxCoeff(&image) > 0 ? int(image) : -1);
+      const auto alike = shared.row(b).array() / squares.transpose().array().max(1e-300).sqrt();
+      bones_.push_back(alike.maxCoeff(&image) > 0 ? int(image) : -1);
     }
   }
 
@@ -421,8 +425,9 @@ struct Tissue {
 };
 
 /// Finds edges that loads strain, far from those that are there: between few edges that are held, others would give
-/// way. strain, bone (of all edges): by which bone's load, and how much.
-void add_between(const Points& rest, const std::vector<double>& strain, const std::vector<int>& bone, Tissue& tissue) {
+/// way. With their mirror images. strain, bone (of all edges): by which bone's load, and how much.
+void add_between(const Points& rest, const std::vector<double>& strain, const std::vector<int>& bone,
+                 const Mirror& mirror, Tissue& tissue) {
   const std::vector<Edge>& edges = tissue.skin.edges;
   Points middles(Index(edges.size()), 3);
   for (std::size_t e = 0; e < edges.size(); ++e)
@@ -434,25 +439,33 @@ void add_between(const Points& rest, const std::vector<double>& strain, const st
   for (const CriticalEdges& critical : tissue.edges)
     for (int e : critical.edges) take(e);
   const auto square = Eigen::Map<const VectorXd>(strain.data(), Index(strain.size())).cwiseAbs2();
-  for (int k = 0; k < kEdgesBetween; ++k) {
+  int count = 0;
+  const auto hold = [&](int e, int b) {
+    tissue.edges[std::size_t(b)].between.push_back(e);
+    take(e);
+    ++count;
+  };
+  while (count < kEdgesBetween) {
     Index best = 0;
     if (edges.empty() || !(square.cwiseProduct(nearest).maxCoeff(&best) > 0)) return;
-    tissue.edges[std::size_t(bone[std::size_t(best)])].between.push_back(int(best));
-    take(int(best));
+    const int b = bone[std::size_t(best)], image = mirror.edge(int(best)), other = mirror.bone(b);
+    hold(int(best), b);
+    if (image >= 0 && other >= 0 && nearest(image) > 0) hold(image, other);
   }
 }
 
-/// Adds the mirror images of edges, to those of their bones' images.
-void add_images(const Mirror& mirror, std::vector<CriticalEdges>& of_bones) {
-  const std::vector<CriticalEdges> found = of_bones;
-  for (std::size_t b = 0; b < found.size(); ++b) {
-    if (mirror.bone(Index(b)) < 0) continue;
-    CriticalEdges& image = of_bones[std::size_t(mirror.bone(Index(b)))];
-    for (int e : found[b].edges)
-      if (mirror.edge(e) >= 0) image.edges.insert(mirror.edge(e));
-    for (int e : found[b].between)
-      if (mirror.edge(e) >= 0) image.between.push_back(mirror.edge(e));
-    make_unique(image.between);
+/// Gives bones that are images of each other the same critical edges, and a bone that is its own image those on both
+/// sides. Bones with edges that have no image keep theirs.
+void make_symmetric(const Mirror& mirror, std::vector<CriticalEdges>& of_bones) {
+  for (Index b = 0; b < Index(of_bones.size()); ++b) {
+    const Index image = mirror.bone(b);
+    if (image < b || mirror.bone(image) != b) continue;
+    const std::set<int>& own = of_bones[std::size_t(b)].edges;
+    std::set<int> images;
+    for (int e : own) images.insert(mirror.edge(e));
+    if (images.count(-1) > 0) continue;
+    if (image == b) images.insert(own.begin(), own.end());
+    of_bones[std::size_t(image)].edges = std::move(images);
   }
 }
 
@@ -493,8 +506,8 @@ Tissue tissue_of(Neutral<Model>& neutral, const SkinLimits& limits) {
       if (more[e] > strain[e]) strained_by[e] = int(b);
     strain = std::move(more);
   }
-  add_between(limits.rest, strain, strained_by, out);
-  add_images(mirror, out.edges);
+  make_symmetric(mirror, out.edges);
+  add_between(limits.rest, strain, strained_by, mirror, out);
   out.chosen = sampling.chosen();
   out.area = mirror.evened(out.chosen, sampling.sums(out.skin.areas));
   if (limits.painted.size() > 0) sampling.add((1 - limits.painted.array()).matrix(), kPaintedPoints);

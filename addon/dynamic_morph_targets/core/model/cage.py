@@ -217,6 +217,8 @@ def _tetrahedra(character: Character, surface: np.ndarray, report: Report) -> dy
         )
     except dynamorph.Error as error:
         raise dynamorph.Error(f"Cage Object '{cage.name}': {error}") if cage else error from None
+    if settings.hold == "BONES":  # for whose lines nodes were placed
+        return mesh
     return dynamorph.symmetric_like(mesh, *(cage[1:] if cage else (skin, character.triangles)))
 
 
