@@ -74,6 +74,10 @@ def standing():
     rig.animation_data_clear()
     for bone in rig.pose.bones:
         bone.matrix_basis.identity()
+    if body.data.shape_keys:
+        body.data.shape_keys.animation_data_clear()
+        for key in body.data.shape_keys.key_blocks:
+            key.value = 0.0
     for obj in bpy.context.scene.objects:
         if obj.type == "MESH" and obj != body:
             obj.hide_viewport = obj.hide_render = True

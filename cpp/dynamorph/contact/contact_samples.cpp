@@ -17,6 +17,8 @@ constexpr double kStep = 2.0 / 3 / 96;  // s, where the mass is fitted: c h of B
 constexpr double kAtRest = 10;          // s: a step so long is a static answer, also of a body that nothing holds
 constexpr double kFree = 0.3;           // of a sample's weights on free nodes; with less, pins hold it
 constexpr int kTogether = 256;          // samples solved at a time, so that memory stays small
+constexpr Index kSolved = 3000;         // samples whose compliance is solved for; others have that of the most alike
+constexpr double kTurned = 0.1;         // of the body's size: as far as a normal at a right angle is unlike
 
 /// j^T A^-1 j of each row j.
 VectorXd compliance(const SparseMatrix& A, const SparseRows& J) {
@@ -40,6 +42,25 @@ VectorXd compliance(const ArrowMatrix& A, const RowMajor& J) {
   const Eigen::LLT<MatrixXd> factor(A.dense());
   if (factor.info() != Eigen::Success) return VectorXd::Zero(J.rows());
   return factor.matrixL().solve(J.transpose()).colwise().squaredNorm();
+}
+
+/// For each sample the number of the solved one (every `stride`-th) that is nearest and faces the same way.
+std::vector<Index> most_alike(const ContactSkin& samples, const Points& normals, Index stride, double size) {
+  std::vector<Index> out;
+  for (Index p = 0; p < normals.rows(); ++p) {
+    Index best = p / stride;
+    double least = kInfinity;
+    for (Index k = 0; p % stride != 0 && k * stride < normals.rows(); ++k) {
+      const double apart = (samples.skin.rest.row(p) - samples.skin.rest.row(k * stride)).squaredNorm();
+      const double unlike = apart + kTurned * kTurned * size * size * (1 - normals.row(p).dot(normals.row(k * stride)));
+      if (unlike < least) {
+        least = unlike;
+        best = k;
+      }
+    }
+    out.push_back(best);
+  }
+  return out;
 }
 
 /// The sum of the weights of each point's free nodes.
@@ -108,8 +129,10 @@ ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, Contac
   for (std::size_t j = 0; j < model->targets().size(); ++j)
     if (neutral(Index(j)) == 1) softness_(model->targets()[j].set) = 1 / model->targets()[j].lame.mu;
 
+  const Index stride = (size() + kSolved - 1) / kSolved;
+  const std::vector<Index> solved = most_alike(samples, normals_, stride, model->body().size);
   PointRows numbers;
-  for (int p = 0; p < int(size()); ++p) {
+  for (int p = 0; p < int(size()); p += int(stride)) {
     numbers.add_row();
     numbers.add(p, normals_.row(p));
   }
@@ -125,11 +148,12 @@ ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, Contac
   stiffness_.setZero(size());
   mass_.setZero(size());
   for (Index p = 0; p < size(); ++p) {
-    if (!(in_step(p) > 0)) continue;
+    const Index k = solved[std::size_t(p)];
+    if (!(in_step(k) > 0)) continue;
     // A sample that moves little with its nodes would move them far: no more than it moves itself is asked for.
     const double counts = std::pow(std::clamp(free(p) / kFree, 0.0, 1.0), 4);
-    stiffness_(p) = counts / lasting(p);
-    mass_(p) = counts * std::max(1 / in_step(p) - 1 / lasting(p), 0.0) * kStep * kStep;
+    stiffness_(p) = counts / lasting(k);
+    mass_(p) = counts * std::max(1 / in_step(k) - 1 / lasting(k), 0.0) * kStep * kStep;
   }
 }
 

@@ -21,7 +21,7 @@ from .colliders import ColliderTrack, colliders_of
 from .limits import THINNEST
 from .rig_samples import RigSamples
 
-SAMPLES = 4000  # points of the skin that can touch something, about; of more vertices, those that are spread evenly
+SAMPLES = 20000  # points of the skin that can touch something, at most; of more vertices, those that are spread evenly
 
 
 class Collision:
@@ -101,23 +101,27 @@ def _moving(model: Model, character: Character, points: np.ndarray) -> np.ndarra
 
 
 def spread(points: np.ndarray, normals: np.ndarray, count: int) -> np.ndarray:
-    """Indices of at most `count` of the points (P, 3) that are spread over a surface: one of each cell of a grid and
-    each of six directions of the normals (P, 3), so that both sides of something thin have some.
+    """Indices of at most `count` of the points (P, 3) that are spread over a surface: of each cell of a grid and each of
+    six directions of the normals (P, 3), so that both sides of something thin have some, the outermost: it touches
+    first.
     """
     if len(points) <= count:
         return np.arange(len(points))
+    rows = np.arange(len(points))
     axis = np.abs(normals).argmax(axis=1)
-    side = 2 * axis + (normals[np.arange(len(points)), axis] > 0.0)
+    sign = np.sign(normals[rows, axis])
+    side = 2 * axis + (sign > 0.0)
+    inward = np.argsort(-sign * points[rows, axis], kind="stable")
     low, high = 0.0, diagonal(points)  # of a cell
     found = np.zeros(0, np.int64)
     for _ in range(12):
         size = 0.5 * (low + high)
         cells = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
-        _, first = np.unique(np.column_stack([cells, side]), axis=0, return_index=True)
+        _, first = np.unique(np.column_stack([cells, side])[inward], axis=0, return_index=True)
         if len(first) > count:
             low = size
         else:
-            high, found = size, first
+            high, found = size, inward[first]
     return np.sort(found)
 
 
