@@ -26,7 +26,7 @@ constexpr double kPercentile = 0.97;  // of a bone's skin; spikes and slivers th
 constexpr double kEdgePercentile = 0.998;
 constexpr int kPoints = 100, kLeastPoints = 4;  // sampled on the skin, of a bone with tissue
 constexpr int kPaintedPoints = 30;              // at least so many where L is painted smaller
-constexpr int kEdgesBetween = 200;              // beside the most stretched one of each of a bone's loads
+constexpr int kEdgesBetween = 400;              // beside the most stretched one of each of a bone's loads
 constexpr double kOwn = 0.25;                   // a bone with more weight than that owns the skin
 constexpr double kTissue = 1e-3;                // of the mass; bones with less have no edges and need no points
 constexpr double kSplinter = 1e-4;              // of the size; shorter edges do not count
