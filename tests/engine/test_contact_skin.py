@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dynamic_morph_targets.core.geometry import vertex_normals
+from dynamic_morph_targets.core.geometry import is_closed, vertex_normals
 from dynamic_morph_targets.core.motion.contact import Touched, spread, touched
 
 
@@ -44,6 +44,11 @@ def test_normals_are_those_of_the_triangles_around():
     assert normals[2].tolist() == [0.0, 0.0, 4.0]
     assert normals[3].tolist() == [0.0, 2.0, 0.0]
     assert normals[0].tolist() == normals[1].tolist() == [0.0, 2.0, 4.0]
+
+
+def test_a_surface_is_closed_without_a_border():
+    tetrahedron = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    assert is_closed(tetrahedron) and not is_closed(tetrahedron[1:])
 
 
 def found_in(too_deep, collider) -> Touched:

@@ -30,6 +30,13 @@ def vertex_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.column_stack([np.bincount(triangles.ravel(), axis, len(points)) for axis in of_faces.T])
 
 
+def is_closed(triangles: np.ndarray) -> bool:
+    """Whether each edge of a surface (T, 3) belongs to two triangles."""
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    return bool((counts == 2).all())
+
+
 def signed_volume(points: np.ndarray, triangles: np.ndarray) -> float:
     """The volume inside a closed surface, negative where it is inside out."""
     a, b, c = points[triangles].swapaxes(0, 1)

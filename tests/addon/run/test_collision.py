@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A ball is pressed into the arm: the skin gives way where it is touched, in bakes and in Live alike."""
 
+import bmesh
 import bpy
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from bl_ext.user_default.dynamic_morph_targets.io.cache_dir import CacheDir
 from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch
 from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import model_store, staleness
+from bl_ext.user_default.dynamic_morph_targets.scene import animation, model_store, staleness
 from bl_ext.user_default.dynamic_morph_targets.scene import plain as scene_plain
 from bl_ext.user_default.dynamic_morph_targets.write import assign, storage
 from builders import activate, evaluated_points, make_arm, make_ball, rig_of
@@ -163,6 +164,73 @@ def test_what_the_bones_take_too_deep_is_reported(arm):
     points = shown(arm)
     assert "too deep into 'Ball'" in " ".join(drawn(arm))
     assert np.isfinite(points).all() and np.abs(points - points[0]).max() < 0.5 * SIZE
+
+
+def begins_inside(ball):
+    ball.location.x = SURFACE
+
+
+def jumps_in(ball):
+    for frame, place in ((1, 3.0), (6, SURFACE + 0.1), (12, -3.0)):
+        ball.location.x = place
+        ball.keyframe_insert("location", frame=frame)
+    for curve in animation.curves(ball.animation_data.action, ball.animation_data.action_slot):
+        for point in curve.keyframe_points:
+            point.interpolation = "CONSTANT"
+
+
+def surrounds_the_arm(ball):
+    ball.location, ball.scale = (0.0, 0.0, HEIGHT), (10.0, 10.0, 10.0)
+
+
+def is_hidden_by_its_scale(ball):
+    for frame, size in ((1, 1.0), (5, 0.0), (10, 1.0)):
+        ball.scale = (size,) * 3
+        ball.keyframe_insert("scale", frame=frame)
+
+
+def is_a_plane_through_the_middle(ball):
+    ball.data.clear_geometry()
+    ball.data.from_pydata([(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)], [], [(0, 1, 2, 3)])
+    ball.location = (0.0, 0.0, HEIGHT)
+
+
+def is_inside_out(ball):
+    ball.data.flip_normals()
+    ball.location.x = SURFACE + RADIUS - PRESSED
+
+
+def has_a_hole(ball):
+    shape = bmesh.new()
+    shape.from_mesh(ball.data)
+    bmesh.ops.delete(shape, geom=[face for face in shape.faces if face.normal.x > 0.3], context="FACES")
+    shape.to_mesh(ball.data)
+    shape.free()
+    ball.location.x = SURFACE + RADIUS - PRESSED
+
+
+def hangs_on_the_rig(ball):
+    ball.parent, ball.parent_type, ball.parent_bone = rig_of(bpy.data.objects["Arm"]), "BONE", "lower"
+
+
+BAD = [
+    begins_inside, jumps_in, surrounds_the_arm, is_hidden_by_its_scale, is_a_plane_through_the_middle, is_inside_out,
+    has_a_hole, hangs_on_the_rig,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
+@pytest.mark.parametrize("change", BAD)
+def test_a_bad_collider_neither_explodes_nor_stops_the_bake(arm, change, solver):
+    ball = bpy.data.objects["Ball"]
+    ball.animation_data_clear()
+    ball.location = (SURFACE + 2.0 * RADIUS, 0.0, HEIGHT)
+    change(ball)
+    arm.dynamorph.model.solver = solver
+    rest = evaluated_points(arm)
+    bake(arm)
+    moved = np.linalg.norm(shown(arm) - rest, axis=2).max()
+    assert moved < 0.2 * SIZE
 
 
 def test_a_moved_ball_outdates_the_bake(arm):

@@ -14,7 +14,7 @@ import numpy as np
 from ..character import Character
 from ..engine import dynamorph
 from ..errors import SceneError
-from ..geometry import diagonal, signed_volume, vertex_normals
+from ..geometry import diagonal, is_closed, signed_volume, vertex_normals
 from ..message import Message, named_frames
 from ..model.model import EngineModel, Model
 from .colliders import ColliderTrack, colliders_of
@@ -126,8 +126,10 @@ def spread(points: np.ndarray, normals: np.ndarray, count: int) -> np.ndarray:
 
 
 def _collider(track: ColliderTrack, points: np.ndarray) -> Any:
+    # A closed surface has an inside of its own, also where its normals point inward.
+    one_sided = track.one_sided and not is_closed(track.triangles)
     try:
-        return dynamorph.Collider(points, track.triangles, track.one_sided)
+        return dynamorph.Collider(points, track.triangles, one_sided)
     except (ValueError, dynamorph.Error) as error:
         raise SceneError("'{name}' cannot collide: {reason}", name=track.name, reason=error) from error
 
