@@ -14,8 +14,18 @@
 //
 // Coulomb's law made smooth (Li et al. 2020, Incremental Potential Contact, section 5.2, doi 10.1145/3386569.3392425):
 // F'(y) grows from 0 to 1 while y grows from 0 to e.
+//
+// Newton's method overshoots where skin is to stick: beyond e, F'' = 0 does not see the turn ahead. So the force w of a
+// slip vector y has an unknown of its own, with r(|y|) w = y, r = y / F'. Each iteration linearizes that:
+//
+//   w_new = (y_new - r' (y / |y|) . (y_new - y) w) / r,      no longer than 1,
+//
+// and the stiffness is 1 / r (I - r' (w y^T + y w^T) / (2 |y|)), which is F'' where w is the force of y, and more where
+// they disagree (Chan, Golub, Mulet 1999, A nonlinear primal-dual method for total variation-based image restoration,
+// doi 10.1137/S1064827596299767).
 #pragma once
 
+#include <Eigen/Core>
 #include <algorithm>
 
 namespace dynamorph {
@@ -28,14 +38,55 @@ inline ContactRamp contact_ramp(double depth, double width) {
   return {x * x * x / (6 * width) + (width / 2 + beyond / 2) * beyond, x * x / (2 * width) + beyond, x / width};
 }
 
-/// Beside the energy the stiffness along the slip and across it; the force is `across` times the slip.
+/// Its energy, and r and r' above.
 struct SmoothedSlip {
-  double energy, along, across;
+  double energy, compliance, slope;
+  double force(double slip) const { return slip / compliance; }
 };
 inline SmoothedSlip smoothed_slip(double slip, double sticks) {
-  const double x = slip / sticks;
-  if (x < 1) return {slip * x * (1 - x / 3), 2 * (1 - x) / sticks, (2 - x) / sticks};
-  return {slip - sticks / 3, 0, 1 / slip};
+  const double x = slip / sticks, under = 2 - x;
+  if (x < 1) return {slip * x * (1 - x / 3), sticks / under, 1 / (under * under)};
+  return {slip - sticks / 3, slip, 1};
 }
+
+/// The force of a slip in the course of Newton's method.
+class SlipForce {
+ public:
+  struct Stiffness {
+    Eigen::Vector2d direction;
+    double along, across;
+  };
+
+  /// The next slip is the first one, with the force that it has.
+  void begin() { began_ = false; }
+
+  /// Goes on to a slip y, and returns the stiffness there, not negative.
+  Stiffness follow(const Eigen::Vector2d& y, double sticks) {
+    if (began_) {
+      const SmoothedSlip last = smoothed_slip(y_.norm(), sticks);
+      w_ = (y - last.slope * unit(y_).dot(y - y_) * w_) / last.compliance;
+      if (w_.squaredNorm() > 1) w_.normalize();
+    }
+    const SmoothedSlip now = smoothed_slip(y.norm(), sticks);
+    if (!began_) w_ = y / now.compliance;
+    began_ = true;
+    y_ = y;
+    // The eigenvectors of w y^T + y w^T bisect the angles of w and y.
+    const Eigen::Vector2d along = unit(y), sum = unit(w_) + along;
+    const double agrees = w_.dot(along), force = w_.norm();
+    return {sum.squaredNorm() > 1e-20 ? Eigen::Vector2d(sum.normalized()) : Eigen::Vector2d(-along.y(), along.x()),
+            (1 - now.slope * (agrees + force) / 2) / now.compliance,
+            (1 - now.slope * (agrees - force) / 2) / now.compliance};
+  }
+
+ private:
+  static Eigen::Vector2d unit(const Eigen::Vector2d& v) {
+    const double length = v.norm();
+    return length > 0 ? Eigen::Vector2d(v / length) : Eigen::Vector2d(1, 0);
+  }
+
+  bool began_ = false;
+  Eigen::Vector2d y_ = Eigen::Vector2d::Zero(), w_ = Eigen::Vector2d::Zero();
+};
 
 }  // namespace dynamorph

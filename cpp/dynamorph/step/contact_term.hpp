@@ -136,7 +136,13 @@ struct ContactTerm {
       any |= touch.friction > 0 && (touch.held > 0 || touch.normal.force > 0);
       touch.held = touch.friction * touch.pressure();
     }
+    begin_newton();
     return any;
+  }
+
+  /// To be called before Newton's method, whose course the Hessian of friction follows.
+  void begin_newton() {
+    for (Touch& touch : touching_) touch.slip_force.begin();
   }
 
   void at(const VectorXd& q) {
@@ -154,9 +160,9 @@ struct ContactTerm {
       if (touch.normal.force > 0) magnitude_ += touch.magnitude;
       if (!(touch.held > 0)) continue;
       const auto slip = values_.segment<2>(touch.row + 1);
-      touch.slip = smoothed_slip(slip.norm(), sticks_);
-      value_ += touch.held * touch.slip.energy;
-      forces_.segment<2>(touch.row + 1) = touch.held * touch.slip.across * slip;
+      const SmoothedSlip friction = smoothed_slip(slip.norm(), sticks_);
+      value_ += touch.held * friction.energy;
+      forces_.segment<2>(touch.row + 1) = touch.held / friction.compliance * slip;
     }
     add_transposed_product(rows_, forces_, gradient_);
   }
@@ -172,13 +178,12 @@ struct ContactTerm {
       stiffness_.push_back(stiffness);
       sums_.push_back(sum);
     };
-    for (const Touch& touch : touching_) {
+    for (Touch& touch : touching_) {
       add(touch.stiffness * touch.normal.stiffness, {touch.row, 1, 0});
       if (!(touch.held > 0)) continue;
-      Eigen::Vector2d along = values_.segment<2>(touch.row + 1);
-      along = along.isZero(0) ? Eigen::Vector2d(1, 0) : Eigen::Vector2d(along.normalized());
-      add(touch.held * touch.slip.along, {touch.row + 1, along.x(), along.y()});
-      add(touch.held * touch.slip.across, {touch.row + 1, -along.y(), along.x()});
+      const auto& [along, stiffness, across] = touch.slip_force.follow(values_.segment<2>(touch.row + 1), sticks_);
+      add(touch.held * stiffness, {touch.row + 1, along.x(), along.y()});
+      add(touch.held * across, {touch.row + 1, -along.y(), along.x()});
     }
     points_.stiffness = Eigen::Map<const VectorXd>(stiffness_.data(), Eigen::Index(stiffness_.size()));
     if (!stiffness_.empty()) contact_rows::make(rows_, sums_, points_.rows);
@@ -219,7 +224,7 @@ struct ContactTerm {
     double stiffness, magnitude, friction;
     double held;  ///< friction times the pressure of the round before
     ContactRamp normal;
-    SmoothedSlip slip;
+    SlipForce slip_force;
     double pressure() const { return stiffness * normal.force; }
   };
 

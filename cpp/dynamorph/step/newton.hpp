@@ -112,6 +112,7 @@ struct NewtonLimits {
   double tolerance;  ///< on the gradient, relative to the forces in it
   double step;       ///< negligible step of the coordinates: ending on such a step counts as converged
   int iterations;
+  bool foretell = true;  ///< whether the last step may go unseen; not where the potential has kinks
 };
 
 struct NewtonReport {
@@ -216,7 +217,7 @@ NewtonReport minimize(Potential& potential, NewtonScratch<Matrix>& scratch, Vect
     if (report.broken || step == 0) return report;
     far = !(step <= limits.step);
     const double left = foretold_residual(report.residual, before);
-    if (left <= limits.tolerance && scratch.shift == 0) {
+    if (limits.foretell && left <= limits.tolerance && scratch.shift == 0) {
       q += scratch.direction;
       report.residual = left;
       report.unseen = true;

@@ -395,8 +395,8 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();
   };
   const double negligible = options_.tolerance * model_->body().size * model_->meter();
-  const NewtonReport found =
-      dynamorph::minimize(potential, newton_, q, {options_.tolerance, negligible, max_iterations}, ask);
+  const NewtonReport found = dynamorph::minimize(
+      potential, newton_, q, {options_.tolerance, negligible, max_iterations, contacts_.empty()}, ask);
   if (found.broken)
     throw Error("A step failed because a force is not finite. Check the rig and the materials at this frame.");
   StepReport report;
@@ -408,7 +408,6 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   report.pulled = pulls_.value() > 0;
   if (excess_.size() > 0) report.excess = excess_.maxCoeff(&report.excess_bone);
   if (found.unseen) {  // the last step is short: its third power does not count
-    contacts_.at(q);
     multiply(elastic_.hessian(), newton_.direction, resistance_);
     report.energy += newton_.direction.dot(elastic_.gradient() + 0.5 * resistance_);
   }

@@ -134,12 +134,39 @@ TEST_CASE("the laws of contact: forces and stiffness are derivatives of their en
   for (double slip : {0.01, 0.2, 0.299, 0.301, 2.0}) {
     const SmoothedSlip at = smoothed_slip(slip, width), less = smoothed_slip(slip - e, width),
                        more = smoothed_slip(slip + e, width);
-    CHECK((more.energy - less.energy) / (2 * e) == doctest::Approx(at.across * slip).epsilon(1e-6));
-    CHECK((more.across * (slip + e) - less.across * (slip - e)) / (2 * e) == doctest::Approx(at.along).epsilon(1e-4));
-    CHECK(at.across * slip <= 1);
+    CHECK((more.energy - less.energy) / (2 * e) == doctest::Approx(at.force(slip)).epsilon(1e-6));
+    CHECK((more.compliance - less.compliance) / (2 * e) == doctest::Approx(at.slope).epsilon(1e-4));
+    CHECK(at.force(slip) <= 1);
   }
   CHECK(smoothed_slip(0, width).energy == 0);
-  CHECK(smoothed_slip(2 * width, width).across * 2 * width == 1);
+  CHECK(smoothed_slip(2 * width, width).force(2 * width) == 1);
+}
+
+TEST_CASE("the stiffness of friction is that of its law at first, and grows where Newton's method overshoots") {
+  constexpr double width = 0.3, e = 1e-6;
+  const auto force = [&](const Eigen::Vector2d& y) -> Eigen::Vector2d {
+    return y / smoothed_slip(y.norm(), width).compliance;
+  };
+  const auto matrix = [](const SlipForce::Stiffness& s) -> Eigen::Matrix2d {
+    const Eigen::Vector2d across(-s.direction.y(), s.direction.x());
+    return s.along * s.direction * s.direction.transpose() + s.across * across * across.transpose();
+  };
+  SlipForce slip;
+  for (const Eigen::Vector2d& y : {Eigen::Vector2d(0.1, -0.2), Eigen::Vector2d(0.3, 0.5), Eigen::Vector2d(0, 0)}) {
+    slip.begin();
+    const Eigen::Matrix2d stiffness = matrix(slip.follow(y, width));
+    for (int axis = 0; axis < 2; ++axis) {
+      const Eigen::Vector2d moved = e * Eigen::Vector2d::Unit(axis);
+      const Eigen::Vector2d expected = (force(y + moved) - force(y - moved)) / (2 * e);
+      CHECK((stiffness.col(axis) - expected).norm() < 1e-5 * stiffness.norm());
+    }
+  }
+  slip.begin();
+  slip.follow(Eigen::Vector2d(2, 0), width);
+  const SlipForce::Stiffness over = slip.follow(Eigen::Vector2d(-3, 0), width);
+  CHECK(matrix(over)(0, 0) == doctest::Approx(2.0 / 3));                   // 0 beyond the width by the law itself
+  for (int i = 0; i < 3; ++i) slip.follow(Eigen::Vector2d(-3, 0), width);  // where it stays it is the law's again
+  CHECK(matrix(slip.follow(Eigen::Vector2d(-3, 0), width))(0, 0) == doctest::Approx(0));
 }
 
 TEST_CASE("samples that do not fit are refused") {
