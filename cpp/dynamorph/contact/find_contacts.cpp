@@ -14,8 +14,11 @@ namespace {
 
 constexpr double kIntoSkin = -0.3;   // n . N below which a surface presses on the skin from outside
 constexpr double kFromWithin = 0.5;  // above it, from within the body
+constexpr double kTurnsOver = 0.95;  // above it, what touched the skin has turned over
+constexpr double kTouches = 0.25;    // of the margin: gap in which a sample touched something
 constexpr double kFadeBegins = 0.7;  // of a contact, in thicknesses of tissue
 constexpr double kFadeEnds = 1.2;    // there it has no weight left
+constexpr double kHollow = 0.1;      // of the margin: how far behind a plane the surface may be in a hollow
 constexpr double kNudge = 1e-7;      // of a collider's size: what a point is put off its surface
 constexpr double kNothing = 1e-6;    // meters, or relative to the longest side: a collider of that size is none
 constexpr double kRigid = 1e-5;      // of a stretch; transforms come in single precision
@@ -125,6 +128,8 @@ struct ContactFinder::Sample {
   Vector3d from, to;  ///< its way
   Vector3d normal;    ///< N, outward
   double thickness;
+  double limit = kFromWithin;        ///< of n . N
+  Vector3d held = Vector3d::Zero();  ///< n of what held it in the last step
 };
 
 struct ContactFinder::Plane {
@@ -150,7 +155,7 @@ class ContactFinder::Search {
     return (sample.to - sample.from - drift_).norm() > sample.thickness + size_;
   }
   Vector3d let_out(const Vector3d& x, const Vector3d& point, const Vector3d& normal) const;
-  void run(const Sample& sample, bool held);
+  void run(const Sample& sample);
   void appear(const Sample& sample);
 
   Plane planes[kMostPlanes];
@@ -177,7 +182,7 @@ class ContactFinder::Search {
 Vector3d ContactFinder::Search::let_out(const Vector3d& x, const Vector3d& point, const Vector3d& normal) const {
   const double depth = normal.dot(point - x);
   if (depth < -nudge_) return x;
-  const Vector3d behind = x - 2 * nudge_ * normal, beyond = x + (2 * std::max(depth, 0.0) + 2 * nudge_) * normal;
+  const Vector3d behind = x - 2 * nudge_ * normal, beyond = x + (2 * std::max(depth, 0.0) + kHollow * margin_) * normal;
   const ColliderPoint out = collider_.first_crossing(begin_, begin_, behind, beyond, Collider::Crossing::either);
   if (!out || (out.front && !collider_.sheet(out.triangle))) return x;  // it came free past an edge
   return out.point + nudge_ * normal;
@@ -203,12 +208,12 @@ Vector3d ContactFinder::Search::direction(const Vector3d& x, const ColliderPoint
   return distance > 2 * nudge_ ? Vector3d(away / distance) : collider_.pseudonormal(end_, nearest);
 }
 
-/// Follows a sample that begins outside. held: whether something held it in the last step.
-void ContactFinder::Search::run(const Sample& sample, bool held) {
+/// Follows a sample that begins outside.
+void ContactFinder::Search::run(const Sample& sample) {
   const double way = (sample.to - sample.from).norm() + deforms_ + 2 * nudge_;
   ColliderPoint nearest;
   if (way <= margin_) nearest = collider_.nearest(end_, sample.to, margin_);
-  bool lost = held;
+  bool lost = !sample.held.isZero(0);
   if (way > margin_ || (nearest && (nearest.point - sample.to).norm() <= way)) lost |= !sweep(sample);
   if (count == 0) {
     if (!nearest) nearest = collider_.nearest(end_, sample.to, lost ? kInfinity : margin_);
@@ -236,7 +241,7 @@ bool ContactFinder::Search::sweep(const Sample& sample) {
         collider_.first_crossing(hits ? end_ : begin_, end_, from, to, Collider::Crossing::entering);
     if (!hit) return true;
     const Vector3d normal = (hit.front ? 1 : -1) * collider_.normal(end_, hit.triangle);
-    if (normal.dot(sample.normal) > kFromWithin) return false;
+    if (normal.dot(sample.normal) > sample.limit) return false;
     if (count > 0 && normal.dot(planes[count - 1].normal) > kAlike) --count;  // the next facet of a hollow
     add(hit, normal);
     from = hit.point + nudge_ * normal;
@@ -268,7 +273,7 @@ void ContactFinder::Search::approach(const Sample& sample, const ColliderPoint& 
   Vector3d normal = direction(sample.to, nearest, distance);
   if (collider_.sheet(nearest.triangle) && distance <= 2 * nudge_ && normal.dot(sample.from - nearest.point) < 0)
     normal = -normal;
-  if (normal.dot(sample.normal) <= kFromWithin) add(nearest, normal);
+  if (normal.dot(sample.normal) <= sample.limit) add(nearest, normal);
 }
 
 /// A sample that is inside.
@@ -277,7 +282,8 @@ void ContactFinder::Search::get_out(const Sample& sample, const ColliderPoint& n
   Vector3d normal = direction(sample.to, nearest, distance);
   if (distance > 2 * nudge_) normal = -normal;
   const double outward = normal.dot(sample.normal);
-  if (outward < kIntoSkin && open(nearest.point, normal)) return add(nearest, normal);
+  if ((outward < kIntoSkin || normal.dot(sample.held) > -kIntoSkin) && open(nearest.point, normal))
+    return add(nearest, normal);
   const Vector3d beyond = sample.to - 2 * size_ * sample.normal;
   ColliderPoint out;
   Vector3d from = sample.to;
@@ -383,11 +389,12 @@ void ContactFinder::touch(const Collider& collider, int number, const Posed& pos
     const bool jumps = search.jumps(sample);
     if (known && !jumps) {
       while (plane != held.end() && plane->collider == number && plane->sample < p) ++plane;
-      const auto first = plane;
-      for (; plane != held.end() && plane->collider == number && plane->sample == p; ++plane)
-        sample.from = search.let_out(sample.from, posed.from_begin.to_own(plane->point),
-                                     posed.from_begin.turn.transpose() * plane->normal);
-      search.run(sample, plane != first);
+      for (; plane != held.end() && plane->collider == number && plane->sample == p; ++plane) {
+        if (plane->normal.dot(before - plane->point) < kTouches * margin) sample.limit = kTurnsOver;
+        sample.held = posed.from_begin.turn.transpose() * plane->normal;
+        sample.from = search.let_out(sample.from, posed.from_begin.to_own(plane->point), sample.held);
+      }
+      search.run(sample);
     } else {
       search.appear(sample);
     }
