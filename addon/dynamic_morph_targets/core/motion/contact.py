@@ -101,8 +101,8 @@ def _moving(model: Model, character: Character, points: np.ndarray) -> np.ndarra
 
 
 def spread(points: np.ndarray, normals: np.ndarray, count: int) -> np.ndarray:
-    """Indices of at most `count` of the points (P, 3) that are spread over a surface: of each cell of a grid and each of
-    six directions of the normals (P, 3), so that both sides of something thin have some, the outermost: it touches
+    """Indices of at most `count` of the points (P, 3) that are spread over a surface: of each cell of a grid, and each
+    of six directions of the normals (P, 3), so that both sides of something thin have some, the outermost: it touches
     first.
     """
     if len(points) <= count:
