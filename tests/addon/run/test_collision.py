@@ -13,7 +13,7 @@ from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import animation, model_store, staleness
 from bl_ext.user_default.dynamic_morph_targets.scene import plain as scene_plain
 from bl_ext.user_default.dynamic_morph_targets.write import assign, storage
-from builders import activate, evaluated_points, make_arm, make_ball, rig_of
+from builders import activate, add_key, evaluated_points, make_arm, make_ball, rig_of
 from layout import drawn
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
@@ -94,6 +94,28 @@ def test_the_skin_makes_room_for_a_ball(arm, solver):
     # Global modes alone make no dent: they move what is far away too.
     assert np.abs(points[-1] - without[-1])[far].max() < (0.1 if solver == "FULL" else 0.35) * PRESSED
     assert job.outcome.verdict.touched.depth == 0.0 and job.outcome.verdict.too_deep is None
+
+
+def test_a_ball_that_swells_dents_it_too(arm):
+    """By a shape key, and as much by its scale."""
+    ball = bpy.data.objects["Ball"]
+    ball.animation_data_clear()
+    ball.location.x = SURFACE + RADIUS + 0.01
+    points = np.array([vertex.co for vertex in ball.data.vertices])
+    ball.shape_key_add(name="Basis")
+    key, swollen = add_key(ball, "Swollen", 0.25 * points), 1.25
+    bakes = []
+    for owner, path, values in ((key, "value", (0.0, 1.0)), (ball, "scale", ((1.0,) * 3, (swollen,) * 3))):
+        for frame, value in zip((1, FRAMES // 2), values, strict=True):
+            setattr(owner, path, value)
+            owner.keyframe_insert(path, frame=frame)
+        bake(arm)
+        bakes.append(shown(arm))
+        center = np.array(ball.matrix_world.translation)
+        assert swollen * RADIUS - np.linalg.norm(bakes[-1][-1] - center, axis=1).min() < 0.002 * SIZE
+        assert np.abs(bakes[-1][-1] - bakes[-1][0]).max() > 0.03
+        ball.shape_key_clear()
+    assert np.abs(bakes[0] - bakes[1]).max() < 1e-3
 
 
 def test_live_shows_what_a_reduced_bake_does(arm):
