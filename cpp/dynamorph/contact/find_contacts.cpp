@@ -136,6 +136,7 @@ struct ContactFinder::Plane {
   ColliderPoint at;
   Vector3d normal;
   double depth = kInfinity;  ///< of the sample at the nearest way out, if it is another one
+  double most = kInfinity;   ///< how far it pushes in this step
 };
 
 class ContactFinder::Search {
@@ -168,8 +169,11 @@ class ContactFinder::Search {
   void approach(const Sample& sample, const ColliderPoint& nearest);
   void get_out(const Sample& sample, const ColliderPoint& nearest);
   Vector3d direction(const Vector3d& x, const ColliderPoint& nearest, double& distance) const;
-  void add(const ColliderPoint& at, const Vector3d& normal, double depth = kInfinity) {
-    if (count < kMostPlanes && !normal.isZero(0)) planes[count++] = {at, normal, depth};
+  void add(const ColliderPoint& at, const Vector3d& normal) {
+    if (count < kMostPlanes && !normal.isZero(0)) planes[count++] = {at, normal};
+  }
+  void add_way_out(const ColliderPoint& at, const Vector3d& normal, double depth = kInfinity) {
+    if (!normal.isZero(0)) planes[count++] = {at, normal, depth, margin_};
   }
 
   const Collider& collider_;
@@ -263,7 +267,7 @@ void ContactFinder::Search::appear(const Sample& sample) {
     get_out(sample, nearest);
   else if (collider_.sheet(nearest.triangle) && !collider_.on_border(nearest) && outward > -kIntoSkin &&
            distance < reach)
-    add(nearest, -normal);
+    add_way_out(nearest, -normal);
   else if (distance < margin_)
     approach(sample, nearest);
 }
@@ -283,7 +287,7 @@ void ContactFinder::Search::get_out(const Sample& sample, const ColliderPoint& n
   if (distance > 2 * nudge_) normal = -normal;
   const double outward = normal.dot(sample.normal);
   if ((outward < kIntoSkin || normal.dot(sample.held) > -kIntoSkin) && open(nearest.point, normal))
-    return add(nearest, normal);
+    return add_way_out(nearest, normal);
   const Vector3d beyond = sample.to - 2 * size_ * sample.normal;
   ColliderPoint out;
   Vector3d from = sample.to;
@@ -294,8 +298,8 @@ void ContactFinder::Search::get_out(const Sample& sample, const ColliderPoint& n
   }
   // Out of something broad, as a floor, the nearest way is the better one where the skin is beside it.
   const bool far = out && (out.point - sample.to).norm() > kFadeEnds * sample.thickness;
-  if (!out || (far && outward < -kIntoSkin)) return add(nearest, normal);
-  add(out, -sample.normal, far ? distance : kInfinity);
+  if (!out || (far && outward < -kIntoSkin)) return add_way_out(nearest, normal);
+  add_way_out(out, -sample.normal, far ? distance : kInfinity);
 }
 
 /// Whether a point of the surface leads outside along the normal, not into another piece.
@@ -399,16 +403,19 @@ void ContactFinder::touch(const Collider& collider, int number, const Posed& pos
       search.appear(sample);
     }
 
-    const Vector3d unmoved = posed.from_end.to_own(samples.unmoved.row(p));
+    const Vector3d unmoved = posed.from_end.to_own(samples.unmoved.row(p)), was = posed.from_end.to_own(before);
     for (int i = 0; i < search.count; ++i) {
       const Plane& found = search.planes[i];
       const double depth = found.normal.dot(found.at.point - unmoved);
       const double fade = (depth / thickness - kFadeBegins) / (kFadeEnds - kFadeBegins);
-      const Vector3d point = posed.from_end.to_world(found.at.point);
-      const Vector3d came =
-          posed.from_begin.to_world(posed.begin == posed.end ? found.at.point : collider.at(*posed.begin, found.at));
-      contacts.push_back({p, number, point, (posed.from_end.turn * found.normal).normalized(),
-                          jumps || !posed.came ? Vector3d(Vector3d::Zero()) : Vector3d(point - came),
+      const double push =
+          std::min(found.normal.dot(found.at.point - sample.to), found.normal.dot(found.at.point - was));
+      const Vector3d point = found.at.point - std::max(0.0, push - found.most) * found.normal;
+      const bool still = posed.begin == posed.end;
+      const Vector3d came = posed.from_begin.to_world(still ? found.at.point : collider.at(*posed.begin, found.at));
+      const Vector3d gets = posed.from_end.to_world(still ? found.at.point : collider.at(*posed.end, found.at));
+      contacts.push_back({p, number, posed.from_end.to_world(point), (posed.from_end.turn * found.normal).normalized(),
+                          jumps || !posed.came ? Vector3d(Vector3d::Zero()) : Vector3d(gets - came),
                           1 - smooth_step(fade), std::min(depth, found.depth) - thickness});
     }
   }

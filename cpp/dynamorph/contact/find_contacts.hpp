@@ -10,7 +10,7 @@
 // 3. What is inside without having come in (at the beginning, or after a jump of the collider or the body) gets out at
 //    the nearest point if n . N < -0.3, N the normal of the skin. Otherwise the nearest way out leads through the body,
 //    and a ball that appears in a belly would push the skin outward: it gets out along -N, with n = -N. A sheet that is
-//    less deep than the tissue is thick is put outside the skin.
+//    less deep than the tissue is thick is put outside the skin. All that takes steps of the margin at most.
 //
 // A collider that comes from within the body, n . N > 0.5, does not carry the skin along.
 //

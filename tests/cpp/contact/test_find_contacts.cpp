@@ -115,7 +115,7 @@ TEST_CASE("a collider that is scaled to nothing, or not finite, does not act and
   skin.step(way(box, wrong, good), 0.02);
   REQUIRE(skin.contacts.size() == 1);
   CHECK(skin.contacts[0].motion.isZero(0));
-  CHECK(skin.contacts[0].point.z() == doctest::Approx(1));
+  CHECK(skin.contacts[0].point.z() == doctest::Approx(0.94));
 }
 
 TEST_CASE("a thin, fast plate does not lose the samples in front of it") {
@@ -198,13 +198,15 @@ TEST_CASE("what is deep inside at the beginning gets out through the collider, n
     REQUIRE(skin.contacts.size() == 1);
     CHECK(skin.contacts[0].normal.x() < -0.3);
     const double far = 0.24 - std::sqrt(0.0025 - side * side);
-    CHECK(skin.contacts[0].point.x() == doctest::Approx(far).epsilon(0.01));
     CHECK(skin.contacts[0].weight == 1);
     CHECK(skin.contacts[0].too_deep == doctest::Approx(0.25 - far - 0.2).epsilon(0.01));
-    CHECK(skin.at(0, 0) < 0.25);
-    skin.step(way(ball, there, there), 0.02);  // and stays there
+    CHECK(skin.at(0, 0) == doctest::Approx(0.23));  // not in one leap
+    for (int k = 0; k < 5; ++k) skin.step(way(ball, there, there), 0.02);
+    skin.step(way(ball, there, there), 0.02);  // and it stays there
     REQUIRE(skin.contacts.size() == 1);
     CHECK(skin.contacts[0].normal.x() < -0.3);
+    CHECK(skin.at(0, 0) < 0.23);
+    CHECK((Vector3d(skin.at.row(0)) - Vector3d(0.24, 0, 0)).norm() == doctest::Approx(0.05).epsilon(0.01));
   }
   // Barely inside it, on the side toward the body, the nearest point is the way.
   shapes::Skin skin({0.195, 0.01, 0}, {1, 0, 0}, 0.2);
@@ -220,9 +222,11 @@ TEST_CASE("what is deep inside overlapping pieces gets out of all of them") {
   const RowMajor there = shifted(0, 0, 0);
   for (const double z : {-1., 1.}) {  // z: where the skin faces
     shapes::Skin skin({0.1, 0.1, 0.03}, {0, 0, z}, 0.5);
-    skin.step(way(blocks, there, there), 0.02);
-    REQUIRE(skin.contacts.size() == 1);
-    CHECK(skin.contacts[0].normal.z() == doctest::Approx(-z));
+    for (int k = 0; k < 6; ++k) {
+      skin.step(way(blocks, there, there), 0.02);
+      REQUIRE(skin.contacts.size() == 1);
+      CHECK(skin.contacts[0].normal.z() == doctest::Approx(-z));
+    }
     CHECK(skin.at(0, 2) == doctest::Approx(z > 0 ? -0.05 : 0.11));
   }
 }
@@ -310,6 +314,7 @@ TEST_CASE("a collider or a body that jumps is not swept along its way") {
   REQUIRE(skin.contacts.size() == 1);
   CHECK(skin.contacts[0].motion.isZero(0));
   CHECK(skin.contacts[0].normal.x() < -0.9);
+  for (int k = 0; k < 4; ++k) skin.step(way(ball, inside, inside), 0.02);
   CHECK(skin.at(0, 0) == doctest::Approx(-0.01).epsilon(0.02));
   const Points far = Points::Constant(1, 3, 1.0);
   skin.step(way(ball, inside, inside), far, 0.02);  // now the body
@@ -325,7 +330,9 @@ TEST_CASE("what is inactive touches nothing; when it is active again, what is in
   skin.step({{block, rows(there), rows(there), 0, false}}, sunk, 0.02);
   CHECK(skin.contacts.empty());
   CHECK(skin.at == sunk);
-  skin.step(way(block, there, there), sunk, 0.02);
+  skin.step(way(block, there, there), 0.02);
+  CHECK(skin.at(0, 2) == doctest::Approx(-0.01));
+  skin.step(way(block, there, there), 0.02);
   CHECK(skin.at(0, 2) == doctest::Approx(0));
 }
 
