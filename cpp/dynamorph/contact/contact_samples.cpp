@@ -85,6 +85,18 @@ MatrixXd set_shares(const SoftBody& body, const Embedding& embedding) {
   return out;
 }
 
+/// The most that a unit displacement of a node moves a point.
+VectorXd most_moved(const NodalPoints&, const Embedding& embedding) {
+  return VectorXd::Constant(1, embedding.weights.rowwise().lpNorm<1>().maxCoeff());
+}
+/// The most that a unit of each coordinate moves a point.
+VectorXd most_moved(const ModalPoints& points, const Embedding&) {
+  VectorXd out(points.basis().cols());
+  for (Index k = 0; k < out.size(); ++k)
+    out(k) = points.basis().col(k).reshaped<Eigen::AutoOrder>(3, points.basis().rows() / 3).colwise().norm().maxCoeff();
+  return out;
+}
+
 /// K at the neutral targets, and M in the pose of the targets' sculpts.
 template <class Model>
 std::pair<typename Model::Matrix, typename Model::Matrix> stiffness_and_mass(const Model& model,
@@ -137,7 +149,20 @@ ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, Contac
     numbers.add(p, normals_.row(p));
   }
   typename SkinMap<Model>::Rows rows;
-  model->skin_points(map_.skin().embedding).rows(numbers, rows);
+  const typename Model::SkinPoints points = model->skin_points(map_.skin().embedding);
+  points.rows(numbers, rows);
+  const SkinWeights& weights = map_.skin().weights;
+  std::vector<Eigen::AlignedBox3d> boxes(std::size_t(weights.cols()));
+  for (Index p = 0; p < size(); ++p)
+    for (SkinWeights::InnerIterator it(weights, p); it; ++it)
+      boxes[std::size_t(it.col())].extend(Vector3d(map_.skin().rest.row(p)));
+  for (std::size_t b = 0; b < boxes.size(); ++b)
+    if (!boxes[b].isEmpty()) boxes_.push_back({Index(b), boxes[b]});
+  moved_ = size() > 0 ? most_moved(points, map_.skin().embedding) : VectorXd::Zero(model->dofs());
+  const MatrixXd& R = map_.skin().residual_shapes;
+  residual_.setZero(R.size() > 0 ? R.cols() : 0);
+  for (Index j = 0; j < residual_.size(); ++j) residual_(j) = R.col(j).reshaped(3, size()).colwise().norm().maxCoeff();
+
   auto [K, M] = stiffness_and_mass(*model, neutral);
   typename Model::Matrix A = K;
   values(A) = values(K) + values(M) / (kAtRest * kAtRest);
@@ -155,6 +180,29 @@ ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, Contac
     stiffness_(p) = counts / lasting(k);
     mass_(p) = counts * std::max(1 / in_step(k) - 1 / lasting(k), 0.0) * kStep * kStep;
   }
+}
+
+template <class Model>
+double ContactSamples<Model>::farthest(const VectorXd& weights, const VectorXd& q) const {
+  double residual = 0;
+  if (residual_.size() > 0) residual = residual_.dot(weights.cwiseAbs());
+  if constexpr (std::is_same_v<typename Model::Matrix, SparseMatrix>)
+    return residual + moved_(0) * as_points(q).rowwise().norm().maxCoeff();
+  else
+    return residual + moved_.dot(q.cwiseAbs());
+}
+
+template <class Model>
+Eigen::AlignedBox3d ContactSamples<Model>::region(const Transforms& bones, double farthest) const {
+  // A sample is between the places to which its bones would take it.
+  Eigen::AlignedBox3d out;
+  for (const auto& [bone, box] : boxes_) {
+    const PointTransform T = transform(bones, bone);
+    const Vector3d center = T.leftCols<3>() * box.center() + T.col(3);
+    const Vector3d half = T.leftCols<3>().cwiseAbs() * (box.sizes() / 2 + Vector3d::Constant(farthest));
+    out.extend(center - half).extend(center + half);
+  }
+  return out;
 }
 
 template <class Model>

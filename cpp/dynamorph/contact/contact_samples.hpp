@@ -10,7 +10,9 @@
 // to be tuned, and what is held firmly is pushed firmly. K is the model's own: a reduced model is stiffer at a point.
 #pragma once
 
+#include <Eigen/Geometry>
 #include <memory>
+#include <utility>
 #include <vector>
 
 #include "dynamorph/core/types.hpp"
@@ -45,6 +47,11 @@ class ContactSamples {
   /// k of a sample at target weights (J); square: (c h)^2, s^2.
   double stiffness(Eigen::Index sample, const VectorXd& weights, double square) const;
 
+  /// A bound on the displacements of samples in bind space, meters, at target weights (J) and coordinates q.
+  double farthest(const VectorXd& weights, const VectorXd& q) const;
+  /// A box in world space around all samples that are displaced by no more than that. It is quick to find.
+  Eigen::AlignedBox3d region(const Transforms& bones, double farthest) const;
+
   /// Out of the body, unit, world space (P), as the bones pose them.
   void normals(const Transforms& bones, Points& out) const;
 
@@ -54,6 +61,9 @@ class ContactSamples {
   VectorXd thickness_, stiffness_, mass_;
   MatrixXd share_;     ///< of the target sets in a sample's tissue (P, S); rows sum to one
   VectorXd softness_;  ///< 1 / mu of each set's neutral target
+  std::vector<std::pair<Eigen::Index, Eigen::AlignedBox3d>> boxes_;  ///< bones, and the samples that each moves
+  VectorXd moved_;     ///< the most that a unit of each coordinate displaces a sample; of a mesh, of a node (1)
+  VectorXd residual_;  ///< the same of each target's residual shape (J)
 };
 
 extern template class ContactSamples<FullModel>;

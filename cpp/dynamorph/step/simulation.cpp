@@ -177,22 +177,36 @@ template <class Model>
 void Simulation<Model>::find_contacts(const StepInput& input, const StepRule& rule) {
   contacts_.clear();
   found_.clear();
+  unusable_.clear();
   memory_ = state_.contact;
   if (!input.colliders || input.colliders->empty()) return memory_.clear();
   if (!samples_) throw std::invalid_argument("colliders: the simulation has no samples that can touch them");
-  const double size = model_->body().size;
+  const double size = model_->body().size, margin = distance_ + kContactMargin * size;
   SampleScratch& at = sampled_;
+  blended_shape(*model_, input.weights, at.shape);
+  const auto region = [&](const Transforms& bones, const VectorXd& q) {
+    return samples_->region(bones, margin + samples_->farthest(input.weights, q));
+  };
+  const auto box =
+      region(state_.bones[0], state_.q[0]).merged(region(input.bones, next_)).merged(region(input.bones, at.shape));
+  const auto near = [&](const ColliderStep& step) { return comes_near(step, box); };
+  if (std::none_of(input.colliders->begin(), input.colliders->end(), near)) {
+    memory_.planes.clear();
+    memory_.active.clear();
+    for (const ColliderStep& step : *input.colliders) memory_.active.push_back(step.active);
+    return;
+  }
   const auto place = [&](const Transforms& bones, const VectorXd& q, Points& out) {
     samples_->map().positions(bones, input.weights, q, at.at_coordinates);
     out = as_points(at.at_coordinates);
   };
-  blended_shape(*model_, input.weights, at.shape);
   place(state_.bones[0], state_.q[0], at.before);
   place(input.bones, next_, at.predicted);
   place(input.bones, at.shape, at.unmoved);
   samples_->normals(input.bones, at.normals);
-  finder_.find(*input.colliders, {at.before, at.predicted, at.unmoved, at.normals, samples_->thickness()},
-               distance_ + kContactMargin * size, memory_, found_);
+  finder_.find(*input.colliders, {at.before, at.predicted, at.unmoved, at.normals, samples_->thickness()}, margin,
+               memory_, found_);
+  unusable_ = finder_.unusable();
   at.friction.clear();
   for (const ColliderStep& collider : *input.colliders) at.friction.push_back(collider.friction);
   contacts_.begin(*samples_, found_,
@@ -214,7 +228,7 @@ void Simulation<Model>::report_contacts(const StepInput& input, StepReport& repo
   }
   report.contact_forces.assign(input.colliders->size(), Vector3d::Zero());
   contacts_.forces(report.contact_forces);
-  report.unusable_colliders = finder_.unusable();
+  report.unusable_colliders = unusable_;
 }
 
 template <class Model>
@@ -256,6 +270,24 @@ StepReport Simulation<Model>::start(const Transforms& now, const Transforms& nex
   state_.contact.clear();
   state_.pressures.clear();
   return report;
+}
+
+/// Whether a collider is near a box at any time of a step, or not finite.
+bool comes_near(const ColliderStep& step, const Eigen::AlignedBox3d& box) {
+  if (!step.active) return false;
+  if (!step.before.allFinite() || !step.after.allFinite()) return true;
+  const Bvh::Box& own = step.collider.rest().bvh.nodes[0].box;
+  Eigen::AlignedBox3d around;
+  for (const auto* at : {&step.before, &step.after}) {
+    if (step.rigid()) {
+      const Vector3d center = at->leftCols<3>() * own.center() + at->col(3);
+      const Vector3d half = at->leftCols<3>().cwiseAbs() * own.sizes() / 2;
+      around.extend(center - half).extend(center + half);
+    } else {
+      around.extend(Vector3d(at->colwise().minCoeff())).extend(Vector3d(at->colwise().maxCoeff()));
+    }
+  }
+  return around.intersects(box);
 }
 
 /// Throws Error unless a state's contacts are of samples that there are (0: without contact).

@@ -165,6 +165,7 @@ class Simulation {
   double distance_ = 0;
   ContactFinder finder_;
   std::vector<Contact> found_;
+  std::vector<int> unusable_;
   ContactMemory memory_;  ///< at the end of the step
   SampleScratch sampled_;
   NewtonScratch<Matrix> newton_;
