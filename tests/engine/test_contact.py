@@ -1,0 +1,325 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Contact with colliders against analytic solutions: weight, friction's cone, impact, Hertz, and bad starts."""
+
+from __future__ import annotations
+
+import itertools
+from types import SimpleNamespace
+
+import dynamorph
+import numpy as np
+import pytest
+from scenes import bar
+
+ONE, STILL = np.ones(1), np.eye(3, 4)[None]
+H = 1 / 96
+GRAVITY = 9.81
+
+
+def surface(tets):
+    """The faces of one tet alone, outward."""
+    faces = {}
+    for tet in tets:
+        for corners in ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)):
+            face = tuple(tet[list(corners)])
+            key = tuple(sorted(face))
+            if faces.pop(key, None) is None:
+                faces[key] = face
+    return np.array(list(faces.values()))
+
+
+def touching(nodes, tets, pinned, young=3e4, poisson=0.4, where=True, thickness=0.075, damping=0.004):
+    """A body with all nodes of its skin as samples, or those of the nodes that `where` says."""
+    s = SimpleNamespace(nodes=nodes, tets=tets)
+    mesh, ones = dynamorph.TetMesh(nodes, tets), np.ones(len(tets))
+    s.body = dynamorph.SoftBody(mesh, ones, ones, ones[:, None], pinned, np.ones((len(nodes), 1)))
+    lame = {"lame_lambda": young * poisson / ((1 + poisson) * (1 - 2 * poisson)), "lame_mu": young / (2 + 2 * poisson)}
+    s.target = dynamorph.MorphTarget("rest", 0 * nodes, density=1000.0, stiffness_damping=damping, **lame)
+    s.model = dynamorph.FullModel(s.body, [s.target], dynamorph.MaterialModel.STABLE_STVK, dynamorph.Blending.EVEN)
+    faces = surface(tets)
+    normals = np.zeros_like(nodes)
+    across = np.cross(nodes[faces[:, 1]] - nodes[faces[:, 0]], nodes[faces[:, 2]] - nodes[faces[:, 0]])
+    np.add.at(normals, faces.ravel(), np.repeat(across, 3, axis=0))
+    points = np.intersect1d(faces, np.flatnonzero(np.broadcast_to(where, len(nodes))))
+    s.samples = {
+        "rest": nodes[points], "embedding": dynamorph.embed(mesh, nodes[points]), "weights": np.ones((len(points), 1)),
+        "normals": normals[points], "thickness": np.full(len(points), thickness),
+    }  # fmt: skip
+    s.contact = dynamorph.FullContact(s.model, **s.samples)
+    s.mass, s.size = 1000.0 * mesh.volumes.sum(), s.body.size
+    return s
+
+
+def block(cells=(4, 4, 2)):
+    """A free block of 0.3 x 0.3 x 0.15 m, its lower face at z = 0."""
+    nodes, tets = bar(cells, (0.3, 0.3, 0.15))
+    return touching(nodes - [0.15, 0.15, 0.0], tets, np.zeros(len(nodes), bool))
+
+
+def simulated(made, distance=0.0, **options):
+    """Begins at rest in its rest shape, whatever acts on it."""
+    simulation = dynamorph.FullSimulation(made.model, options.pop("h", H), **options)
+    simulation.set_contact(made.contact, distance)
+    nothing = np.zeros(0)
+    simulation.state = [np.zeros(made.model.dofs)] * 4, [STILL.reshape(-1, 12)] * 4, nothing, nothing
+    return simulation
+
+
+def placed(*shift):
+    return np.hstack([np.eye(3), np.reshape(shift, (3, 1))])
+
+
+def step(simulation, collider, places, friction=0.5):
+    """Steps in which a collider goes from one place to the next."""
+    moving = dynamorph.ColliderMotion(collider, np.array(places), friction)
+    steps = len(places) - 1
+    return simulation.advance(np.repeat(STILL[None], steps, 0), np.ones((steps, 1)), colliders=[moving])
+
+
+@pytest.fixture(scope="module")
+def floor():
+    return dynamorph.Collider([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], [[0, 1, 2], [0, 2, 3]], True)
+
+
+def sphere(level):
+    """Points and triangles on a unit sphere: an octahedron's faces, divided."""
+    corners = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
+    triangles = [(k, (k + 1) % 4, 4) for k in range(4)] + [((k + 1) % 4, k, 5) for k in range(4)]
+    faces = corners[np.array(triangles)]
+    for _ in range(level):
+        a, b, c = faces.transpose(1, 0, 2)
+        d, e, f = a + b, b + c, c + a
+        d, e, f = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in (d, e, f))
+        faces = np.concatenate([np.stack(corner, 1) for corner in ((a, d, f), (d, b, e), (f, e, c), (d, e, f))])
+    points, index = np.unique(faces.reshape(-1, 3).round(12), axis=0, return_inverse=True)
+    return points, index.reshape(-1, 3)
+
+
+def ball(radius, level=3):
+    points, triangles = sphere(level)
+    return dynamorph.Collider(radius * points, triangles)
+
+
+def test_a_block_comes_to_rest_on_its_weight(floor):
+    """The floor carries the weight to 1e-5; the block is never deeper in it than 0.15 % of its size, and lies still."""
+    made = block()
+    simulation = simulated(made, gravity=(0, 0, -GRAVITY), tolerance=1e-9)
+    kinetic, reports = [], []
+    for _ in range(round(3 / H)):
+        reports.append(step(simulation, floor, [placed(0, 0, -0.1)] * 2))
+        kinetic.append(simulation.kinetic_energy)
+    assert all(report["converged"] for report in reports)
+    assert reports[-1]["contact_forces"][0, 2] == pytest.approx(-made.mass * GRAVITY, rel=1e-5)
+    assert max(report["penetration"] for report in reports) <= 0.0015 * made.size
+    assert 0 < reports[-1]["penetration"] <= 0.0011 * made.size
+    assert kinetic[-1] <= 1e-7 * max(kinetic)
+    assert np.mean([report["iterations"] for report in reports]) <= 10
+
+
+def test_without_friction_it_lies_still_to_the_last_digits_and_with_a_distance_it_floats(floor):
+    made = block((5, 5, 3))
+    simulation = simulated(made, 0.002 * made.size, gravity=(0, 0, -GRAVITY), tolerance=1e-9)
+    kinetic, iterations, penetration = [], 0, 0.0
+    for _ in range(round(3 / H)):
+        report = step(simulation, floor, [placed(0, 0, -0.1)] * 2, 0.0)
+        kinetic.append(simulation.kinetic_energy)
+        iterations += report["iterations"]
+        penetration = max(penetration, report["penetration"])
+    assert kinetic[-1] <= 1e-11 * max(kinetic)
+    assert iterations <= 7 * len(kinetic)
+    assert penetration == 0
+
+
+@pytest.mark.parametrize("degrees", [24, 28, 35])
+def test_a_block_on_an_incline_sticks_or_slides_as_coulomb_says(floor, degrees):
+    """With a friction of 0.5 it sticks up to 26.6 degrees; steeper, it slides with g (sin - 0.5 cos)."""
+    made, angle = block(), np.radians(degrees)
+    simulation = simulated(made, gravity=(GRAVITY * np.sin(angle), 0, -GRAVITY * np.cos(angle)))
+    way = []
+    for _ in range(round(1 / H)):
+        assert step(simulation, floor, [placed(0, 0, 0)] * 2)["converged"]
+        way.append(made.model.displacement(simulation.coordinates)[:, 0].mean())
+    speed = np.diff(way) / H
+    if degrees < 26:
+        assert abs(speed[-1]) < 0.002 * made.size
+    else:
+        slope = np.polyfit(H * np.arange(48), speed[-48:], 1)[0]
+        assert slope == pytest.approx(GRAVITY * (np.sin(angle) - 0.5 * np.cos(angle)), rel=0.02)
+
+
+def test_an_impact_keeps_the_momentum(floor):
+    """A block in free flight: what the floor pushes is the change of its momentum, and its energy does not grow."""
+    made = block()
+    simulation = simulated(made, tolerance=1e-9)
+    coordinates, posed, *_ = simulation.state
+    back = np.tile([0.0, 0.0, 1.0], made.model.dofs // 3)
+    simulation.state = [k * H * back for k in range(4)], posed, np.zeros(0), np.zeros(0)  # falls at 1 m/s
+    began, push, energy, way = 0.5 * made.mass, 0.0, [], []
+    for _ in range(40):
+        report = step(simulation, floor, [placed(0, 0, -0.005)] * 2, 0.0)
+        push -= H * report["contact_forces"][0, 2]
+        energy.append(simulation.kinetic_energy + simulation.elastic_energy)
+        way.append(made.model.displacement(simulation.coordinates)[:, 2] @ made.body.volumes[:, 0] * 1000.0)
+    assert max(energy) <= 1.001 * began
+    assert report["contacts"] == 0
+    rebound = (way[-1] - way[-2]) / H
+    assert push == pytest.approx(made.mass + rebound, rel=0.02)
+
+
+def graded(fine, step_size, far, count):
+    near = np.arange(0, fine + step_size / 2, step_size)
+    return np.concatenate([near, fine + (far - fine) * np.linspace(0, 1, count + 1)[1:] ** 1.5])
+
+
+def test_a_ball_presses_as_hertz_says():
+    """4/3 E / (1 - nu^2) sqrt(R) d^1.5 within 12 %, where the contact is wider than two elements. A step of ten
+    seconds is a static answer.
+    """
+    half, radius = graded(0.1, 0.025, 0.6, 4), 0.3
+    axes = [np.concatenate([-half[:0:-1], half])] * 2 + [-graded(0.075, 0.025, 0.6, 5)[::-1]]
+    nodes, tets = bar(tuple(len(axis) - 1 for axis in axes), (1.0, 1.0, 1.0))
+    numbers = np.round(nodes * [len(axis) - 1 for axis in axes]).astype(int)
+    nodes = np.stack([axis[number] for axis, number in zip(axes, numbers.T, strict=True)], axis=1)
+    near_top = (nodes[:, 2] > -1e-9) & (np.abs(nodes[:, :2]).max(axis=1) < 0.101)
+    made = touching(nodes, tets, nodes[:, 2] < -0.6 + 1e-9, 1e4, 0.3, thickness=0.6, damping=0.0, where=near_top)
+    simulation = simulated(made, h=10.0)
+    collider, before = ball(radius, 5), radius + 0.001
+    for depth in (0.012, 0.02):
+        report = step(simulation, collider, [placed(0, 0, before), placed(0, 0, radius - depth)], 0.0)
+        before = radius - depth
+        hertz = 4 / 3 * 1e4 / (1 - 0.3**2) * radius**0.5 * depth**1.5
+        assert report["converged"]
+        assert report["contact_forces"][0, 2] == pytest.approx(hertz, rel=0.12)
+        assert report["penetration"] < 0.08 * depth
+
+
+@pytest.fixture(scope="module")
+def belly():
+    """An ellipsoid around a rigid core, 1 m long, its soft tissue 14 cm thick; its skin is finer around +x."""
+    points, triangles = sphere(3)
+    angle = np.arccos(np.clip(points[:, 0], -1, 1))
+    nearer = 2 * np.arctan(np.tan(angle / 2) / 2.2)
+    points[:, 0] = np.cos(nearer)
+    points[:, 1:] *= (np.sin(nearer) / np.maximum(np.sin(angle), 1e-9))[:, None]
+    axes = np.array([0.25, 0.2, 0.4])
+    mesh = dynamorph.tetrahedralize(points * axes, triangles, 1100)
+    core = np.linalg.norm(mesh.nodes / axes, axis=1) < 0.45
+    return touching(np.array(mesh.nodes), np.array(mesh.tets), core, 8e4, thickness=0.1375, damping=0.018)
+
+
+def pressed(depth):
+    """Where a ball of 5 cm is when it is so deep in the belly, meters."""
+    return placed(0.25 + 0.05 - depth, 0, 0)
+
+
+def test_a_ball_that_appears_deep_inside_is_let_out(belly):
+    """6 % of the size in one step: converged, and after 14 steps no deeper than 0.11 %."""
+    collider, simulation = ball(0.05), simulated(belly)
+    places = [pressed(0.06 * belly.size)] * 2
+    reports = [step(simulation, collider, places) for _ in range(14)]
+    assert all(report["converged"] for report in reports)
+    assert reports[-1]["penetration"] <= 0.0011 * belly.size
+    assert reports[-1]["contact_forces"][0, 0] > 0  # out of the body
+    assert reports[-1]["too_deep"] == 0
+
+
+def test_where_the_bones_leave_no_room_it_gives_way_and_says_so(belly, floor):
+    """Half of the body is under a floor: bounded, converged and reported."""
+    simulation = simulated(belly)
+    places = [placed(0, 0, z) for z in np.r_[np.linspace(-0.45, 0, 16), [0] * 10]]
+    reports = []
+    for pair in itertools.pairwise(places):
+        reports.append(step(simulation, floor, pair, 0.0))
+        assert np.abs(belly.model.displacement(simulation.coordinates)).max() < 0.2 * belly.size
+    assert all(report["converged"] for report in reports)
+    assert np.mean([report["iterations"] for report in reports]) <= 10
+    assert reports[-1]["too_deep"] > 0.01
+    assert reports[-1]["too_deep_collider"] == 0
+    assert belly.samples["rest"][reports[-1]["too_deep_sample"], 2] < 0
+    assert reports[-1]["penetration"] <= 0.0011 * belly.size
+
+
+def test_contact_wins_over_the_largest_distance(belly):
+    """Pressed by 2.5 times what a motion limit allows, the skin is not in the ball by more than 0.15 %."""
+    mesh, count = dynamorph.TetMesh(belly.nodes, belly.tets), len(belly.nodes)
+    limit = dynamorph.FullMotionLimit(
+        belly.model,
+        belly.nodes,
+        dynamorph.embed(mesh, belly.nodes),
+        surface(belly.tets).astype(np.int32),
+        np.ones((count, 1)),
+        np.full(count, 0.016),
+    )
+    collider = ball(0.05)
+    places = [pressed(depth) for depth in np.r_[np.linspace(-0.001, 0.04, 16), [0.04] * 10]]
+    depths = []
+    for limited in (False, True):
+        simulation = simulated(belly)
+        simulation.set_limit(limit if limited else None)
+        reports = [step(simulation, collider, pair) for pair in itertools.pairwise(places)]
+        assert all(report["converged"] for report in reports)
+        depths.append(max(report["penetration"] for report in reports))
+    assert reports[-1]["farthest"] > 1.5
+    assert max(depths) <= 0.0015 * belly.size
+
+
+def test_a_state_in_contact_resumes_to_the_last_bit(belly):
+    collider = ball(0.05)
+    places = [placed(0.27, 0, 0.05 * np.sin(0.1 * k)) for k in range(21)]
+    whole, first, second = (simulated(belly, 0.001) for _ in range(3))
+    step(whole, collider, places[:11])
+    step(whole, collider, places[10:])
+    step(first, collider, places[:11])
+    assert first.state[3].size > 0
+    second.state = first.state
+    step(second, collider, places[10:])
+    for mine, other in zip(itertools.chain(*second.state[:2], second.state[2:]),
+                           itertools.chain(*whole.state[:2], whole.state[2:]), strict=True):  # fmt: skip
+        np.testing.assert_array_equal(mine, other)
+
+
+@pytest.mark.parametrize("near", ["nobody", "out of action", "none"])
+def test_a_step_with_nobody_near_is_the_same_to_the_last_bit(belly, near):
+    plain, touched = (simulated(belly, gravity=(0, 0, -2)) for _ in range(2))
+    bones = np.stack([placed(0.01 * np.sin(k), 0, 0)[None] for k in range(8)])
+    plain.advance(bones, np.ones((8, 1)))
+    place = placed(0.6 if near == "nobody" else 0.25, 0, 0)
+    moving = dynamorph.ColliderMotion(ball(0.1, 2), np.repeat(place[None], 9, 0), 0.5, near != "out of action")
+    report = touched.advance(bones, np.ones((8, 1)), colliders=[] if near == "none" else [moving])
+    np.testing.assert_array_equal(touched.coordinates, plain.coordinates)
+    assert report["contacts"] == 0
+
+
+def test_a_reduced_model_is_pushed_out_too(belly):
+    """Its modes are global: it cannot make a dent, but what it has keeps its skin outside."""
+    tables = dynamorph.reduce(belly.model, dynamorph.make_response_basis(belly.model, 12, 40))
+    reduced = dynamorph.ReducedModel(belly.body, [belly.target], tables, dynamorph.Blending.EVEN)
+    simulation = dynamorph.ReducedSimulation(reduced, H)
+    simulation.set_contact(dynamorph.ReducedContact(reduced, **belly.samples))
+    simulation.start(STILL, STILL, ONE)
+    collider = ball(0.05)
+    places = [pressed(depth) for depth in np.r_[np.linspace(-0.001, 0.01, 8), [0.01] * 24]]
+    reports = [step(simulation, collider, pair) for pair in itertools.pairwise(places)]
+    assert all(report["converged"] for report in reports)
+    assert reports[-1]["contacts"] > 0
+    assert reports[-1]["penetration"] <= 0.0011 * belly.size
+    assert np.mean([report["iterations"] for report in reports]) <= 10
+
+
+def test_what_does_not_fit_is_refused(belly, floor):
+    simulation = simulated(belly)
+    moving = dynamorph.ColliderMotion(floor, np.repeat(placed(0, 0, 0)[None], 3, 0))
+    with pytest.raises(ValueError, match="expected the motion of 1 steps, got 2"):
+        simulation.advance(STILL[None], np.ones((1, 1)), colliders=[moving])
+    simulation.set_contact(None)
+    with pytest.raises(ValueError, match="no samples that can touch them"):
+        step(simulation, floor, [placed(0, 0, 0)] * 2)
+    with pytest.raises(ValueError, match="samples belong to another model"):
+        simulation.set_contact(block().contact)
+    with pytest.raises(ValueError, match="distance: must be finite"):
+        simulation.set_contact(belly.contact, -1.0)
+    with pytest.raises(ValueError, match="not one that a simulation had"):
+        simulation.state = (*simulation.state[:3], np.array([1.0, 0.0, 2.0]))
+    lost = simulated(belly)
+    report = step(lost, floor, [placed(0, 0, 0), placed(np.nan, 0, 0)])
+    assert report["unusable_colliders"] == [0] and report["converged"]
