@@ -22,6 +22,7 @@ from .limits import THINNEST
 from .rig_samples import RigSamples
 
 SAMPLES = 20000  # points of the skin that can touch something, at most; of more vertices, those that are spread evenly
+PROBED_SAMPLES = 4000  # the same where Blender poses the nodes, which have a matrix of weights
 
 
 class Collision:
@@ -38,7 +39,8 @@ class Collision:
         normals = outward * vertex_normals(rest, character.triangles)
         seen = np.unique(character.coincident[soft])  # of points at one place, one
         seen = seen[model.free[model.embedding_nodes[seen]].any(axis=1) & normals[seen].any(axis=1)]
-        chosen = seen[spread(rest[seen], normals[seen], SAMPLES)]
+        most = PROBED_SAMPLES if character.probed else SAMPLES
+        chosen = seen[spread(rest[seen], normals[seen], most)]
         self.skin: Any = None
         self._bones = character.weights[chosen].argmax(axis=1)
         self._known: list[tuple[str, int]] = []  # names and topologies of the colliders
