@@ -2,7 +2,7 @@
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build module test gui-test demo gallery figures materials bench bench-docs robustness believable \
 	believable-docs convergence accuracy bakes farm-demo golden fuzz soak faults coverage sanitize stubs format lint wheels \
-	platforms extension repository sdist version reliability feels limit clean
+	platforms extension repository sdist version reliability feels limit collision clean
 
 started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
@@ -130,6 +130,11 @@ feels: build
 # docs/limit.md with its curves, what the limits of the motion do on six characters of ../shared; takes about 2 minutes.
 limit: build
 	@$(python) tests/benchmarks/limit.py
+
+# docs/collision.md with its picture, a ball pressed into characters of ../shared, beside Blender's own; takes about 15
+# minutes.
+collision: build
+	@$(python) tests/benchmarks/collision.py
 
 # docs/believable.md from what was measured before.
 believable-docs: build

@@ -30,6 +30,7 @@ PAGES = {
     "believable.md": (*ENGINE, *ADDON, "tests/benchmarks/believable_bake.py", "tests/benchmarks/believable_measure.py",
                       "tests/benchmarks/convergence.py"),
     "feels.md": (*ENGINE, *ADDON, "tests/benchmarks/feels.py"),
+    "collision.md": (*ENGINE, *ADDON, "tests/benchmarks/collision.py", "tests/benchmarks/collision_press.py"),
     "limit.md": (*ENGINE, *ADDON, "tests/benchmarks/limit.py"),
     "gallery.md": (*ENGINE, *ADDON, "tests/benchmarks/gallery_loop.py", "sample_blends"),
     "coverage.md": ("cpp", "addon/dynamic_morph_targets", "tests/engine", "tests/addon", "tests/cpp",
