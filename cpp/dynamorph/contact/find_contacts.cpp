@@ -19,6 +19,7 @@ constexpr double kTouches = 0.25;    // of the margin: gap in which a sample tou
 constexpr double kFadeBegins = 0.7;  // of a contact, in thicknesses of tissue
 constexpr double kFadeEnds = 1.2;    // there it has no weight left
 constexpr double kHollow = 0.1;      // of the margin: how far behind a plane the surface may be in a hollow
+constexpr double kSeen = 3;          // how deep a collider is looked for, in thicknesses
 constexpr double kNudge = 1e-7;      // of a collider's size: what a point is put off its surface
 constexpr double kNothing = 1e-6;    // meters, or relative to the longest side: a collider of that size is none
 constexpr double kRigid = 1e-5;      // of a stretch; transforms come in single precision
@@ -406,7 +407,13 @@ void ContactFinder::touch(const Collider& collider, int number, const Posed& pos
     const Vector3d unmoved = posed.from_end.to_own(samples.unmoved.row(p)), was = posed.from_end.to_own(before);
     for (int i = 0; i < search.count; ++i) {
       const Plane& found = search.planes[i];
-      const double depth = found.normal.dot(found.at.point - unmoved);
+      double depth = found.normal.dot(found.at.point - unmoved);
+      if (collider.solid()) {  // under a small one that has gone past it is deeper than under the plane
+        const Vector3d below = unmoved - kSeen * thickness * sample.normal;
+        const ColliderPoint last =
+            collider.first_crossing(*posed.end, *posed.end, below, unmoved, Collider::Crossing::entering);
+        if (last) depth = std::max(depth, sample.normal.dot(unmoved - last.point));
+      }
       const double fade = (depth / thickness - kFadeBegins) / (kFadeEnds - kFadeBegins);
       const double push =
           std::min(found.normal.dot(found.at.point - sample.to), found.normal.dot(found.at.point - was));
