@@ -220,14 +220,16 @@ void bind_limit(py::module_& m, const char* name) {
       m, name, "How far a moving rig may drive the skin of a model. Simulations may share it.")
       .def(py::init([](std::shared_ptr<Model> model, const FloatArray& rest, const Embedding& embedding,
                        const IndexArray& triangles, const MatrixXd& weights, const VectorXd& distances,
-                       const std::optional<MatrixXd>& groups, const std::optional<VectorXd>& painted) {
+                       const std::optional<MatrixXd>& groups, const std::optional<VectorXd>& painted, double slack,
+                       double stretch, double pulled_stretch, int edges_between) {
              SkinLimits limits{as_points(flat_points("rest", rest, -1)),
                                embedding,
                                to_indices<Triangles>(triangles, "triangles"),
                                weights,
                                distances,
                                groups.value_or(MatrixXd()),
-                               painted.value_or(VectorXd())};
+                               painted.value_or(VectorXd()),
+                               {slack, stretch, pulled_stretch, edges_between}};
              check_finite("rest", limits.rest);
              check_finite("weights", weights);
              check_finite("groups", limits.groups);
@@ -235,12 +237,19 @@ void bind_limit(py::module_& m, const char* name) {
              return std::make_shared<Limit>(model, limits);
            }),
            "model"_a.none(false), "rest"_a, "embedding"_a, "triangles"_a, "weights"_a, "distances"_a,
-           "groups"_a = py::none(), "painted"_a = py::none(),
+           "groups"_a = py::none(), "painted"_a = py::none(), py::kw_only(), "slack"_a = LimitConstants().slack,
+           "stretch"_a = LimitConstants().stretch, "pulled_stretch"_a = LimitConstants().pulled_stretch,
+           "edges_between"_a = LimitConstants().edges_between,
            "rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the "
            "soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, "
            "meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. "
            "painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for ones. "
-           "Raises Error if the tissue has no stiffness at rest.")
+           "The others are LimitConstants, which docs/limit.md tables: slack, how many limits of a static answer count "
+           "as "
+           "one; stretch, of an edge's length, by which a static answer may change it; pulled_stretch, from 0.6 of "
+           "which "
+           "on it is pulled back; edges_between, how many more edges are. Raises ValueError for those below zero, and "
+           "Error if the tissue has no stiffness at rest.")
       .def_property_readonly("frequency", &Limit::frequency, "Of the neutral tissue, 1/s (angular).")
       .def_property_readonly("numbers", &Limit::numbers, "How many numbers of a static answer are looked at.");
 }

@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from accuracy_shots import ROOT, Shot, dynamic_morph_targets, quiet, read_shot  # isort: split
 
 import bpy
 import characters
+import dynamorph
 import numpy as np
 import plots
 from believable_bake import choose_clip
@@ -19,7 +22,6 @@ from dynamic_morph_targets.core.geometry import diagonal
 from dynamic_morph_targets.core.model.model import Model
 from dynamic_morph_targets.core.motion import simulate
 from dynamic_morph_targets.core.motion.simulate import build_for
-from dynamorph import set_threads
 from measured import measured_at
 from performance_page import grid
 from run import machine
@@ -38,6 +40,10 @@ SLOWER = (1, 2, 4, 8)  # so many times fewer steps: 480 to 60 a second where the
 LIKE, ROUNDS = 0.08, 5  # asked: how alike motions of different steps are; rounds in which steps are timed
 COST = 1.3  # asked: of a step with limits that nobody comes near, over one without
 PANELS = 3  # in a row
+TRIED = (
+    {}, {"slack": 1.25}, {"slack": 2.0}, {"stretch": 0.45}, {"stretch": 0.8}, {"pulled_stretch": 0.3},
+    {"pulled_stretch": 0.5}, {"edges_between": 100}, {"edges_between": 800},
+)  # fmt: skip  # LimitConstants of the engine: as they are, then one changed at a time
 
 PAGE_TEXT = """# What the limits of the motion do
 
@@ -60,6 +66,16 @@ without, in frames in which nothing is pulled, and in those whose steps all pull
 frame counts with the fastest of {rounds} rounds, and the median over the frames is shown.
 
 {costs}
+## The constants
+
+What each constant of `LimitConstants` (motion_limit.hpp) trades, one changed at a time: the share of the unlimited
+motion that is kept (its projection onto that), the 99.9th percentile of the displacement in the worst frame in percent
+of size, and the 0.1th percentile of the edges' lengths over those at rest in the bind pose, in the worst frame. Motion
+capture is to be kept, displacements are to stay below 5 %, edges above 0.6. *slack* and *stretch* are as large as those
+allow; of *pulled stretch* smaller values flatten landings without lengthening edges as much, and more *edges between*
+cost time.
+
+{constants}
 ## The step
 
 The same clip with steps that are 2, 4 and 8 times as long as the shortest: largest displacement and RMS motion of the
@@ -89,14 +105,15 @@ def main() -> int:
         print("limit: there is no ../shared/assets: nothing is written")
         return 0
     dynamic_morph_targets.register()
-    set_threads(1)
-    panels, costs, steps = [], [], []
+    dynamorph.set_threads(1)
+    panels, costs, steps, tried = [], [], [], []
     for asset, clip in CLIPS.items():
         with quiet():
             body, shot, model = opened(asset, clip)
         title = f"{Path(asset).stem.replace('_', ' ')}, {clip}"
         panels.append((title, curves(shot, model)))
         costs.append([title, *cost(shot, model)])
+        tried.append((title, trades(shot, model)))
         with quiet():
             fine = finest(body, clip, shot)
         steps.append([title, *step_lengths(fine, model)])
@@ -111,6 +128,7 @@ def main() -> int:
             like=LIKE,
             curves="\n".join(drawn(panels)),
             costs=grid(["", "held back", "pulled", "without", "not pulled, over that", "pulled, over that"], costs),
+            constants=grid(["", *(title for title, _ in tried)], constants_table([cells for _, cells in tried])),
             steps=grid(["", "shortest, a second", *(f"{k} times as long" for k in SLOWER[1:])], steps),
         ).rstrip()
         + "\n",
@@ -204,6 +222,43 @@ def cost(shot: Shot, model: Model) -> list[str]:
 
 def microseconds(reports: list[dict]) -> list[float]:
     return [1e6 * each["seconds"] / each["steps"] for each in reports]
+
+
+def trades(shot: Shot, model: Model) -> list[str]:
+    """For each of TRIED: kept, displacement, edges."""
+    free = played(without_limits(shot), model).offsets
+    character = shot.character
+    rest = character.vertices @ character.to_bind.T
+    ends = np.unique(np.sort(character.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    before = np.linalg.norm(rest[ends[:, 0]] - rest[ends[:, 1]], axis=1)
+    ends, before = ends[before > 1e-4 * diagonal(rest)], before[before > 1e-4 * diagonal(rest)]
+    cells = []
+    for constants in TRIED:
+        with limited_by(constants):
+            offsets = played(shot, model).offsets
+        kept = (offsets * free).sum() / (free**2).sum()
+        far = max(np.quantile(np.linalg.norm(frame, axis=1), 0.999) for frame in offsets)
+        moved = (rest + offset * diagonal(rest) for offset in offsets)
+        edges = min(
+            np.quantile(np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1) / before, 0.001)
+            for points in moved
+        )
+        cells.append(f"{kept:.2f}, {100.0 * far:.1f} %, {edges:.2f}")
+    return cells
+
+
+@contextmanager
+def limited_by(constants: dict) -> Iterator[None]:
+    """Limits with other constants than the engine's own."""
+    own = dynamorph.ReducedMotionLimit
+    dynamorph.ReducedMotionLimit = partial(own, **constants)
+    yield
+    dynamorph.ReducedMotionLimit = own
+
+
+def constants_table(columns: list[list[str]]) -> list[list[str]]:
+    names = [", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in each.items()) for each in TRIED]
+    return [[name or "as it is", *cells] for name, *cells in zip(names, *columns, strict=True)]
 
 
 def step_lengths(fine: Shot, model: Model) -> list[str]:

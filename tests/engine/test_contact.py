@@ -230,13 +230,14 @@ def test_where_the_bones_leave_no_room_it_gives_way_and_says_so(belly, floor):
     reports = []
     for pair in itertools.pairwise(places):
         reports.append(step(simulation, floor, pair, 0.0))
-        assert np.abs(belly.model.displacement(simulation.coordinates)).max() < 0.2 * belly.size
+        assert np.abs(belly.model.displacement(simulation.coordinates)).max() < 0.15 * belly.size
     assert all(report["converged"] for report in reports)
     assert np.mean([report["iterations"] for report in reports]) <= 10
-    assert reports[-1]["too_deep"] > 0.01
-    assert reports[-1]["too_deep_collider"] == 0
-    assert belly.samples["rest"][reports[-1]["too_deep_sample"], 2] < 0
-    assert reports[-1]["penetration"] <= 0.0015 * belly.size  # some have little more than half of their weight
+    deepest = max(reports, key=lambda report: report["too_deep"])
+    assert deepest["too_deep"] > 0.01
+    assert deepest["too_deep_collider"] == 0
+    assert belly.samples["rest"][deepest["too_deep_sample"], 2] < 0
+    assert reports[-1]["penetration"] <= 0.002 * belly.size  # some have less than half of their weight
 
 
 def test_contact_wins_over_the_largest_distance(belly):

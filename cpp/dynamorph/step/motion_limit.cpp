@@ -20,18 +20,14 @@ using Eigen::Index;
 
 namespace {
 
-constexpr double kSlack = 1.5;        // a static answer of so many limits counts as 1: what swings goes farther
-constexpr double kStretch = 0.6;      // of an edge's length, by which a static answer may change it
 constexpr double kPercentile = 0.97;  // of a bone's skin; spikes and slivers that only ride along must not decide
 constexpr double kEdgePercentile = 0.998;
 constexpr int kPoints = 100, kLeastPoints = 4;  // sampled on the skin, of a bone with tissue
 constexpr int kPaintedPoints = 30;              // at least so many where L is painted smaller
-constexpr int kEdgesBetween = 400;              // beside the most stretched one of each of a bone's loads
 constexpr double kOwn = 0.25;                   // a bone with more weight than that owns the skin
 constexpr double kTissue = 1e-3;                // of the mass; bones with less have no edges and need no points
 constexpr double kSplinter = 1e-4;              // of the size; shorter edges do not count
 constexpr double kPull = 20;                    // of the stiffness that gives a point's mass the tissue's frequency
-constexpr double kPulledStretch = 0.4;          // of an edge's length: its limit; pulled back from 0.6 of it on
 constexpr double kEdgePull = 120;               // of twice the energy that stretches edges to their limit
 
 /// The soft skin: where it is, how large, and which edges it has.
@@ -79,6 +75,9 @@ void check(const SkinLimits& limits, const SoftBody& body) {
   if (limits.painted.size() > 0) check_size("painted", limits.painted.size(), P);
   if (!(limits.painted.array() > 0).all() || !(limits.painted.array() <= 1).all())
     throw std::invalid_argument("painted: must be above zero and at most one");
+  const LimitConstants& c = limits.constants;
+  if (!(c.slack > 0 && c.stretch > 0 && c.pulled_stretch > 0 && c.edges_between >= 0))
+    throw std::invalid_argument("slack, stretch, pulled_stretch: must be above zero, and edges_between not below it");
   if (body.own_transforms != (limits.groups.size() > 0))
     throw std::invalid_argument("groups: needed where the nodes have transforms of their own, and only there");
   if (body.own_transforms) check_size("groups", limits.groups.rows(), transforms);
@@ -239,8 +238,9 @@ struct CriticalEdges {
 /// Adds the edge, of a bone's `own` (places in skin.edges), whose stretch under an answer u (3P) is at the percentile,
 /// where `weight` (P) counts. strain (of all edges): raised to each one's stretch over that. Returns the percentile
 /// over the limit.
-double add_critical(const VectorXd& u, const SoftSkin& skin, const Points& rest, const VectorXd& weight,
+double add_critical(const VectorXd& u, const SoftSkin& skin, const SkinLimits& limits, const VectorXd& weight,
                     const std::vector<int>& own, std::set<int>& critical, std::vector<double>& strain) {
+  const Points& rest = limits.rest;
   std::vector<std::pair<double, int>> stretch;
   double total = 0;
   const auto length = [&](int e) { return (rest.row(skin.edges[e].first) - rest.row(skin.edges[e].second)).norm(); };
@@ -258,7 +258,7 @@ double add_critical(const VectorXd& u, const SoftSkin& skin, const Points& rest,
   critical.insert(stretch[at].second);
   for (const auto& [of_edge, e] : stretch)
     strain[e] = std::max(strain[e], std::min(of_edge / std::max(stretch[at].first, 1e-300), 1.0));
-  return stretch[at].first / kStretch;
+  return stretch[at].first / limits.constants.stretch;
 }
 
 /// The mass (free) of the nodes at the neutral targets.
@@ -349,7 +349,7 @@ CriticalEdges critical_edges(Neutral<Model>& neutral, const SkinLimits& limits, 
   const auto add = [&](const VectorXd& answer) {
     points.displacement(answer, moved);
     for (std::size_t v = 0; v < vertices.size(); ++v) u.segment<3>(3 * vertices[v]) = moved.segment<3>(3 * Index(v));
-    return add_critical(u, skin, limits.rest, weight, own, out.edges, strain);
+    return add_critical(u, skin, limits, weight, own, out.edges, strain);
   };
   for (int axis = 0; axis < 3 && !own.empty(); ++axis) {
     add(of_body[std::size_t(axis)]);
@@ -426,12 +426,12 @@ struct Tissue {
 
 /// Finds edges that loads strain, far from those that are there: between few edges that are held, others would give
 /// way. With their mirror images. strain, bone (of all edges): by which bone's load, and how much.
-void add_between(const Points& rest, const std::vector<double>& strain, const std::vector<int>& bone,
+void add_between(const SkinLimits& limits, const std::vector<double>& strain, const std::vector<int>& bone,
                  const Mirror& mirror, Tissue& tissue) {
   const std::vector<Edge>& edges = tissue.skin.edges;
   Points middles(Index(edges.size()), 3);
   for (std::size_t e = 0; e < edges.size(); ++e)
-    middles.row(Index(e)) = 0.5 * (rest.row(edges[e].first) + rest.row(edges[e].second));
+    middles.row(Index(e)) = 0.5 * (limits.rest.row(edges[e].first) + limits.rest.row(edges[e].second));
   VectorXd nearest = VectorXd::Constant(Index(edges.size()), tissue.skin.size * tissue.skin.size);
   const auto take = [&](int e) {
     nearest = nearest.cwiseMin((middles.rowwise() - middles.row(e)).rowwise().squaredNorm());
@@ -445,7 +445,7 @@ void add_between(const Points& rest, const std::vector<double>& strain, const st
     take(e);
     ++count;
   };
-  while (count < kEdgesBetween) {
+  while (count < limits.constants.edges_between) {
     Index best = 0;
     if (edges.empty() || !(square.cwiseProduct(nearest).maxCoeff(&best) > 0)) return;
     const int b = bone[std::size_t(best)], image = mirror.edge(int(best)), other = mirror.bone(b);
@@ -507,7 +507,7 @@ Tissue tissue_of(Neutral<Model>& neutral, const SkinLimits& limits) {
     strain = std::move(more);
   }
   make_symmetric(mirror, out.edges);
-  add_between(limits.rest, strain, strained_by, mirror, out);
+  add_between(limits, strain, strained_by, mirror, out);
   out.chosen = sampling.chosen();
   out.area = mirror.evened(out.chosen, sampling.sums(out.skin.areas));
   if (limits.painted.size() > 0) sampling.add((1 - limits.painted.array()).matrix(), kPaintedPoints);
@@ -520,9 +520,10 @@ Tissue tissue_of(Neutral<Model>& neutral, const SkinLimits& limits) {
 /// Adds the stretch of an edge, over its limit, to numbers in which its ends are the points a and b.
 void add_stretch(const SkinLimits& limits, const Edge& edge, int a, int b, PointRows& numbers) {
   const Vector3d along = limits.rest.row(edge.first) - limits.rest.row(edge.second);
+  const double limit = limits.constants.stretch * along.squaredNorm();
   numbers.add_row();
-  numbers.add(a, along / (kStretch * along.squaredNorm()));
-  numbers.add(b, -along / (kStretch * along.squaredNorm()));
+  numbers.add(a, along / limit);
+  numbers.add(b, -along / limit);
 }
 
 /// numbers: over the skin's points (P), three of each chosen point, then one of each edge.
@@ -531,7 +532,7 @@ std::vector<LimitedBone> limited_bones(const Tissue& tissue, const SkinLimits& l
   for (int p : tissue.chosen)
     for (int axis = 0; axis < 3; ++axis) {
       numbers.add_row();
-      numbers.add(p, Vector3d::Unit(axis) / (kSlack * limits.distances(p)));
+      numbers.add(p, Vector3d::Unit(axis) / (limits.constants.slack * limits.distances(p)));
     }
   const MatrixXd volumes = tissue.carried.transpose() * body.volumes;  // (G, S)
   std::vector<LimitedBone> out(tissue.edges.size());
@@ -581,8 +582,8 @@ std::vector<Pull> pulls_of(const Tissue& tissue, const SkinLimits& limits, const
     for (int e : pulled) {
       const Edge& edge = tissue.skin.edges[std::size_t(e)];
       const int first = int(points.nodes.rows() + Index(ends.size()));
-      out.push_back(
-          {numbers.size(), 1, kPulledStretch / kStretch, kEdgePull * critical.energy / double(pulled.size())});
+      out.push_back({numbers.size(), 1, limits.constants.pulled_stretch / limits.constants.stretch,
+                     kEdgePull * critical.energy / double(pulled.size())});
       add_stretch(limits, edge, first, first + 1, numbers);
       ends.insert(ends.end(), {edge.first, edge.second});
     }

@@ -38,6 +38,14 @@
 
 namespace dynamorph {
 
+/// The trade between lively motion, far displacements and squeezed edges; docs/limit.md tables it.
+struct LimitConstants {
+  double slack = 1.5;           ///< a static answer of so many limits counts as 1: what swings goes farther
+  double stretch = 0.6;         ///< of an edge's length, by which a static answer may change it
+  double pulled_stretch = 0.4;  ///< of an edge's length: its limit; pulled back from 0.6 of it on
+  int edges_between = 400;      ///< are pulled back beside the most stretched one of each of a bone's loads
+};
+
 /// How far P points of the skin may be from their targets' shape. Bind space, meters.
 struct SkinLimits {
   Points rest;          ///< X (P, 3)
@@ -48,6 +56,7 @@ struct SkinLimits {
   /// (T, G): each transform's part in the bones, where the body's transforms (T) are its nodes' own; otherwise (0, 0).
   MatrixXd groups;
   VectorXd painted;  ///< (P) in (0, 1]: factors on L where points are pulled back; empty for ones
+  LimitConstants constants = {};
 };
 
 /// Rows (k, dofs) in single precision, which is enough to compare lengths with limits.
