@@ -246,10 +246,10 @@ void bind_limit(py::module_& m, const char* name) {
            "painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for ones. "
            "The others are LimitConstants, which docs/limit.md tables: slack, how many limits of a static answer count "
            "as "
-           "one; stretch, of an edge's length, by which a static answer may change it; pulled_stretch, from 0.6 of "
-           "which "
-           "on it is pulled back; edges_between, how many more edges are. Raises ValueError for those below zero, and "
-           "Error if the tissue has no stiffness at rest.")
+           "one; stretch, of an edge's length, by which a static answer may change it; pulled_stretch, of its length: "
+           "at "
+           "0.6 of that change an edge begins to be pulled back; edges_between, how many more edges are. Raises "
+           "ValueError for those below zero, and Error if the tissue has no stiffness at rest.")
       .def_property_readonly("frequency", &Limit::frequency, "Of the neutral tissue, 1/s (angular).")
       .def_property_readonly("numbers", &Limit::numbers, "How many numbers of a static answer are looked at.");
 }
@@ -331,7 +331,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back. With "
           "colliders: the largest number of contacts in a step; "
           "penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point "
-          "into a collider than its tissue is thick, so that contact gives way (0: nowhere), and the sample "
+          "into a collider than it can give way, so that contact does (0: nowhere), and the sample "
           "and collider where that is (-1: none); contact_forces, newtons on each collider (C, 3) at the last step; "
           "unusable_colliders, the "
           "numbers of those that were active but not finite or without extent.")

@@ -36,7 +36,7 @@ from portrait import aim  # noqa: E402
 RADIUS, AWAY, DEEP, DRAGGED = 0.05, 0.02, 0.025, 0.08  # of the body's size: the ball, and its way
 TOUCHES, RESTS, DRAGS, LAST = 12, 24, 48, 60  # frames at which it is deepest, begins to drag, stops, and the last one
 FRICTION = 0.3
-THICK = 0.7  # quantile of the thickness from which tissue counts as the belly
+THICK = 0.97  # quantile of the thickness from which tissue counts as the belly
 NEAR = 2.0  # radii of the ball around its middle that count as the dent
 HELD = 0.8  # of a peer's tissue: goal or pin weights
 CELL = (300, 300)
@@ -96,7 +96,7 @@ def with_ball(body) -> tuple:
     size = diagonal(points[np.unique(triangles)])
     thickness = believable_measure.thickness(points, triangles, size, np.random.default_rng(0))
     belly = np.flatnonzero(thickness >= np.nanquantile(thickness, THICK))
-    place = belly[points[belly, 1].argmin()]  # characters look along -Y
+    place = belly[points[belly, 1].argmin()]  # the most in front: characters look along -Y
     outward = -1.0 if signed_volume(points, triangles) < 0.0 else 1.0
     normal = outward * vertex_normals(points, triangles)[place]
     normal /= np.linalg.norm(normal)

@@ -71,9 +71,10 @@ frame counts with the fastest of {rounds} rounds, and the median over the frames
 What each constant of `LimitConstants` (motion_limit.hpp) trades, one changed at a time: the share of the unlimited
 motion that is kept (its projection onto that), the 99.9th percentile of the displacement in the worst frame in percent
 of size, and the 0.1th percentile of the edges' lengths over those at rest in the bind pose, in the worst frame. Motion
-capture is to be kept, displacements are to stay below 5 %, edges above 0.6. *slack* and *stretch* are as large as those
-allow; of *pulled stretch* smaller values flatten landings without lengthening edges as much, and more *edges between*
-cost time.
+capture is to be kept, displacements are to stay below 5 %, edges above 0.6. A larger *stretch* keeps a little more of a
+walk and lets landings squeeze edges; a larger *slack* lets fish go farther. A smaller *pulled stretch* takes motion away
+from everything. *Edges between* count on bodies whose skin gives way between few edges, see
+[believable.md](believable.md); they cost time.
 
 {constants}
 ## The step

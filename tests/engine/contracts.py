@@ -168,6 +168,8 @@ def calls() -> dict[str, tuple[object, dict]]:
     skin = {"vertices": s.vertices, "triangles": s.triangles}
     points = {"rest": s.points, "embedding": s.embedding, "weights": np.ones((len(s.points), 1)),
               "residual_shapes": np.zeros((2, len(s.points), 3))}  # fmt: skip
+    own_limits = s.limits | {"groups": s.groups, "painted": s.painted, "slack": 1.5, "stretch": 0.6,
+                             "pulled_stretch": 0.4, "edges_between": 100}  # fmt: skip
     found = {
         "TetMesh": (lib, {"nodes": s.nodes, "tets": s.tets}),
         "Embedding": (lib, {"nodes": s.embedding.nodes, "weights": s.embedding.weights}),
@@ -202,8 +204,8 @@ def calls() -> dict[str, tuple[object, dict]]:
         "ReducedModel": (lib, {"body": s.body, "targets": s.targets, "tables": s.tables, "blending": s.blending}),
         "FullSkin": (lib, {"model": s.full, **points}),
         "ReducedSkin": (lib, {"model": s.reduced, **points}),
-        "FullMotionLimit": (lib, {"model": s.own_full, **s.limits, "groups": s.groups, "painted": s.painted}),
-        "ReducedMotionLimit": (lib, {"model": s.own_reduced, **s.limits, "groups": s.groups, "painted": s.painted}),
+        "FullMotionLimit": (lib, {"model": s.own_full, **own_limits}),
+        "ReducedMotionLimit": (lib, {"model": s.own_reduced, **own_limits}),
         "Grabs": (lib, {"points": np.array([0, 3]), "goals": np.zeros((1, 2, 3)), "stiffness": np.ones(2)}),
         "FullSimulation": (lib, {"model": s.full, **options, "keep_going": lambda: True}),
         "ReducedSimulation": (lib, {"model": s.reduced, **options, "keep_going": lambda: True}),

@@ -13,7 +13,7 @@ struct Contact {
   Vector3d normal;  ///< unit, out of the collider
   Vector3d motion;  ///< of the collider's surface there over the step, meters
   double weight;    ///< in [0, 1]: 0 where the bones themselves leave no room
-  double too_deep;  ///< how much deeper the bones take the sample in than its tissue is thick, meters; <= 0: not
+  double too_deep;  ///< how much deeper the bones take the sample in than it can give way, meters; <= 0: not
 };
 
 }  // namespace dynamorph

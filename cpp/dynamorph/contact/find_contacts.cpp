@@ -423,7 +423,7 @@ void ContactFinder::touch(const Collider& collider, int number, const Posed& pos
       const Vector3d gets = posed.from_end.to_world(still ? found.at.point : collider.at(*posed.end, found.at));
       contacts.push_back({p, number, posed.from_end.to_world(point), (posed.from_end.turn * found.normal).normalized(),
                           jumps || !posed.came ? Vector3d(Vector3d::Zero()) : Vector3d(gets - came),
-                          1 - smooth_step(fade), std::min(depth, found.depth) - thickness});
+                          1 - smooth_step(fade), std::min(depth, found.depth) - kFadeBegins * thickness});
     }
   }
 }

@@ -76,8 +76,10 @@ void check(const SkinLimits& limits, const SoftBody& body) {
   if (!(limits.painted.array() > 0).all() || !(limits.painted.array() <= 1).all())
     throw std::invalid_argument("painted: must be above zero and at most one");
   const LimitConstants& c = limits.constants;
-  if (!(c.slack > 0 && c.stretch > 0 && c.pulled_stretch > 0 && c.edges_between >= 0))
-    throw std::invalid_argument("slack, stretch, pulled_stretch: must be above zero, and edges_between not below it");
+  const Vector3d lengths(c.slack, c.stretch, c.pulled_stretch);
+  if (!lengths.allFinite() || !(lengths.array() > 0).all() || c.edges_between < 0)
+    throw std::invalid_argument(
+        "slack, stretch, pulled_stretch: must be finite and above zero, and edges_between not below it");
   if (body.own_transforms != (limits.groups.size() > 0))
     throw std::invalid_argument("groups: needed where the nodes have transforms of their own, and only there");
   if (body.own_transforms) check_size("groups", limits.groups.rows(), transforms);

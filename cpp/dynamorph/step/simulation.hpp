@@ -53,7 +53,7 @@ struct StepReport {
   int pulled = 0;          ///< 1 where anything was so far that a motion limit pulled it back
   int contacts = 0;        ///< samples that are pushed
   double penetration = 0;  ///< the largest depth of a sample under a surface, meters, where the bones leave it room
-  double too_deep = 0;     ///< how much deeper the bones take a sample into a collider than its tissue is thick, meters
+  double too_deep = 0;     ///< how much deeper the bones take a sample into a collider than it can give way, meters
   int too_deep_sample = -1, too_deep_collider = -1;  ///< which ones; -1 where nothing is too deep
   std::vector<Vector3d> contact_forces;              ///< newtons on each collider
   std::vector<int> unusable_colliders;               ///< active, but not finite or without extent

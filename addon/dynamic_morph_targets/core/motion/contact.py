@@ -150,7 +150,7 @@ def _motion(collider: Any, first: np.ndarray, track: ColliderTrack) -> Any:
 @dataclass(frozen=True)
 class Touched:
     """How deep a shot went into colliders. penetration: of the skin, after a step, at most, meters. depth: how much
-    deeper the bones took it into `collider` than the tissue there is thick, meters, 0 where they never did; bone:
+    deeper the bones took it into `collider` than it can give way, meters, 0 where they never did; bone:
     which; frames: the first and last about that one.
     """
 
