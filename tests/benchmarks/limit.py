@@ -72,8 +72,8 @@ What each constant of `LimitConstants` (motion_limit.hpp) trades, one changed at
 motion that is kept (its projection onto that), the 99.9th percentile of the displacement in the worst frame in percent
 of size, and the 0.1th percentile of the edges' lengths over those at rest in the bind pose, in the worst frame. Motion
 capture is to be kept, displacements are to stay below 5 %, edges above 0.6. A larger *stretch* keeps a little more of a
-walk and lets landings squeeze edges; a larger *slack* lets fish go farther. A smaller *pulled stretch* takes motion away
-from everything. *Edges between* count on bodies whose skin gives way between few edges, see
+walk and lets landings squeeze edges; a larger *slack* lets fish go farther. A smaller *pulled stretch* takes motion
+away from everything. *Edges between* count on bodies whose skin gives way between few edges, see
 [believable.md](believable.md); they cost time.
 
 {constants}
