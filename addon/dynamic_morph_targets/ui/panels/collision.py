@@ -6,12 +6,20 @@ from __future__ import annotations
 from ...core.message import Message, listed
 from ...run import batch
 from ...scene import colliders
-from ..widgets import draw_message, draw_setting, pair
+from ..widgets import draw_message, draw_setting
 
 
 def draw_collision(layout, _context, obj):
     settings = obj.dynamorph.collision
     layout.enabled = batch.running is None
+    buttons = layout.column(align=True)
+    buttons.operator("dynamorph.collide", icon="MOD_PHYSICS")
+    buttons.operator("dynamorph.add_floor", icon="MESH_PLANE")
+    found = [other.name for other in colliders.colliders(obj)]
+    if found:
+        draw_message(layout, Message("Collides with: {names}", names=listed(found)), icon="CHECKMARK")
+    elif settings.use:
+        draw_message(layout, "No object has Collision yet", icon="INFO")
     column = layout.column()
     column.active = settings.use
     draw_setting(column, settings, "collection")
@@ -20,11 +28,3 @@ def draw_collision(layout, _context, obj):
     friction = column.row()
     friction.active = settings.use_friction
     friction.prop(settings, "friction")
-    row = pair(layout)
-    row.operator("dynamorph.collide", icon="MOD_PHYSICS")
-    row.operator("dynamorph.add_floor", icon="MESH_PLANE")
-    found = [other.name for other in colliders.colliders(obj)]
-    if found:
-        draw_message(layout, Message("Collides with: {names}", names=listed(found)), icon="CHECKMARK")
-    elif settings.use:
-        draw_message(layout, "No object has Collision yet", icon="INFO")
