@@ -28,7 +28,7 @@ from run import machine
 
 CACHE, PAGE, PICTURES = ROOT / "build/collision", ROOT / "docs/collision.md", "images/collision/{}.png"
 CHARACTERS = ("mh_male_53bones.blend", "mh_chubby_53bones.blend", "zoo/Cow.glb", "zoo/Husky.glb", "zoo/Blobfish.glb",
-              "zoo/Woman_Casual.glb", "zoo/Platformer_Enemy.glb", "zoo/Space_Enemy_Large.glb")  # fmt: skip
+              "zoo/Woman_Casual.glb", "zoo/Space_Enemy_Large.glb")  # fmt: skip
 OURS = ("full", "full_0", "reduced", "off")
 PEERS = ("soft_body", "cloth")
 PEERS_BODY = "mh_chubby_53bones.blend"

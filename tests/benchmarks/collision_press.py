@@ -14,6 +14,7 @@ import os
 import sys
 import tempfile
 import time
+import traceback
 from pathlib import Path
 
 os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_collision_")  # before bpy is imported
@@ -196,4 +197,9 @@ WAYS = {
 }
 
 if __name__ == "__main__":
-    leave(main())
+    try:
+        code = main()
+    except Exception:
+        traceback.print_exc()  # Blender would not end by itself
+        code = 1
+    leave(code)
