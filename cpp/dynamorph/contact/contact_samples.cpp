@@ -19,6 +19,8 @@ constexpr double kFree = 0.3;           // of a sample's weights on free nodes; 
 constexpr int kTogether = 256;          // samples solved at a time, so that memory stays small
 constexpr Index kSolved = 3000;         // samples whose compliance is solved for; others have that of the most alike
 constexpr double kTurned = 0.1;         // of the body's size: as far as a normal at a right angle is unlike
+constexpr double kOwn[] = {0.5, 0.9};   // own motion of a sample below which it is not pushed, and from which it is
+constexpr Index kLookedAt = 300;        // samples whose motion is compared with that of one that is pushed
 
 /// j^T A^-1 j of each row j.
 VectorXd compliance(const SparseMatrix& A, const SparseRows& J) {
@@ -42,6 +44,22 @@ VectorXd compliance(const ArrowMatrix& A, const RowMajor& J) {
   const Eigen::LLT<MatrixXd> factor(A.dense());
   if (factor.info() != Eigen::Success) return VectorXd::Zero(J.rows());
   return factor.matrixL().solve(J.transpose()).colwise().squaredNorm();
+}
+
+/// How far a sample moves that is pushed, each along its row of J, over how far that moves any of them.
+VectorXd own_motion(const SparseMatrix&, const SparseRows& J, const NodalPoints&) {
+  return VectorXd::Ones(J.rows());  // a mesh gives way where it is pushed
+}
+VectorXd own_motion(const ArrowMatrix& A, const RowMajor& J, const ModalPoints& points) {
+  const Eigen::LLT<MatrixXd> factor(A.dense());
+  if (factor.info() != Eigen::Success) return VectorXd::Zero(J.rows());
+  const MatrixXd answers = factor.solve(J.transpose());
+  VectorXd farthest = VectorXd::Constant(J.rows(), 1e-300);
+  const Index count = points.basis().rows() / 3, stride = (count + kLookedAt - 1) / kLookedAt;
+  for (Index p = 0; p < count; p += stride)
+    farthest = farthest.cwiseMax((points.basis().middleRows<3>(3 * p) * answers).colwise().norm().transpose());
+  const VectorXd own = J.cwiseProduct(answers.transpose()).rowwise().sum();
+  return (own.array() / farthest.array()).min(1.0);
 }
 
 /// For each sample the number of the solved one (every `stride`-th) that is nearest and faces the same way.
@@ -166,7 +184,7 @@ ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, Contac
   auto [K, M] = stiffness_and_mass(*model, neutral);
   typename Model::Matrix A = K;
   values(A) = values(K) + values(M) / (kAtRest * kAtRest);
-  const VectorXd lasting = compliance(A, rows);
+  const VectorXd lasting = compliance(A, rows), own = own_motion(A, rows, points);
   values(A) = values(K) + values(M) / (kStep * kStep);
   const VectorXd in_step = compliance(A, rows);
   const VectorXd free = free_weights(model->body(), map_.skin().embedding);
@@ -175,8 +193,10 @@ ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, Contac
   for (Index p = 0; p < size(); ++p) {
     const Index k = solved[std::size_t(p)];
     if (!(in_step(k) > 0)) continue;
-    // A sample that moves little with its nodes would move them far: no more than it moves itself is asked for.
-    const double counts = std::pow(std::clamp(free(p) / kFree, 0.0, 1.0), 4);
+    // A sample that moves little with its nodes, or with its modes, would move them far: no more than it moves itself
+    // is asked for.
+    const double counts =
+        std::pow(std::clamp(free(p) / kFree, 0.0, 1.0), 4) * smooth_step((own(k) - kOwn[0]) / (kOwn[1] - kOwn[0]));
     stiffness_(p) = counts / lasting(k);
     mass_(p) = counts * std::max(1 / in_step(k) - 1 / lasting(k), 0.0) * kStep * kStep;
   }

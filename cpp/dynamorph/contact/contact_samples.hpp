@@ -8,6 +8,8 @@
 // 1 / C_p + m_p / (c h)^2 that in a step (m_p is fitted at 1/96 s), and f_p how much stiffer the blended targets are.
 // So what is left of a dent that the surface makes is about 1/30 at every mesh size, stiffness and step, no number has
 // to be tuned, and what is held firmly is pushed firmly. K is the model's own: a reduced model is stiffer at a point.
+// Its few coordinates can move firm skin only by moving other skin far: a sample is not pushed where that would move
+// any other one more than twice as far as itself, and fully from 1.1 times as far on.
 #pragma once
 
 #include <Eigen/Geometry>
