@@ -18,7 +18,7 @@ from ..geometry import diagonal, is_closed, signed_volume, vertex_normals
 from ..message import Message, named_frames
 from ..model.model import EngineModel, Model
 from .colliders import ColliderTrack, colliders_of
-from .limits import THINNEST
+from .limits import THINNEST, frames_around
 from .rig_samples import RigSamples
 
 SAMPLES = 20000  # points of the skin that can touch something, at most; of more vertices, those that are spread evenly
@@ -180,8 +180,6 @@ def touched(times: np.ndarray, steps: dict[str, np.ndarray], collision: Collisio
     if not (depth > 0.0).any():
         return Touched(penetration)
     worst, collider = int(depth.argmax()), steps["too_deep_collider"].astype(int)
-    less = np.flatnonzero((depth <= 0.0) | (collider != collider[worst]))
-    first, last = less[less < worst].max(initial=-1) + 1, less[less > worst].min(initial=len(times)) - 1
-    frames = int(np.floor(times[first])), int(np.ceil(times[last]))
+    frames = frames_around(worst, (depth <= 0.0) | (collider != collider[worst]), times)
     names = collision.names(int(steps["too_deep_sample"][worst]), collider[worst], bones)
     return Touched(penetration, float(depth[worst]), *names, frames)

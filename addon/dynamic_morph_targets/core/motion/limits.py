@@ -74,7 +74,12 @@ def held(times: np.ndarray, steps: dict[str, np.ndarray], bones: Sequence[str]) 
     pulled = float(steps["pulled"].sum() / max(steps["steps"].sum(), 1))
     if not 0 <= bone[worst] < len(bones):
         return Held(reached=reached, pulled=pulled)
-    less = np.flatnonzero((excess < 0.5 * excess[worst]) | (bone != bone[worst]))
-    first, last = less[less < worst].max(initial=-1) + 1, less[less > worst].min(initial=len(times)) - 1
-    frames = int(np.floor(times[first])), int(np.ceil(times[last]))
+    frames = frames_around(worst, (excess < 0.5 * excess[worst]) | (bone != bone[worst]), times)
     return Held(bones[bone[worst]], float(excess[worst]), frames, reached, pulled)
+
+
+def frames_around(worst: int, over: np.ndarray, times: np.ndarray) -> tuple[int, int]:
+    """The first and last frame about the time `worst` up to where it is `over` (F,), before and after. times (F,)."""
+    ends = np.flatnonzero(over)
+    first, last = ends[ends < worst].max(initial=-1) + 1, ends[ends > worst].min(initial=len(times)) - 1
+    return int(np.floor(times[first])), int(np.ceil(times[last]))

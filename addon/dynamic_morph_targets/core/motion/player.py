@@ -254,7 +254,9 @@ class Player:
         )
 
     def _begin_with(self, first: RigSamples) -> None:
-        """Sculpted shapes are what the artist saw under gravity, so each one is balanced in its own pose."""
+        """What the first sample says: which colliders there are, and how the targets' shapes are balanced. These are
+        what the artist saw under gravity, each in its own pose.
+        """
         self._first = first
         if self.collision:
             self.collision.begin(first)
