@@ -199,7 +199,8 @@ class Player:
             bones, weights = self.posing.posed(moving)
             for k, number in enumerate(chunk):
                 self.number = int(number)
-                self._ask()
+                if self._keep_going and not self._keep_going():
+                    raise dynamorph.Cancelled("canceled")
                 for left in reversed(range(samples)):
                     end = (k + 1) * substeps - left * stride
                     steps = slice(end - stride, end)
@@ -232,11 +233,6 @@ class Player:
     def shown(self, frame: Frame) -> np.ndarray:
         """The frame's coordinates with `amounts`."""
         return self.amounts.shown(frame.coordinates, frame.weights)
-
-    def _ask(self) -> None:
-        """Raises dynamorph.Cancelled when the caller wants it to stop."""
-        if self._keep_going and not self._keep_going():
-            raise dynamorph.Cancelled("canceled")
 
     def _ends(self, rig: RigSamples) -> np.ndarray:
         """The skin at rest, posed by the first sample and by the last: (2, V, 3), world space."""
