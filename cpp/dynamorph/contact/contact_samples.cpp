@@ -3,8 +3,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 
 #include "dynamorph/elastic/sparse_cholesky.hpp"
+#include "dynamorph/mesh/bvh.hpp"
 
 namespace dynamorph {
 
@@ -20,6 +22,7 @@ constexpr int kTogether = 256;          // samples solved at a time, so that mem
 constexpr Index kSolved = 3000;         // samples whose compliance is solved for; others have that of the most alike
 constexpr double kTurned = 0.1;         // of the body's size: as far as a normal at a right angle is unlike
 constexpr double kOwn[] = {0.5, 0.9};   // own motion of a sample below which it is not pushed, and from which it is
+constexpr int kGrouped = 64;            // samples in a group, at most
 constexpr Index kLookedAt = 300;        // samples whose motion is compared with that of one that is pushed
 
 /// j^T A^-1 j of each row j.
@@ -103,6 +106,33 @@ MatrixXd set_shares(const SoftBody& body, const Embedding& embedding) {
   return out;
 }
 
+/// Groups of at most kGrouped samples.
+template <class Group>
+std::vector<Group> grouped(const Skin& skin, const VectorXd& thickness) {
+  std::vector<Eigen::AlignedBox3d> places;
+  for (Index p = 0; p < skin.rest.rows(); ++p) places.emplace_back(Vector3d(skin.rest.row(p)));
+  const Bvh tree(places);
+  std::vector<Group> out;
+  for (std::size_t n = 0; n < tree.nodes.size();) {  // a node's children follow it
+    const Bvh::Node& node = tree.nodes[n];
+    const int count = node.end - node.begin;
+    if (count > kGrouped) {
+      ++n;
+      continue;
+    }
+    Group& group = out.emplace_back();
+    group.samples.assign(tree.order.begin() + node.begin, tree.order.begin() + node.end);
+    std::map<Index, Eigen::AlignedBox3d> boxes;
+    for (const int p : group.samples) {
+      group.thickness = std::max(group.thickness, thickness(p));
+      for (SkinWeights::InnerIterator it(skin.weights, p); it; ++it) boxes[it.col()].extend(Vector3d(skin.rest.row(p)));
+    }
+    group.boxes.assign(boxes.begin(), boxes.end());
+    n += std::size_t(2 * count - 1);  // the nodes of a tree with as many leaves
+  }
+  return out;
+}
+
 /// The most that a unit displacement of a node moves a point.
 VectorXd most_moved(const NodalPoints&, const Embedding& embedding) {
   return VectorXd::Constant(1, embedding.weights.rowwise().lpNorm<1>().maxCoeff());
@@ -153,6 +183,7 @@ ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, Contac
     : map_(model, checked(samples).skin),
       normals_(samples.normals.rowwise().normalized()),
       thickness_(std::move(samples.thickness)),
+      groups_(grouped<Group>(map_.skin(), thickness_)),
       share_(set_shares(model->body(), map_.skin().embedding)),
       softness_(model->body().sets()) {
   const VectorXd neutral = neutral_weights(model->body(), model->targets());
@@ -169,17 +200,16 @@ ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, Contac
   typename SkinMap<Model>::Rows rows;
   const typename Model::SkinPoints points = model->skin_points(map_.skin().embedding);
   points.rows(numbers, rows);
-  const SkinWeights& weights = map_.skin().weights;
-  std::vector<Eigen::AlignedBox3d> boxes(std::size_t(weights.cols()));
-  for (Index p = 0; p < size(); ++p)
-    for (SkinWeights::InnerIterator it(weights, p); it; ++it)
-      boxes[std::size_t(it.col())].extend(Vector3d(map_.skin().rest.row(p)));
-  for (std::size_t b = 0; b < boxes.size(); ++b)
-    if (!boxes[b].isEmpty()) boxes_.push_back({Index(b), boxes[b]});
   moved_ = size() > 0 ? most_moved(points, map_.skin().embedding) : VectorXd::Zero(model->dofs());
   const MatrixXd& R = map_.skin().residual_shapes;
   residual_.setZero(R.size() > 0 ? R.cols() : 0);
   for (Index j = 0; j < residual_.size(); ++j) residual_(j) = R.col(j).reshaped(3, size()).colwise().norm().maxCoeff();
+  shapes_.resize(3 * size(), Index(model->targets().size()));
+  for (Index j = 0; j < shapes_.cols(); ++j) {
+    VectorXd shape;
+    map_.displacement(VectorXd::Unit(shapes_.cols(), j), model->target(int(j)), shape);
+    shapes_.col(j) = shape;
+  }
 
   auto [K, M] = stiffness_and_mass(*model, neutral);
   typename Model::Matrix A = K;
@@ -213,10 +243,10 @@ double ContactSamples<Model>::farthest(const VectorXd& weights, const VectorXd& 
 }
 
 template <class Model>
-Eigen::AlignedBox3d ContactSamples<Model>::region(const Transforms& bones, double farthest) const {
+Eigen::AlignedBox3d ContactSamples<Model>::region(const Group& group, const Transforms& bones, double farthest) {
   // A sample is between the places to which its bones would take it.
   Eigen::AlignedBox3d out;
-  for (const auto& [bone, box] : boxes_) {
+  for (const auto& [bone, box] : group.boxes) {
     const PointTransform T = transform(bones, bone);
     const Vector3d center = T.leftCols<3>() * box.center() + T.col(3);
     const Vector3d half = T.leftCols<3>().cwiseAbs() * (box.sizes() / 2 + Vector3d::Constant(farthest));
@@ -236,20 +266,15 @@ double ContactSamples<Model>::stiffness(Index sample, const VectorXd& weights, d
 }
 
 template <class Model>
-void ContactSamples<Model>::normals(const Transforms& bones, Points& out) const {
-  out.resize(size(), 3);
-  for (Index p = 0; p < size(); ++p) {
-    const Matrix3d A = map_.skin().transform(bones, p).template leftCols<3>();
-    // The cofactors of A turn a surface as A does, and exist where A has no inverse.
-    Matrix3d cofactors;
-    for (int c = 0; c < 3; ++c) cofactors.row(c) = A.row((c + 1) % 3).cross(A.row((c + 2) % 3));
-    const Vector3d turned = cofactors * normals_.row(p).transpose() * (A.determinant() < 0 ? -1 : 1);
-    const double length = turned.norm();
-    if (length > 0)
-      out.row(p) = turned / length;
-    else
-      out.row(p) = normals_.row(p);
-  }
+Vector3d ContactSamples<Model>::normal(const PointTransform& T, Index sample) const {
+  // The cofactors of A turn a surface as A does, and exist where A has no inverse.
+  const Matrix3d A = T.leftCols<3>();
+  Matrix3d cofactors;
+  for (int c = 0; c < 3; ++c) cofactors.row(c) = A.row((c + 1) % 3).cross(A.row((c + 2) % 3));
+  const Vector3d turned = cofactors * normals_.row(sample).transpose() * (A.determinant() < 0 ? -1 : 1);
+  const double length = turned.norm();
+  if (length > 0) return turned / length;
+  return normals_.row(sample);
 }
 
 template class ContactSamples<FullModel>;

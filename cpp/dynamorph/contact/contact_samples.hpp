@@ -51,21 +51,33 @@ class ContactSamples {
 
   /// A bound on the displacements of samples in bind space, meters, at target weights (J) and coordinates q.
   double farthest(const VectorXd& weights, const VectorXd& q) const;
-  /// A box in world space around all samples that are displaced by no more than that. It is quick to find.
-  Eigen::AlignedBox3d region(const Transforms& bones, double farthest) const;
+  /// Samples near each other: what is far from all of them need not be compared with each.
+  struct Group {
+    std::vector<int> samples;
+    double thickness = 0;                                             ///< the largest
+    std::vector<std::pair<Eigen::Index, Eigen::AlignedBox3d>> boxes;  ///< bones, and the samples that each moves
+  };
+  const std::vector<Group>& groups() const { return groups_; }
+  /// A box in world space around all samples of a group that are displaced by no more than `farthest`.
+  static Eigen::AlignedBox3d region(const Group& group, const Transforms& bones, double farthest);
 
-  /// Out of the body, unit, world space (P), as the bones pose them.
-  void normals(const Transforms& bones, Points& out) const;
+  /// Displacement of a sample in the targets' shapes blended by the weights (J), bind space, meters.
+  Vector3d shape(const VectorXd& weights, Eigen::Index sample) const {
+    return shapes_.middleRows<3>(3 * sample) * weights;
+  }
+  /// Out of the body, unit, world space, as a sample's transform has it.
+  Vector3d normal(const PointTransform& T, Eigen::Index sample) const;
 
  private:
   SkinMap<Model> map_;
   Points normals_;  ///< unit
   VectorXd thickness_, stiffness_, mass_;
+  std::vector<Group> groups_;
   MatrixXd share_;     ///< of the target sets in a sample's tissue (P, S); rows sum to one
   VectorXd softness_;  ///< 1 / mu of each set's neutral target
-  std::vector<std::pair<Eigen::Index, Eigen::AlignedBox3d>> boxes_;  ///< bones, and the samples that each moves
   VectorXd moved_;     ///< the most that a unit of each coordinate displaces a sample; of a mesh, of a node (1)
   VectorXd residual_;  ///< the same of each target's residual shape (J)
+  MatrixXd shapes_;    ///< displacements of the samples in each target's shape (3P, J)
 };
 
 extern template class ContactSamples<FullModel>;

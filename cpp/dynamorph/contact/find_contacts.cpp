@@ -334,7 +334,8 @@ Bvh::Box samples_box(const SampleStep& samples, double margin) {
 }
 
 void check(const std::vector<ColliderStep>& colliders, const SampleStep& samples) {
-  const Eigen::Index count = samples.before.rows();
+  const Eigen::Index count = Eigen::Index(samples.samples.size());
+  check_size("before", samples.before.rows(), count);
   check_size("predicted", samples.predicted.rows(), count);
   check_size("unmoved", samples.unmoved.rows(), count);
   check_size("normal", samples.normal.rows(), count);
@@ -382,14 +383,15 @@ void ContactFinder::touch(const Collider& collider, int number, const Posed& pos
   auto plane = std::lower_bound(held.begin(), held.end(), number,
                                 [](const ContactMemory::Plane& plane, int c) { return plane.collider < c; });
   Search search(collider, posed, margin);
-  for (int p = 0; p < int(samples.before.rows()); ++p) {
-    const Vector3d before = samples.before.row(p), predicted = samples.predicted.row(p);
-    const double thickness = samples.thickness[p], reach = known ? margin : std::max(margin, kFadeEnds * thickness);
+  for (Eigen::Index row = 0; row < samples.before.rows(); ++row) {
+    const int p = samples.samples[std::size_t(row)];
+    const Vector3d before = samples.before.row(row), predicted = samples.predicted.row(row);
+    const double thickness = samples.thickness[row], reach = known ? margin : std::max(margin, kFadeEnds * thickness);
     const Bvh::Box way(before.cwiseMin(predicted), before.cwiseMax(predicted));
     if (region.squaredExteriorDistance(way) > reach * reach) continue;
 
     Sample sample{posed.from_begin.to_own(before), posed.from_end.to_own(predicted),
-                  posed.from_end.turn.transpose() * Vector3d(samples.normal.row(p)), thickness};
+                  posed.from_end.turn.transpose() * Vector3d(samples.normal.row(row)), thickness};
     search.count = 0;
     const bool jumps = search.jumps(sample);
     if (known && !jumps) {
@@ -404,7 +406,7 @@ void ContactFinder::touch(const Collider& collider, int number, const Posed& pos
       search.appear(sample);
     }
 
-    const Vector3d unmoved = posed.from_end.to_own(samples.unmoved.row(p)), was = posed.from_end.to_own(before);
+    const Vector3d unmoved = posed.from_end.to_own(samples.unmoved.row(row)), was = posed.from_end.to_own(before);
     for (int i = 0; i < search.count; ++i) {
       const Plane& found = search.planes[i];
       double depth = found.normal.dot(found.at.point - unmoved);
@@ -422,7 +424,7 @@ void ContactFinder::touch(const Collider& collider, int number, const Posed& pos
       const Vector3d came = posed.from_begin.to_world(still ? found.at.point : collider.at(*posed.begin, found.at));
       const Vector3d gets = posed.from_end.to_world(still ? found.at.point : collider.at(*posed.end, found.at));
       contacts.push_back({p, number, posed.from_end.to_world(point), (posed.from_end.turn * found.normal).normalized(),
-                          jumps || !posed.came ? Vector3d(Vector3d::Zero()) : Vector3d(gets - came),
+                          before, jumps || !posed.came ? Vector3d(Vector3d::Zero()) : Vector3d(gets - came),
                           1 - smooth_step(fade), std::min(depth, found.depth) - kFadeBegins * thickness});
     }
   }

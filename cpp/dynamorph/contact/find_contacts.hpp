@@ -14,8 +14,8 @@
 //
 // A collider that comes from within the body, n . N > 0.5, does not carry the skin along.
 //
-// What the bones leave no room for is not forced. With D the depth under the plane at which bones and targets alone put
-// the sample, and T the thickness of the tissue below, a contact has the weight
+// What the bones leave no room for is not forced. With D the depth at which bones and targets alone put the sample,
+// under the plane or along -N, whichever is more, and T the thickness of the tissue below, a contact has the weight
 //
 //   s = 1 - smooth_step((D - 0.7 T) / (0.5 T)).
 #pragma once
@@ -28,13 +28,20 @@
 
 namespace dynamorph {
 
-/// The samples of a skin (P) during a step, in world space, meters. It owns nothing.
+/// Samples of a skin (N) during a step, in world space, meters. The others touch nothing.
 struct SampleStep {
-  const Points& before;       ///< where they were at the end of the last step
-  const Points& predicted;    ///< the first guess of where they are at the end of this one
-  const Points& unmoved;      ///< where bones and targets alone put them at the end of this one
-  const Points& normal;       ///< of the skin there, outward, unit
-  const VectorXd& thickness;  ///< T (P) of the tissue below
+  std::vector<int> samples;  ///< which ones, ascending
+  Points before;             ///< where they were at the end of the last step
+  Points predicted;          ///< the first guess of where they are at the end of this one
+  Points unmoved;            ///< where bones and targets alone put them at the end of this one
+  Points normal;             ///< of the skin there, outward, unit
+  VectorXd thickness;        ///< T of the tissue below
+
+  void resize(Eigen::Index count) {
+    samples.resize(std::size_t(count));
+    for (Points* points : {&before, &predicted, &unmoved, &normal}) points->resize(count, 3);
+    thickness.resize(count);
+  }
 };
 
 /// What a step must know of the step before it. A copy of it belongs to each copy of a simulation's state. Clear it

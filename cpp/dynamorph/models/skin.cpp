@@ -56,6 +56,13 @@ void NodalPoints::displacement(const VectorXd& q, VectorXd& out) const {
       if (nodes_(p, k) >= 0) out.segment<3>(3 * p) += weights_(p, k) * q.segment<3>(3 * nodes_(p, k));
 }
 
+Vector3d NodalPoints::displacement(const VectorXd& q, Index point) const {
+  Vector3d out = Vector3d::Zero();
+  for (int k = 0; k < 4; ++k)
+    if (const int node = nodes_(point, k); node >= 0) out += weights_(point, k) * q.segment<3>(3 * node);
+  return out;
+}
+
 void NodalPoints::project(const VectorXd& f, VectorXd& out) const {
   out.setZero(3 * free_);
   for (Index p = 0; p < nodes_.rows(); ++p)

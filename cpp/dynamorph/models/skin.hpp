@@ -68,6 +68,8 @@ class NodalPoints {
 
   /// E u (3P).
   void displacement(const VectorXd& q, VectorXd& out) const;
+  /// The same of one point.
+  Vector3d displacement(const VectorXd& q, Eigen::Index point) const;
   /// E^T f (3 free) of bind-space forces f (3P).
   void project(const VectorXd& f, VectorXd& out) const;
   /// Rows over bind-space directions.
@@ -87,6 +89,7 @@ class ModalPoints {
   ModalPoints(const SoftBody& body, const Embedding& embedding, const MatrixXd& U);
 
   void displacement(const VectorXd& q, VectorXd& out) const { out.noalias() = basis_ * q; }
+  Vector3d displacement(const VectorXd& q, Eigen::Index point) const { return basis_.middleRows<3>(3 * point) * q; }
   void project(const VectorXd& f, VectorXd& out) const { out.noalias() = basis_.transpose() * f; }
   void rows(const PointRows& numbers, Rows& out) const;
 
@@ -120,6 +123,13 @@ class SkinMap {
     if (skin_.residual_shapes.size() > 0) out.noalias() += skin_.residual_shapes * w;
   }
 
+  /// The same of one point.
+  Vector3d displacement(const VectorXd& w, const VectorXd& q, Eigen::Index point) const {
+    Vector3d out = points_.displacement(q, point);
+    if (skin_.residual_shapes.size() > 0) out += skin_.residual_shapes.middleRows<3>(3 * point) * w;
+    return out;
+  }
+
   /// x (3P), world space.
   void positions(const Transforms& bones, const VectorXd& w, const VectorXd& q, VectorXd& x) const {
     displacement(w, q, x);
@@ -131,10 +141,14 @@ class SkinMap {
 
   /// Where a point is at q = 0, world space.
   Vector3d unmoved(const Transforms& bones, const VectorXd& w, Eigen::Index point) const {
-    Vector3d bind = skin_.rest.row(point);
-    if (skin_.residual_shapes.size() > 0) bind += skin_.residual_shapes.middleRows<3>(3 * point) * w;
-    const PointTransform T = skin_.transform(bones, point);
-    return T.leftCols<3>() * bind + T.col(3);
+    Vector3d displacement = Vector3d::Zero();
+    if (skin_.residual_shapes.size() > 0) displacement = skin_.residual_shapes.middleRows<3>(3 * point) * w;
+    return posed(skin_.transform(bones, point), point, displacement);
+  }
+
+  /// Where a point is with its transform and a displacement in bind space, world space.
+  Vector3d posed(const PointTransform& T, Eigen::Index point, const Vector3d& displacement) const {
+    return T.leftCols<3>() * (skin_.rest.row(point).transpose() + displacement) + T.col(3);
   }
 
   /// Generalized forces (dofs) of forces on the points (3P), newtons, world space.

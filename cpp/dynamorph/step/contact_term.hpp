@@ -32,7 +32,6 @@ struct Pressure {
 struct ContactStep {
   const Transforms& bones;              ///< at the end of the step
   const VectorXd& weights;              ///< of the targets (J)
-  const Points& before;                 ///< x (P) of the samples at the beginning
   const std::vector<double>& friction;  ///< mu of the colliders
   double square;                        ///< (c h)^2, s^2
   double distance;                      ///< at which samples begin to be pushed, meters
@@ -115,7 +114,7 @@ struct ContactTerm {
       add(contact.normal, contact.point + step.distance * contact.normal);
       if (!(friction > 0)) continue;
       const Vector3d across = contact.normal.unitOrthogonal();
-      const Vector3d from = step.before.row(contact.sample).transpose() + contact.motion;
+      const Vector3d from = contact.before + contact.motion;
       add(across, from);
       add(contact.normal.cross(across), from);
     }

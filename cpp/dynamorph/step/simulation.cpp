@@ -12,10 +12,13 @@ namespace dynamorph {
 
 namespace {
 
+using Box = Eigen::AlignedBox3d;
+
 constexpr int kStaticIterations = 200;   // needed only once, and gravity moves a soft body far
 constexpr double kWatched = 0.45;        // of its limit: what is nearer than that is not pulled in this step
 constexpr double kContactWidth = 1e-3;   // of the body's size: the depth over which contact gets its full stiffness
 constexpr double kContactMargin = 0.02;  // of the size: samples that come so near in a step can touch something
+constexpr double kTissue = 1.5;          // thicknesses in which a sample that appears in a collider is looked for
 constexpr double kSticks = 1e-3;         // of the size, per second: what slips slower than that is held by friction
 
 /// Gravity (m/s^2, world) on the soft tissue at the bones, without a past.
@@ -25,6 +28,24 @@ InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3
   inertial.bones.fill(&bones);
   inertial.gravity_offset = gravity;
   return inertial;
+}
+
+/// A box around where a collider is during a step; around everything if it is not finite.
+Box extent(const ColliderStep& step) {
+  const Vector3d everywhere = Vector3d::Constant(kInfinity);
+  if (!step.before.allFinite() || !step.after.allFinite()) return {-everywhere, everywhere};
+  const Box& own = step.collider.rest().bvh.nodes[0].box;
+  Box out;
+  for (const auto* at : {&step.before, &step.after}) {
+    if (step.rigid()) {
+      const Vector3d center = at->leftCols<3>() * own.center() + at->col(3);
+      const Vector3d half = at->leftCols<3>().cwiseAbs() * own.sizes() / 2;
+      out.extend(center - half).extend(center + half);
+    } else {
+      out.extend(Vector3d(at->colwise().minCoeff())).extend(Vector3d(at->colwise().maxCoeff()));
+    }
+  }
+  return out;
 }
 
 /// The weight of this step's excess in the mean over a swing (motion_limit.hpp).
@@ -182,37 +203,53 @@ void Simulation<Model>::find_contacts(const StepInput& input, const StepRule& ru
   if (!input.colliders || input.colliders->empty()) return memory_.clear();
   if (!samples_) throw std::invalid_argument("colliders: the simulation has no samples that can touch them");
   const double size = model_->body().size, margin = distance_ + kContactMargin * size;
-  SampleScratch& at = sampled_;
-  blended_shape(*model_, input.weights, at.shape);
-  const auto region = [&](const Transforms& bones, const VectorXd& q) {
-    return samples_->region(bones, margin + samples_->farthest(input.weights, q));
-  };
-  const auto box =
-      region(state_.bones[0], state_.q[0]).merged(region(input.bones, next_)).merged(region(input.bones, at.shape));
-  const auto near = [&](const ColliderStep& step) { return comes_near(step, box); };
-  if (std::none_of(input.colliders->begin(), input.colliders->end(), near)) {
+  if (!place_samples(input, margin)) {
     memory_.planes.clear();
     memory_.active.clear();
     for (const ColliderStep& step : *input.colliders) memory_.active.push_back(step.active);
     return;
   }
-  const auto place = [&](const Transforms& bones, const VectorXd& q, Points& out) {
-    samples_->map().positions(bones, input.weights, q, at.at_coordinates);
-    out = as_points(at.at_coordinates);
-  };
-  place(state_.bones[0], state_.q[0], at.before);
-  place(input.bones, next_, at.predicted);
-  place(input.bones, at.shape, at.unmoved);
-  samples_->normals(input.bones, at.normals);
-  finder_.find(*input.colliders, {at.before, at.predicted, at.unmoved, at.normals, samples_->thickness()}, margin,
-               memory_, found_);
+  finder_.find(*input.colliders, near_, margin, memory_, found_);
   unusable_ = finder_.unusable();
-  at.friction.clear();
-  for (const ColliderStep& collider : *input.colliders) at.friction.push_back(collider.friction);
+  friction_.clear();
+  for (const ColliderStep& collider : *input.colliders) friction_.push_back(collider.friction);
   contacts_.begin(*samples_, found_,
-                  {input.bones, input.weights, at.before, at.friction, rule.square, distance_, kContactWidth * size,
+                  {input.bones, input.weights, friction_, rule.square, distance_, kContactWidth * size,
                    kSticks * size * options_.h},
                   state_.pressures);
+}
+
+template <class Model>
+bool Simulation<Model>::place_samples(const StepInput& input, double margin) {
+  blended_shape(*model_, input.weights, shape_);
+  double farthest = 0;
+  for (const VectorXd* q : {&state_.q[0], &next_, &shape_})
+    farthest = std::max(farthest, samples_->farthest(input.weights, *q));
+  std::vector<int>& samples = near_.samples;
+  samples.clear();
+  extents_.clear();
+  for (const ColliderStep& step : *input.colliders)
+    if (step.active) extents_.push_back(extent(step));
+  for (const auto& group : samples_->groups()) {
+    const double reach = farthest + margin + kTissue * group.thickness;
+    const Box box = samples_->region(group, state_.bones[0], reach).merged(samples_->region(group, input.bones, reach));
+    if (std::any_of(extents_.begin(), extents_.end(), [&](const Box& extent) { return extent.intersects(box); }))
+      samples.insert(samples.end(), group.samples.begin(), group.samples.end());
+  }
+  std::sort(samples.begin(), samples.end());
+
+  const SkinMap<Model>& map = samples_->map();
+  near_.resize(Eigen::Index(samples.size()));
+  for (Eigen::Index row = 0; row < near_.before.rows(); ++row) {
+    const int p = samples[std::size_t(row)];
+    const PointTransform then = map.skin().transform(state_.bones[0], p), now = map.skin().transform(input.bones, p);
+    near_.before.row(row) = map.posed(then, p, map.displacement(input.weights, state_.q[0], p));
+    near_.predicted.row(row) = map.posed(now, p, map.displacement(input.weights, next_, p));
+    near_.unmoved.row(row) = map.posed(now, p, samples_->shape(input.weights, p));
+    near_.normal.row(row) = samples_->normal(now, p);
+    near_.thickness(row) = samples_->thickness()(p);
+  }
+  return !samples.empty();
 }
 
 template <class Model>
@@ -270,24 +307,6 @@ StepReport Simulation<Model>::start(const Transforms& now, const Transforms& nex
   state_.contact.clear();
   state_.pressures.clear();
   return report;
-}
-
-/// Whether a collider is near a box at any time of a step, or not finite.
-bool comes_near(const ColliderStep& step, const Eigen::AlignedBox3d& box) {
-  if (!step.active) return false;
-  if (!step.before.allFinite() || !step.after.allFinite()) return true;
-  const Bvh::Box& own = step.collider.rest().bvh.nodes[0].box;
-  Eigen::AlignedBox3d around;
-  for (const auto* at : {&step.before, &step.after}) {
-    if (step.rigid()) {
-      const Vector3d center = at->leftCols<3>() * own.center() + at->col(3);
-      const Vector3d half = at->leftCols<3>().cwiseAbs() * own.sizes() / 2;
-      around.extend(center - half).extend(center + half);
-    } else {
-      around.extend(Vector3d(at->colwise().minCoeff())).extend(Vector3d(at->colwise().maxCoeff()));
-    }
-  }
-  return around.intersects(box);
 }
 
 /// Throws Error unless a state's contacts are of samples that there are (0: without contact).

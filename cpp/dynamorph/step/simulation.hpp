@@ -59,13 +59,6 @@ struct StepReport {
   std::vector<int> unusable_colliders;               ///< active, but not finite or without extent
 };
 
-/// Where the samples of contact are during a step.
-struct SampleScratch {
-  VectorXd at_coordinates, shape;
-  Points before, predicted, unmoved, normals;
-  std::vector<double> friction;  ///< of the colliders
-};
-
 template <class Model>
 class Simulation {
  public:
@@ -133,7 +126,10 @@ class Simulation {
   /// The same inertial target with the accelerations of the transforms, and of gravity, scaled: the past x^ becomes
   /// x_in + s (x^ - x_in), where x_in is the past without the motion of the bones.
   InertialTarget scaled(InertialTarget inertial, double square);
-  /// Decides what can touch what in a step that would end at next_ without contact.
+  /// Places the samples that a collider comes nearer than the margin (meters) in a step that would end at next_ without
+  /// contact. Returns whether there are any.
+  bool place_samples(const StepInput& input, double margin);
+  /// Decides what can touch what in that step.
   void find_contacts(const StepInput& input, const StepRule& rule);
   /// Adds what the contacts do at next_.
   void report_contacts(const StepInput& input, StepReport& report);
@@ -166,8 +162,11 @@ class Simulation {
   ContactFinder finder_;
   std::vector<Contact> found_;
   std::vector<int> unusable_;
-  ContactMemory memory_;  ///< at the end of the step
-  SampleScratch sampled_;
+  ContactMemory memory_;                      ///< at the end of the step
+  SampleStep near_;                           ///< samples that a collider comes near
+  VectorXd shape_;                            ///< coordinates of the blended targets
+  std::vector<Eigen::AlignedBox3d> extents_;  ///< of the active colliders during the step
+  std::vector<double> friction_;              ///< of the colliders
   NewtonScratch<Matrix> newton_;
   MatrixXd rest_gravity_;     ///< gravity in each target's own pose (dofs, J), or empty
   MatrixXd rest_directions_;  ///< the same at each transform, A^T g (3T, J)

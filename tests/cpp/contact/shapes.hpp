@@ -4,6 +4,7 @@
 
 #include <Eigen/Geometry>
 #include <cmath>
+#include <numeric>
 #include <vector>
 
 #include "dynamorph/contact/find_contacts.hpp"
@@ -107,7 +108,9 @@ struct Skin {
   /// left, as it is with an elastic force.
   void step(const std::vector<ColliderStep>& colliders, const Points& unmoved, double margin, double give = 0) {
     const Points predicted = unmoved;
-    finder.find(colliders, {at, predicted, unmoved, normal, thickness}, margin, memory, contacts);
+    std::vector<int> all(std::size_t(at.rows()));
+    std::iota(all.begin(), all.end(), 0);
+    finder.find(colliders, {all, at, predicted, unmoved, normal, thickness}, margin, memory, contacts);
     at = predicted;
     for (int round = 0; round < 20; ++round)  // to where all planes agree
       for (const Contact& contact : contacts) {

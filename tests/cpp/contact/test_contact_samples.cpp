@@ -116,11 +116,12 @@ TEST_CASE("the normals of samples turn with their bones, and stay outside in a m
   skin.normals *= 3;
   const ContactSamples<ReducedModel> samples(model, skin);
   Transforms bones(2, 12);
-  Points normals;
+  Points normals(samples.size(), 3);
   const auto pose = [&](const Matrix3d& A) {
     for (int b = 0; b < 2; ++b)
       Eigen::Map<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>>(bones.data() + 12 * b) << A, Vector3d(1, 2, 3);
-    samples.normals(bones, normals);
+    for (Eigen::Index p = 0; p < samples.size(); ++p)
+      normals.row(p) = samples.normal(samples.map().skin().transform(bones, p), p);
   };
   const Points rest = skin.normals.rowwise().normalized();
   const Matrix3d turn = Eigen::AngleAxisd(0.7, Vector3d(1, 2, 3).normalized()).toRotationMatrix();

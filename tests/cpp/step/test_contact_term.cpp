@@ -39,11 +39,10 @@ void check_contact(std::shared_ptr<const Model> model) {
     for (int p = 3 * c; p < int(samples.size()); p += 6) {
       const Vector3d normal = random_vector(3, 1, unsigned(p)).normalized(), x = before.segment<3>(3 * p);
       const double depth = kWidth * (p % 4 - 0.5);
-      contacts.push_back({p, c, x + depth * normal, normal, 0.004 * normal.unitOrthogonal() * (1 + p % 5), 0.7, -1});
+      contacts.push_back({p, c, x + depth * normal, normal, x, 0.004 * normal.unitOrthogonal() * (1 + p % 5), 0.7, -1});
       if (c == 0) pressures.push_back({p, 0, normal, 0.1 * (p % 7)});
     }
-  const Points at = as_points(before);
-  const ContactStep step{bones, kBetween, at, friction, 1e-4, 0, kWidth, 0.01};
+  const ContactStep step{bones, kBetween, friction, 1e-4, 0, kWidth, 0.01};
   AtFirst<Model> term;
   term.begin(samples, contacts, step, pressures);
   typename Model::Blend blend;
