@@ -57,6 +57,35 @@ void bind_collider(py::module_& m) {
            "active: whether something can touch it, for each step (S) or for all.");
 }
 
+void bind_local_responses(py::module_& m) {
+  py::class_<LocalResponses, std::shared_ptr<LocalResponses>>(
+      m, "LocalResponses",
+      "How patches of a skin give way where something presses, which a reduced model's coordinates cannot do. "
+      "Simulations may share it.")
+      .def(py::init([](std::shared_ptr<FullModel> model, const MatrixXd& basis, const FloatArray& rest,
+                       const FloatArray& normals, const Embedding& embedding, const std::vector<int>& centers) {
+             const SkinPlaces places{as_points(flat_points("rest", rest, -1)),
+                                     as_points(flat_points("normals", normals, rest.shape(0))).rowwise().normalized()};
+             check_finite("basis", basis);
+             check_finite("rest", places.rest);
+             check_finite("normals", places.normals);
+             return without_gil(
+                 [&] { return std::make_shared<LocalResponses>(*model, basis, places, embedding, centers); });
+           }),
+           "model"_a.none(false), "basis"_a, "rest"_a, "normals"_a, "embedding"_a, "centers"_a,
+           "model: the unreduced one. basis (3 free, dofs): the reduced model's. rest (L, 3): places that are spread "
+           "evenly over the soft skin, meters, bind space; normals (L, 3): outward, any length; embedding: of the L "
+           "places. centers "
+           "(P): those in the middle of a patch.")
+      .def_property_readonly(
+          "shapes", [](const LocalResponses& r) { return MatrixXd(r.shapes()); },
+          "Displacement (3 free, P) of the free nodes by a unit of each patch's amplitude, which has a mean square of "
+          "one over the body's volume.")
+      .def_property_readonly(
+          "stiffness", [](const LocalResponses& r) { return MatrixXd(r.stiffness()); },
+          "C (P, P) of the energy a^T C a / 2, at the neutral targets.");
+}
+
 template <class Model>
 void bind_contact_of(py::module_& m, const char* name) {
   using Samples = ContactSamples<Model>;
@@ -64,18 +93,18 @@ void bind_contact_of(py::module_& m, const char* name) {
       m, name, "The points of a model's skin that can touch colliders. Simulations may share them.")
       .def(py::init([](std::shared_ptr<Model> model, const FloatArray& rest, const Embedding& embedding,
                        const MatrixXd& weights, const FloatArray& normals, const VectorXd& thickness,
-                       const std::optional<FloatArray>& residual_shapes) {
+                       const std::optional<FloatArray>& residual_shapes, std::shared_ptr<LocalResponses> local) {
              ContactSkin samples{skin_of(rest, embedding, weights, residual_shapes),
                                  as_points(flat_points("normals", normals, rest.shape(0))), thickness};
-             return without_gil([&] { return std::make_shared<Samples>(model, std::move(samples)); });
+             return without_gil([&] { return std::make_shared<Samples>(model, std::move(samples), local); });
            }),
            "model"_a.none(false), "rest"_a, "embedding"_a, "weights"_a, "normals"_a, "thickness"_a,
-           "residual_shapes"_a = py::none(),
+           "residual_shapes"_a = py::none(), "local"_a = py::none(),
            "rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin "
            "weights at any positive scale; those below 1 % do not count. normals (P, 3): out of the body, bind space. "
            "thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by "
            "1.2 times that not at all. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, "
-           "or None.")
+           "or None. local: how a reduced model's skin gives way; None for an unreduced one.")
       .def_property_readonly(
           "stiffness", [](const Samples& s) { return VectorXd(s.stiffness()); },
           "The model's own stiffness at each point (P) along its normal, N/m, at the neutral "
@@ -86,6 +115,7 @@ void bind_contact_of(py::module_& m, const char* name) {
 
 void bind_contact(py::module_& m) {
   bind_collider(m);
+  bind_local_responses(m);
   bind_contact_of<FullModel>(m, "FullContact");
   bind_contact_of<ReducedModel>(m, "ReducedContact");
 }

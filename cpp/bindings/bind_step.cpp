@@ -372,6 +372,11 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "A copy of the coordinates after the last step. The unit is meters times the square root of cubic meters for "
           "a reduced model, and meters for a full one.")
       .def_property_readonly(
+          "dents", [](const Sim& s) { return in_turn(s, [&] { return VectorXd(s.dents()); }); },
+          "A copy of the amplitudes of its contact's local responses after the last step, none without. Setting a "
+          "state "
+          "sets them to zero.")
+      .def_property_readonly(
           "kinetic_energy", [](const Sim& s) { return in_turn(s, [&] { return s.kinetic_energy(); }); },
           "Kinetic energy of the posed nodes, J, from the integrator's own velocity.")
       .def_property_readonly(

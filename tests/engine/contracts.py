@@ -71,7 +71,9 @@ def scene() -> SimpleNamespace:
     s.samples = {"rest": s.points, "embedding": s.embedding, "weights": np.ones((len(s.points), 1)),
                  "normals": normals, "thickness": np.full(len(s.points), 0.05)}  # fmt: skip
     s.full_contact = dynamorph.FullContact(s.full, **s.samples)
-    s.reduced_contact = dynamorph.ReducedContact(s.reduced, **s.samples)
+    s.places = {"basis": np.eye(s.full.dofs)[:, :4], "rest": s.points, "normals": normals, "embedding": s.embedding}
+    s.dents = dynamorph.LocalResponses(s.full, **s.places, centers=[0, 1])
+    s.reduced_contact = dynamorph.ReducedContact(s.reduced, **s.samples, local=s.dents)
     s.collider_points = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
     s.collider_triangles = np.array([[0, 1, 2]], np.int32)
     s.collider = dynamorph.Collider(s.collider_points, s.collider_triangles)
@@ -190,8 +192,11 @@ def calls() -> dict[str, tuple[object, dict]]:
         "Collider": (lib, {"points": s.collider_points, "triangles": s.collider_triangles, "one_sided": False}),
         "ColliderMotion": (lib, {"collider": s.collider, "motion": np.repeat(s.bones, 2, 0),
                                  "friction": np.array([0.5]), "active": np.array([True])}),
-        "FullContact": (lib, {"model": s.full, **s.samples, "residual_shapes": np.zeros((2, len(s.points), 3))}),
-        "ReducedContact": (lib, {"model": s.reduced, **s.samples, "residual_shapes": np.zeros((2, len(s.points), 3))}),
+        "FullContact": (lib, {"model": s.full, **s.samples, "residual_shapes": np.zeros((2, len(s.points), 3)),
+                              "local": None}),
+        "LocalResponses": (lib, {"model": s.full, **s.places, "centers": [0, 1]}),
+        "ReducedContact": (lib, {"model": s.reduced, **s.samples, "residual_shapes": np.zeros((2, len(s.points), 3)),
+                                 "local": s.dents}),
         "SoftBody.extend_shapes": (s.body, {"embedding": s.embedding,
                                             "surfaces": np.zeros((2, len(s.embedding.nodes), 3))}),
         "FullModel": (lib, {"body": s.body, "targets": s.targets, "material_model": s.material_model,

@@ -291,13 +291,74 @@ def test_a_step_with_nobody_near_is_the_same_to_the_last_bit(belly, near):
     assert report["contacts"] == 0
 
 
-def test_a_reduced_model_is_pushed_out_too(belly):
-    """Its modes are global: it cannot make a dent, but what it has keeps its skin outside."""
+@pytest.fixture(scope="module")
+def few(belly):
+    """The belly with 52 coordinates and 256 patches."""
     tables = dynamorph.reduce(belly.model, dynamorph.make_response_basis(belly.model, 12, 40))
-    reduced = dynamorph.ReducedModel(belly.body, [belly.target], tables, dynamorph.Blending.EVEN)
-    simulation = dynamorph.ReducedSimulation(reduced, H)
-    simulation.set_contact(dynamorph.ReducedContact(reduced, **belly.samples))
+    model = dynamorph.ReducedModel(belly.body, [belly.target], tables, dynamorph.Blending.EVEN)
+    rest, centers = belly.samples["rest"], [0]
+    away = np.linalg.norm(rest - rest[0], axis=1)
+    while len(centers) < 256:  # those farthest from each other
+        centers.append(int(away.argmax()))
+        away = np.minimum(away, np.linalg.norm(rest - rest[centers[-1]], axis=1))
+    basis = np.hstack([tables.basis, tables.responses])
+    places = [belly.samples[name] for name in ("rest", "normals", "embedding")]
+    return SimpleNamespace(
+        model=model, basis=basis, local=dynamorph.LocalResponses(belly.model, basis, *places, centers)
+    )
+
+
+def simulated_few(belly, few, local):
+    simulation = dynamorph.ReducedSimulation(few.model, H)
+    simulation.set_contact(dynamorph.ReducedContact(few.model, **belly.samples, local=local))
     simulation.start(STILL, STILL, ONE)
+    return simulation
+
+
+def test_local_responses_make_a_dent(belly, few):
+    """Compared with the mesh, near the dent: the modes alone bend the whole body."""
+    collider = ball(0.05)
+    places = [pressed(depth) for depth in np.r_[np.linspace(-0.001, 0.01, 8), [0.01] * 24]]
+
+    def dent(simulation):
+        reports = [step(simulation, collider, pair) for pair in itertools.pairwise(places)]
+        assert all(report["converged"] for report in reports)
+        assert reports[-1]["penetration"] <= 0.0011 * belly.size
+        moved = simulation.coordinates
+        if len(moved) == few.basis.shape[1]:
+            moved = few.basis @ moved
+        if len(simulation.dents):
+            moved = moved + few.local.shapes @ simulation.dents
+        return moved.reshape(-1, 3), np.linalg.norm(reports[-1]["contact_forces"])
+
+    mesh, force = dent(simulated(belly))
+    modes, patches = simulated_few(belly, few, None), simulated_few(belly, few, few.local)
+    near = np.linalg.norm(mesh, axis=1) > 0.1 * np.linalg.norm(mesh, axis=1).max()
+    (alone, _), (local, pressing) = dent(modes), dent(patches)
+    assert np.linalg.norm((local - mesh)[near]) < 0.4 * np.linalg.norm(mesh[near])
+    assert np.linalg.norm((local - mesh)[near]) < 0.2 * np.linalg.norm((alone - mesh)[near])
+    assert pressing < 1.7 * force
+    step(patches, collider, [placed(0.6, 0, 0)] * 2)
+    assert not patches.dents.any()  # they have no past
+
+
+def test_a_state_with_dents_resumes_to_the_last_bit(belly, few):
+    collider = ball(0.05)
+    places = [pressed(depth) for depth in np.linspace(-0.001, 0.02, 21)]
+    whole, first, second = (simulated_few(belly, few, few.local) for _ in range(3))
+    step(whole, collider, places[:11])
+    step(whole, collider, places[10:])
+    step(first, collider, places[:11])
+    second.state = first.state
+    step(second, collider, places[10:])
+    assert second.dents.any()
+    np.testing.assert_array_equal(second.dents, whole.dents)
+    np.testing.assert_array_equal(second.coordinates, whole.coordinates)
+
+
+def test_a_reduced_model_is_pushed_out_too(belly, few):
+    """Its modes are global: without local responses it cannot make a dent, but they keep its skin outside."""
+    simulation = simulated_few(belly, few, None)
     collider = ball(0.05)
     places = [pressed(depth) for depth in np.r_[np.linspace(-0.001, 0.01, 8), [0.01] * 24]]
     reports = [step(simulation, collider, pair) for pair in itertools.pairwise(places)]

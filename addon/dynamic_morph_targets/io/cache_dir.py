@@ -89,8 +89,9 @@ def _fits(kept: dict[str, np.ndarray], model: Model, states: int) -> bool:
     """Whether these arrays are what `keep` stores of a bake of so many states with this model."""
     done, bones = next(iter(np.shape(kept.get("weights", ()))), 0), len(model.rest)
     dofs = 3 * int(model.free.sum()) if model.settings.solver == "FULL" else model.modes.shape[1]
+    with_dents = max(dofs, next(iter(np.shape(kept.get("coordinates", ()))[1:]), 0))  # of collision
     shapes = {
-        "coordinates": (done, dofs),
+        "coordinates": (done, with_dents),
         "weights": (done, len(model.residual_shapes)),
         "steps": (done, len(STEP)),
         "past": (4, dofs),

@@ -8,7 +8,7 @@ import numpy.typing
 import scipy.sparse
 import typing
 import typing_extensions
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Embedding', 'Error', 'FullContact', 'FullModel', 'FullMotionLimit', 'FullSimulation', 'FullSkin', 'Grabs', 'Integrator', 'MaterialModel', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedContact', 'ReducedModel', 'ReducedMotionLimit', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'tetrahedralize', 'unpack_model']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Embedding', 'Error', 'FullContact', 'FullModel', 'FullMotionLimit', 'FullSimulation', 'FullSkin', 'Grabs', 'Integrator', 'LocalResponses', 'MaterialModel', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedContact', 'ReducedModel', 'ReducedMotionLimit', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -472,13 +472,31 @@ class ColliderMotion:
         """
         motion: meters, a rigid collider's transforms (S + 1, 3, 4) or a deforming one's points (S + 1, V, 3), the first at the beginning of the first step, each other at the end of one. They need not be finite: where they are not, nothing touches the collider. friction: Coulomb's coefficient, for each step (S) or for all. active: whether something can touch it, for each step (S) or for all.
         """
+class LocalResponses:
+    """
+    How patches of a skin give way where something presses, which a reduced model's coordinates cannot do. Simulations may share it.
+    """
+    def __init__(self, model: FullModel, basis: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, centers: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex]) -> None:
+        """
+        model: the unreduced one. basis (3 free, dofs): the reduced model's. rest (L, 3): places that are spread evenly over the soft skin, meters, bind space; normals (L, 3): outward, any length; embedding: of the L places. centers (P): those in the middle of a patch.
+        """
+    @property
+    def shapes(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        """
+        Displacement (3 free, P) of the free nodes by a unit of each patch's amplitude, which has a mean square of one over the body's volume.
+        """
+    @property
+    def stiffness(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        """
+        C (P, P) of the energy a^T C a / 2, at the neutral targets.
+        """
 class FullContact:
     """
     The points of a model's skin that can touch colliders. Simulations may share them.
     """
-    def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> None:
+    def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, local: LocalResponses = None) -> None:
         """
-        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale; those below 1 % do not count. normals (P, 3): out of the body, bind space. thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by 1.2 times that not at all. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None.
+        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale; those below 1 % do not count. normals (P, 3): out of the body, bind space. thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by 1.2 times that not at all. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None. local: how a reduced model's skin gives way; None for an unreduced one.
         """
     @property
     def stiffness(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
@@ -489,9 +507,9 @@ class ReducedContact:
     """
     The points of a model's skin that can touch colliders. Simulations may share them.
     """
-    def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> None:
+    def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, local: LocalResponses = None) -> None:
         """
-        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale; those below 1 % do not count. normals (P, 3): out of the body, bind space. thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by 1.2 times that not at all. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None.
+        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale; those below 1 % do not count. normals (P, 3): out of the body, bind space. thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by 1.2 times that not at all. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None. local: how a reduced model's skin gives way; None for an unreduced one.
         """
     @property
     def stiffness(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
@@ -629,6 +647,11 @@ class FullSimulation:
         A copy of the coordinates after the last step. The unit is meters times the square root of cubic meters for a reduced model, and meters for a full one.
         """
     @property
+    def dents(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        A copy of the amplitudes of its contact's local responses after the last step, none without. Setting a state sets them to zero.
+        """
+    @property
     def elastic_energy(self) -> float:
         """
         Elastic energy, J, at the target weights of the last step.
@@ -689,6 +712,11 @@ class ReducedSimulation:
     def coordinates(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
         """
         A copy of the coordinates after the last step. The unit is meters times the square root of cubic meters for a reduced model, and meters for a full one.
+        """
+    @property
+    def dents(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        A copy of the amplitudes of its contact's local responses after the last step, none without. Setting a state sets them to zero.
         """
     @property
     def elastic_energy(self) -> float:

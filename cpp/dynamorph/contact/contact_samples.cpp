@@ -4,7 +4,9 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <numeric>
 
+#include "dynamorph/contact/at_rest.hpp"
 #include "dynamorph/elastic/sparse_cholesky.hpp"
 #include "dynamorph/mesh/bvh.hpp"
 
@@ -16,12 +18,10 @@ namespace {
 
 constexpr double kFirmness = 30;        // times the stiffness of the body: what is left of a dent is 1/30
 constexpr double kStep = 2.0 / 3 / 96;  // s, where the mass is fitted: c h of BDF2 at 24 fps and 4 substeps
-constexpr double kAtRest = 10;          // s: a step so long is a static answer, also of a body that nothing holds
 constexpr double kFree = 0.3;           // of a sample's weights on free nodes; with less, pins hold it
 constexpr int kTogether = 256;          // samples solved at a time, so that memory stays small
 constexpr Index kSolved = 3000;         // samples whose compliance is solved for; others have that of the most alike
 constexpr double kTurned = 0.1;         // of the body's size: as far as a normal at a right angle is unlike
-constexpr double kOwn[] = {0.5, 0.9};   // own motion of a sample below which it is not pushed, and from which it is
 constexpr int kGrouped = 64;            // samples in a group, at most
 constexpr Index kLookedAt = 300;        // samples whose motion is compared with that of one that is pushed
 
@@ -49,30 +49,38 @@ VectorXd compliance(const ArrowMatrix& A, const RowMajor& J) {
   return factor.matrixL().solve(J.transpose()).colwise().squaredNorm();
 }
 
-/// How far a sample moves that is pushed, each along its row of J, over how far that moves any of them.
-VectorXd own_motion(const SparseMatrix&, const SparseRows& J, const NodalPoints&) {
-  return VectorXd::Ones(J.rows());  // a mesh gives way where it is pushed
-}
-VectorXd own_motion(const ArrowMatrix& A, const RowMajor& J, const ModalPoints& points) {
+/// What a force of one along each row of J (k) does to the coordinates: (dofs, k).
+MatrixXd answers_to(const ArrowMatrix& A, const RowMajor& J) {
   const Eigen::LLT<MatrixXd> factor(A.dense());
-  if (factor.info() != Eigen::Success) return VectorXd::Zero(J.rows());
-  const MatrixXd answers = factor.solve(J.transpose());
-  VectorXd farthest = VectorXd::Constant(J.rows(), 1e-300);
-  const Index count = points.basis().rows() / 3, stride = (count + kLookedAt - 1) / kLookedAt;
-  for (Index p = 0; p < count; p += stride)
-    farthest = farthest.cwiseMax((points.basis().middleRows<3>(3 * p) * answers).colwise().norm().transpose());
-  const VectorXd own = J.cwiseProduct(answers.transpose()).rowwise().sum();
-  return (own.array() / farthest.array()).min(1.0);
+  if (factor.info() != Eigen::Success) return MatrixXd::Zero(J.cols(), J.rows());
+  return factor.solve(J.transpose());
+}
+
+/// `stays_local` of pushes that move their own places by `own` (k) and others by `moved` (3 others, k).
+VectorXd stay_local(const VectorXd& own, const MatrixXd& moved) {
+  VectorXd farthest = own;
+  for (Index p = 0; p < moved.rows(); p += 3)
+    farthest = farthest.cwiseMax(moved.middleRows<3>(p).colwise().norm().transpose());
+  VectorXd out(own.size());
+  for (Index k = 0; k < own.size(); ++k) out(k) = stays_local(own(k), farthest(k));
+  return out;
+}
+
+/// The rows of chosen points (3 points, columns).
+RowMajor points_of(const RowMajor& basis, const std::vector<int>& points) {
+  RowMajor out(3 * Index(points.size()), basis.cols());
+  for (std::size_t i = 0; i < points.size(); ++i) out.middleRows<3>(3 * Index(i)) = basis.middleRows<3>(3 * points[i]);
+  return out;
 }
 
 /// For each sample the number of the solved one (every `stride`-th) that is nearest and faces the same way.
-std::vector<Index> most_alike(const ContactSkin& samples, const Points& normals, Index stride, double size) {
+std::vector<Index> most_alike(const Points& rest, const Points& normals, Index stride, double size) {
   std::vector<Index> out;
   for (Index p = 0; p < normals.rows(); ++p) {
     Index best = p / stride;
     double least = kInfinity;
     for (Index k = 0; p % stride != 0 && k * stride < normals.rows(); ++k) {
-      const double apart = (samples.skin.rest.row(p) - samples.skin.rest.row(k * stride)).squaredNorm();
+      const double apart = (rest.row(p) - rest.row(k * stride)).squaredNorm();
       const double unlike = apart + kTurned * kTurned * size * size * (1 - normals.row(p).dot(normals.row(k * stride)));
       if (unlike < least) {
         least = unlike;
@@ -145,26 +153,6 @@ VectorXd most_moved(const ModalPoints& points, const Embedding&) {
   return out;
 }
 
-/// K at the neutral targets, and M in the pose of the targets' sculpts.
-template <class Model>
-std::pair<typename Model::Matrix, typename Model::Matrix> stiffness_and_mass(const Model& model,
-                                                                             const VectorXd& weights) {
-  typename Model::Blend blend;
-  model.blend(weights, blend);
-  VectorXd rest, force;
-  blended_shape(model, weights, rest);
-  typename Model::Matrix K = model.zero();
-  model.linearize(blend, rest, force, K);
-  Transforms still(model.body().skin.cols(), 12);
-  still.rowwise() = Eigen::Matrix<double, 1, 12>{{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}};
-  InertialTarget inertial;
-  inertial.q.fill(&rest);
-  inertial.bones.fill(&still);
-  typename Model::Inertia inertia;
-  model.inertia(inertial, blend.mass, inertia);
-  return {K, inertia.mass};
-}
-
 const ContactSkin& checked(const ContactSkin& samples) {
   const Index P = samples.skin.rest.rows();
   check_size("normals", samples.normals.rows(), P);
@@ -179,57 +167,133 @@ const ContactSkin& checked(const ContactSkin& samples) {
 }  // namespace
 
 template <class Model>
-ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, ContactSkin samples)
+ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, ContactSkin samples,
+                                      std::shared_ptr<const LocalResponses> local)
     : map_(model, checked(samples).skin),
       normals_(samples.normals.rowwise().normalized()),
       thickness_(std::move(samples.thickness)),
       groups_(grouped<Group>(map_.skin(), thickness_)),
       share_(set_shares(model->body(), map_.skin().embedding)),
-      softness_(model->body().sets()) {
+      softness_(model->body().sets()),
+      local_(std::move(local)) {
   const VectorXd neutral = neutral_weights(model->body(), model->targets());
   for (std::size_t j = 0; j < model->targets().size(); ++j)
     if (neutral(Index(j)) == 1) softness_(model->targets()[j].set) = 1 / model->targets()[j].lame.mu;
+  stiffness_.setZero(size());
+  mass_.setZero(size());
+  taken_.setOnes(size());
+  moved_.setZero(model->dofs());
+  residual_.setZero(0);
+  if (size() == 0) return;
+  const typename Model::SkinPoints points = model->skin_points(map_.skin().embedding);
+  bound_motion(points);
+  find_patches();
+  find_stiffness(points, neutral);
+}
 
+template <class Model>
+void ContactSamples<Model>::bound_motion(const typename Model::SkinPoints& points) {
+  moved_ = most_moved(points, map_.skin().embedding);
+  const MatrixXd& R = map_.skin().residual_shapes;
+  residual_.setZero(R.size() > 0 ? R.cols() : 0);
+  for (Index j = 0; j < residual_.size(); ++j) residual_(j) = R.col(j).reshaped(3, size()).colwise().norm().maxCoeff();
+  shapes_.resize(3 * size(), Index(model().targets().size()));
+  for (Index j = 0; j < shapes_.cols(); ++j) {
+    VectorXd shape;
+    map_.displacement(VectorXd::Unit(shapes_.cols(), j), model().target(int(j)), shape);
+    shapes_.col(j) = shape;
+  }
+}
+
+template <class Model>
+void ContactSamples<Model>::find_patches() {
+  if (!local_) return;
+  if (std::is_same_v<Model, FullModel>) throw std::invalid_argument("local: an unreduced model has no local responses");
+  if (local_->shapes().rows() != 3 * Index(model().body().free_nodes.size()))
+    throw std::invalid_argument("local: they belong to another mesh");
+  patches_.resize(std::size_t(size()));
+  std::vector<std::pair<int, double>> found;
+  for (Index p = 0; p < size(); ++p) {
+    local_->patches_at(map_.skin().rest.row(p), normals_.row(p), found);
+    for (const auto& [patch, weight] : found) patches_[std::size_t(p)].push_back(patch);
+  }
+}
+
+template <class Model>
+void ContactSamples<Model>::find_stiffness(const typename Model::SkinPoints& points, const VectorXd& neutral) {
   const Index stride = (size() + kSolved - 1) / kSolved;
-  const std::vector<Index> solved = most_alike(samples, normals_, stride, model->body().size);
+  const std::vector<Index> solved = most_alike(map_.skin().rest, normals_, stride, model().body().size);
   PointRows numbers;
   for (int p = 0; p < int(size()); p += int(stride)) {
     numbers.add_row();
     numbers.add(p, normals_.row(p));
   }
   typename SkinMap<Model>::Rows rows;
-  const typename Model::SkinPoints points = model->skin_points(map_.skin().embedding);
   points.rows(numbers, rows);
-  moved_ = size() > 0 ? most_moved(points, map_.skin().embedding) : VectorXd::Zero(model->dofs());
-  const MatrixXd& R = map_.skin().residual_shapes;
-  residual_.setZero(R.size() > 0 ? R.cols() : 0);
-  for (Index j = 0; j < residual_.size(); ++j) residual_(j) = R.col(j).reshaped(3, size()).colwise().norm().maxCoeff();
-  shapes_.resize(3 * size(), Index(model->targets().size()));
-  for (Index j = 0; j < shapes_.cols(); ++j) {
-    VectorXd shape;
-    map_.displacement(VectorXd::Unit(shapes_.cols(), j), model->target(int(j)), shape);
-    shapes_.col(j) = shape;
+  const typename Model::Matrix A = lasting_stiffness(model(), neutral);
+  auto [K, M] = stiffness_and_mass(model(), neutral);
+  values(K) += values(M) / (kStep * kStep);
+  VectorXd lasting = compliance(A, rows), in_step = compliance(K, rows), pushed = VectorXd::Ones(lasting.size());
+  if constexpr (std::is_same_v<Model, ReducedModel>) {
+    std::vector<int> others;
+    for (Index p = 0; p < size(); p += (size() + kLookedAt - 1) / kLookedAt) others.push_back(int(p));
+    MatrixXd moved = points_of(points.basis(), others) * answers_to(A, rows);
+    pushed = stay_local(lasting, moved);
+    if (local_) {
+      const VectorXd taken = pushed;
+      for (Index p = 0; p < size(); ++p) taken_(p) = taken(solved[std::size_t(p)]);
+      const auto [local, dents] = local_answers(numbers, others, neutral);
+      moved = moved * taken.asDiagonal() + dents;
+      pushed = stay_local(lasting.cwiseProduct(taken) + local, moved);
+      lasting = lasting.cwiseProduct(taken.cwiseAbs2()) + local;
+      in_step = in_step.cwiseProduct(taken.cwiseAbs2()) + local;
+    }
   }
-
-  auto [K, M] = stiffness_and_mass(*model, neutral);
-  typename Model::Matrix A = K;
-  values(A) = values(K) + values(M) / (kAtRest * kAtRest);
-  const VectorXd lasting = compliance(A, rows), own = own_motion(A, rows, points);
-  values(A) = values(K) + values(M) / (kStep * kStep);
-  const VectorXd in_step = compliance(A, rows);
-  const VectorXd free = free_weights(model->body(), map_.skin().embedding);
-  stiffness_.setZero(size());
-  mass_.setZero(size());
+  const VectorXd free = free_weights(model().body(), map_.skin().embedding);
   for (Index p = 0; p < size(); ++p) {
     const Index k = solved[std::size_t(p)];
     if (!(in_step(k) > 0)) continue;
     // A sample that moves little with its nodes, or with its modes, would move them far: no more than it moves itself
     // is asked for.
-    const double counts =
-        std::pow(std::clamp(free(p) / kFree, 0.0, 1.0), 4) * smooth_step((own(k) - kOwn[0]) / (kOwn[1] - kOwn[0]));
+    const double counts = std::pow(std::clamp(free(p) / kFree, 0.0, 1.0), 4) * pushed(k);
     stiffness_(p) = counts / lasting(k);
     mass_(p) = counts * std::max(1 / in_step(k) - 1 / lasting(k), 0.0) * kStep * kStep;
   }
+}
+
+template <class Model>
+std::pair<VectorXd, MatrixXd> ContactSamples<Model>::local_answers(const PointRows& numbers,
+                                                                   const std::vector<int>& others,
+                                                                   const VectorXd& neutral) const {
+  std::vector<int> all(std::size_t(local_->size()));
+  std::iota(all.begin(), all.end(), 0);
+  MatrixXd rows(local_->size(), numbers.size());
+  for (int k = 0; k < numbers.size(); ++k)
+    rows.col(k) = local_row(numbers.point(k), numbers.direction(k), all).transpose();
+  MatrixXd answers = local_->stiffness().llt().solve(rows);
+  for (int k = 0; k < numbers.size(); ++k) answers.col(k) /= local_stiffer(numbers.point(k), neutral);
+  RowMajor places(3 * Index(others.size()), local_->size());
+  for (std::size_t i = 0; i < others.size(); ++i)
+    for (int axis = 0; axis < 3; ++axis)
+      places.row(3 * Index(i) + axis) = local_row(others[i], Vector3d::Unit(axis), all);
+  return {rows.cwiseProduct(answers).colwise().sum().transpose(), places * answers};
+}
+
+template <class Model>
+Eigen::RowVectorXd ContactSamples<Model>::local_row(Index sample, const Vector3d& direction,
+                                                    const std::vector<int>& patches) const {
+  const Embedding& embedding = map_.skin().embedding;
+  Eigen::RowVectorXd out = Eigen::RowVectorXd::Zero(Index(patches.size()));
+  for (int k = 0; k < 4; ++k) {
+    const int node = model().body().free_of_node[std::size_t(embedding.nodes(sample, k))];
+    if (node < 0) continue;
+    for (int axis = 0; axis < 3; ++axis) {
+      const double factor = embedding.weights(sample, k) * direction(axis);
+      const double* row = local_->shapes().row(3 * node + axis).data();
+      for (std::size_t m = 0; m < patches.size(); ++m) out(Index(m)) += factor * row[patches[m]];
+    }
+  }
+  return out;
 }
 
 template <class Model>
@@ -256,13 +320,18 @@ Eigen::AlignedBox3d ContactSamples<Model>::region(const Group& group, const Tran
 }
 
 template <class Model>
-double ContactSamples<Model>::stiffness(Index sample, const VectorXd& weights, double square) const {
-  double stiffer = 0;
+double ContactSamples<Model>::stiffer(Index sample, const VectorXd& weights, const VectorXd& softness) const {
+  double out = 0;
   const auto& targets = model().targets();
   for (std::size_t j = 0; j < targets.size(); ++j)
     if (const double w = weights(Index(j)); w != 0)
-      stiffer += share_(sample, targets[j].set) * w * targets[j].lame.mu * softness_(targets[j].set);
-  return kFirmness * (stiffer * stiffness_(sample) + mass_(sample) / square);
+      out += share_(sample, targets[j].set) * w * targets[j].lame.mu * softness(targets[j].set);
+  return out;
+}
+
+template <class Model>
+double ContactSamples<Model>::stiffness(Index sample, const VectorXd& weights, double square) const {
+  return kFirmness * (stiffer(sample, weights, softness_) * stiffness_(sample) + mass_(sample) / square);
 }
 
 template <class Model>

@@ -8,8 +8,10 @@
 // 1 / C_p + m_p / (c h)^2 that in a step (m_p is fitted at 1/96 s), and f_p how much stiffer the blended targets are.
 // So what is left of a dent that the surface makes is about 1/30 at every mesh size, stiffness and step, no number has
 // to be tuned, and what is held firmly is pushed firmly. K is the model's own: a reduced model is stiffer at a point.
-// Its few coordinates can move firm skin only by moving other skin far: a sample is not pushed where that would move
-// any other one more than twice as far as itself, and fully from 1.1 times as far on.
+// Its few coordinates can move firm skin only by moving other skin far: where that would move any other sample more
+// than twice as far as the pushed one they take no part in contact, and all of it from 1.1 times as far on. Without the
+// local responses of patches (local_responses.hpp) such a sample is not pushed; with them they give way there alone,
+// and C_p is the compliance of both.
 #pragma once
 
 #include <Eigen/Geometry>
@@ -17,6 +19,7 @@
 #include <utility>
 #include <vector>
 
+#include "dynamorph/contact/local_responses.hpp"
 #include "dynamorph/core/types.hpp"
 #include "dynamorph/models/full_model.hpp"
 #include "dynamorph/models/skin.hpp"
@@ -35,8 +38,10 @@ struct ContactSkin {
 template <class Model>
 class ContactSamples {
  public:
-  /// Throws std::invalid_argument unless the arrays fit each other and the model.
-  ContactSamples(std::shared_ptr<const Model> model, ContactSkin samples);
+  /// local: of a reduced model's mesh; null for none. Throws std::invalid_argument unless all fit each other and the
+  /// model.
+  ContactSamples(std::shared_ptr<const Model> model, ContactSkin samples,
+                 std::shared_ptr<const LocalResponses> local = nullptr);
 
   const Model& model() const { return map_.model(); }
   const SkinMap<Model>& map() const { return map_; }
@@ -48,6 +53,19 @@ class ContactSamples {
 
   /// k of a sample at target weights (J); square: (c h)^2, s^2.
   double stiffness(Eigen::Index sample, const VectorXd& weights, double square) const;
+
+  /// The local responses, or null.
+  const LocalResponses* local() const { return local_.get(); }
+  /// The patches that a sample is part of.
+  const std::vector<int>& patches(Eigen::Index sample) const { return patches_[std::size_t(sample)]; }
+  /// The part of a push that the model's coordinates take, in [0, 1]; one without local responses.
+  double taken(Eigen::Index sample) const { return taken_(sample); }
+  /// How far a sample moves along a direction in bind space with a unit of each of these patches.
+  Eigen::RowVectorXd local_row(Eigen::Index sample, const Vector3d& direction, const std::vector<int>& patches) const;
+  /// How much stiffer the local responses at a sample are at target weights (J).
+  double local_stiffer(Eigen::Index sample, const VectorXd& weights) const {
+    return stiffer(sample, weights, local_->shear().cwiseInverse());
+  }
 
   /// A bound on the displacements of samples in bind space, meters, at target weights (J) and coordinates q.
   double farthest(const VectorXd& weights, const VectorXd& q) const;
@@ -69,6 +87,14 @@ class ContactSamples {
   Vector3d normal(const PointTransform& T, Eigen::Index sample) const;
 
  private:
+  void bound_motion(const typename Model::SkinPoints& points);
+  void find_patches();
+  void find_stiffness(const typename Model::SkinPoints& points, const VectorXd& neutral);
+  /// How far the local responses to a newton along each of these numbers (k) move it, and other samples (3 others, k).
+  std::pair<VectorXd, MatrixXd> local_answers(const PointRows& numbers, const std::vector<int>& others,
+                                              const VectorXd& neutral) const;
+  double stiffer(Eigen::Index sample, const VectorXd& weights, const VectorXd& softness) const;
+
   SkinMap<Model> map_;
   Points normals_;  ///< unit
   VectorXd thickness_, stiffness_, mass_;
@@ -78,6 +104,9 @@ class ContactSamples {
   VectorXd moved_;     ///< the most that a unit of each coordinate displaces a sample; of a mesh, of a node (1)
   VectorXd residual_;  ///< the same of each target's residual shape (J)
   MatrixXd shapes_;    ///< displacements of the samples in each target's shape (3P, J)
+  std::shared_ptr<const LocalResponses> local_;
+  std::vector<std::vector<int>> patches_;
+  VectorXd taken_;
 };
 
 extern template class ContactSamples<FullModel>;

@@ -6,8 +6,11 @@
 //   E = s k ramp(distance - g) + mu lambda F(|t|),
 //
 // where s is the contact's weight, k the sample's stiffness (contact_samples.hpp), ramp and F are of contact_law.hpp,
-// mu is the friction, and lambda the pressure in the round before. Friction has no potential of its own: with lambda of
-// the round before it has one, and each step takes two rounds. The first one has the pressures of the step before.
+// mu is the friction, and lambda the pressure in the round before. With local responses the skin gives way beneath the
+// contacts, by rho a along their normals (dents.hpp), and the coordinates take a part of the push alone: then n . x_p
+// in g is that of the targets' shape, plus `taken` times what q moves it by, plus rho a. Friction has no potential of
+// its own: with lambda of the round before it has one, and each step takes two rounds. The first one has the pressures
+// of the step before.
 #pragma once
 
 #include <algorithm>
@@ -17,6 +20,7 @@
 #include "dynamorph/contact/contact.hpp"
 #include "dynamorph/contact/contact_law.hpp"
 #include "dynamorph/contact/contact_samples.hpp"
+#include "dynamorph/contact/dents.hpp"
 #include "dynamorph/step/newton.hpp"
 
 namespace dynamorph {
@@ -71,6 +75,15 @@ inline void make(const SparseRows& J, const std::vector<Sum>& sums, SparseRows& 
   out.parts.finalize();
 }
 
+// An unreduced model gives way where it is pressed.
+inline void scale(RowMajor& J, int row, double factor) { J.row(row) *= factor; }
+inline void scale(SparseRows&, int, double) {}
+inline void soften(const Dents& dents, const std::vector<int>& contacts, DensePoints& points) {
+  const Eigen::Index count = Eigen::Index(contacts.size());
+  dents.soften(contacts, points.rows.topRows(count), points.stiffness.head(count));
+}
+inline void soften(const Dents&, const std::vector<int>&, SparsePoints&) {}
+
 }  // namespace contact_rows
 
 /// Contacts that begin where the samples' stiffness is above zero.
@@ -81,6 +94,7 @@ struct ContactTerm {
   /// Nothing touches anything.
   void clear() {
     touching_.clear();
+    dents_.clear();
     points_.stiffness.resize(0);
   }
 
@@ -119,7 +133,9 @@ struct ContactTerm {
       add(contact.normal.cross(across), from);
     }
     offsets_.conservativeResize(numbers_.size());
-    if (!touching_.empty()) samples.map().rows(step.bones, numbers_, scratch_, rows_);
+    if (touching_.empty()) return;
+    samples.map().rows(step.bones, numbers_, scratch_, rows_);
+    if (samples.local()) begin_dents(samples, step);
   }
 
   /// Samples that are pushed, where it is.
@@ -151,6 +167,7 @@ struct ContactTerm {
     if (touching_.empty()) return;
     multiply(rows_, q, values_);
     values_ += offsets_;
+    if (!dents_.empty()) give_way();
     forces_.setZero(values_.size());
     for (Touch& touch : touching_) {
       touch.normal = contact_ramp(-values_(touch.row), width_);
@@ -172,13 +189,18 @@ struct ContactTerm {
   const Points& hessian() {
     sums_.clear();
     stiffness_.clear();
+    pressed_.clear();
     const auto add = [&](double stiffness, const contact_rows::Sum& sum) {
       if (!(stiffness > 0)) return;
       stiffness_.push_back(stiffness);
       sums_.push_back(sum);
     };
-    for (Touch& touch : touching_) {
+    for (std::size_t i = 0; i < touching_.size(); ++i) {
+      const Touch& touch = touching_[i];
+      if (touch.normal.stiffness > 0) pressed_.push_back(int(i));
       add(touch.stiffness * touch.normal.stiffness, {touch.row, 1, 0});
+    }
+    for (Touch& touch : touching_) {
       if (!(touch.held > 0)) continue;
       const auto& [along, stiffness, across] = touch.slip_force.follow(values_.segment<2>(touch.row + 1), sticks_);
       add(touch.held * stiffness, {touch.row + 1, along.x(), along.y()});
@@ -186,6 +208,7 @@ struct ContactTerm {
     }
     points_.stiffness = Eigen::Map<const VectorXd>(stiffness_.data(), Eigen::Index(stiffness_.size()));
     if (!stiffness_.empty()) contact_rows::make(rows_, sums_, points_.rows);
+    if (!dents_.empty() && !pressed_.empty()) contact_rows::soften(dents_, pressed_, points_);
     return points_;
   }
   RoundOff round_off() const { return {gradient_.norm(), 1e-15 * magnitude_, length_}; }
@@ -197,6 +220,9 @@ struct ContactTerm {
       if (touch.normal.force > 0)
         out.push_back({touch.contact.sample, touch.contact.collider, touch.contact.normal, touch.pressure()});
   }
+
+  /// The amplitudes of all patches, where it is.
+  void dents(VectorXd& amplitudes) const { dents_.amplitudes(amplitudes); }
 
   /// The largest depth of a sample under a surface, meters, where it is; 0 for none. Those with less than half of their
   /// weight do not count.
@@ -217,6 +243,52 @@ struct ContactTerm {
   }
 
  private:
+  /// Lets the skin give way by the patches that the contacts press.
+  void begin_dents(const ContactSamples<Model>& samples, const ContactStep& step) {
+    std::vector<int> patches, sample_of(std::size_t(samples.local()->size()), -1);
+    for (const Touch& touch : touching_)
+      for (const int patch : samples.patches(touch.contact.sample)) {
+        if (sample_of[std::size_t(patch)] < 0) patches.push_back(patch);
+        sample_of[std::size_t(patch)] = touch.contact.sample;
+      }
+    std::sort(patches.begin(), patches.end());
+    const Eigen::Index m = Eigen::Index(patches.size());
+    VectorXd shape, at_shape, stiffer(m);
+    blended_shape(samples.model(), step.weights, shape);
+    multiply(rows_, shape, at_shape);
+    MatrixXd rows(Eigen::Index(touching_.size()), m), stiffness(m, m);
+    for (std::size_t i = 0; i < touching_.size(); ++i) {
+      const Touch& touch = touching_[i];
+      const int sample = touch.contact.sample, last = touch.friction > 0 ? touch.row + 2 : touch.row;
+      const double taken = samples.taken(sample);
+      for (int row = touch.row; row <= last; ++row) {
+        contact_rows::scale(rows_, row, taken);
+        offsets_(row) += (1 - taken) * at_shape(row);
+      }
+      rows.row(Eigen::Index(i)) = samples.local_row(sample, scratch_.direction(touch.row), patches);
+    }
+    for (Eigen::Index j = 0; j < m; ++j)
+      stiffer(j) = std::sqrt(samples.local_stiffer(sample_of[std::size_t(patches[std::size_t(j)])], step.weights));
+    for (Eigen::Index j = 0; j < m; ++j)
+      for (Eigen::Index k = 0; k < m; ++k)
+        stiffness(j, k) =
+            stiffer(j) * stiffer(k) * samples.local()->stiffness()(patches[std::size_t(j)], patches[std::size_t(k)]);
+    dents_.begin(std::move(patches), rows, stiffness);
+  }
+
+  /// Takes what gives way beneath the contacts from their depths.
+  void give_way() {
+    VectorXd depths(Eigen::Index(touching_.size())), stiffness(depths.size());
+    for (Eigen::Index i = 0; i < depths.size(); ++i) {
+      const Touch& touch = touching_[std::size_t(i)];
+      depths(i) = -values_(touch.row);
+      stiffness(i) = touch.stiffness;
+    }
+    dents_.settle(depths, stiffness, width_);
+    value_ += dents_.energy();
+    for (Eigen::Index i = 0; i < depths.size(); ++i) values_(touching_[std::size_t(i)].row) += dents_.given_way()(i);
+  }
+
   struct Touch {
     Contact contact;
     int row;  ///< of the gap in rows_; those of the slip follow where there is friction
@@ -248,6 +320,8 @@ struct ContactTerm {
   PointRows numbers_, scratch_;
   typename Model::SkinPoints::Rows rows_;
   VectorXd offsets_, values_, forces_, gradient_;  ///< gaps (less the distance) and slips; at q = 0; what resists them
+  Dents dents_;
+  std::vector<int> pressed_;  ///< of touching_: those whose normals come first in points_
   std::vector<contact_rows::Sum> sums_;
   std::vector<double> stiffness_;
   Points points_;

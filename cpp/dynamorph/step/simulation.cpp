@@ -192,6 +192,7 @@ void Simulation<Model>::set_contact(std::shared_ptr<const ContactSamples<Model>>
   distance_ = distance;
   state_.contact.clear();
   state_.pressures.clear();
+  dents_.setZero(samples_ && samples_->local() ? samples_->local()->size() : 0);
 }
 
 template <class Model>
@@ -298,6 +299,7 @@ StepReport Simulation<Model>::start(const Transforms& now, const Transforms& nex
                                 std::to_string(next.rows()));
   VectorXd q;
   const StepReport report = solve_static({now, weights}, q);
+  dents_.setZero();
   weights_ = weights;
   state_.excess = excess_;
   for (int k = 0; k < InertialTarget::kMoments; ++k) {
@@ -341,6 +343,7 @@ void Simulation<Model>::set_state(const State& state) {
     throw Error("The state has an excess that is not a finite number");
   if (samples_) check_contacts(state, samples_->size());
   state_ = state;
+  dents_.setZero();
   if (!samples_) {
     state_.contact.clear();
     state_.pressures.clear();
@@ -420,6 +423,7 @@ StepReport Simulation<Model>::advance(const StepInput& input) {
     report.iterations += iterations;
   }
   report_contacts(input, report);
+  contacts_.dents(dents_);
   std::rotate(state_.q.rbegin(), state_.q.rbegin() + 1, state_.q.rend());
   std::rotate(state_.bones.rbegin(), state_.bones.rbegin() + 1, state_.bones.rend());
   state_.q[0] = next_;

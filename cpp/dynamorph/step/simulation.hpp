@@ -103,6 +103,9 @@ class Simulation {
   /// for what is not finite.
   void set_state(const State& state);
   const VectorXd& coordinates() const { return state_.q[0]; }
+  /// Amplitudes of the local responses after the last step, none without. The state does not have them: they have no
+  /// past.
+  const VectorXd& dents() const { return dents_; }
   /// Energies of the state, J, at the target weights of the last start() or step(). The kinetic energy uses the
   /// integrator's own velocity.
   double kinetic_energy() const;
@@ -162,6 +165,7 @@ class Simulation {
   ContactFinder finder_;
   std::vector<Contact> found_;
   std::vector<int> unusable_;
+  VectorXd dents_;
   ContactMemory memory_;                      ///< at the end of the step
   SampleStep near_;                           ///< samples that a collider comes near
   VectorXd shape_;                            ///< coordinates of the blended targets

@@ -24,8 +24,8 @@ struct AtFirst : ContactTerm<Model> {
 };
 
 template <class Model>
-void check_contact(std::shared_ptr<const Model> model) {
-  const ContactSamples<Model> samples(model, contact_skin_of(model->body(), 0.05));
+void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const LocalResponses> local = nullptr) {
+  const ContactSamples<Model> samples(model, contact_skin_of(model->body(), 0.05), local);
   const Transforms bones = bent(0.4);
   VectorXd before, now, shape;
   blended_shape(*model, kBetween, shape);
@@ -68,7 +68,7 @@ void check_contact(std::shared_ptr<const Model> model) {
   }
   CHECK(pressed > 0);
   CHECK(forces[1].norm() <= pressed);
-  CHECK(term.penetration() == doctest::Approx(2.5 * kWidth).epsilon(1e-9));
+  if (!local) CHECK(term.penetration() == doctest::Approx(2.5 * kWidth).epsilon(1e-9));
   CHECK(term.next_round());
   check_term<typename Model::Matrix>(around, scales, 1e-5);  // with the pressures that it has itself
 
@@ -90,4 +90,11 @@ TEST_CASE("contact has the derivatives of its energy, over models") {
   check_contact(std::make_shared<const FullModel>(body, all, MaterialModel::stable_stvk, Blending::even));
   check_contact(reduced_model(body, all, MaterialModel::stable_stvk, Blending::even, 10));
   check_contact(ResponseScene(body, all, MaterialModel::stable_stvk, Blending::even).model);
+
+  const auto few = reduced_model(body, all, MaterialModel::stable_stvk, Blending::even, 10);
+  const ContactSkin skin = contact_skin_of(*body, 0.05);
+  const FullModel full(body, all, MaterialModel::stable_stvk, Blending::even);
+  check_contact(few, std::make_shared<LocalResponses>(full, few->basis(),
+                                                      SkinPlaces{skin.skin.rest, skin.normals.rowwise().normalized()},
+                                                      skin.skin.embedding, std::vector<int>{2, 9, 17, 24, 30, 41}));
 }

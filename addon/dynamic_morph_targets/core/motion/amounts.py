@@ -16,11 +16,14 @@ class Amounts:
     """Scales the motion about the targets' shapes when it is shown. The simulation does not depend on it.
 
     amount: of all motion; gains (dofs,) of the modes; motion_amounts (J,) of the targets. shapes (J, dofs): the
-    targets' shapes in coordinates, of width zero for static morph targets.
+    targets' shapes in coordinates, of width zero for static morph targets. modes (3 free, dofs): displacement of the
+    free nodes by each coordinate of a reduced model.
     """
 
-    def __init__(self, model: Model, character: Character, shapes: np.ndarray, settings: SimulationSettings):
-        self._model = model
+    def __init__(
+        self, model: Model, character: Character, shapes: np.ndarray, modes: np.ndarray, settings: SimulationSettings
+    ):
+        self._model, self._modes = model, modes
         self._sizes = [len(target_set.targets) for target_set in character.target_sets]
         self._shapes = shapes
         self.follow(settings, np.array([target.motion_amount for target in character.targets]))
@@ -72,5 +75,5 @@ class Amounts:
         """For each set the (r, r) matrix that projects a motion onto the part of it that lies in its region, by least
         squares.
         """
-        back = np.linalg.pinv(self._model.modes)
-        return [(back @ (weights[:, None] * self._model.modes)).T for weights in self._region_weights]
+        back = np.linalg.pinv(self._modes)
+        return [(back @ (weights[:, None] * self._modes)).T for weights in self._region_weights]

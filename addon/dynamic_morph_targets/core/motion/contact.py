@@ -5,8 +5,9 @@ and how deep it went. Never touches bpy.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import weakref
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ from .colliders import ColliderTrack, colliders_of
 from .limits import THINNEST, frames_around
 from .rig_samples import RigSamples
 
+PLACES = 3000  # of the skin by which its patches are pressed, at most
+PATCHES = 256  # of the skin that give way by themselves in Reduced Quality
 SAMPLES = 20000  # points of the skin that can touch something, at most; of more vertices, those that are spread evenly
 PROBED_SAMPLES = 4000  # the same where Blender poses the nodes, which have a matrix of weights
 
@@ -29,7 +32,8 @@ class Collision:
     """What a player with collision has of it: the points of the skin that can touch something, P of its vertices, and
     the engine's colliders in a shot: those of its first sample, whose faces they keep.
 
-    skin: the engine's points of an engine model, or None where no skin is soft.
+    skin: the engine's points of an engine model, or None where no skin is soft. dents (3 free, K): displacement of the
+    free nodes by each patch of the skin that gives way by itself in Reduced Quality; none otherwise.
     """
 
     def __init__(self, model: Model, engine: EngineModel, character: Character):
@@ -42,6 +46,7 @@ class Collision:
         most = PROBED_SAMPLES if character.probed else SAMPLES
         chosen = seen[spread(rest[seen], normals[seen], most)]
         self.skin: Any = None
+        self.dents = np.zeros((3 * int(model.free.sum()), 0))
         self._bones = character.weights[chosen].argmax(axis=1)
         self._known: list[tuple[str, int]] = []  # names and topologies of the colliders
         self._shapes: list[np.ndarray] = []
@@ -49,10 +54,7 @@ class Collision:
         if not len(chosen):
             return
         thickness = model.thickness if len(model.thickness) else dynamorph.Thickness(rest, soft).at(rest)[0]
-        kind: Callable[..., Any] = (
-            dynamorph.FullContact if model.settings.solver == "FULL" else dynamorph.ReducedContact
-        )
-        self.skin = kind(
+        points = (
             engine,
             rest[chosen],
             dynamorph.Embedding(model.embedding_nodes[chosen], model.embedding_weights[chosen]),
@@ -61,6 +63,11 @@ class Collision:
             np.maximum(thickness[chosen], 0.5 * THINNEST * diagonal(rest)),
             model.residual_shapes[:, chosen] @ character.to_bind.T,
         )
+        if model.settings.solver == "FULL":
+            self.skin = dynamorph.FullContact(*points)
+        else:
+            local, self.dents = _local_responses(model, character, seen, rest, normals)
+            self.skin = dynamorph.ReducedContact(*points, local)
 
     def begin(self, first: RigSamples) -> None:
         """Take the colliders of the first sample. Raises SceneError for one that the engine refuses."""
@@ -88,6 +95,32 @@ class Collision:
         """The bone that moves a point of the skin most, '' for the object itself, and the collider. bones: names."""
         bone = int(self._bones[sample])
         return bones[bone] if bone < len(bones) else "", self._known[collider][0]
+
+
+def _local_responses(
+    model: Model, character: Character, seen: np.ndarray, rest: np.ndarray, normals: np.ndarray
+) -> tuple[Any, np.ndarray]:
+    """How the skin gives way locally, and the `Collision.dents` of it. seen: the vertices that can touch something;
+    rest, normals (V, 3): bind space. It takes a while, and is the same for all materials: so it is kept with the model.
+    """
+    known = _known_responses.get(id(model))
+    if known:
+        return known
+    places = seen[spread(rest[seen], normals[seen], PLACES)]
+    local = dynamorph.LocalResponses(
+        model.with_settings(replace(model.settings, solver="FULL")).engine(character),
+        model.modes,
+        rest[places],
+        normals[places],
+        dynamorph.Embedding(model.embedding_nodes[places], model.embedding_weights[places]),
+        spread(rest[places], normals[places], PATCHES),
+    )
+    _known_responses[id(model)] = local, local.shapes
+    weakref.finalize(model, _known_responses.pop, id(model), None)
+    return _known_responses[id(model)]
+
+
+_known_responses: dict[int, tuple[Any, np.ndarray]] = {}  # by id(model)
 
 
 def _moving(model: Model, character: Character, points: np.ndarray) -> np.ndarray:

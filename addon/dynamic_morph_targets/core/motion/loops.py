@@ -40,7 +40,7 @@ class Loop:
         self._player, self._rig = player, rig
         self._first = player.begin(rig)
         self._start = player.state
-        self.began = player.past
+        self.began = np.array(self._start[0])
         self.off = np.zeros(0)  # how the last pass failed to close
         self.frames: list[Frame] = []
         self.gap = np.inf
@@ -56,11 +56,13 @@ class Loop:
     def __call__(self, began: np.ndarray) -> np.ndarray:
         player, rig, settings = self._player, self._rig, self._player.settings
         numbers = settings.simulated[1:]
-        player.state, player.number = self._start, settings.frame_start
-        player.past = began
-        first = replace(self._first, coordinates=began[0]) if player.passes else self._first
+        player.state, player.number = (list(began), *self._start[1:]), settings.frame_start
+        first = self._first
+        if player.passes:
+            dents = first.coordinates[began.shape[1] :]  # they have no past
+            first = replace(first, coordinates=np.append(began[0], dents))
         frames = [first, *player.play(rig[1:], numbers)]
-        ended = player.past
+        ended = np.array(player.state[0])
         self._first = player.begin_again(rig, frames[-1])
         self._start = player.state
         next_frame = rig[1 : 1 + settings.substeps], numbers[:1]  # a range of one frame has none

@@ -61,7 +61,8 @@ class Player:
 
     keep_going() -> bool is asked at every frame, for an unreduced model at every iteration; False raises
     dynamorph.Cancelled. number: the current frame; passes: how often the motion has begun again. amounts:
-    applied by `shown`; skin: what the coordinates move. engine: model.engine(character), if it exists already;
+    applied by `shown`; skin: what the coordinates move. modes (3 free, dofs): displacement of the free nodes by each
+    coordinate of a reduced model. engine: model.engine(character), if it exists already;
     afterward None for static targets.
     """
 
@@ -82,19 +83,23 @@ class Player:
         self.character = character
         self.collision: Collision | None = None
         self._first: RigSamples | None = None  # the first sample
+        self.modes = model.modes
         self._shapes = np.zeros((len(self.character.targets), 0))
         self._simulation: EngineSimulation | _NothingMoves = _NothingMoves()
         if model.settings.method != "STATIC":
             self.engine = engine or model.engine(self.character, self.character.probed)
             self._shapes = model.target_coordinates(self.engine)
-            self._simulation = self._stepper(self.engine)
+            self._simulation = _stepper(model, self.engine, settings, keep_going)
             self._simulation.set_limit(motion_limit(model, self.engine, self.character, settings))
             if settings.collision:
                 self.collision = Collision(model, self.engine, character)
                 self._simulation.set_contact(self.collision.skin, settings.distance * self.size)
+                if dents := self.collision.dents.shape[1]:
+                    self.modes = np.hstack([model.modes, self.collision.dents])
+                    self._shapes = np.pad(self._shapes, ((0, 0), (0, dents)))
         self.posing = Posing(model, self.character, self.probed)
         self.skin = ShownSkin(model, self.character)
-        self.amounts = Amounts(model, self.character, self._shapes, settings)
+        self.amounts = Amounts(model, self.character, self._shapes, self.modes, settings)
 
     @property
     def state(self) -> State:
@@ -106,13 +111,18 @@ class Player:
         self._simulation.state = state
 
     @property
-    def past(self) -> np.ndarray:
-        """The coordinates now and at the last three steps: (4, dofs)."""
-        return np.array(self.state[0])
+    def coordinates(self) -> np.ndarray:
+        """Of the model, now, and the dents where the skin gives way by itself: (dofs,)."""
+        return np.concatenate([self._simulation.coordinates, self._simulation.dents])
 
-    @past.setter
-    def past(self, coordinates: np.ndarray) -> None:
-        self.state = list(coordinates), *self.state[1:]
+    def displacement(self, coordinates: np.ndarray) -> np.ndarray:
+        """Of the nodes (n, 3), bind space, by coordinates (dofs,)."""
+        assert self.engine is not None
+        own = self.engine.dofs
+        moved = self.engine.displacement(coordinates[:own])
+        if len(coordinates) > own:
+            moved[self.model.free] += (self.modes[:, own:] @ coordinates[own:]).reshape(-1, 3)
+        return moved
 
     @property
     def probed(self) -> bool:
@@ -135,12 +145,13 @@ class Player:
         self._begin_with(rig[:1])
         bones, weights = self.posing.posed(rig[:2])  # or of the nodes, if they are probed
         if self.settings.initial_state == "REST_SHAPE":
-            self.state = [self.static(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4, np.zeros(0), np.zeros(0)
+            rest = self.static(weights[0])[: self.engine.dofs if self.engine else 0]
+            self.state = [rest] * 4, [bones[0].reshape(-1, 12)] * 4, np.zeros(0), np.zeros(0)
             begun = NO_STEPS
         else:
             begun = self._simulation.start(bones[0], bones[-1], weights[0])
         self.number = self.settings.first
-        return Frame(self.number, self._simulation.coordinates, weights[0], begun)
+        return Frame(self.number, self.coordinates, weights[0], begun)
 
     def resume(self, first: RigSamples, state: State) -> None:
         """Continues from the `state` of another player that began with the sample `first`; its next frames follow."""
@@ -176,7 +187,7 @@ class Player:
         displacement = np.tensordot(second.weights - first.weights, self.skin.residual_shapes, 1)
         if self.engine is not None:
             before, after = (self.amounts.with_gains(frame.coordinates, frame.weights) for frame in (first, second))
-            displacement += self.skin.surface(self.engine.displacement(after - before))
+            displacement += self.skin.surface(self.displacement(after - before))
         return float(np.linalg.norm(displacement @ self.model.to_bind.T, axis=1).max())
 
     def advance(self, rig: RigSamples, number: int) -> Frame:
@@ -208,7 +219,7 @@ class Player:
                     stops = self.collision.motions(moving[steps]) if self.collision else None
                     report = self._simulation.advance(bones[steps], weights[steps], push, colliders=stops)
                     time = self.number - left / samples
-                    yield Frame(time, self._simulation.coordinates, weights[end - 1], report)
+                    yield Frame(time, self.coordinates, weights[end - 1], report)
 
     def exchange(self, character: Character, settings: SimulationSettings | None = None) -> Player:
         """A player that continues from here with the materials, poses and blending of `character`. settings: others
@@ -238,17 +249,6 @@ class Player:
         """The skin at rest, posed by the first sample and by the last: (2, V, 3), world space."""
         return self.posing.skinned(rig[:: max(1, len(rig) - 1)])[[0, -1]]
 
-    def _stepper(self, engine: EngineModel) -> EngineSimulation:
-        settings, full = self.settings, self.model.settings.solver == "FULL"
-        return self.model.stepper(
-            engine,
-            settings.step,
-            integrator=dynamorph.Integrator.__members__[settings.integrator],
-            gravity=settings.gravity,
-            teleport=TELEPORT * engine.body.size * settings.step,
-            keep_going=self._keep_going if full else None,  # a reduced step takes less time than asking
-        )
-
     def _begin_with(self, first: RigSamples) -> None:
         """What the first sample says: which colliders there are, and how the targets' shapes are balanced. These are
         what the artist saw under gravity, each in its own pose.
@@ -263,13 +263,27 @@ class Player:
         """`Skin.pushes` of the force fields, where the skin is displaced as it is now; None without any."""
         if self.engine is None or not any(field.strength.any() for field in rig.fields):
             return None
-        return self.posing.skin.pushes(rig.fields, bones, self.engine.displacement(self._simulation.coordinates))
+        return self.posing.skin.pushes(rig.fields, bones, self.displacement(self.coordinates))
+
+
+def _stepper(
+    model: Model, engine: EngineModel, settings: SimulationSettings, keep_going: Callable[[], bool] | None
+) -> EngineSimulation:
+    return model.stepper(
+        engine,
+        settings.step,
+        integrator=dynamorph.Integrator.__members__[settings.integrator],
+        gravity=settings.gravity,
+        teleport=TELEPORT * engine.body.size * settings.step,
+        # A reduced step takes less time than asking.
+        keep_going=keep_going if model.settings.solver == "FULL" else None,
+    )
 
 
 class _NothingMoves:
     """Replaces the engine's simulation for static morph targets, which have no coordinates."""
 
-    coordinates = np.zeros(0)
+    coordinates = dents = np.zeros(0)
     state: State = (), (), np.zeros(0), np.zeros(0)
 
     def start(self, _now: np.ndarray, _next: np.ndarray, _weights: np.ndarray) -> dict:

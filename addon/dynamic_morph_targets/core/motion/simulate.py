@@ -176,9 +176,10 @@ class Shot:
         report = _report(settings.times, np.concatenate(self._steps)) | self._loop
         report["warnings"] += self._warnings
         report.update(_worst_elements(player, coordinates, static))
-        coordinates, free = player.amounts.shown(coordinates, weights), model.modes.T
+        coordinates, free = player.amounts.shown(coordinates, weights), player.modes.T
         full = model.settings.solver == "FULL" and player.engine is not None
-        if full or (model.responses.size and not exact):  # most of them hardly move in one shot
+        dents = player.collision is not None and player.collision.dents.size > 0
+        if full or ((model.responses.size or dents) and not exact):  # most of them hardly move in one shot
             few = _few_modes(model.settings, coordinates, static, exact)
             if full:
                 report["compression_error"] = float(np.abs(coordinates - coordinates @ few.T @ few).max())  # meters
@@ -257,7 +258,7 @@ def _worst_elements(player: Player, coordinates: np.ndarray, static: np.ndarray)
     """
     if player.engine is None:
         return {"smallest_det": 1.0, "inverted": 0}
-    model, displacement = player.model, player.engine.displacement
+    model, displacement = player.model, player.displacement
     strength = np.abs(coordinates - static).max(axis=1, initial=0.0)
     rest = _volumes(model.nodes, model.tets)
     smallest, inverted = np.inf, 0

@@ -1,0 +1,166 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/contact/local_responses.hpp"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+
+#include "dynamorph/contact/at_rest.hpp"
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/elastic/sparse_cholesky.hpp"
+
+namespace dynamorph {
+
+using Eigen::Index;
+
+namespace {
+
+constexpr double kTurned = 0.1;        // of the body's size: as far as a normal at a right angle is unlike
+constexpr double kReach = 2;           // of the distance to a center that half of the places have one within
+constexpr double kOwn[] = {0.5, 0.9};  // own motion below which a push may do nothing, and from which all
+constexpr Index kLookedAt = 300;       // places whose motion is compared
+constexpr double kGivesWay = 1e-6;     // of the most compliant patch: what is held firmer than that has no response
+constexpr double kAlike = 1e-9;        // patches that overlap give way nearly alike
+
+SkinPlaces at(const SkinPlaces& places, const std::vector<int>& chosen) {
+  SkinPlaces out{Points(Index(chosen.size()), 3), Points(Index(chosen.size()), 3)};
+  for (std::size_t k = 0; k < chosen.size(); ++k) {
+    if (chosen[k] < 0 || chosen[k] >= places.rest.rows())
+      throw std::invalid_argument("centers: there is no such place");
+    out.rest.row(Index(k)) = places.rest.row(chosen[k]);
+    out.normals.row(Index(k)) = places.normals.row(chosen[k]);
+  }
+  return out;
+}
+
+/// f_P (3 free, P) of the patches' weights at the places (L, P).
+MatrixXd loads_on(const SoftBody& body, const SkinPlaces& places, const Embedding& embedding, const RowMajor& pressed) {
+  MatrixXd out = MatrixXd::Zero(3 * Index(body.free_nodes.size()), pressed.cols());
+  for (Index p = 0; p < pressed.rows(); ++p)
+    for (Index patch = 0; patch < pressed.cols(); ++patch) {
+      if (pressed(p, patch) == 0) continue;
+      for (int k = 0; k < 4; ++k)
+        if (const int node = body.free_of_node[std::size_t(embedding.nodes(p, k))]; node >= 0)
+          out.col(patch).segment<3>(3 * node) +=
+              pressed(p, patch) * embedding.weights(p, k) * places.normals.row(p).transpose();
+    }
+  return out;
+}
+
+/// `stays_local` of what the coordinates (dofs, P) do for each patch: its mean, and the farthest of other places.
+VectorXd stay_local(const ModalPoints& points, const SkinPlaces& places, const RowMajor& pressed,
+                    const MatrixXd& coordinates) {
+  VectorXd own = VectorXd::Zero(pressed.cols()), farthest = own;
+  const Index stride = std::max<Index>(1, pressed.rows() / kLookedAt);
+  for (Index p = 0; p < pressed.rows(); ++p) {
+    const MatrixXd moved = points.basis().middleRows<3>(3 * p) * coordinates;
+    own += (places.normals.row(p) * moved).cwiseProduct(pressed.row(p)).transpose();
+    if (p % stride != 0) continue;
+    for (Index patch = 0; patch < own.size(); ++patch)
+      if (pressed(p, patch) == 0) farthest(patch) = std::max(farthest(patch), moved.col(patch).norm());
+  }
+  for (Index patch = 0; patch < own.size(); ++patch) {
+    own(patch) /= std::max(pressed.col(patch).sum(), 1e-300);
+    own(patch) = stays_local(own(patch), std::max(farthest(patch), own(patch)));
+  }
+  return own;
+}
+
+}  // namespace
+
+double stays_local(double own, double farthest) {
+  return smooth_step((own / std::max(farthest, 1e-300) - kOwn[0]) / (kOwn[1] - kOwn[0]));
+}
+
+double LocalResponses::unlike(int patch, const Vector3d& rest, const Vector3d& normal) const {
+  const double turned = std::max(0.0, 1 - centers_.normals.row(patch).dot(normal));
+  return std::sqrt((centers_.rest.row(patch).transpose() - rest).squaredNorm() +
+                   kTurned * kTurned * size_ * size_ * turned);
+}
+
+void LocalResponses::patches_at(const Vector3d& rest, const Vector3d& normal,
+                                std::vector<std::pair<int, double>>& out) const {
+  out.clear();
+  double sum = 0;
+  std::pair<int, double> nearest{-1, kInfinity};
+  for (int patch = 0; patch < int(centers_.rest.rows()); ++patch) {
+    const double away = unlike(patch, rest, normal);
+    if (away < nearest.second) nearest = {patch, away};
+    if (!(away < reach_)) continue;
+    out.push_back({patch, std::pow(1 - away / reach_, 2)});
+    sum += out.back().second;
+  }
+  if (out.empty() && nearest.first >= 0) out.push_back({nearest.first, sum = 1});
+  for (auto& [patch, weight] : out) weight /= sum;
+}
+
+LocalResponses::LocalResponses(const FullModel& model, const MatrixXd& basis, const SkinPlaces& places,
+                               const Embedding& embedding, const std::vector<int>& centers)
+    : centers_(at(places, centers)), size_(model.body().size), shear_(model.body().sets()) {
+  check_size("normals", places.normals.rows(), places.rest.rows());
+  check_size("embedding", embedding.nodes.rows(), places.rest.rows());
+  check_size("basis", basis.rows(), model.dofs());
+  if (embedding.nodes.size() > 0 &&
+      (embedding.nodes.minCoeff() < 0 || embedding.nodes.maxCoeff() >= model.body().mesh.nodes.rows()))
+    throw std::invalid_argument("embedding: it belongs to another mesh");
+  const VectorXd neutral = neutral_weights(model.body(), model.targets());
+  for (std::size_t j = 0; j < model.targets().size(); ++j)
+    if (neutral(Index(j)) == 1) shear_(model.targets()[j].set) = model.targets()[j].lame.mu;
+  reach_ = reach_of(places);
+
+  const RowMajor pressed = weights_of(places);
+  const MatrixXd loads = loads_on(model.body(), places, embedding, pressed);
+  const SparseMatrix K = lasting_stiffness(model, neutral);
+  MatrixXd answers = loads;
+  BlockCholesky<double> factor;
+  if (factor.factorize(K))
+    factor.solve_in_place(answers);
+  else
+    answers.setZero();
+  const MatrixXd KB = K * basis;
+  MatrixXd taken = (basis.transpose() * KB).ldlt().solve(basis.transpose() * loads);  // by the coordinates alone
+  taken = (taken * stay_local(ModalPoints(model.body(), embedding, basis), places, pressed, taken).asDiagonal()).eval();
+  MatrixXd R = answers - basis * taken;
+  stiffness_ = R.transpose() * (loads - KB * taken);
+  stiffness_ = (0.5 * (stiffness_ + stiffness_.transpose())).eval();
+  normalize(model.body().volumes.rowwise().sum(), answers.cwiseProduct(loads).colwise().sum(), R);
+  shapes_ = R;
+  if (!shapes_.allFinite() || !stiffness_.allFinite())
+    throw std::invalid_argument("basis: the responses to it are not finite");
+}
+
+double LocalResponses::reach_of(const SkinPlaces& places) const {
+  std::vector<double> nearest(std::size_t(places.rest.rows()), kInfinity);
+  if (nearest.empty()) return 0;
+  for (std::size_t p = 0; p < nearest.size(); ++p)
+    for (int patch = 0; patch < int(centers_.rest.rows()); ++patch)
+      nearest[p] = std::min(nearest[p], unlike(patch, places.rest.row(Index(p)), places.normals.row(Index(p))));
+  std::nth_element(nearest.begin(), nearest.begin() + Index(nearest.size() / 2), nearest.end());
+  return kReach * nearest[nearest.size() / 2];
+}
+
+RowMajor LocalResponses::weights_of(const SkinPlaces& places) const {
+  RowMajor out = RowMajor::Zero(places.rest.rows(), centers_.rest.rows());
+  std::vector<std::pair<int, double>> found;
+  for (Index p = 0; p < out.rows(); ++p) {
+    patches_at(places.rest.row(p), places.normals.row(p), found);
+    for (const auto& [patch, weight] : found) out(p, patch) = weight;
+  }
+  return out;
+}
+
+void LocalResponses::normalize(const VectorXd& volume, const VectorXd& compliance, MatrixXd& R) {
+  for (Index patch = 0; patch < R.cols(); ++patch) {
+    double square = 0;
+    for (Index i = 0; i < volume.size(); ++i) square += volume(i) * R.col(patch).segment<3>(3 * i).squaredNorm();
+    const bool gives_way = compliance(patch) > kGivesWay * compliance.maxCoeff() && square > 0;
+    const double scale = gives_way ? 1 / std::sqrt(square) : 0;
+    R.col(patch) *= scale;
+    stiffness_.row(patch) *= scale;
+    stiffness_.col(patch) *= scale;
+    if (!gives_way) stiffness_(patch, patch) = 1;  // it does nothing
+  }
+  stiffness_.diagonal() *= 1 + kAlike;
+}
+
+}  // namespace dynamorph
