@@ -154,8 +154,7 @@ def look() -> float | None:
 
 def plays() -> bool:
     """Whether something moves on the screen, which the measurement would slow down."""
-    windows = bpy.context.window_manager.windows
-    return preview.preview is not None or any(window.screen.is_animation_playing for window in windows)
+    return preview.preview is not None or events.is_playing()
 
 
 def _is_present(measurement: Measurement) -> bool:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import bpy
 from bpy.app.handlers import persistent
 
-from ..scene import body_checks, colliders, events, model_store, references, rig_motion, skin, staleness
+from ..scene import body_checks, colliders, cuts, events, model_store, references, rig_motion, skin, staleness
 from ..scene.references import rig_of
 from ..scene.skin import soft_skins
 from ..write import storage
@@ -20,7 +20,7 @@ from . import batch, expected_error, heat, live
 PATIENCE = 1.0  # seconds without an edit before the check
 GLANCE = 0.3  # seconds after a panel has asked about a body
 OWNER = object()  # owner of the subscriptions
-_asked: set[int] = set()  # session ids of the objects whose bodies a panel asks about
+_asked: set[tuple[Callable, int]] = set()  # what a panel asks for: a look, and the session id of its object
 
 
 @persistent
@@ -32,6 +32,7 @@ def _before_load(*_args: object) -> None:
     references.forget()
     heat.forget()
     body_checks.forget()
+    cuts.forget()
     _asked.clear()
 
 
@@ -80,6 +81,8 @@ def _changed(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     for update in depsgraph.updates:
         if isinstance(update.id, bpy.types.Mesh):
             body_checks.outdate(update.id.original)
+    if depsgraph.id_type_updated("OBJECT"):
+        cuts.outdate()
     if any(obj.dynamorph.model.content_id for obj in changed):
         look_soon()
     if any(_may_animate(update.id) for update in depsgraph.updates):
@@ -95,8 +98,8 @@ def _may_animate(edited: bpy.types.ID) -> bool:
     return isinstance(edited, (bpy.types.Action, bpy.types.Key))
 
 
-def _ask(obj: bpy.types.Object) -> None:
-    _asked.add(obj.session_uid)
+def _ask(look: Callable, obj: bpy.types.Object) -> None:
+    _asked.add((look, obj.session_uid))
     events.soon(_look_at_bodies, GLANCE)
 
 
@@ -104,9 +107,10 @@ def _look_at_bodies() -> float | None:
     """By a timer: look at the bodies that panels have asked about."""
     if rig_motion.render_runs():
         return GLANCE  # seconds from now
-    for obj in bpy.context.scene.objects:
-        if obj.session_uid in _asked and obj.mode == "OBJECT":
-            body_checks.look(obj)
+    for obj in bpy.context.scene.objects if _asked else ():
+        for look in (body_checks.look, cuts.look):
+            if (look, obj.session_uid) in _asked and obj.mode == "OBJECT":
+                look(obj)
     _asked.clear()
     events.redraw(events.PANELS)
     return None

@@ -38,7 +38,7 @@ def known(skinning: Skinning) -> list[Problem]:
     if obj.mode != "OBJECT":  # what is edited, sculpted or painted is looked at afterward
         return found
     if state != _state(skinning):
-        events.emit(events.Event.LOOK_ASKED, obj)
+        events.emit(events.Event.LOOK_ASKED, look, obj)
         return []
     return found
 

@@ -19,7 +19,7 @@ class Event(Enum):
 
     SHOWN_CHANGED = "what is shown of an object's motion"  # (object)
     CAGE_CHANGED = "what the cage of a built model depends on"  # ()
-    LOOK_ASKED = "a panel shows a body that nobody has looked at as it is now"  # (object)
+    LOOK_ASKED = "a panel shows a body that nobody has looked at as it is now"  # (look, object): to call look(object)
     WEIGHTS_ASKED = "someone wants to see the weights over the frames"  # ()
 
 
@@ -81,6 +81,11 @@ def soon(look: Callable, seconds: float):
 def forget(look: Callable):
     if bpy.app.timers.is_registered(look):
         bpy.app.timers.unregister(look)
+
+
+def is_playing() -> bool:
+    """Whether the animation plays in a window."""
+    return any(window.screen.is_animation_playing for window in bpy.context.window_manager.windows)
 
 
 def redraw(regions: set[tuple[str, str]]):

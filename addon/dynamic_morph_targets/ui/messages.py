@@ -12,7 +12,7 @@ from ..core.errors import RecordError
 from ..core.message import Message, joined
 from ..core.result import judge
 from ..run import batch, live
-from ..scene import body_checks, checks, colliders, staleness
+from ..scene import body_checks, checks, colliders, cuts, staleness
 from ..scene.checks import Problem
 from ..scene.skinning import Skinning
 from ..write.display import comparison
@@ -47,7 +47,7 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
             yield Problem(text), "ERROR"
         for problem in colliders.problems(obj):
             yield problem, "ERROR"
-        for problem in (*checks.next_steps(obj), *colliders.notes(obj)):
+        for problem in (*checks.next_steps(obj), *colliders.notes(obj), *cuts.known(obj)):
             yield problem, "INFO"
     for problem in checks.notes(skinning):
         yield problem, "INFO"

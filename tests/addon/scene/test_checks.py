@@ -129,7 +129,8 @@ def test_one_button_puts_it_right_and_undo_brings_it_back(soft_arm, spoil, fix):
 
 def test_every_fix_is_tried_here():
     tried = {fix for _, fix in PUT_RIGHT} | {"ADD_BASIS", "PERSON_SIZE", "WEIGHT_LIKE_NEAREST", "LOCK_INTERFACE"}
-    assert tried | {"FULL_QUALITY"} == set(FIXES)  # that one in test_collision_section.py
+    elsewhere = {"FULL_QUALITY", "COLLIDE"}  # test_collision_section.py, test_cuts.py
+    assert tried | elsewhere == set(FIXES)
 
 
 @pytest.mark.fault("K01")

@@ -9,10 +9,9 @@ from bl_ext.user_default.dynamic_morph_targets.core import engine
 from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
 from bl_ext.user_default.dynamic_morph_targets.run import job_data, live, preview
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import properties
+from bl_ext.user_default.dynamic_morph_targets.scene import events, properties
 from bl_ext.user_default.dynamic_morph_targets.ui import widgets
 from bl_ext.user_default.dynamic_morph_targets.ui.panels import sections
-from bl_ext.user_default.dynamic_morph_targets.ui.panels import status as panels_status
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from builders import activate, hand_made_bake, rig_of
@@ -89,7 +88,7 @@ def test_a_problem_is_not_also_why_the_model_is_out_of_date(soft_arm, stand_in):
 
 def test_the_row_below_the_buttons_says_what_is_next(soft_arm, stand_in, monkeypatch):
     playing = False
-    monkeypatch.setattr(panels_status, "is_playing", lambda: playing)
+    monkeypatch.setattr(events, "is_playing", lambda: playing)
     seen = [next_step(soft_arm)]
     bpy.ops.dynamorph.build()
     seen.append(next_step(soft_arm))

@@ -13,7 +13,7 @@ from ...core.errors import SceneError, sentence
 from ...core.material.feel import FEELS
 from ...core.message import translated
 from ...run.live import remove_soft_skin
-from ...scene import body_checks, checks, extract, references, rig_motion, skin, target_properties
+from ...scene import body_checks, checks, cuts, extract, references, rig_motion, skin, target_properties
 from ...scene.registration import of_classes
 from ...scene.skinning import Skinning, armature_modifiers
 from ...write.authoring import attachments
@@ -125,7 +125,8 @@ class DYNAMORPH_OT_fix(SoftSkinOperator, Operator):
         return FIXES[given.problem].tooltip
 
     def apply(self, obj):
-        body_checks.look(obj)
+        for look in (body_checks.look, cuts.look):
+            look(obj)
         if self.problem not in [problem.fix for problem, _ in messages.messages(obj)]:
             raise SceneError(
                 "'{name}' does not have this problem: {label} is not needed",

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ...core import engine
 from ...run import batch, live, preview
-from ...scene import checks, skin, staleness
+from ...scene import checks, events, skin, staleness
 from ...scene.skinning import Skinning
 from ...write.display import comparison
 from .. import messages
@@ -92,17 +91,12 @@ def next_step(obj) -> str:
     if not live.is_on(obj) and baked and staleness.outdated(obj):
         return "Bake updates it"
     if live.is_on(obj) and not baked:
-        return "Space stops, Bake keeps it" if is_playing() else "Space plays, Bake keeps it"
+        return "Space stops, Bake keeps it" if events.is_playing() else "Space plays, Bake keeps it"
     if live.is_on(obj) or baked:
-        return "Space stops it" if is_playing() else "Space plays it"
+        return "Space stops it" if events.is_playing() else "Space plays it"
     if is_outdated(obj) or not obj.dynamorph.model.content_id:
         return "Live builds it, Bake too"
     return "Live shows it, Bake keeps it"
-
-
-def is_playing() -> bool:
-    """Whether the animation plays in a window."""
-    return any(window.screen.is_animation_playing for window in bpy.context.window_manager.windows)
 
 
 def is_outdated(obj) -> bool:

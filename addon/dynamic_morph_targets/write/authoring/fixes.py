@@ -11,10 +11,11 @@ import numpy as np
 from mathutils.kdtree import KDTree
 
 from ...core.errors import SceneError
-from ...scene import body_checks, checks, skinning
+from ...scene import body_checks, checks, cuts, skinning
 from ...scene.skin import unit_scale
 from ...scene.source import Source
 from ..bake import writer
+from .collision import add_collision
 
 
 @dataclass(frozen=True)
@@ -152,6 +153,10 @@ def _lock_interface(_obj):
     bpy.context.scene.render.use_lock_interface = True
 
 
+def _collide(obj):
+    add_collision(obj, cuts.cutting(obj))
+
+
 def _full_quality(obj):
     obj.dynamorph.model.solver = "FULL"
 
@@ -213,5 +218,6 @@ FIXES = {
     "FULL_QUALITY": Fix(
         "Full Quality", "Simulate every node of the cage, so that the skin dents where it is touched", _full_quality
     ),
+    "COLLIDE": Fix("Collide", "Give what cuts the body Blender's Collision, and let it stop the skin", _collide),
     "UNPIN": Fix("Show All Shape Keys", "Show the mix of all shape keys, not the active one alone", _unpin),
 }  # fmt: skip
