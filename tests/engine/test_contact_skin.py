@@ -6,14 +6,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from dynamic_morph_targets.core.geometry import is_closed, vertex_normals
-from dynamic_morph_targets.core.motion.contact import Touched, spread, touched
+from dynamic_morph_targets.core.motion.contact import BITS, Touched, as_bits, spread, touched
 
 
 class Collision:
     """Stands in for the one of a player: each sample is moved by the bone of its number."""
 
     def names(self, sample, collider, bones):
-        return bones[sample], ["Ball", "Bench"][collider]
+        return bones[sample], self.collider(collider)
+
+    def collider(self, number):
+        return ["Ball", "Bench"][number]
 
 
 def sheet(sides: int, height: float) -> np.ndarray:
@@ -51,13 +54,14 @@ def test_a_surface_is_closed_without_a_border():
     assert is_closed(tetrahedron) and not is_closed(tetrahedron[1:])
 
 
-def found_in(too_deep, collider) -> Touched:
+def found_in(too_deep, collider, unusable=()) -> Touched:
     count = len(too_deep)
     steps = {
         "penetration": np.linspace(0.0, 1e-4, count),
         "too_deep": np.array(too_deep, float),
         "too_deep_sample": np.where(np.array(too_deep) > 0.0, 1.0, -1.0),
         "too_deep_collider": np.array(collider, float),
+        "unusable_colliders": np.array([as_bits(each) for each in unusable or [()] * count]),
     }
     return touched(np.arange(10.0, 10.0 + count), steps, Collision(), ["hip", "thigh.L"])
 
@@ -73,3 +77,12 @@ def test_another_collider_is_another_place():
 
 def test_without_such_a_place_there_is_only_the_penetration():
     assert found_in([0.0, 0.0], [-1, -1]) == Touched(pytest.approx(1e-4))
+
+
+def test_each_collider_that_stops_nothing_is_named_with_its_frames():
+    found = found_in([0.0] * 4, [-1] * 4, [[0], [0, 1], [0, BITS], [0]])
+    assert found.unusable == (("Ball", 10, 13), ("Bench", 11, 11))
+    assert found.texts == [
+        "'Ball' stops nothing at frames 10 to 13: it is scaled to zero there",
+        "'Bench' stops nothing at frame 11: it is scaled to zero there",
+    ]

@@ -158,6 +158,10 @@ def _is_touched(value: object) -> bool:
     )
 
 
+def _is_unusable(value: object) -> bool:
+    return isinstance(value, list) and bool(value) and _is_text(value[0]) and _are_frames(value[1:])
+
+
 def _are_frames(value: object) -> bool:
     return _are_numbers(value) and len(value) == 2 and all(abs(frame) <= LAST_FRAME for frame in value)
 
@@ -192,6 +196,7 @@ TOUCHED: dict[str, Callable[[object], bool]] = {
     "bone": _is_text,
     "collider": _is_text,
     "frames": _are_frames,
+    "unusable": lambda value: isinstance(value, list) and all(map(_is_unusable, value)),
 }
 VERDICT_FIELDS: dict[str, Callable[[object], bool]] = {
     **dict.fromkeys(("displacement", "percentile", "over_thickness", "flipped", "inverted", "flicker"), is_number),

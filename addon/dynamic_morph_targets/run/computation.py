@@ -206,7 +206,7 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
         outcome.warnings.append(
             Message("The modes were fitted to frames {first} to {last}: press Build Model", first=first, last=last)
         )
-    outcome.warnings += [outcome.verdict.too_deep] if outcome.verdict.too_deep else []
+    outcome.warnings += outcome.verdict.contact_texts
     if outcome.verdict.is_too_large:
         text = "{verdict}. Raise Bounce or Cage Nodes, or paint Firmness"
         outcome.warnings.append(Message(text, verdict=outcome.verdict.text))

@@ -83,11 +83,11 @@ def problem(obj: bpy.types.Object) -> str:
     return text if text and model == _stated(obj) else ""
 
 
-def too_deep(obj: bpy.types.Object) -> str:
-    """Where the bones of a live object left its tissue no room in the frames that it has played, or ''."""
+def contact_texts(obj: bpy.types.Object) -> list[Message]:
+    """What went wrong where a live object met colliders in the frames that it has played."""
     session = sessions.get(obj.session_uid)
     found = session.touched() if session else None
-    return (found and found.too_deep) or ""
+    return found.texts if found else []
 
 
 def _stated(obj: bpy.types.Object) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from ..core.errors import SceneError
 from ..core.message import joined
 from ..core.motion import rig_samples, simulate
 from ..core.motion.contact import Touched, touched
-from ..core.motion.player import Frame, Player, State
+from ..core.motion.player import Frame, Player, State, statistics
 from ..core.motion.rig_samples import RigSamples
 from ..core.painted_map import MAPS
 from ..core.settings import Material, SimulationSettings
@@ -240,9 +240,11 @@ class Session:
         player, numbers = self.tissue.player, sorted(self._frames)
         if player.collision is None or not numbers:
             return None
-        names = ("penetration", "too_deep", "too_deep_sample", "too_deep_collider")
-        steps = {name: np.array([self._frames[number].steps[name] for number in numbers]) for name in names}
-        return touched(np.array(numbers), steps, player.collision, self.tissue.model.bone_names)
+        names = ("penetration", "too_deep", "too_deep_sample", "too_deep_collider", "unusable_colliders")
+        steps = statistics([self._frames[number] for number in numbers], names)
+        return touched(
+            np.array(numbers), dict(zip(names, steps.T, strict=True)), player.collision, self.tissue.model.bone_names
+        )
 
     def knows(self, time: float) -> bool:
         """Whether a frame, or a time between two, has been simulated already."""

@@ -79,8 +79,8 @@ def texts(obj, said: Set[str]) -> Iterator[str]:
         yield checks.outgrown(obj)
     if live.is_on(obj) and live.problem(obj):
         yield live.problem(obj)
-    if live.is_on(obj) and live.too_deep(obj):
-        yield live.too_deep(obj)
+    if live.is_on(obj):
+        yield from live.contact_texts(obj)
     if comparison.is_plain(obj):
         yield "Plain skinning is shown: the soft skin stays hidden until you press Show Soft Skin or save"
     ages = dict.fromkeys((*staleness.model_age(obj), *staleness.outdated(obj)))

@@ -26,7 +26,7 @@ FAR = Verdict(
     Limits(0.05, 0.6), Held("thigh_r", 20.3, (45, 47), 1.25),
     displacement=0.09, percentile=0.08, over_thickness=0.5, stretch=(0.7, 1.2), flipped=1e-4,
     inverted=2e-4, flicker=-0.25, frame=7.0, vertices=(3, 5, 8),
-    touched=Touched(0.00012, 0.018, "thigh_r", "Bench", (40, 52)),
+    touched=Touched(0.00012, 0.018, "thigh_r", "Bench", (40, 52), (("Ball", 3, 5),)),
 )  # fmt: skip
 TEXT = "The skin moves farther than Max Displacement allows at frame 7"
 
@@ -60,10 +60,11 @@ def test_a_verdict_is_read(addon):
     }  # fmt: skip
     without = {"Largest Load", "Between Frames", "Penetration"}  # of no limits, and without Collision
     assert FAR.figures.keys() - Verdict().figures.keys() == without
-    assert (
-        FAR.too_deep == "The bones take 'thigh_r' 18 mm too deep into 'Bench' at frames 40 to 52: pose them out of it"
-    )
-    assert Verdict().too_deep is None and replace(FAR, touched=Touched(0.001)).too_deep is None
+    assert FAR.contact_texts == [
+        "The bones take 'thigh_r' 18 mm too deep into 'Bench' at frames 40 to 52: pose them out of it",
+        "'Ball' stops nothing at frames 3 to 5: it is scaled to zero there",
+    ]
+    assert Verdict().contact_texts == replace(FAR, touched=Touched(0.001)).contact_texts == []
     older = {name: value for name, value in json.loads(FAR.record).items() if name != "touched"}
     assert parsed(json.dumps(older)) == replace(FAR, touched=None)
     assert FAR.factor == pytest.approx((0.08 / 0.05) ** 0.75)
@@ -105,7 +106,11 @@ def test_what_is_no_verdict_is_a_sentence(baked, text):
         {"held": {"bone": "a", "excess": 1.0, "frames": [1e300, 2], "reached": 0.0, "pulled": 0.0}},
         {"stretch": [1.0]}, {"stretch": None}, {"stretch": ["a", "b"]}, {"displacement": "far"}, {"inverted": []},
         {"displacement": 10**400}, {"touched": {}}, {"touched": [0.1]}, {"touched": {"depth": 1.0}},
-        {"touched": {"penetration": "x", "depth": 1.0, "bone": "a", "collider": "b", "frames": [1, 2]}},
+        {"touched": {"penetration": "x", "depth": 1.0, "bone": "a", "collider": "b", "frames": [1, 2], "unusable": []}},
+        *(
+            {"touched": {"penetration": 0, "depth": 1, "bone": "", "collider": "", "frames": [1, 2], "unusable": each}}
+            for each in ({}, [7], [[]], [["a"]], [["a", 1, "b"]], [[3, 1, 2]])
+        ),
     ],
 )  # fmt: skip
 def test_a_wrong_part_is_a_sentence(baked, wrong):

@@ -95,7 +95,7 @@ def test_the_skin_makes_room_for_a_ball(arm, solver):
     assert np.abs(without - rest).max() < 1e-4
     # Global modes alone make no dent: they move what is far away too.
     assert np.abs(points[-1] - without[-1])[far].max() < (0.1 if solver == "FULL" else 0.35) * PRESSED
-    assert job.outcome.verdict.touched.depth == 0.0 and job.outcome.verdict.too_deep is None
+    assert job.outcome.verdict.touched.depth == 0.0 and job.outcome.verdict.contact_texts == []
 
 
 def test_a_ball_that_swells_dents_it_too(arm):
@@ -180,7 +180,7 @@ def test_what_the_bones_take_too_deep_is_reported(arm):
         ball.location.x = place
         ball.keyframe_insert("location", frame=frame)
     job = bake(arm)
-    text = job.outcome.verdict.too_deep
+    (text,) = job.outcome.verdict.contact_texts
     assert text.startswith("The bones take '") and "mm too deep into 'Ball' at frames" in text
     assert text in job.warnings and "too deep into 'Ball'" in " ".join(drawn(arm))
     bpy.ops.dynamorph.delete_bake()
@@ -188,6 +188,25 @@ def test_what_the_bones_take_too_deep_is_reported(arm):
     points = shown(arm)
     assert "too deep into 'Ball'" in " ".join(drawn(arm))
     assert np.isfinite(points).all() and np.abs(points - points[0]).max() < 0.5 * SIZE
+
+
+def test_a_collider_without_size_is_reported_with_its_frames(arm):
+    ball = bpy.data.objects["Ball"]
+    for frame, place, size in ((1, 0.6, 1.0), (9, SURFACE, 0.0), (13, 0.6, 1.0)):
+        ball.scale, ball.location.x = (size,) * 3, place
+        ball.keyframe_insert("scale", frame=frame)
+        ball.keyframe_insert("location", frame=frame)
+    for curve in animation.curves(ball.animation_data.action, ball.animation_data.action_slot):
+        for point in curve.keyframe_points:
+            point.interpolation = "CONSTANT"
+    job = bake(arm)
+    text = "'Ball' stops nothing at frames 9 to 13: it is scaled to zero there"
+    assert job.outcome.verdict.contact_texts == [text] and text in job.warnings
+    assert " ".join(drawn(arm)).count("'Ball' stops nothing at frames 9 to") == 2  # in Result and in Messages
+    bpy.ops.dynamorph.delete_bake()
+    bpy.ops.dynamorph.live()
+    play(arm, 1, FRAMES)
+    assert "'Ball' stops nothing at frames 9 to" in " ".join(drawn(arm))
 
 
 def begins_inside(ball):

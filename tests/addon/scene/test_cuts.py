@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Meshes that cut into a body and do not stop its skin are told, with a button that lets them collide."""
+"""Meshes that cut into a body and do not stop its skin are reported, with a button that lets them collide."""
 
 import bpy
 import pytest
@@ -11,7 +11,7 @@ from mathutils import Matrix
 SURFACE = 0.3  # meters, radius of the arm
 
 
-def told(obj) -> str:
+def messages_of(obj) -> str:
     """The tab, once what it asks about the body has been answered: by a timer in a window."""
     with soon():
         drawn(obj)
@@ -24,23 +24,23 @@ def box(soft_arm):
     return make_box("Crate", location=(SURFACE + 0.45, 0.0, 1.0), collision=False)
 
 
-def test_what_cuts_the_body_is_told_and_one_button_lets_it_collide(soft_arm, box):
-    assert "'Crate' cuts 'Arm': let it collide" in told(soft_arm)
+def test_what_cuts_the_body_is_reported_and_one_button_lets_it_collide(soft_arm, box):
+    assert "'Crate' cuts 'Arm': let it collide" in messages_of(soft_arm)
     assert bpy.ops.dynamorph.fix(problem="COLLIDE") == {"FINISHED"}
     assert [other.name for other in colliders.colliders(soft_arm)] == ["Crate"]
-    assert "cuts 'Arm'" not in told(soft_arm)
+    assert "cuts 'Arm'" not in messages_of(soft_arm)
 
 
 @pytest.mark.parametrize("use", [False, True])
 def test_its_collision_alone_is_not_enough(soft_arm, box, use):
     box.modifiers.new("Collision", "COLLISION")
     soft_arm.dynamorph.collision.use = use
-    assert ("'Crate' cuts 'Arm'" in told(soft_arm)) != use
+    assert ("'Crate' cuts 'Arm'" in messages_of(soft_arm)) != use
 
 
 def test_several_are_one_message(soft_arm, box):
     make_box("Plank", location=(-SURFACE - 0.45, 0.0, 1.5), collision=False)
-    assert "Crate, Plank cut 'Arm': let them collide" in told(soft_arm)
+    assert "Crate, Plank cut 'Arm': let them collide" in messages_of(soft_arm)
     bpy.ops.dynamorph.fix(problem="COLLIDE")
     assert len(colliders.colliders(soft_arm)) == 2
 
@@ -50,9 +50,9 @@ def test_a_collection_that_limits_them_gets_it(soft_arm, box):
     bpy.context.scene.collection.children.link(furniture)
     soft_arm.dynamorph.collision.use, soft_arm.dynamorph.collision.collection = True, furniture
     box.modifiers.new("Collision", "COLLISION")
-    assert "'Crate' cuts 'Arm'" in told(soft_arm)
+    assert "'Crate' cuts 'Arm'" in messages_of(soft_arm)
     bpy.ops.dynamorph.fix(problem="COLLIDE")
-    assert "Crate" in furniture.objects and "cuts 'Arm'" not in told(soft_arm)
+    assert "Crate" in furniture.objects and "cuts 'Arm'" not in messages_of(soft_arm)
 
 
 def beside(box, _obj):
@@ -112,32 +112,32 @@ def not_a_number(box, _obj):
     [beside, in_its_box_only, around, hidden, a_helper, on_the_rig, skinned_alike, attached, the_cage,
      scaled_to_nothing, without_faces, not_a_number],
 )  # fmt: skip
-def test_what_does_not_cut_it_or_belongs_to_it_is_not_told(soft_arm, box, change):
+def test_what_does_not_cut_it_or_belongs_to_it_is_left_out(soft_arm, box, change):
     change(box, soft_arm)
     bpy.context.view_layer.update()
-    assert cuts.cutting(soft_arm) == [] and "cuts 'Arm'" not in told(soft_arm)
+    assert cuts.cutting(soft_arm) == [] and "cuts 'Arm'" not in messages_of(soft_arm)
 
 
 def test_modifiers_poses_and_frames_count(soft_arm, box):
     box.location = (0.0, 1.0, 1.3)
-    assert "cuts 'Arm'" not in told(soft_arm)
+    assert "cuts 'Arm'" not in messages_of(soft_arm)
     bpy.context.scene.frame_set(20)  # where the arm is bent to that side
     box.location.y = -1.0
     bpy.context.view_layer.update()
-    assert "'Crate' cuts 'Arm'" in told(soft_arm)
+    assert "'Crate' cuts 'Arm'" in messages_of(soft_arm)
     bpy.context.scene.frame_set(1)
-    assert "cuts 'Arm'" not in told(soft_arm)
+    assert "cuts 'Arm'" not in messages_of(soft_arm)
     box.data.transform(Matrix.Scale(2.0, 4))
     box.data.update()
     bpy.context.view_layer.update()
-    assert "'Crate' cuts 'Arm'" in told(soft_arm)
+    assert "'Crate' cuts 'Arm'" in messages_of(soft_arm)
 
 
 def test_drawing_reads_no_mesh_and_looks_once(soft_arm, box, monkeypatch):
-    told(soft_arm)
+    messages_of(soft_arm)
     monkeypatch.setattr(cuts, "cutting", None)
     for _ in range(3):
-        assert "'Crate' cuts 'Arm'" in told(soft_arm)
+        assert "'Crate' cuts 'Arm'" in messages_of(soft_arm)
 
 
 def test_a_fine_mesh_is_thinned_out(soft_arm, box, monkeypatch):

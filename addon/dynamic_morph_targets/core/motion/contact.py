@@ -6,7 +6,7 @@ and how deep it went. Never touches bpy.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,6 +26,7 @@ PLACES = 3000  # of the skin by which its patches are pressed, at most
 PATCHES = 256  # of the skin that give way by themselves in Reduced Quality
 SAMPLES = 20000  # points of the skin that can touch something, at most; of more vertices, those that are spread evenly
 PROBED_SAMPLES = 4000  # the same where Blender poses the nodes, which have a matrix of weights
+BITS = 52  # of a float, which are exact: so many colliders are told apart where they are unusable
 
 
 class Collision:
@@ -94,7 +95,11 @@ class Collision:
     def names(self, sample: int, collider: int, bones: Sequence[str]) -> tuple[str, str]:
         """The bone that moves a point of the skin most, '' for the object itself, and the collider. bones: names."""
         bone = int(self._bones[sample])
-        return bones[bone] if bone < len(bones) else "", self._known[collider][0]
+        return bones[bone] if bone < len(bones) else "", self.collider(collider)
+
+    def collider(self, number: int) -> str:
+        """Its name."""
+        return self._known[number][0]
 
 
 def _local_responses(
@@ -184,7 +189,8 @@ def _motion(collider: Any, first: np.ndarray, track: ColliderTrack) -> Any:
 class Touched:
     """How deep a shot went into colliders. penetration: of the skin, after a step, at most, meters. depth: how much
     deeper the bones took it into `collider` than it can give way, meters, 0 where they never did; bone:
-    which; frames: the first and last about that one.
+    which; frames: the first and last about that one. unusable: of each collider that could not stop anything somewhere,
+    the name, and the first frame and the last where it could not.
     """
 
     penetration: float = 0.0
@@ -192,6 +198,14 @@ class Touched:
     bone: str = ""
     collider: str = ""
     frames: tuple[int, int] = (0, 0)
+    unusable: tuple[tuple[str, int, int], ...] = ()
+
+    @property
+    def texts(self) -> list[Message]:
+        """What did not go as the artist wants it, in sentences."""
+        text = "'{name}' stops nothing at {frames}: it is scaled to zero there"
+        without = [Message(text, name=name, frames=named_frames(*frames)) for name, *frames in self.unusable]
+        return [self.too_deep, *without] if self.too_deep else without
 
     @property
     def too_deep(self) -> Message | None:
@@ -210,9 +224,23 @@ class Touched:
 def touched(times: np.ndarray, steps: dict[str, np.ndarray], collision: Collision, bones: Sequence[str]) -> Touched:
     """Of the steps' statistics by name, each (F,), to each of the times (F,). bones: names."""
     penetration, depth = float(steps["penetration"].max(initial=0.0)), steps["too_deep"]
+    unusable = tuple(_unusable(times, steps["unusable_colliders"], collision))
     if not (depth > 0.0).any():
-        return Touched(penetration)
+        return Touched(penetration, unusable=unusable)
     worst, collider = int(depth.argmax()), steps["too_deep_collider"].astype(int)
     frames = frames_around(worst, (depth <= 0.0) | (collider != collider[worst]), times)
     names = collision.names(int(steps["too_deep_sample"][worst]), collider[worst], bones)
-    return Touched(penetration, float(depth[worst]), *names, frames)
+    return Touched(penetration, float(depth[worst]), *names, frames, unusable)
+
+
+def as_bits(colliders: Sequence[int]) -> float:
+    """Numbers of colliders as one number among a step's statistics, which are floats."""
+    return float(sum(1 << collider for collider in colliders if collider < BITS))
+
+
+def _unusable(times: np.ndarray, bits: np.ndarray, collision: Collision) -> Iterator[tuple[str, int, int]]:
+    """`Touched.unusable`, from `as_bits` of the steps to each of the times (F,)."""
+    for collider in range(BITS):
+        found = times[(bits.astype(np.int64) >> collider & 1).astype(bool)]
+        if len(found):
+            yield collision.collider(collider), int(np.floor(found[0])), int(np.ceil(found[-1]))

@@ -15,7 +15,7 @@ from ..geometry import diagonal
 from ..model.model import EngineModel, EngineSimulation, Model
 from ..settings import SimulationSettings
 from .amounts import Amounts
-from .contact import Collision
+from .contact import Collision, as_bits
 from .limits import motion_limit
 from .posing import Posing
 from .rig_samples import RigSamples
@@ -40,8 +40,9 @@ STEP = (
     "too_deep",
     "too_deep_sample",
     "too_deep_collider",
+    "unusable_colliders",
 )  # statistics of a frame's steps
-NO_STEPS = dict.fromkeys(STEP, 0) | {"converged": True, "excess_bone": -1}
+NO_STEPS = dict.fromkeys(STEP, 0) | {"converged": True, "excess_bone": -1, "unusable_colliders": ()}
 # Of the engine: coordinates, bones' transforms, how far the bones' loads exceed their limit, and what is touched.
 State = tuple[Sequence[np.ndarray], Sequence[np.ndarray], np.ndarray, np.ndarray]
 
@@ -54,6 +55,12 @@ class Frame:
     coordinates: np.ndarray
     weights: np.ndarray
     steps: dict
+
+
+def statistics(frames: Sequence[Frame], names: Sequence[str] = STEP) -> np.ndarray:
+    """Those of the steps to each of the frames as numbers: (F, len(names))."""
+    kinds = {"unusable_colliders": as_bits}
+    return np.array([[kinds.get(name, float)(frame.steps[name]) for name in names] for frame in frames])
 
 
 class Player:

@@ -20,7 +20,7 @@ from .baked import Bake
 from .contact import Touched, touched
 from .limits import Held, held
 from .loops import cycle, loop_warnings
-from .player import STEP, Frame, Player
+from .player import STEP, Frame, Player, statistics
 from .rig_samples import RigSamples
 
 LOST = 1e-3  # of a motion, RMS: what a bake may lack beside the targets' shapes where most modes hardly move
@@ -122,7 +122,7 @@ class Shot:
         self.done += len(frames)
         self._coordinates.append(np.array([frame.coordinates for frame in frames]))
         self._weights.append(np.array([frame.weights for frame in frames]))
-        self._steps.append(np.array([[frame.steps[name] for name in STEP] for frame in frames], float))
+        self._steps.append(statistics(frames))
         self._seconds += time.perf_counter() - began
 
     def kept(self) -> dict[str, np.ndarray]:

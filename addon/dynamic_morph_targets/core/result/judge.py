@@ -136,9 +136,9 @@ class Verdict:
         )
 
     @property
-    def too_deep(self) -> Message | None:
-        """Where the bones leave the tissue no room; None where they always leave some."""
-        return self.touched.too_deep if self.touched else None
+    def contact_texts(self) -> list[Message]:
+        """What went wrong where the skin met colliders."""
+        return self.touched.texts if self.touched else []
 
     @property
     def factor(self) -> float:
@@ -178,7 +178,8 @@ def parsed(record: str) -> Verdict | None:
     values = records.verdict(record)
     touched = values.get("touched")
     if touched:
-        values["touched"] = Touched(**touched | {"frames": tuple(touched["frames"])})
+        unusable = tuple(map(tuple, touched["unusable"]))
+        values["touched"] = Touched(**touched | {"frames": tuple(touched["frames"]), "unusable": unusable})
     lists = {name: tuple(values[name]) for name in ("stretch", "vertices")}
     held = Held(**values["held"] | {"frames": tuple(values["held"]["frames"])})
     return Verdict(**values | lists | {"limits": Limits(**values["limits"]), "held": held})

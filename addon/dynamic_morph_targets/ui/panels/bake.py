@@ -62,8 +62,8 @@ def draw_verdict(layout, obj):
         layout.operator("dynamorph.stiffen", icon="FORCE_HARMONIC")
     if found.held_back:
         draw_message(layout, found.held_back, icon="INFO")
-    if found.too_deep:
-        draw_message(layout, found.too_deep, icon="INFO")
+    for text in found.contact_texts:
+        draw_message(layout, text, icon="INFO")
 
 
 def draw_details(layout, context, obj):
