@@ -153,7 +153,7 @@ def ours(solver: str, use: bool = True, distance: float | None = None):
     def simulate(body) -> dict:
         bpy.ops.dynamorph.add_soft_skin()
         body.dynamorph.model.solver = solver
-        body.dynamorph.collision.use = use
+        body.dynamorph.collision.use, body.dynamorph.collision.bake_full = use, solver == "FULL"
         if distance is not None:
             body.dynamorph.collision.distance = distance
         job = Job(body, goal="BAKE")

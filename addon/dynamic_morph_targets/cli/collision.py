@@ -9,7 +9,7 @@ import bpy
 
 from ..core.errors import InputError
 
-SETTINGS = ("distance", "friction")  # of the panel, that are options of the same name
+SETTINGS = ("distance", "friction", "bake_full")  # of the panel, that are options of the same name
 
 
 def add_options(bake: argparse.ArgumentParser) -> None:
@@ -36,3 +36,5 @@ def apply(args: argparse.Namespace, obj: bpy.types.Object) -> None:
         if chosen.get(setting) is not None:
             setattr(settings, setting, chosen[setting])
     settings.use_friction |= chosen.get("friction") is not None
+    if chosen.get("solver") == "reduced" and chosen.get("bake_full") is None:
+        settings.bake_full = False

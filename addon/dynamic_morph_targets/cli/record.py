@@ -65,6 +65,7 @@ def character_record(done: Done) -> dict:
             "frames": [job.input.settings.frame_start, job.input.settings.frame_end],
             "fps": job.input.settings.fps,
             "substeps": job.input.settings.substeps,
+            "solver": job.input.solver,
             "resumed": len(job.input.resumed.get("coordinates", ())),
             "max_displacement": baked.largest_displacement(job.outcome.bake, job.outcome.character.to_bind),
             **{name: value for name, value in job.outcome.report.items() if name != "warnings"},
@@ -113,6 +114,7 @@ def print_table(job: Job, save_seconds: float) -> None:
                 f"{job.input.settings.frame_end - job.input.settings.frame_start + 1} x {job.input.settings.substeps}",
             )
         )
+        rows.append(("quality", job.input.solver.capitalize()))
         rows.append(("steps per second", f"{report['steps_per_second']:.0f}"))
         rows.append(("smallest det F", f"{report['smallest_det']:.2f}"))
         if "gap" in report:

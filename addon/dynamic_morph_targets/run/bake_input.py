@@ -47,10 +47,10 @@ class Request:
 
     target: the object. goal: "BUILD", "BUILD_CAGE" (the model's tetrahedra alone) or "BAKE", which builds too where
     that is necessary. frames: (start, end), substeps, and changes, by name, override the object's settings of the
-    simulation. folder: where large models go. rebuild: build even when the model is up to date. cache_dir: where built
-    models and unfinished bakes are kept for other processes. cache_files: where
-    point caches go, by mesh, if not where they go by default. whole: the shot is one chunk. stored: the result
-    goes into Blender.
+    simulation. solver: its quality, REDUCED or FULL, if not that of the object's bakes. folder: where large models go.
+    rebuild: build even when the model is up to date. cache_dir: where built models and unfinished bakes are kept for
+    other processes. cache_files: where point caches go, by mesh, if not where they go by default. whole: the shot is
+    one chunk. stored: the result goes into Blender.
     """
 
     target: ObjectHandle
@@ -59,6 +59,7 @@ class Request:
     goal: str
     frames: tuple[int, int] | None = None
     substeps: int | None = None
+    solver: str = ""
     folder: Path | None = None
     rebuild: bool = False
     cache_dir: CacheDir | None = None
@@ -104,6 +105,7 @@ def _check_memory(given: BakeInput) -> None:
         changes = {"solver": "FULL"} if given.only_cage else {"modes": settings.rehearsed_modes}
         memory.check(given.name, memory.build_bytes(size, replace(settings, **changes), os.cpu_count() or 1))
     if given.has_shot:
+        settings = given.simulated.settings
         memory.check(given.name, memory.bake_bytes(size, settings, given.settings, given.output, _chunk(given)))
 
 
@@ -186,6 +188,7 @@ def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: boo
     obj = skinning.obj
     settings = run_settings.simulation_settings(obj, bpy.context.scene, request.frames, request.substeps)
     given.has_shot, given.settings = True, replace(settings, **request.changes)
+    given.solver = request.solver or run_settings.bake_solver(obj)
     given.deforming_vertices = colliders.deforming_vertices(obj)
     given.inputs = staleness.bake_inputs(skinning, given.settings)
     given.inputs |= {"animation": animation.animation(skinning), "painted": staleness.map_hash(given.character)}
@@ -197,9 +200,11 @@ def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: boo
     given.whole = request.whole or given.settings.loop or fits
     if given.cache_dir and given.is_bake and not (given.whole or given.before or given.character.probed):
         files = animation.source_files()
-        given.kept = given.cache_dir.bake_path(given.name, given.inputs, given.character, files, bpy.app.version)
+        given.kept = given.cache_dir.bake_path(given.name, given.inputs, given.simulated, files, bpy.app.version)
         model = given.model or given.cached_model
-        given.resumed = given.cache_dir.unfinished(given.kept, model, len(given.settings.times)) if model else {}
+        if model:
+            model = model.with_settings(given.simulated.settings)
+            given.resumed = given.cache_dir.unfinished(given.kept, model, len(given.settings.times))
     if given.resumed:
         first = given.settings.first
         given.first = rig_motion.sample_rig(obj, first, first, 1)

@@ -22,6 +22,7 @@ from ..write.bake.before import Before
 from ..write.bake.writer import NewBake, check, check_free, check_local, check_not_edited, free
 from ..write.display import beside, comparison, live_key
 from ..write.storage import fit_modes, keep_model, model_path
+from . import bake_time
 from .bake_input import Request, handles
 from .job_data import BakeInput, Outcome, Progress
 
@@ -249,6 +250,7 @@ class Writer:
         record.content_id = outcome.content_id
         record.digest = baked.digest(outcome.bake)
         record.lost = ""
+        bake_time.learn(obj, given, self.progress.seconds["simulate"])
         staleness.look_at_animation(obj)
         staleness.look_at_colliders(obj)
         staleness.look_at_map(obj, outcome.character)
@@ -272,7 +274,8 @@ def summary(given: BakeInput, outcome: Outcome, seconds: dict[str, float]) -> st
         off += report.get("compression_error", 0.0)
     error = f", {report['keys']} keys off by at most {1000 * off:.2g} mm" if off else ""
     seam = f", {1000 * report['seam']:.3g} mm from the other frames" if "seam" in report else ""
-    return f"{frames} frames in {took:.1f}\u00a0s, {outcome.size / 2**20:.1f}\u00a0MB{error}{gap}{seam}"
+    quality = ", Full Quality" if given.solver == "FULL" else ""
+    return f"{frames} frames in {took:.1f}\u00a0s{quality}, {outcome.size / 2**20:.1f}\u00a0MB{error}{gap}{seam}"
 
 
 def model_summary(given: BakeInput, model: Model) -> str:

@@ -141,8 +141,10 @@ class Computation:
             self.outcome.model, self.outcome.packed = model, model_file.pack(*model.to_arrays())
 
     def _bake(self) -> Generator[int, None, None]:
-        """The whole shot with the materials of the outcome's character."""
+        """The whole shot in its quality, with the materials of the outcome's character."""
         given, outcome = self.given, self.outcome
+        outcome.character = outcome.character.with_settings(solver=given.solver)
+        outcome.model = outcome.model.with_settings(outcome.character.settings)
         with self.progress.stage("simulate"):
             shot = simulate.Shot(
                 outcome.model, outcome.character, given.settings, self.progress.part(self._shot_from, 1.0)

@@ -33,8 +33,8 @@ class ClipJob(Job):
 
     def __init__(self, obj: bpy.types.Object, clip: Clip, clips: Sequence[Clip]):
         name, frames = f"{obj.name}: {clip.name}", (clip.first, clip.last)
-        changes = {"loop": clip.cyclic, "samples": 1}
-        super().__init__(obj, "BAKE", frames, name=name, whole=True, stored=False, changes=changes)
+        changes, solver = {"loop": clip.cyclic, "samples": 1}, obj.dynamorph.model.solver
+        super().__init__(obj, "BAKE", frames, name=name, solver=solver, whole=True, stored=False, changes=changes)
         self._clips = clips
 
     def read(self) -> None:

@@ -13,7 +13,6 @@ from ..core.geometry import vertex_areas
 from ..core.message import Message, joined
 from ..core.motion import baked
 from .batch import Batch
-from .computation import Computation
 from .job import Job
 
 REDUCED = 0.05  # of the time, for the reduced simulation
@@ -27,21 +26,17 @@ class ShotJob(Job):
 
     def __init__(self, obj: bpy.types.Object, solver: str, frames: tuple[int, int]):
         # As simulated: what is shown of the motion is not its error.
-        super().__init__(obj, "BAKE", frames, whole=True, stored=False, changes={"gains": (), "amount": 1.0})
-        self._solver = solver
+        changes = {"gains": (), "amount": 1.0}
+        super().__init__(obj, "BAKE", frames, solver=solver, whole=True, stored=False, changes=changes)
 
     def read(self) -> None:
         super().read()
-        given = self.input
-        if given.model is None:
+        if self.input.model is None:
             raise SceneError(
                 "The model of '{name}' is out of date ({why}): bake again first",
                 name=self.name,
-                why=joined("; ", given.reasons),
+                why=joined("; ", self.input.reasons),
             )
-        given.character = given.character.with_settings(solver=self._solver)
-        given.model = given.model.with_settings(given.character.settings)
-        self.computation = Computation(given, self.progress)
 
 
 class FullComparison(Batch):

@@ -80,6 +80,7 @@ class BakeInput:
     # The shot.
     has_shot: bool = False  # otherwise only a model is built, no rig is read, and the fields below are not set
     settings: SimulationSettings = field(init=False)
+    solver: str = field(init=False)  # its quality, REDUCED or FULL, which need not be that of the model
     inputs: dict = field(default_factory=dict)
     whole: bool = True  # it is read as one chunk
     deforming_vertices: int = 0  # of the colliders that may deform
@@ -99,6 +100,11 @@ class BakeInput:
     @property
     def only_cage(self) -> bool:
         return self.goal == "BUILD_CAGE"
+
+    @property
+    def simulated(self) -> Character:
+        """The character with the quality of the shot."""
+        return self.character.with_settings(solver=self.solver)
 
     @property
     def is_probed(self) -> bool:

@@ -205,6 +205,12 @@ class DynamorphCollision(PropertyGroup):
         "slips away",
         default=0.5, min=0.0, max=5.0, soft_max=1.0, precision=2, override=OVERRIDE,
     )  # fmt: skip
+    bake_full: BoolProperty(
+        name="Bake in Full Quality",
+        description="Bake what collides in Full Quality, so that the skin dents where it is touched. Turn it off to "
+        "bake just what Live shows, which takes less time",
+        default=True, override=OVERRIDE,
+    )  # fmt: skip
 
 
 class DynamorphOutput(PropertyGroup):

@@ -77,18 +77,6 @@ def problems(obj) -> Iterator[Problem]:
                 )
 
 
-def notes(obj) -> Iterator[Problem]:
-    """What does not prevent a collision, but its dents."""
-    settings = obj.dynamorph
-    if settings.collision.use and settings.model.solver == "REDUCED" and settings.model.method != "STATIC":
-        yield Problem(
-            "'{name}' collides in Reduced Quality, which bends the body where it is touched: set Quality to Full for "
-            "dents, which takes longer",
-            "FULL_QUALITY",
-            name=obj.name,
-        )
-
-
 def deforming_vertices(obj) -> int:
     """How many vertices those colliders of `obj` have that may change their shape."""
     deforming = [

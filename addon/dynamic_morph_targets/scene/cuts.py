@@ -124,8 +124,8 @@ class _Surface:
 
     def meets(self, other: _Surface, box: Box) -> bool:
         """Whether they intersect within a box."""
-        trees = [surface._tree(box) for surface in (self, other)]
-        return all(trees) and bool(trees[0].overlap(trees[1]))
+        mine, others = self._tree(box), other._tree(box)
+        return mine is not None and others is not None and bool(mine.overlap(others))
 
     def _tree(self, box: Box) -> BVHTree | None:
         """Of the triangles that may reach into a box; None without any."""

@@ -9,7 +9,18 @@ import numpy as np
 
 from ..core.errors import SceneError
 from ..core.settings import MOST_SUBSTEPS, OutputSettings, SimulationSettings
+from .colliders import colliders
 from .skin import unit_scale
+
+
+def bake_solver(obj) -> str:
+    """The quality of a bake of `obj`, REDUCED or FULL: its Quality, or Full where it collides and that is not turned
+    off. Live and clips always have its Quality.
+    """
+    settings = obj.dynamorph
+    if settings.model.method != "STATIC" and settings.collision.bake_full and colliders(obj):
+        return "FULL"
+    return settings.model.solver
 
 
 def output_settings(obj) -> OutputSettings:

@@ -131,6 +131,8 @@ def outdated(obj) -> list[str]:
     except (RecordError, SceneError) as error:
         return [sentence(error)]
     now["simulation"] |= _kept_range(then.get("simulation", {}), now["simulation"], settings.simulation.is_patch)
+    if bool(then.get("colliders")) != bool(colliders.colliders(obj)):  # which decides on it, and is reported itself
+        del now["model"]["solver"]
     found = _changes(obj, then, now)
     if obj.dynamorph.model.content_id != then["content_id"]:
         found.append("the model was built again")
@@ -188,6 +190,8 @@ def bake_inputs(skinned: Skinning, simulation: SimulationSettings) -> dict:
     settings = obj.dynamorph
     inputs = model_inputs(obj)
     inputs["model"] = asdict(settings.model.settings())
+    if simulation.collision:
+        inputs["model"]["solver"] = run_settings.bake_solver(obj)
     inputs["groups"]["max_distance_group"] = settings.max_distance_group
     inputs["groups"]["armature_modifiers"] = skinned.settings()
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}

@@ -11,8 +11,8 @@ from ..core import engine
 from ..core.errors import RecordError
 from ..core.message import Message, joined
 from ..core.result import judge
-from ..run import batch, live
-from ..scene import body_checks, checks, colliders, cuts, staleness
+from ..run import bake_time, batch, live
+from ..scene import body_checks, checks, colliders, cuts, run_settings, staleness
 from ..scene.checks import Problem
 from ..scene.skinning import Skinning
 from ..write.display import comparison
@@ -47,7 +47,7 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
             yield Problem(text), "ERROR"
         for problem in colliders.problems(obj):
             yield problem, "ERROR"
-        for problem in (*checks.next_steps(obj), *colliders.notes(obj), *cuts.known(obj)):
+        for problem in (*checks.next_steps(obj), *_quality(obj), *cuts.known(obj)):
             yield problem, "INFO"
     for problem in checks.notes(skinning):
         yield problem, "INFO"
@@ -59,6 +59,29 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
             yield Problem(text, "LOCK_INTERFACE"), "ERROR"
         else:
             yield Problem("To render Live, turn on Lock Interface", "LOCK_INTERFACE"), "INFO"
+
+
+def _quality(obj) -> Iterator[Problem]:
+    """That what collides is baked in another quality than Live has, or without dents."""
+    settings = obj.dynamorph
+    if settings.model.solver == "FULL" or settings.model.method == "STATIC" or not settings.collision.use:
+        return
+    if not settings.collision.bake_full:
+        yield Problem(
+            "'{name}' collides in Reduced Quality, which bends the body where it is touched: turn Bake in Full "
+            "Quality on for dents, which takes longer",
+            "FULL_QUALITY",
+            name=obj.name,
+        )
+    elif run_settings.bake_solver(obj) == "FULL" and live.is_on(obj):
+        yield Problem(
+            "Live is in Reduced Quality, which bends the body where it is touched. The bake is in Full Quality, with "
+            "dents, and takes {time}",
+            "",
+            time=bake_time.expected(obj),
+        )
+    elif run_settings.bake_solver(obj) == "FULL" and not settings.bake.exists:
+        yield Problem("What collides is baked in Full Quality, which takes {time}", "", time=bake_time.expected(obj))
 
 
 def verdict(obj) -> judge.Verdict | None:

@@ -132,6 +132,9 @@ def test_collision_is_turned_on_and_limited(shot, run, stand_in):
     assert found.use and found.collection.name == "Furniture"
     assert found.use_friction and found.friction == pytest.approx(0.8)
     assert not collision("--no-collision").use
+    assert collision("--collision").bake_full and not collision("--collision", "--no-bake-full").bake_full
+    assert not collision("--collision", "--solver", "reduced").bake_full  # that is what is asked for
+    assert collision("--collision", "--solver", "reduced", "--bake-full").bake_full
     code, _, errors = run("bake", shot, *chosen, "--collection", "Nowhere")
     assert code == 2 and "the file has no collection named 'Nowhere'" in errors
     code, _, errors = run("bake", shot, *chosen, "--collection", "Furniture", "--no-collision")

@@ -78,7 +78,7 @@ WORDS = (
     "--report", "{folder}/report.json", "--set", "flexed.stiffness=1e4", "flexed.x=1", "=", "--format", "gltf", "pc2",
     "--output-file", "{folder}/a.glb", "{folder}/nowhere/a.glb", "--cache-dir", "{folder}/caches", "--modes",
     "--cage-nodes", "1e400", "nan", "--loop", "--no-loop", "--clips", "actions", "--methods", "--json", "--target",
-    "--collision", "--collection",
+    "--collision", "--collection", "--no-bake-full",
     "flexed", "--oscillation", "{folder}", "{folder}/none.csv", "--expect", "--progress", "openjd", "--help", "--", "",
     " ", "\ud800", "a\0b", "x" * 300, "{shot}",
 )  # fmt: skip

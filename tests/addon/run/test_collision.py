@@ -9,7 +9,7 @@ import pytest
 import real_character
 from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
 from bl_ext.user_default.dynamic_morph_targets.io.cache_dir import CacheDir
-from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch
+from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch, full_comparison
 from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import animation, model_store, staleness
@@ -80,9 +80,10 @@ def depths(points: np.ndarray, frames=range(1, FRAMES + 1)) -> list[float]:
 
 @pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
 def test_the_skin_makes_room_for_a_ball(arm, solver):
-    arm.dynamorph.model.solver = solver
+    arm.dynamorph.collision.bake_full = solver == "FULL"
     rest = evaluated_points(arm)
     job = bake(arm)
+    assert job.outcome.model.settings.solver == solver and (", Full Quality" in job.summary()) == (solver == "FULL")
     points = shown(arm)
     found = depths(points)
     print(solver, [round(1000 * depth, 2) for depth in found], job.outcome.report["iterations"])
@@ -121,6 +122,7 @@ def test_a_ball_that_swells_dents_it_too(arm):
 
 
 def test_live_shows_what_a_reduced_bake_does(arm):
+    arm.dynamorph.collision.bake_full = False
     bake(arm)
     expected = shown(arm)
     bpy.ops.dynamorph.delete_bake()
@@ -163,6 +165,48 @@ def test_a_loop_closes(arm, travels):
     job = bake(arm)
     assert job.outcome.report["gap"] < 1e-6 * SIZE and job.warnings == []
     assert job.outcome.verdict.displacement > 0.5 * PRESSED / SIZE
+
+
+def test_a_bake_is_in_full_quality_with_the_model_that_live_has(arm):
+    model = arm.dynamorph.model
+    built = model.content_id, model.built
+    job = bake(arm)
+    assert job.input.reasons == [] and job.input.solver == "FULL" and job.outcome.packed is None
+    assert (model.content_id, model.built, model.solver) == (*built, "REDUCED")
+    assert staleness.outdated(arm) == [] and staleness.model_age(arm) == []
+    assert arm.dynamorph.bake.off_full < 0.0
+    digest = baked.digest(job.outcome.bake)
+    arm.dynamorph.collision.bake_full = False
+    assert staleness.outdated(arm) == ["Quality changed"]
+    model.solver = "FULL"
+    assert staleness.outdated(arm) == []
+    assert baked.digest(bake(arm).outcome.bake) == digest
+
+
+def test_a_model_that_a_full_bake_builds_serves_live(arm):
+    arm.dynamorph.model.modes = 50
+    job = bake(arm)
+    assert job.input.reasons and job.input.solver == "FULL"
+    assert model_store.load_model(arm).settings.solver == "REDUCED"
+    bpy.ops.dynamorph.live()
+    assert np.abs(play(arm, 1, FRAMES) - evaluated_points(arm)).max() < 1.0
+    assert run_live.sessions[arm.session_uid].tissue.model.settings.solver == "REDUCED"
+
+
+def test_what_touches_nothing_is_baked_as_chosen(arm):
+    bpy.data.objects["Ball"].modifiers.clear()
+    bpy.context.view_layer.update()
+    assert bake(arm).input.solver == "REDUCED"
+    arm.dynamorph.collision.use = False
+    assert staleness.outdated(arm) == ["Collision changed"]
+
+
+def test_the_comparison_has_both_qualities(arm):
+    bake(arm)
+    comparison = full_comparison.FullComparison(arm)
+    batch.run_all(comparison)
+    assert [job.outcome.model.settings.solver for job in comparison.jobs] == ["REDUCED", "FULL"]
+    assert arm.dynamorph.bake.off_full > 0.01
 
 
 def test_without_colliders_it_changes_nothing(arm):
@@ -269,7 +313,7 @@ def test_a_bad_collider_neither_explodes_nor_stops_the_bake(arm, change, solver)
     ball.animation_data_clear()
     ball.location = (SURFACE + 2.0 * RADIUS, 0.0, HEIGHT)
     change(ball)
-    arm.dynamorph.model.solver = solver
+    arm.dynamorph.collision.bake_full = solver == "FULL"
     rest = evaluated_points(arm)
     bake(arm)
     moved = np.linalg.norm(shown(arm) - rest, axis=2).max()
@@ -346,7 +390,7 @@ def test_a_firm_head_that_is_pressed_throws_nothing_about(addon):
     for frame, depth in ((1, -0.02), (FRAMES // 2, 0.03)):
         ball.location = nose - np.array([0.0, (0.05 - depth) * size, 0.0])
         ball.keyframe_insert("location", frame=frame)
-    obj.dynamorph.collision.use = True
+    obj.dynamorph.collision.use, obj.dynamorph.collision.bake_full = True, False
     activate(obj)
     job = bake(obj)
     assert job.outcome.model.settings.solver == "REDUCED"

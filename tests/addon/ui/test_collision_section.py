@@ -4,6 +4,7 @@
 import bpy
 import numpy as np
 import pytest
+from bl_ext.user_default.dynamic_morph_targets.run import bake_time
 from bl_ext.user_default.dynamic_morph_targets.scene import colliders
 from builders import activate, evaluated_points, make_box, make_mesh, refused, rig_of
 from layout import drawn
@@ -85,12 +86,31 @@ def test_the_section_says_what_collides(soft_arm):
     assert "Collides with: Box" in drawn(soft_arm, PHYSICS)
 
 
-def test_reduced_quality_is_mentioned_with_a_fix(soft_arm):
+def test_a_bake_without_dents_is_mentioned_with_a_fix(soft_arm):
+    collision = soft_arm.dynamorph.collision
+    collision.bake_full = False
     assert "in Reduced Quality" not in " ".join(drawn(soft_arm))
-    soft_arm.dynamorph.collision.use = True
+    collision.use = True
     assert "'Arm' collides in Reduced Quality" in " ".join(drawn(soft_arm))
     bpy.ops.dynamorph.fix(problem="FULL_QUALITY")
-    assert soft_arm.dynamorph.model.solver == "FULL" and "in Reduced Quality" not in " ".join(drawn(soft_arm))
+    assert collision.bake_full and "in Reduced Quality" not in " ".join(drawn(soft_arm))
+
+
+def test_the_quality_of_a_bake_is_said_before_it_with_its_time(soft_arm, monkeypatch):
+    settings = soft_arm.dynamorph
+    settings.collision.use = True
+    assert "Quality" not in " ".join(drawn(soft_arm))  # nothing collides yet
+    make_box()
+    assert "What collides is baked in Full Quality, which takes less than a minute" in " ".join(drawn(soft_arm))
+    assert "Bakes in Full Quality: less than a minute" in " ".join(drawn(soft_arm, PHYSICS))
+    monkeypatch.setitem(bake_time.steps, soft_arm.session_uid, 1.5)  # as the last bake measured
+    assert "Bakes in Full Quality: about 2 min" in " ".join(drawn(soft_arm, PHYSICS))  # 19 frames of 5 steps
+    settings.simulation.use_scene_range, settings.simulation.frame_end = False, 201
+    assert "Bakes in Full Quality: about 25 min" in " ".join(drawn(soft_arm, PHYSICS))
+    settings.collision.bake_full = False
+    assert "Bakes in" not in " ".join(drawn(soft_arm, PHYSICS))
+    settings.collision.bake_full, settings.model.solver = True, "FULL"
+    assert "bake_full" not in drawn(soft_arm, PHYSICS) and "Full Quality" not in " ".join(drawn(soft_arm))
 
 
 def test_what_cannot_collide_is_among_the_messages(soft_arm):

@@ -158,7 +158,7 @@ def _collide(obj):
 
 
 def _full_quality(obj):
-    obj.dynamorph.model.solver = "FULL"
+    obj.dynamorph.collision.bake_full = True
 
 
 def _unpin(obj):
@@ -216,7 +216,8 @@ FIXES = {
         _lock_interface,
     ),
     "FULL_QUALITY": Fix(
-        "Full Quality", "Simulate every node of the cage, so that the skin dents where it is touched", _full_quality
+        "Bake in Full Quality", "Bake with every node of the cage, so that the skin dents where it is touched",
+        _full_quality,
     ),
     "COLLIDE": Fix("Collide", "Give what cuts the body Blender's Collision, and let it stop the skin", _collide),
     "UNPIN": Fix("Show All Shape Keys", "Show the mix of all shape keys, not the active one alone", _unpin),
