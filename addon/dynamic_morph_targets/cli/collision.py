@@ -17,6 +17,7 @@ def add_options(bake: argparse.ArgumentParser) -> None:
     bake.add_argument("--collision", action=argparse.BooleanOptionalAction,
                       help="let the objects that have Blender's Collision stop the skin")  # fmt: skip
     bake.add_argument("--collection", metavar="NAME", help="only those in this collection; turns --collision on")
+    bake.add_argument("--exclude", metavar="GROUP", help="a vertex group in which objects pass through the skin")
 
 
 def apply(args: argparse.Namespace, obj: bpy.types.Object) -> None:
@@ -32,6 +33,11 @@ def apply(args: argparse.Namespace, obj: bpy.types.Object) -> None:
         on = True
     if on is not None:
         settings.use = on
+    group = chosen.get("exclude")
+    if group is not None:
+        if group and group not in obj.vertex_groups:
+            raise InputError(f"--exclude: '{obj.name}' has no vertex group named '{group}'")
+        obj.dynamorph.excluded_group = group
     for setting in SETTINGS:
         if chosen.get(setting) is not None:
             setattr(settings, setting, chosen[setting])

@@ -136,7 +136,8 @@ class Character:
     cage_index (V,): the cage that each vertex is in: 0 the body's, k >= 1 one of its own, -1 none, so that the bones
     alone move it. cage: the artist's own, if there is one. rigidity (V,): 1 where the skin belongs to something hard (a
     head, a helmet that touches soft skin), 0 elsewhere; the cage is held there. firmness (V,): weights of the Firmness
-    map, see core/firmness; max_distance (V,): those of the Max Distance map, see core/max_distance.
+    map, see core/firmness; max_distance (V,): those of the Max Distance map, see core/max_distance; excluded (V,): 0.5
+    or more where colliders pass through the skin.
 
     The arrays cover the vertices of all meshes in its cage: first those of the soft skin's own mesh (`own_vertices`),
     then those of `attachments`. coincident (V,): the first vertex at the same place as each, which moves alike.
@@ -157,6 +158,7 @@ class Character:
     rigidity: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
     firmness: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
     max_distance: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
+    excluded: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
     coincident: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
     attachments: tuple[Attachment, ...] = ()
 
@@ -169,6 +171,8 @@ class Character:
             object.__setattr__(self, "firmness", np.full(len(self.vertices), firmness.NEUTRAL))
         if self.max_distance is None:
             object.__setattr__(self, "max_distance", np.full(len(self.vertices), max_distance.NEUTRAL))
+        if self.excluded is None:
+            object.__setattr__(self, "excluded", np.zeros(len(self.vertices)))
         if self.coincident is None:
             object.__setattr__(self, "coincident", np.arange(len(self.vertices)))
 

@@ -26,4 +26,5 @@ class PaintedMap:
 
 FIRMNESS = PaintedMap("firmness", "Firmness", firmness.NEUTRAL)
 MAX_DISTANCE = PaintedMap("max_distance", "Max Distance", max_distance.NEUTRAL)
-MAPS = (FIRMNESS, MAX_DISTANCE)
+EXCLUDED = PaintedMap("excluded", "Exclude", 0.0)
+MAPS = (FIRMNESS, MAX_DISTANCE, EXCLUDED)

@@ -273,7 +273,7 @@ class DynamorphBake(PropertyGroup):
     colliders: StringProperty(
         name="Colliders", description="Hashes of what moves and shapes the colliders as last seen, as JSON"
     )
-    painted: StringProperty(name="Painted", description="Hash of the Max Distance map as last seen")
+    painted: StringProperty(name="Painted", description="Hashes of the painted maps as last seen, one per line")
     off_full: FloatProperty(
         name="Off Full Quality",
         description="How far the reduced motion is from that of Full Quality, as a fraction of it; negative before "

@@ -17,7 +17,7 @@ from ..core.character import Attachment, Character, TargetSet
 from ..core.firmness import kept
 from ..core.geometry import diagonal, inverse, vertex_areas
 from ..core.model import rigid
-from ..core.painted_map import FIRMNESS, MAX_DISTANCE, PaintedMap
+from ..core.painted_map import EXCLUDED, FIRMNESS, MAX_DISTANCE, PaintedMap
 from . import checks, mesh_data, rig_motion
 from .nearest import nearest
 from .skin import attached_meshes, attachments_of, own_attachments
@@ -74,6 +74,7 @@ def joined(source: Source, single: Character) -> Character:
         rigidity=_most(rigidity, same),
         firmness=firmness[same],
         max_distance=whole.painted(MAX_DISTANCE)[same],
+        excluded=whole.painted(EXCLUDED)[same],
         coincident=same,
         attachments=tuple(attachments),
     )

@@ -14,7 +14,7 @@ import numpy as np
 from ..core.character import Character, OwnCage, Target, TargetSet
 from ..core.errors import SceneError, sentence
 from ..core.geometry import inverse
-from ..core.painted_map import FIRMNESS, MAX_DISTANCE
+from ..core.painted_map import EXCLUDED, FIRMNESS, MAX_DISTANCE
 from . import bodies, body_checks, checks, data_checks
 from .checks import refuse, skinned
 from .mesh_data import cages_of, carried, mesh_triangles, painted, target_shape
@@ -64,6 +64,7 @@ def read(source: Source, without_targets=False) -> Character:
         cage=_own_cage(source),
         firmness=painted(obj, source.groups, FIRMNESS, settings.firmness_group),
         max_distance=painted(obj, source.groups, MAX_DISTANCE, settings.max_distance_group),
+        excluded=painted(obj, source.groups, EXCLUDED, settings.excluded_group),
     )
     return bodies.joined(source, single)
 

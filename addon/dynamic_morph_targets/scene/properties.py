@@ -49,6 +49,12 @@ class DynamorphSettings(PropertyGroup):
         "all, so that the skin follows the bones exactly. Paint it where soft skin comes too near to something hard",
         override=OVERRIDE,
     )
+    excluded_group: StringProperty(
+        name="Exclude",
+        description="Vertex group in which objects pass through the skin, where its weight is 0.5 or more. Choose one "
+        "where nothing should push the skin, as inside a mouth",
+        override=OVERRIDE,
+    )
     groups: StringProperty(name="Groups", description="Names of the vertex groups, one per line, to follow renames")
     attachments: CollectionProperty(
         name="Attachments", description="Parts of the mesh and other meshes that do not simply belong to the body",

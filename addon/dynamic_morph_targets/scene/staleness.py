@@ -11,17 +11,19 @@ from __future__ import annotations
 import json
 from contextlib import suppress
 from dataclasses import asdict
+from itertools import zip_longest
 from pathlib import Path
 from zlib import crc32
 
 import bpy
 import numpy as np
 
-from ..core import max_distance, records
+from ..core import records
 from ..core.character import Character
 from ..core.errors import RecordError, SceneError, sentence
 from ..core.message import Message
 from ..core.model.model import array_hash
+from ..core.painted_map import EXCLUDED, MAX_DISTANCE
 from ..core.settings import ENGINE, FREE_SETTINGS, SimulationSettings
 from ..io import whole
 from . import animation, collider_state, colliders, run_settings, skin
@@ -30,6 +32,7 @@ from .references import KEY_REFERENCE
 from .skin import attached_meshes, named_targets, own_attachments, shown_attachments
 from .skinning import Skinning
 
+BAKED_MAPS = (MAX_DISTANCE, EXCLUDED)  # on which a bake depends, but no model
 SCULPT = "sculpt"  # in the records of targets; identifies a renamed target
 PAINTED = ("Firmness changed", "what is rigid changed")  # for both of which a stroke of paint is enough
 # Properties of targets on which no result depends: the stiffness and the region contain them, or they only steer the
@@ -46,8 +49,8 @@ def look_at_animation(obj):
 
 
 def look_at_map(obj, character: Character):
-    """Note the Max Distance map of `obj`, so that `outdated` knows whether it changed since the bake. character: as
-    it is now.
+    """Note the maps of `obj` that count in a bake alone, so that `outdated` knows whether they changed since.
+    character: as it is now.
     """
     record, seen = obj.dynamorph.bake, map_hash(character)
     if record.exists and record.painted != seen:
@@ -63,9 +66,9 @@ def look_at_colliders(obj):
 
 
 def map_hash(character: Character) -> str:
-    """Of the Max Distance map, on which a bake depends, but no model; empty without one."""
-    painted = character.max_distance
-    return array_hash((painted,)) if (painted != max_distance.NEUTRAL).any() else ""
+    """Of BAKED_MAPS, one a line; those that nobody has painted are empty, at the end without a line."""
+    maps = [(getattr(character, each.name), each.neutral) for each in BAKED_MAPS]
+    return "\n".join(array_hash((w,)) if (w != neutral).any() else "" for w, neutral in maps).rstrip("\n")
 
 
 def look_for_caches(obj):
@@ -138,9 +141,7 @@ def outdated(obj) -> list[str]:
         found.append("the model was built again")
     if obj.dynamorph.model.stale:
         found.append(obj.dynamorph.model.stale)
-    repainted = Message("{setting} changed", setting=_title(settings, "max_distance_group"))
-    if record.painted != then.get("painted", "") and repainted not in found:
-        found.append(repainted)
+    found += [text for text in _map_changes(obj, then.get("painted", ""), record.painted) if text not in found]
     found += _piece_changes(obj)
     if "colliders" in then and settings.collision.use:
         found += _collider_changes(obj, then["colliders"], met)
@@ -193,6 +194,7 @@ def bake_inputs(skinned: Skinning, simulation: SimulationSettings) -> dict:
     if simulation.collision:
         inputs["model"]["solver"] = run_settings.bake_solver(obj)
     inputs["groups"]["max_distance_group"] = settings.max_distance_group
+    inputs["groups"] |= {"excluded_group": settings.excluded_group} if settings.collision.use else {}
     inputs["groups"]["armature_modifiers"] = skinned.settings()
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
     del inputs["simulation"]["distance"]
@@ -236,6 +238,17 @@ def _target_changes(obj, then: dict, now: dict) -> list[str]:
             changed = [_title(target, field) for field in reported if before.get(field, after[field]) != after[field]]
             found += [Message('{setting} of "{name}" changed', setting=title, name=target.name) for title in changed]
     return found
+
+
+def _map_changes(obj, then: str, seen: str) -> list[str]:
+    """Which of BAKED_MAPS were painted on since the bake, as `map_hash` has them. seen: the last time."""
+    hashes = zip_longest(then.split("\n"), seen.split("\n"), fillvalue="")
+    changed = [each for each, (was, is_now) in zip(BAKED_MAPS, hashes, strict=False) if was != is_now]
+    return [
+        Message("{setting} changed", setting=_title(obj.dynamorph, each.group))
+        for each in changed
+        if each != EXCLUDED or obj.dynamorph.collision.use
+    ]
 
 
 def _piece_changes(obj) -> list[str]:

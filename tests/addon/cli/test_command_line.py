@@ -135,6 +135,10 @@ def test_collision_is_turned_on_and_limited(shot, run, stand_in):
     assert collision("--collision").bake_full and not collision("--collision", "--no-bake-full").bake_full
     assert not collision("--collision", "--solver", "reduced").bake_full  # that is what is asked for
     assert collision("--collision", "--solver", "reduced", "--bake-full").bake_full
+    collision("--collision", "--exclude", "upper")
+    assert bpy.data.objects["Arm"].dynamorph.excluded_group == "upper"
+    code, _, errors = run("bake", shot, *chosen, "--exclude", "Nowhere")
+    assert code == 2 and "'Arm' has no vertex group named 'Nowhere'" in errors
     code, _, errors = run("bake", shot, *chosen, "--collection", "Nowhere")
     assert code == 2 and "the file has no collection named 'Nowhere'" in errors
     code, _, errors = run("bake", shot, *chosen, "--collection", "Furniture", "--no-collision")

@@ -7,6 +7,7 @@ import characters
 import numpy as np
 import pytest
 import real_character
+from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
 from bl_ext.user_default.dynamic_morph_targets.io.cache_dir import CacheDir
 from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch, full_comparison
@@ -14,7 +15,8 @@ from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import animation, model_store, staleness
 from bl_ext.user_default.dynamic_morph_targets.scene import plain as scene_plain
-from bl_ext.user_default.dynamic_morph_targets.write import assign, storage
+from bl_ext.user_default.dynamic_morph_targets.write import assign, reconcile, storage
+from bl_ext.user_default.dynamic_morph_targets.write.authoring import setups
 from builders import activate, add_key, evaluated_points, make_arm, make_ball, rig_of
 from layout import drawn
 
@@ -207,6 +209,43 @@ def test_the_comparison_has_both_qualities(arm):
     batch.run_all(comparison)
     assert [job.outcome.model.settings.solver for job in comparison.jobs] == ["REDUCED", "FULL"]
     assert arm.dynamorph.bake.off_full > 0.01
+
+
+def test_objects_pass_through_what_is_excluded(arm):
+    rest = evaluated_points(arm)
+    group = arm.vertex_groups.new(name="Untouched")
+    group.add(np.flatnonzero(np.linalg.norm(rest - [SURFACE, 0.0, HEIGHT], axis=1) < 0.25).tolist(), 0.5, "REPLACE")
+    bake(arm)
+    arm.dynamorph.excluded_group = "Untouched"
+    assert staleness.outdated(arm) == ["Exclude changed"]
+    bake(arm)
+    assert np.abs(shown(arm) - rest).max() < 1e-4
+    assert staleness.outdated(arm) == []
+    group.add(range(len(rest)), 0.49, "REPLACE")  # of which nothing is excluded
+    storage.show_stale(arm)
+    assert staleness.outdated(arm) == ["Exclude changed"]
+    bake(arm)
+    assert max(depths(shown(arm))) < 0.002 * SIZE
+    arm.dynamorph.collision.use = False
+    bake(arm)
+    arm.dynamorph.excluded_group = ""
+    assert staleness.outdated(arm) == []  # nothing collides
+
+
+def test_the_group_is_kept_and_followed(arm):
+    arm.vertex_groups.new(name="Untouched").add([0], 1.0, "REPLACE")
+    arm.dynamorph.excluded_group = "Untouched"
+    reconcile.reconcile(arm)
+    arm.vertex_groups["Untouched"].name = "Mouth"
+    reconcile.reconcile(arm)
+    assert arm.dynamorph.excluded_group == "Mouth"
+    setup = setups.of_object(arm)
+    arm.dynamorph.excluded_group = ""
+    setups.apply(arm, setup)
+    assert arm.dynamorph.excluded_group == "Mouth"
+    arm.vertex_groups.remove(arm.vertex_groups["Mouth"])
+    with pytest.raises(errors.SceneError, match="'Arm'.*'Mouth' of Exclude is gone"):
+        bake(arm)
 
 
 def test_without_colliders_it_changes_nothing(arm):

@@ -108,7 +108,7 @@ def test_a_setup_holds_what_was_authored_and_no_results(rich, stand_in):
     assert set(setup["model"]) == set(vars(settings.ModelSettings()))
     assert set(vars(settings.Material())) < set(setup["targets"][0])
     assert setup["targets"][2]["bones"] == ["lower"] and set(setup["targets"][2]["pose"]) == {"upper", "lower"}
-    assert setup["skin"] == {"firmness_group": "loose", "max_distance_group": ""}
+    assert setup["skin"] == {"firmness_group": "loose", "max_distance_group": "", "excluded_group": ""}
     assert [mode["gain"] for mode in setup["modes"][:2]] == [pytest.approx(0.4), 1.0]
     setups.check(json.loads(json.dumps(setup)))
 

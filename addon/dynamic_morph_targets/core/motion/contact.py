@@ -26,6 +26,7 @@ PLACES = 3000  # of the skin by which its patches are pressed, at most
 PATCHES = 256  # of the skin that give way by themselves in Reduced Quality
 SAMPLES = 20000  # points of the skin that can touch something, at most; of more vertices, those that are spread evenly
 PROBED_SAMPLES = 4000  # the same where Blender poses the nodes, which have a matrix of weights
+EXCLUDED = 0.5  # smallest weight of `Character.excluded` with which a vertex touches nothing
 BITS = 52  # of a float, which are exact: so many colliders are told apart where they are unusable
 
 
@@ -44,6 +45,7 @@ class Collision:
         normals = outward * vertex_normals(rest, character.triangles)
         seen = np.unique(character.coincident[soft])  # of points at one place, one
         seen = seen[model.free[model.embedding_nodes[seen]].any(axis=1) & normals[seen].any(axis=1)]
+        seen = seen[character.excluded[seen] < EXCLUDED]
         most = PROBED_SAMPLES if character.probed else SAMPLES
         chosen = seen[spread(rest[seen], normals[seen], most)]
         self.skin: Any = None

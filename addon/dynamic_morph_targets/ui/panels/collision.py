@@ -24,6 +24,7 @@ def draw_collision(layout, _context, obj):
     column.active = settings.use
     draw_setting(column, settings, "collection")
     column.prop(settings, "distance")
+    column.prop_search(obj.dynamorph, "excluded_group", obj, "vertex_groups")
     draw_setting(column, settings, "use_friction")
     friction = column.row()
     friction.active = settings.use_friction
