@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -182,6 +183,7 @@ def shaken(
     """The rig in its present pose, shaken: samples at substeps, and the transforms (S, 4, 4) that move it in Blender's
     world, Blender units."""
     still = rig_motion.sample_present(obj, tissue.probe)
+    still = replace(still, tracks=(*still.tracks, *rig_motion.present_colliders(obj)))
     transforms = shake_transforms(kind, still, tissue.player, seconds)
     samples = still.moved(transforms)
     transforms[:, :3, 3] /= skin.unit_scale()

@@ -17,10 +17,11 @@ from ..core.character import Skeleton
 from ..core.errors import SceneError
 from ..core.geometry import determinant, invertible, turned
 from ..core.message import Message
+from ..core.motion.colliders import ColliderTrack
 from ..core.motion.rig_samples import ForceField, RigSamples
 from . import checks, colliders, events
 from .checks import armature_modifier, refuse
-from .references import rest_skeleton
+from .references import rest_skeleton, rig_of
 from .skin import unit_scale
 from .skinning import Skinning
 
@@ -138,6 +139,19 @@ def sample_present(obj, probe=None) -> RigSamples:
         scene.frame_set(int(frame), subframe=frame % 1.0)
         nodes, target_nodes = (probe.in_poses(scene, follower, rig, poses) for poses in (pose, probe.poses))
     return RigSamples(pose, rig_world[None], world, (nodes,), target_nodes)
+
+
+def present_colliders(obj) -> tuple[ColliderTrack, ...]:
+    """What stops the soft skin `obj`, as it stands now: one sample each. What hangs on the rig is left out, because it
+    would have to move with that. Raises SceneError.
+    """
+    scene, depsgraph = bpy.context.scene, bpy.context.evaluated_depsgraph_get()
+    hanging = {child.name for child in rig_of(obj).children_recursive}
+    readers = [reader for reader in colliders.readers(obj, 1) if reader.name not in hanging]
+    for reader in readers:
+        reader.read(0, scene.objects[reader.name].evaluated_get(depsgraph), scene.frame_current)
+    to_meters = partial(in_meters, unit=unit_scale())
+    return tuple(reader.track(to_meters, lambda _sample: scene.frame_current) for reader in readers)
 
 
 class RigSampling:

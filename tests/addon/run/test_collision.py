@@ -10,7 +10,7 @@ import real_character
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
 from bl_ext.user_default.dynamic_morph_targets.io.cache_dir import CacheDir
-from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch, full_comparison
+from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch, full_comparison, preview, session
 from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import animation, model_store, staleness
@@ -375,6 +375,28 @@ def play(obj, first, last):
         bpy.context.scene.frame_set(frame)
     assert run_live.problem(obj) == ""
     return evaluated_points(obj)
+
+
+@pytest.mark.parametrize("hangs", [False, True])
+def test_a_shake_test_meets_what_stands_there(arm, hangs):
+    ball = bpy.data.objects["Ball"]
+    ball.animation_data_clear()
+    ball.location.x = SURFACE + RADIUS - PRESSED
+    if hangs:
+        ball.parent = rig_of(arm)
+    bpy.context.view_layer.update()
+    rest, moved = evaluated_points(arm), []
+    for use in (False, True):
+        arm.dynamorph.collision.use = use
+        tissue = session.Tissue(arm, bpy.context.scene)
+        samples, _ = preview.shaken(arm, tissue, "TWIST", seconds=0.3)
+        tissue.player.begin(samples)
+        substeps = tissue.player.settings.substeps
+        *_, last = tissue.player.play(samples[1:], range(2, 2 + (len(samples) - 1) // substeps))
+        moved.append(tissue.points(tissue.values(last)).reshape(-1, 3))
+    near = np.linalg.norm(rest - [SURFACE, 0.0, HEIGHT], axis=1) < 0.1
+    pressed = np.linalg.norm(moved[1] - moved[0], axis=1)[near].max()
+    assert pressed == 0.0 if hangs else pressed > 0.5 * PRESSED
 
 
 def test_live_follows_an_edit_of_the_balls_mesh(arm):
