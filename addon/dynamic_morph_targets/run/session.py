@@ -15,7 +15,7 @@ from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
 from ..core.message import joined
 from ..core.motion import rig_samples, simulate
-from ..core.motion.contact import Touched, touched
+from ..core.motion.contact import Touched, pressed, touched
 from ..core.motion.player import Frame, Player, State, statistics
 from ..core.motion.rig_samples import RigSamples
 from ..core.painted_map import MAPS
@@ -245,6 +245,19 @@ class Session:
         return touched(
             np.array(numbers), dict(zip(names, steps.T, strict=True)), player.collision, self.tissue.model.bone_names
         )
+
+    def contact_vertices(self) -> tuple[np.ndarray, np.ndarray]:
+        """At the frame that shows, the vertices of the skin that something pushes, and the one, if any, that the bones
+        take deepest beyond what it can give way.
+        """
+        collision, own = self.tissue.player.collision, self.tissue.character.own_vertices.stop
+        kept = None if self.now is None else self._states.get(self.now % self._kept)
+        if collision is None or kept is None or kept[0] != self.now:
+            return np.zeros(0, int), np.zeros(0, int)
+        steps = self._frames[self.now].steps
+        deepest = np.array([steps["too_deep_sample"]] if steps["too_deep"] > 0.0 else [], int)
+        pushed, deep = (collision.vertices[samples] for samples in (pressed(kept[1][3]), deepest))
+        return pushed[pushed < own], deep[deep < own]
 
     def knows(self, time: float) -> bool:
         """Whether a frame, or a time between two, has been simulated already."""

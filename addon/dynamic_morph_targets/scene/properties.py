@@ -124,6 +124,10 @@ def _color_surface(which: str):
     return update
 
 
+def _redraw_views(_display, _context):
+    events.redraw(events.VIEWS)
+
+
 def _show_target_weights(display, _context):
     if display.target_weights and not bpy.app.background:
         events.emit(events.Event.WEIGHTS_ASKED)
@@ -153,6 +157,12 @@ class DynamorphDisplay(PropertyGroup):
         name="Show Max Distance",
         description="Color the skin by how far it may move: red as far as Max Displacement says, blue not at all",
         update=_color_surface("max_distance"),
+    )  # fmt: skip
+    contact: BoolProperty(
+        name="Show Contact",
+        description="Draw where something pushes the skin while Live is on: green points, and a red one where the "
+        "bones take it deepest into something beyond what it can give way",
+        update=_redraw_views,
     )  # fmt: skip
     posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")
 

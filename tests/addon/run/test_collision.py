@@ -15,6 +15,7 @@ from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import animation, model_store, staleness
 from bl_ext.user_default.dynamic_morph_targets.scene import plain as scene_plain
+from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport as overlays
 from bl_ext.user_default.dynamic_morph_targets.write import assign, reconcile, storage
 from bl_ext.user_default.dynamic_morph_targets.write.authoring import setups
 from builders import activate, add_key, evaluated_points, make_arm, make_ball, rig_of
@@ -420,6 +421,34 @@ def test_live_goes_on_when_a_collider_comes_or_goes(arm):
     assert np.abs(free - pressed).max() > 0.5 * PRESSED
     make_ball(radius=0.1)
     play(arm, 3 * FRAMES + 1, 3 * FRAMES + 3)
+
+
+def test_contact_is_drawn_where_the_skin_is_pushed(arm, viewport, monkeypatch):
+    drawn_points = []
+    monkeypatch.setattr(overlays, "make_batch", lambda kind, points: points)
+    monkeypatch.setattr(overlays, "draw_points", lambda points, color, size: drawn_points.append((points, color)))
+    bpy.ops.dynamorph.live()
+    play(arm, 1, FRAMES)
+    viewport.draw("POST_VIEW")
+    assert drawn_points == []
+    bpy.context.window_manager.dynamorph.contact = True
+    viewport.draw("POST_VIEW")
+    ((pushed, green),) = drawn_points
+    center = np.array(bpy.data.objects["Ball"].matrix_world.translation)
+    assert len(pushed) and np.linalg.norm(pushed - center, axis=1).max() < RADIUS + 0.01 * SIZE
+    assert green[1] > green[0]
+    ball = bpy.data.objects["Ball"]
+    ball.animation_data_clear()
+    for frame, place in ((1, 0.6), (6, 0.15)):
+        ball.location.x = place
+        ball.keyframe_insert("location", frame=frame)
+    bpy.context.view_layer.update()
+    play(arm, 1, 8)
+    drawn_points.clear()
+    viewport.draw("POST_VIEW")
+    (deep, red) = drawn_points[-1]
+    assert len(deep) == 1 and red[0] > red[1]
+    bpy.context.window_manager.dynamorph.contact = False
 
 
 def test_turning_it_on_in_live_counts_from_the_next_frame_on(arm):

@@ -34,8 +34,9 @@ class Collision:
     """What a player with collision has of it: the points of the skin that can touch something, P of its vertices, and
     the engine's colliders in a shot: those of its first sample, whose faces they keep.
 
-    skin: the engine's points of an engine model, or None where no skin is soft. dents (3 free, K): displacement of the
-    free nodes by each patch of the skin that gives way by itself in Reduced Quality; none otherwise.
+    skin: the engine's points of an engine model, or None where no skin is soft; vertices (P,): which those are. dents
+    (3 free, K): displacement of the free nodes by each patch of the skin that gives way by itself in Reduced Quality;
+    none otherwise.
     """
 
     def __init__(self, model: Model, engine: EngineModel, character: Character):
@@ -50,6 +51,7 @@ class Collision:
         chosen = seen[spread(rest[seen], normals[seen], most)]
         self.skin: Any = None
         self.dents = np.zeros((3 * int(model.free.sum()), 0))
+        self.vertices = chosen
         self._bones = character.weights[chosen].argmax(axis=1)
         self._known: list[tuple[str, int]] = []  # names and topologies of the colliders
         self._shapes: list[np.ndarray] = []
@@ -233,6 +235,17 @@ def touched(times: np.ndarray, steps: dict[str, np.ndarray], collision: Collisio
     frames = frames_around(worst, (depth <= 0.0) | (collider != collider[worst]), times)
     names = collision.names(int(steps["too_deep_sample"][worst]), collider[worst], bones)
     return Touched(penetration, float(depth[worst]), *names, frames, unusable)
+
+
+def pressed(state: np.ndarray) -> np.ndarray:
+    """The points of the skin that something pushes, from what is touched in a player's `State`: planes of 8 numbers,
+    one for each collider, then pressures (sample, collider, normal, force).
+    """
+    if not len(state):
+        return np.zeros(0, int)
+    planes, colliders = state[:2].astype(int)
+    pressures = state[2 + 8 * planes + colliders :].reshape(-1, 6)
+    return np.unique(pressures[pressures[:, 5] > 0.0, 0].astype(int))
 
 
 def as_bits(colliders: Sequence[int]) -> float:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the 3D viewport draws of a soft skin: its cage, posed; its surface, colored; the targets' weights over the
-frames.
+"""What the 3D viewport draws of a soft skin: its cage, posed; where it touches something; its surface, colored; the
+targets' weights over the frames.
 
 Callbacks of Blender's drawing: they only look, and what cannot be shown at the moment is not drawn. Batches are kept
 for as long as what they show is the same.
@@ -44,6 +44,7 @@ GIZMOS = 90.0  # that Blender's own buttons take at the right
 LEGEND = 160.0  # wide, of what the colors of the surface mean
 SHADED = 0.55  # how light the colored surface is where it is seen from the side
 NEARER = 2e-3  # of the body's size: that the colored surface is drawn before the mesh
+CONTACT_COLORS = 3, 0  # of the theme's collection colors, where the skin is pushed, and where too deep: green and red
 HELD_COLOR = 2  # of the theme's collection colors: unlike those of selected and of unselected vertices
 
 
@@ -156,6 +157,22 @@ def _draw_cage():
     draw_lines(edges, (*theme.view_3d.bone_pose, 0.6), 1.0)
     gpu.state.depth_test_set("NONE")  # they are near the bones, inside the body
     draw_points(held, (*theme.collection_color[HELD_COLOR].color, 0.9), 3.0)
+
+
+# Contact -----------------------------------------------------------------------------------------------------------
+
+
+def _draw_contact():
+    """POST_VIEW."""
+    context = bpy.context
+    obj = skin.mesh_in(context)
+    session = live.sessions.get(obj.session_uid) if obj else None
+    if not context.window_manager.dynamorph.contact or session is None or not is_shown(context, obj):
+        return
+    points, colors = shown_points(obj, context.view_layer.depsgraph), context.preferences.themes[0].collection_color
+    for vertices, color, size in zip(session.contact_vertices(), CONTACT_COLORS, (4.0, 8.0), strict=True):
+        if len(vertices):  # on top, because what pushes them hides them
+            draw_points(make_batch("POINTS", points[vertices]), (*colors[color].color, 0.9), size)
 
 
 # The surface -------------------------------------------------------------------------------------------------------
@@ -384,7 +401,8 @@ HANDLERS = {
 def register():
     events.add(HANDLERS)
     if not bpy.app.background:
-        in_view, on_top = (_draw_surface, _draw_cage), (draw_graph, _draw_names_beside, _draw_surface_legend)
+        in_view = (_draw_surface, _draw_cage, _draw_contact)
+        on_top = (draw_graph, _draw_names_beside, _draw_surface_legend)
         for draw, moment in [(draw, "POST_VIEW") for draw in in_view] + [(draw, "POST_PIXEL") for draw in on_top]:
             _handles.append(bpy.types.SpaceView3D.draw_handler_add(_quietly(draw), (), "WINDOW", moment))
 

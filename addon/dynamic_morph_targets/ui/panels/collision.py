@@ -9,7 +9,7 @@ from ...scene import colliders
 from ..widgets import draw_message, draw_setting
 
 
-def draw_collision(layout, _context, obj):
+def draw_collision(layout, context, obj):
     settings = obj.dynamorph.collision
     layout.enabled = batch.running is None
     buttons = layout.column(align=True)
@@ -29,3 +29,4 @@ def draw_collision(layout, _context, obj):
     friction = column.row()
     friction.active = settings.use_friction
     friction.prop(settings, "friction")
+    layout.prop(context.window_manager.dynamorph, "contact", icon="OVERLAY", toggle=True)
