@@ -12,15 +12,18 @@ from pathlib import Path
 import bpy
 import numpy as np
 from stage import (
+    add_camera,
     add_lathe,
     add_material,
     add_mesh,
     add_shape_keys,
     add_soft_skin,
+    add_straight_rig,
+    add_studio,
     add_vertex_groups,
     assign,
     bump,
-    place,
+    capsule,
     save_scene,
     set_up_scene,
     smoothstep,
@@ -95,35 +98,10 @@ def profile(x):
 
 
 def limb_mesh(across: int = 12, along: int = 50) -> tuple[np.ndarray, np.ndarray]:
-    """A capsule of quads only: vertices (V, 3) and quads (Q, 4).
-
-    The surface of a box of `across` x `across` x `along` cells, mapped to a tube with round ends; so the ends have no
-    pole, where smooth shading would show a star.
-    """
-    faces = []
-    for axis, (u, v) in enumerate(((1, 2), (2, 0), (0, 1))):
-        size = np.array([across, across, along])
-        for side in (0, size[axis]):
-            i, j = (g.ravel() for g in np.meshgrid(np.arange(size[u]), np.arange(size[v]), indexing="ij"))
-            corners = np.empty((len(i), 4, 3), int)
-            corners[..., axis] = side
-            corners[..., u] = i[:, None] + [0, 1, 1, 0]
-            corners[..., v] = j[:, None] + [0, 0, 1, 1]
-            faces.append(corners if side else corners[:, ::-1])
-    cells, quads = np.unique(np.concatenate(faces).reshape(-1, 3), axis=0, return_inverse=True)
-
-    u, v = (2.0 * cells[:, :2] / across - 1).T
-    ring = np.maximum(abs(u), abs(v))  # 1 on the side, 0 at the middle of an end
-    u, v = np.tan(u * math.pi / 4), np.tan(v * math.pi / 4)  # even steps around the circle
-    around = np.stack([u, v], 1) / np.maximum(np.hypot(u, v), 1e-12)[:, None]
-    # Along an end, from the middle out: a flat disc, then a quarter circle of radius FILLET.
-    flat = RADIUS - FILLET
-    arc = flat + FILLET * math.pi / 2
-    turn = np.clip((ring * arc - flat) / FILLET, 0, math.pi / 2)
-    x = FILLET + (LENGTH - 2 * FILLET) * cells[:, 2] / along
-    x += np.where(cells[:, 2] == 0, -1, 1) * FILLET * np.cos(turn)
-    radius = (np.minimum(ring * arc, flat) + FILLET * np.sin(turn)) * profile(x) / RADIUS
-    return np.column_stack([x, radius[:, None] * around]), quads.reshape(-1, 4)
+    """Vertices (V, 3) and quads (Q, 4) of the limb."""
+    vertices, quads = capsule(LENGTH, RADIUS, FILLET, across, along)
+    vertices[:, 1:] *= profile(vertices[:, :1]) / RADIUS
+    return vertices, quads
 
 
 def skin_weights(vertices: np.ndarray) -> np.ndarray:
@@ -161,23 +139,8 @@ def skin_colors(vertices: np.ndarray) -> np.ndarray:
 
 
 def add_rig() -> bpy.types.Object:
-    rig = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
-    bpy.context.scene.collection.objects.link(rig)
+    rig = add_straight_rig([f"Bone {b + 1}" for b in range(len(JOINTS))], JOINTS, TIP)
     rig.location.z = HEIGHT
-    rig.show_in_front = True
-    rig.data.display_type = "STICK"
-    bpy.context.view_layer.objects.active = rig
-    bpy.ops.object.mode_set(mode="EDIT")
-    parent = None
-    for b, (head, tail) in enumerate(zip(JOINTS, [*JOINTS[1:], TIP], strict=True)):
-        bone = rig.data.edit_bones.new(f"Bone {b + 1}")
-        bone.head, bone.tail = (head, 0, 0), (tail, 0, 0)
-        bone.align_roll((0, 0, 1))  # so that turning about the bone's own X bends toward the inside
-        bone.parent, bone.use_connect = parent, parent is not None
-        parent = bone
-    bpy.ops.object.mode_set(mode="OBJECT")
-    for bone in rig.pose.bones:
-        bone.rotation_mode = "XYZ"
     return rig
 
 
@@ -227,7 +190,7 @@ def add_limb(rig: bpy.types.Object) -> bpy.types.Object:
 
 
 def add_stage(rig: bpy.types.Object) -> None:
-    """The stand whose grip holds the limb, a backdrop, lights and a camera."""
+    """The stand whose grip holds the limb, a backdrop and lights."""
     metal = add_material("Stand", (0.06, 0.07, 0.09), 0.35)
     grip = [(0, -0.05), (0.05, -0.05), (0.092, -0.03), (0.096, -0.022), (0.096, 0.040), (0.092, 0.050), (0.084, 0.054),
             (0.074, 0.052), (0.066, 0.045), (0, 0.04)]  # fmt: skip
@@ -238,24 +201,7 @@ def add_stage(rig: bpy.types.Object) -> None:
             (0, 0.61)]  # fmt: skip
     add_lathe("Post", post, metal).location.x = -0.055
 
-    sweep = np.linspace(0, math.pi / 2, 13)
-    ys = np.concatenate([[-4], 1.1 + 0.7 * np.sin(sweep), [1.8]])
-    zs = np.concatenate([[0], 0.7 - 0.7 * np.cos(sweep), [4]])
-    vertices = [(x, y, z) for y, z in zip(ys, zs, strict=True) for x in (-5, 5)]
-    faces = [(2 * k, 2 * k + 1, 2 * k + 3, 2 * k + 2) for k in range(len(ys) - 1)]
-    add_mesh("Backdrop", vertices, faces, add_material("Backdrop", (0.20, 0.22, 0.28), 0.8))
-
-    for name, location, power, size, color in (
-        ("Key", (-0.5, -1.4, 1.9), 34, 0.7, (1.0, 0.95, 0.88)),
-        ("Fill", (1.8, -1.2, 0.7), 9, 1.2, (0.80, 0.90, 1.0)),
-        ("Rim", (0.9, 1.0, 1.4), 26, 0.5, (1.0, 0.97, 0.92)),
-    ):
-        light = bpy.data.lights.new(name, "AREA")
-        light.energy, light.size, light.color = power, size, color
-        place(bpy.data.objects.new(name, light), location, (0.3, 0, 0.3))
-    camera = bpy.data.cameras.new("Camera")
-    camera.lens = 74
-    bpy.context.scene.camera = place(bpy.data.objects.new("Camera", camera), (0.45, -1.75, 0.62), (0.245, 0, 0.345))
+    add_studio((0.3, 0, 0.3))
 
 
 def make(path: Path) -> None:
@@ -263,6 +209,7 @@ def make(path: Path) -> None:
     rig = add_rig()
     limb = add_limb(rig)
     add_stage(rig)
+    add_camera((0.45, -1.75, 0.62), (0.245, 0, 0.345), 74)
     animate(rig)
     add_push(rig)
     add_soft_skin(limb, SOFT_FLESH, TARGETS)

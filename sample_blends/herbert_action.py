@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import bpy
@@ -11,10 +10,9 @@ import herbert_motion as motion
 import numpy as np
 from herbert_skeleton import Motion, Skeleton, solve
 from mathutils import Matrix
+from stage import write_curves
 
 APART = 40.0  # meters from the first shot's place back to the second's
-BEZIER, CONSTANT = 2, 0  # interpolation of keys, as F-curves store it
-SMOOTH, CORNER = 1, 2  # handles of keys: automatic, vector
 
 
 @dataclass(frozen=True)
@@ -56,35 +54,3 @@ def quaternions(rotations: np.ndarray) -> np.ndarray:
     signs = np.sign((out[1:] * out[:-1]).sum(axis=1))
     out[1:] *= np.cumprod(np.where(signs < 0, -1, 1))[:, None]
     return out
-
-
-def write_curves(
-    owner: bpy.types.ID,
-    name: str,
-    curves: dict[str, np.ndarray],
-    cuts: Iterable[int] = (),
-    corners: Iterable[int] = (),
-) -> None:
-    """An action with a key on every frame: smooth, but for `corners` and for jumps after the frames of `cuts`.
-
-    curves: data path -> values (F,) or (F, channels). What never changes gets a single key.
-    """
-    action = bpy.data.actions.new(name)
-    animation = owner.animation_data_create()
-    animation.action = action
-    animation.action_slot = action.slots.new(owner.id_type, owner.name)
-    channels = action.layers.new("Layer").strips.new(type="KEYFRAME").channelbag(animation.action_slot, ensure=True)
-    for path, values in curves.items():
-        values = np.asarray(values, np.float32)
-        for index, column in enumerate(values.reshape(len(values), -1).T):
-            column = column if np.ptp(column) > 1e-6 else column[:1]
-            frames = np.arange(1, len(column) + 1)
-            curve = channels.fcurves.new(path, index=index)
-            curve.keyframe_points.add(len(column))
-            curve.keyframe_points.foreach_set("co", np.column_stack([frames, column]).astype(np.float32).ravel())
-            jumps, bends = np.isin(frames, list(cuts)), np.isin(frames, list(corners))
-            keys = {"interpolation": np.where(jumps, CONSTANT, BEZIER)}
-            keys |= {f"handle_{side}_type": np.where(bends, CORNER, SMOOTH) for side in ("left", "right")}
-            for field, kinds in keys.items():
-                curve.keyframe_points.foreach_set(field, kinds.astype(np.int32))
-            curve.update()

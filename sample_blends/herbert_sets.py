@@ -10,9 +10,18 @@ import math
 import bpy
 import herbert_motion as motion
 import numpy as np
-from herbert_action import APART, Timeline, write_curves
+from herbert_action import APART, Timeline
 from herbert_skeleton import Motion
-from stage import add_lathe, add_material, add_mesh, look_through_camera, place
+from stage import (
+    add_box,
+    add_lathe,
+    add_material,
+    add_mesh,
+    look_through_camera,
+    paint_for_workbench,
+    place,
+    write_curves,
+)  # fmt: skip
 
 FOLLOW = 0.38  # seconds over which a camera's path is smoothed
 SKY = (0.22, 0.52, 1.0)
@@ -58,17 +67,6 @@ def smoothed(path: np.ndarray, width: float) -> np.ndarray:
 
 
 # --- Places -----------------------------------------------------------------------------------------------------------
-
-
-def add_box(name: str, low, high, material) -> bpy.types.Object:
-    low, high = np.asarray(low, float), np.asarray(high, float)
-    corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    box = add_mesh(name, low + corners * (high - low), faces, material)
-    box.data.polygons.foreach_set("use_smooth", [False] * 6)
-    bevel = box.modifiers.new("Bevel", "BEVEL")
-    bevel.width, bevel.segments = min(0.02, 0.3 * float((high - low).min())), 2
-    return box
 
 
 def add_board(times: np.ndarray, material, metal) -> None:
@@ -201,18 +199,6 @@ def add_light() -> None:
     display = bpy.context.scene.display  # Workbench, in daylight too
     display.light_direction = (-0.3, 0.85, 0.45)
     display.shading.studio_light, display.shading.shadow_intensity = "paint.sl", 0.3
-
-
-def paint_for_workbench() -> None:
-    """Give every mesh that has no colors of its own those of its materials: Workbench shows vertex colors here."""
-    meshes = {obj.data for obj in bpy.context.scene.objects if obj.type == "MESH" and not obj.data.color_attributes}
-    for mesh in meshes:
-        colors = np.array([material.diffuse_color for material in mesh.materials])
-        indices, corners = (np.empty(len(mesh.polygons), np.int32) for _ in range(2))
-        mesh.polygons.foreach_get("material_index", indices)
-        mesh.polygons.foreach_get("loop_total", corners)
-        attribute = mesh.color_attributes.new("Color", "BYTE_COLOR", "CORNER")
-        attribute.data.foreach_set("color", np.repeat(colors[indices], corners, axis=0).astype(np.float32).ravel())
 
 
 def add_sets(shots: dict[str, Motion], timeline: Timeline) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import bpy
@@ -16,6 +17,9 @@ To the extent possible under law, the authors of Dynamorph have waived all copyr
 to this scene: meshes, shape keys, rig, animation, materials and lights.
 https://creativecommons.org/publicdomain/zero/1.0/
 """
+
+BEZIER, CONSTANT = 2, 0  # interpolation of keys, as F-curves store it
+SMOOTH, CORNER = 1, 2  # handles of keys: automatic, vector
 
 
 def smoothstep(t):
@@ -36,6 +40,49 @@ def add_mesh(name: str, vertices, faces, *materials) -> bpy.types.Object:
     obj = bpy.data.objects.new(name, mesh)
     bpy.context.scene.collection.objects.link(obj)
     return obj
+
+
+def capsule(length: float, radius: float, fillet: float, across: int, along: int) -> tuple[np.ndarray, np.ndarray]:
+    """A tube of quads along +X, its ends rounded by `fillet`: vertices (V, 3) and quads (Q, 4).
+
+    The surface of a box of `across` x `across` x `along` cells, mapped to a tube with round ends; so the ends have no
+    pole, where smooth shading would show a star.
+    """
+    faces = []
+    for axis, (u, v) in enumerate(((1, 2), (2, 0), (0, 1))):
+        size = np.array([across, across, along])
+        for side in (0, size[axis]):
+            i, j = (g.ravel() for g in np.meshgrid(np.arange(size[u]), np.arange(size[v]), indexing="ij"))
+            corners = np.empty((len(i), 4, 3), int)
+            corners[..., axis] = side
+            corners[..., u] = i[:, None] + [0, 1, 1, 0]
+            corners[..., v] = j[:, None] + [0, 0, 1, 1]
+            faces.append(corners if side else corners[:, ::-1])
+    cells, quads = np.unique(np.concatenate(faces).reshape(-1, 3), axis=0, return_inverse=True)
+
+    u, v = (2.0 * cells[:, :2] / across - 1).T
+    ring = np.maximum(abs(u), abs(v))  # 1 on the side, 0 at the middle of an end
+    u, v = np.tan(u * math.pi / 4), np.tan(v * math.pi / 4)  # even steps around the circle
+    around = np.stack([u, v], 1) / np.maximum(np.hypot(u, v), 1e-12)[:, None]
+    # Along an end, from the middle out: a flat disc, then a quarter circle.
+    flat = radius - fillet
+    arc = flat + fillet * math.pi / 2
+    turn = np.clip((ring * arc - flat) / fillet, 0, math.pi / 2)
+    x = fillet + (length - 2 * fillet) * cells[:, 2] / along
+    x += np.where(cells[:, 2] == 0, -1, 1) * fillet * np.cos(turn)
+    out = np.minimum(ring * arc, flat) + fillet * np.sin(turn)
+    return np.column_stack([x, out[:, None] * around]), quads.reshape(-1, 4)
+
+
+def add_box(name: str, low, high, material) -> bpy.types.Object:
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    box = add_mesh(name, low + corners * (high - low), faces, material)
+    box.data.polygons.foreach_set("use_smooth", [False] * 6)
+    bevel = box.modifiers.new("Bevel", "BEVEL")
+    bevel.width, bevel.segments = min(0.02, 0.3 * float((high - low).min())), 2
+    return box
 
 
 def add_lathe(name: str, outline, material, segments: int = 48) -> bpy.types.Object:
@@ -78,6 +125,31 @@ def place(obj: bpy.types.Object, location, aim) -> bpy.types.Object:
     return obj
 
 
+def add_studio(middle) -> None:
+    """A backdrop, and three lights on the place `middle`."""
+    sweep = np.linspace(0, math.pi / 2, 13)
+    ys = np.concatenate([[-4], 1.1 + 0.7 * np.sin(sweep), [1.8]])
+    zs = np.concatenate([[0], 0.7 - 0.7 * np.cos(sweep), [4]])
+    vertices = [(x, y, z) for y, z in zip(ys, zs, strict=True) for x in (-5, 5)]
+    faces = [(2 * k, 2 * k + 1, 2 * k + 3, 2 * k + 2) for k in range(len(ys) - 1)]
+    add_mesh("Backdrop", vertices, faces, add_material("Backdrop", (0.20, 0.22, 0.28), 0.8))
+    for name, location, power, size, color in (
+        ("Key", (-0.5, -1.4, 1.9), 34, 0.7, (1.0, 0.95, 0.88)),
+        ("Fill", (1.8, -1.2, 0.7), 9, 1.2, (0.80, 0.90, 1.0)),
+        ("Rim", (0.9, 1.0, 1.4), 26, 0.5, (1.0, 0.97, 0.92)),
+    ):
+        light = bpy.data.lights.new(name, "AREA")
+        light.energy, light.size, light.color = power, size, color
+        place(bpy.data.objects.new(name, light), location, middle)
+
+
+def add_camera(location, aim, lens: float) -> None:
+    """The scene's. lens: millimeters."""
+    camera = bpy.data.cameras.new("Camera")
+    camera.lens = lens
+    bpy.context.scene.camera = place(bpy.data.objects.new("Camera", camera), location, aim)
+
+
 def set_up_scene(readme: str, frames: int, license: str = LICENSE) -> bpy.types.Scene:
     """An empty scene that renders well with Workbench at once, and with Cycles when asked."""
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)  # keeps the add-on
@@ -115,9 +187,42 @@ def look_through_camera() -> None:
                 view.shading.color_type = "VERTEX"
 
 
+def paint_for_workbench() -> None:
+    """Give every mesh that has no colors of its own those of its materials: Workbench shows vertex colors here."""
+    meshes = {obj.data for obj in bpy.context.scene.objects if obj.type == "MESH" and not obj.data.color_attributes}
+    for mesh in meshes:
+        colors = np.array([material.diffuse_color for material in mesh.materials])
+        indices, corners = (np.empty(len(mesh.polygons), np.int32) for _ in range(2))
+        mesh.polygons.foreach_get("material_index", indices)
+        mesh.polygons.foreach_get("loop_total", corners)
+        attribute = mesh.color_attributes.new("Color", "BYTE_COLOR", "CORNER")
+        attribute.data.foreach_set("color", np.repeat(colors[indices], corners, axis=0).astype(np.float32).ravel())
+
+
 def assign(group: bpy.types.PropertyGroup, values: dict) -> None:
     for name, value in values.items():
         setattr(group, name, value)
+
+
+def add_straight_rig(names: Sequence[str], heads: Sequence[float], tip: float) -> bpy.types.Object:
+    """A chain of bones along +X. Turning them about their own X bends the chain toward +Z."""
+    rig = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
+    bpy.context.scene.collection.objects.link(rig)
+    rig.show_in_front = True
+    rig.data.display_type = "STICK"
+    bpy.context.view_layer.objects.active = rig
+    bpy.ops.object.mode_set(mode="EDIT")
+    parent = None
+    for name, head, tail in zip(names, heads, [*heads[1:], tip], strict=True):
+        bone = rig.data.edit_bones.new(name)
+        bone.head, bone.tail = (head, 0, 0), (tail, 0, 0)
+        bone.align_roll((0, 0, 1))
+        bone.parent, bone.use_connect = parent, parent is not None
+        parent = bone
+    bpy.ops.object.mode_set(mode="OBJECT")
+    for bone in rig.pose.bones:
+        bone.rotation_mode = "XYZ"
+    return rig
 
 
 def add_vertex_groups(obj: bpy.types.Object, groups: dict[str, np.ndarray]) -> None:
@@ -157,6 +262,50 @@ def add_soft_skin(obj: bpy.types.Object, neutral: dict, targets: dict[str, tuple
         assign(obj.dynamorph.active_target, properties)
     assign(obj.dynamorph.targets[0], neutral)
     bpy.context.scene.frame_set(1)
+
+
+def add_touched_skin(obj: bpy.types.Object, colliders: Sequence[bpy.types.Object]) -> None:
+    """A soft skin as the add-on's own buttons make it, that these objects stop; in Full Quality, for dents."""
+    bpy.context.view_layer.objects.active = obj
+    bpy.ops.dynamorph.add_soft_skin()
+    for other in colliders:
+        other.select_set(True)
+    bpy.ops.dynamorph.collide()
+    bpy.ops.object.select_all(action="DESELECT")
+    obj.select_set(True)
+    obj.dynamorph.model.solver = "FULL"
+
+
+def write_curves(
+    owner: bpy.types.ID,
+    name: str,
+    curves: dict[str, np.ndarray],
+    cuts: Iterable[int] = (),
+    corners: Iterable[int] = (),
+) -> None:
+    """An action with a key on every frame: smooth, but for `corners` and for jumps after the frames of `cuts`.
+
+    curves: data path -> values (F,) or (F, channels). What never changes gets a single key.
+    """
+    action = bpy.data.actions.new(name)
+    animation = owner.animation_data_create()
+    animation.action = action
+    animation.action_slot = action.slots.new(owner.id_type, owner.name)
+    channels = action.layers.new("Layer").strips.new(type="KEYFRAME").channelbag(animation.action_slot, ensure=True)
+    for path, values in curves.items():
+        values = np.asarray(values, np.float32)
+        for index, column in enumerate(values.reshape(len(values), -1).T):
+            column = column if np.ptp(column) > 1e-6 else column[:1]
+            frames = np.arange(1, len(column) + 1)
+            curve = channels.fcurves.new(path, index=index)
+            curve.keyframe_points.add(len(column))
+            curve.keyframe_points.foreach_set("co", np.column_stack([frames, column]).astype(np.float32).ravel())
+            jumps, bends = np.isin(frames, list(cuts)), np.isin(frames, list(corners))
+            keys = {"interpolation": np.where(jumps, CONSTANT, BEZIER)}
+            keys |= {f"handle_{side}_type": np.where(bends, CORNER, SMOOTH) for side in ("left", "right")}
+            for field, kinds in keys.items():
+                curve.keyframe_points.foreach_set(field, kinds.astype(np.int32))
+            curve.update()
 
 
 def save_scene(path: Path) -> None:
