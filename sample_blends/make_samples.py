@@ -9,10 +9,20 @@ from pathlib import Path
 import bulging_cylinder
 import dynamic_morph_targets
 import herbert
+import herbert_bench
+import pressed_cylinder
+import rolling_ball
 import shoulder
 from dynamic_morph_targets.__main__ import leave
 
-SCENES = {"bulging_cylinder": bulging_cylinder, "herbert": herbert, "shoulder": shoulder}
+SCENES = {
+    "bulging_cylinder": bulging_cylinder,
+    "herbert": herbert,
+    "herbert_bench": herbert_bench,
+    "pressed_cylinder": pressed_cylinder,
+    "rolling_ball": rolling_ball,
+    "shoulder": shoulder,
+}
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parent
