@@ -212,6 +212,7 @@ def pressed(depth):
     return placed(0.25 + 0.05 - depth, 0, 0)
 
 
+@pytest.mark.fault("X01")
 def test_a_ball_that_appears_deep_inside_is_let_out(belly):
     """6 % of the size in one step: converged, and after 14 steps no deeper than 0.11 %."""
     collider, simulation = ball(0.05), simulated(belly)
@@ -223,6 +224,7 @@ def test_a_ball_that_appears_deep_inside_is_let_out(belly):
     assert reports[-1]["too_deep"] == 0
 
 
+@pytest.mark.fault("X04")
 def test_where_the_bones_leave_no_room_it_gives_way_and_says_so(belly, floor):
     """Half of the body is under a floor: bounded, converged and reported."""
     simulation = simulated(belly)

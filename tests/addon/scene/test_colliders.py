@@ -78,6 +78,7 @@ def test_a_collection_limits_them(arm_with_collision):
     assert "Out" in names(arm_with_collision)
 
 
+@pytest.mark.fault("X11")
 def test_the_body_and_what_moves_with_it_is_left_out(arm_with_collision):
     obj = arm_with_collision
     obj.modifiers.new("Collision", "COLLISION")
@@ -133,6 +134,7 @@ def test_modifiers_and_shape_keys_deform_it(arm_with_collision):
         assert_is_where_blender_has_it(made, found[made.name])
 
 
+@pytest.mark.fault("X08")
 def test_a_prop_in_a_hand_follows_its_bone(arm_with_collision):
     made = make_box()
     made.parent, made.parent_type, made.parent_bone = rig_of(arm_with_collision), "BONE", "lower"
@@ -176,6 +178,7 @@ def test_reading_leaves_no_trace(arm_with_collision):
 # What is wrong --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.fault("X06")
 def test_a_curve_that_is_not_a_number_is_refused(arm_with_collision):
     made = make_box()
     made.location.x = np.nan
@@ -183,12 +186,14 @@ def test_a_curve_that_is_not_a_number_is_refused(arm_with_collision):
         tracks(arm_with_collision)
 
 
+@pytest.mark.fault("X12")
 def test_an_object_without_faces_is_refused(arm_with_collision):
     make_box().data.clear_geometry()
     with pytest.raises(SceneError, match="'Box' collides but has no faces"):
         tracks(arm_with_collision)
 
 
+@pytest.mark.fault("X12")
 def test_faces_that_come_later_are_refused(arm_with_collision):
     made = make_box()
     array = made.modifiers.new("Array", "ARRAY")
@@ -201,6 +206,7 @@ def test_faces_that_come_later_are_refused(arm_with_collision):
         tracks(arm_with_collision)
 
 
+@pytest.mark.fault("X13")
 def test_rigid_bodies_and_cloth_are_refused_before_they_are_baked(arm_with_collision):
     made = make_box()
     made.modifiers.new("Cloth", "CLOTH")
@@ -216,6 +222,7 @@ def test_rigid_bodies_and_cloth_are_refused_before_they_are_baked(arm_with_colli
     assert tracks(arm_with_collision)
 
 
+@pytest.mark.fault("X10")
 @pytest.mark.parametrize("lost", ["object", "modifier"])
 def test_what_is_removed_while_it_is_read_is_named(arm_with_collision, lost):
     made = make_box()
