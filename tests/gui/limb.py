@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 
+import bmesh
 import bpy
 import numpy as np
 import scenes
@@ -19,6 +20,8 @@ FIRST, FLEXED, STRETCHED, LAST = (
 )  # frames: begins to flex, is flexed, begins to stretch, end of the scene
 TURNED = 60  # frame: the palm is turned up, which no sculpted key is for
 BONES = ("upper arm", "forearm")
+BALL, BALL_AT = 0.04, 0.16  # radius, place along the upper arm
+PRESSES, PRESSED = 8, 0.015  # frame at which it is deepest, how deep
 OUTLINE = ((0.0, 0.062), (0.35, 0.052), (0.9, 0.04), (1.15, 0.046), (1.8, 0.03), (2.0, 0.02))  # height in bones, radius
 
 
@@ -76,3 +79,17 @@ def make_rig():
     armature.display_type = "STICK"
     rig.select_set(False)
     return rig
+
+
+def make_ball():
+    """A ball that is pressed into the upper arm from the side, without Collision yet."""
+    mesh, shape = bpy.data.meshes.new("Ball"), bmesh.new()
+    bmesh.ops.create_icosphere(shape, subdivisions=4, radius=BALL)
+    shape.to_mesh(mesh)
+    shape.free()
+    ball = bpy.data.objects.new("Ball", mesh)
+    bpy.context.scene.collection.objects.link(ball)
+    touches = np.interp(BALL_AT / LENGTH, *np.transpose(OUTLINE)) + BALL
+    for frame, deep in ((1, -0.03), (PRESSES, PRESSED)):
+        ball.location = (BALL_AT, deep - touches, 0.0)
+        ball.keyframe_insert("location", frame=frame)
