@@ -13,6 +13,7 @@ import argparse
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,12 +33,15 @@ LARGEST = 3e6  # bytes of a loop
 @dataclass(frozen=True)
 class Loop:
     """One moving picture: a sample scene's name, with the first and the last frame and the motion that is red in
-    meters, or a character's file of ../shared/assets, whose largest motion is red."""
+    meters, or a character's file of ../shared/assets, whose largest motion is red. touched: the soft object of a scene
+    with colliders.
+    """
 
     name: str
     title: str
     red: float = 0.0
     scene: str = ""
+    touched: str = ""
     frames: tuple[int, int] = (1, 1)
     file: str = ""
     about: str = ""
@@ -60,6 +64,18 @@ LOOPS = {
             "herbert", "Herbert", 0.04, scene="herbert", frames=(56, 108),
             about="The dive. In the tuck, Herbert's belly is skinny and stiff; upright, it swings.",
         ),
+        Loop(
+            "rolling_ball", "Rolling ball", 0.05, scene="rolling_ball", touched="Torso", frames=(1, 72),
+            about="A ball falls on a belly, and rolls over it.",
+        ),
+        Loop(
+            "herbert_bench", "Herbert on a bench", 0.08, scene="herbert_bench", touched="Herbert", frames=(1, 40),
+            about="Herbert slides over a bench on his belly, and flops on the floor.",
+        ),
+        Loop(
+            "pressed_cylinder", "Pressed cylinder", 0.03, scene="pressed_cylinder", touched="Limb", frames=(1, 72),
+            about="A hand presses the soft limb twice, and pulls at its skin.",
+        ),
         Loop("Husky", "Husky", file="zoo/Husky.glb"),
         Loop("Velociraptor", "Velociraptor", file="zoo/Velociraptor.glb"),
         Loop("Dolphin", "Dolphin", file="zoo/Dolphin.glb"),
@@ -80,6 +96,11 @@ from where the bones and the targets' sculpted shapes put it.
 A single material beside dynamic morph targets. The scenes are in `sample_blends`.
 
 {scenes}
+## Collision
+
+Without and with *Collision*, in Full Quality. These scenes are in `sample_blends`, too.
+
+{collision}
 ## Characters
 
 *Add Soft Skin* and *Bake*, with no other setting, beside plain skinning. The clips are the liveliest of their files.
@@ -139,10 +160,15 @@ def page() -> str:
     files = [each["file"] for each in found.values() if "file" in each]
     return PAGE_TEXT.format(
         commit="; ".join(dict.fromkeys(each["commit"] for each in found.values())),
-        scenes="\n".join(about(loop, found[loop.name]) for loop in LOOPS.values() if loop.scene),
-        characters="\n".join(about(loop, found[loop.name]) for loop in LOOPS.values() if not loop.scene),
+        scenes=about_all(found, lambda loop: loop.scene and not loop.touched),
+        collision=about_all(found, lambda loop: loop.touched),
+        characters=about_all(found, lambda loop: loop.file),
         attribution=attribution(files),
     )
+
+
+def about_all(found: dict[str, dict], chosen: Callable[[Loop], object]) -> str:
+    return "\n".join(about(loop, found[loop.name]) for loop in LOOPS.values() if chosen(loop))
 
 
 def about(loop: Loop, found: dict) -> str:

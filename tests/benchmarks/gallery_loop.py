@@ -36,7 +36,7 @@ from heat import draw_legend, paint  # noqa: E402
 from measures import static_shapes  # noqa: E402
 from PIL import Image, ImageDraw, ImageFont  # noqa: E402
 from portrait import aim  # noqa: E402
-from subjects import SUBJECTS  # noqa: E402
+from subjects import FOLDER, SUBJECTS  # noqa: E402
 
 PANE = (400, 310)
 GAP, HEAD, FOOT = 6, 30, 30  # pixels between panes, above and below them
@@ -75,20 +75,27 @@ class Soft:
 
 
 def scene_panes(loop: Loop) -> tuple[Panes, dict]:
-    """A sample scene with a single material beside dynamic morph targets."""
-    subject = SUBJECTS[loop.scene]
+    """A sample scene with a single material beside dynamic morph targets, or without collision beside with it."""
     with quiet():
-        bpy.ops.wm.open_mainfile(filepath=str(subject.path))
-    obj = bpy.data.objects[subject.object]
+        bpy.ops.wm.open_mainfile(filepath=str(FOLDER / f"{loop.scene}.blend"))
+    if loop.touched:
+        obj, zoom = bpy.data.objects[loop.touched], 1.0
+        settings, name = obj.dynamorph.collision, "use"
+        ways: dict = {"without collision": False, "with collision": True}
+    else:
+        subject = SUBJECTS[loop.scene]
+        obj, zoom = bpy.data.objects[subject.object], subject.zoom
+        settings, name = obj.dynamorph.model, "method"
+        ways = {"single material": "SINGLE", "dynamic morph targets": "DYNAMIC"}
     first, last = loop.frames
     panes, farthest = {}, {}
-    for title, method in (("single material", "SINGLE"), ("dynamic morph targets", "DYNAMIC")):
-        obj.dynamorph.model.method = method
+    for title, way in ways.items():
+        setattr(settings, name, way)
         with quiet():
             job = Job(obj, "BAKE")
             batch.run(job, lambda *_: True)
         motion = dynamic(job)[first - job.input.settings.frame_start :][: last + 1 - first]
-        panes[title] = list(film([Soft(obj, motion)], range(first, last + 1), loop.red, zoom=subject.zoom))
+        panes[title] = list(film([Soft(obj, motion)], range(first, last + 1), loop.red, zoom))
         farthest[title] = float(motion.max())
     return panes, {"farthest": farthest, "frames": [first, last], "red": f"{1000 * loop.red:.3g} mm"}
 
