@@ -111,10 +111,10 @@ def add_gymnasium() -> list[bpy.types.Object]:
 def add_camera(path: np.ndarray) -> None:
     """It follows him."""
     data = bpy.data.cameras.new("Camera")
-    data.lens = 64
-    offset = np.array([0.1, -4.3, 0.75])
+    data.lens = 60
+    offset = np.array([0.25, -4.4, 0.75])
     way = sets.smoothed(np.column_stack([path[:, 0], np.zeros(len(path)), np.full(len(path), 0.4)]), 0.3 * FPS)
-    camera = place(bpy.data.objects.new("Camera", data), way[0] + offset, way[0] + [-0.1, 0, 0])
+    camera = place(bpy.data.objects.new("Camera", data), way[0] + offset, way[0] + [0.05, 0, 0])
     write_curves(camera, "Camera", {"location": way + offset})
     bpy.context.scene.camera = camera
     look_through_camera()
