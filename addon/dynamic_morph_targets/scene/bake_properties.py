@@ -207,8 +207,8 @@ class DynamorphCollision(PropertyGroup):
     )  # fmt: skip
     bake_full: BoolProperty(
         name="Bake in Full Quality",
-        description="Bake what collides in Full Quality, so that the skin dents where it is touched. Turn it off to "
-        "bake just what Live shows, which takes less time",
+        description="Bake what collides in Full Quality, whose dents are more exact. Turn it off to bake just what "
+        "Live shows, which takes less time",
         default=True, override=OVERRIDE,
     )  # fmt: skip
 

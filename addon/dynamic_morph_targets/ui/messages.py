@@ -68,15 +68,15 @@ def _quality(obj) -> Iterator[Problem]:
         return
     if not settings.collision.bake_full:
         yield Problem(
-            "'{name}' collides in Reduced Quality, which bends the body where it is touched: turn Bake in Full "
-            "Quality on for dents, which takes longer",
+            "'{name}' collides in Reduced Quality, with rough dents: turn Bake in Full Quality on for exact ones, "
+            "which takes longer",
             "FULL_QUALITY",
             name=obj.name,
         )
     elif run_settings.bake_solver(obj) == "FULL" and live.is_on(obj):
         yield Problem(
-            "Live is in Reduced Quality, which bends the body where it is touched. The bake is in Full Quality, with "
-            "dents, and takes {time}",
+            "Live is in Reduced Quality, with rough dents. The bake is in Full Quality, with exact ones, and takes "
+            "{time}",
             "",
             time=bake_time.expected(obj),
         )

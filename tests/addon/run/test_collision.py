@@ -419,7 +419,7 @@ def test_a_thin_plate_at_three_meters_a_second_takes_the_skin_along(arm, ball):
 def test_a_plane_through_the_body_is_reported(arm, ball):
     is_a_plane_through_the_middle(ball)
     job = bake(arm)
-    text = job.outcome.verdict.too_deep
+    (text,) = job.outcome.verdict.contact_texts
     assert text.startswith("The bones take '") and "too deep into 'Ball' at frames" in text
 
 
@@ -537,6 +537,19 @@ def play(obj, first, last):
     return evaluated_points(obj)
 
 
+def test_reduced_quality_dents_where_it_is_pressed(arm):
+    """Six tenths of the dent are asked of its patches; the rest is what they are too coarse for."""
+    rest, dents = evaluated_points(arm), []
+    for full in (True, False):
+        arm.dynamorph.collision.bake_full = full
+        bake(arm)
+        dents.append(shown(arm)[-1] - rest)
+        bpy.ops.dynamorph.delete_bake()
+    full, few = dents
+    near = np.linalg.norm(full, axis=1) > 0.1 * np.linalg.norm(full, axis=1).max()
+    assert np.linalg.norm((few - full)[near]) < 0.6 * np.linalg.norm(full[near])
+
+
 @pytest.mark.parametrize("hangs", [False, True])
 def test_a_shake_test_meets_what_stands_there(arm, hangs):
     ball = bpy.data.objects["Ball"]
@@ -545,7 +558,7 @@ def test_a_shake_test_meets_what_stands_there(arm, hangs):
     if hangs:
         ball.parent = rig_of(arm)
     bpy.context.view_layer.update()
-    rest, moved = evaluated_points(arm), []
+    moved = []
     for use in (False, True):
         arm.dynamorph.collision.use = use
         tissue = session.Tissue(arm, bpy.context.scene)
@@ -554,9 +567,8 @@ def test_a_shake_test_meets_what_stands_there(arm, hangs):
         substeps = tissue.player.settings.substeps
         *_, last = tissue.player.play(samples[1:], range(2, 2 + (len(samples) - 1) // substeps))
         moved.append(tissue.points(tissue.values(last)).reshape(-1, 3))
-    near = np.linalg.norm(rest - [SURFACE, 0.0, HEIGHT], axis=1) < 0.1
-    pressed = np.linalg.norm(moved[1] - moved[0], axis=1)[near].max()
-    assert pressed == 0.0 if hangs else pressed > 0.5 * PRESSED
+    pressed = np.linalg.norm(moved[1] - moved[0], axis=1)
+    assert pressed.max() == 0.0 if hangs else pressed.max() > 0.5 * PRESSED
 
 
 def test_live_follows_an_edit_of_the_balls_mesh(arm):
@@ -621,7 +633,7 @@ def test_turning_it_on_in_live_counts_from_the_next_frame_on(arm):
 
 
 def test_a_firm_head_that_is_pressed_throws_nothing_about(addon):
-    """Few modes move a head only by moving all else far: in Reduced Quality it is not pushed then."""
+    """Few modes move a head only by moving all else far: in Reduced Quality it gives way by itself, or not at all."""
     dog = real_character.CHARACTER.parent / "zoo/Husky.glb"
     if not dog.exists():
         pytest.skip("needs ../shared/assets/zoo/Husky.glb")

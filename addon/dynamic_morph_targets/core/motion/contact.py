@@ -46,9 +46,9 @@ class Collision:
         normals = outward * vertex_normals(rest, character.triangles)
         seen = np.unique(character.coincident[soft])  # of points at one place, one
         seen = seen[model.free[model.embedding_nodes[seen]].any(axis=1) & normals[seen].any(axis=1)]
-        touched = seen[character.excluded[seen] < EXCLUDED]
+        touchable = seen[character.excluded[seen] < EXCLUDED]
         most = PROBED_SAMPLES if character.probed else SAMPLES
-        chosen = touched[spread(rest[touched], normals[touched], most)]
+        chosen = touchable[spread(rest[touchable], normals[touchable], most)]
         self.skin: Any = None
         self.dents = np.zeros((3 * int(model.free.sum()), 0))
         self.vertices = chosen

@@ -216,7 +216,7 @@ FIXES = {
         _lock_interface,
     ),
     "FULL_QUALITY": Fix(
-        "Bake in Full Quality", "Bake with every node of the cage, so that the skin dents where it is touched",
+        "Bake in Full Quality", "Bake with every node of the cage, for exact dents",
         _full_quality,
     ),
     "COLLIDE": Fix("Collide", "Give what cuts the body Blender's Collision, and let it stop the skin", _collide),
