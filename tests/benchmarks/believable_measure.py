@@ -58,7 +58,7 @@ NATURAL = 2.0 * np.pi * 3.5  # rad/s: what `shaken` refers to
 STILL = 1e-5  # of size; smaller steps are what single precision leaves of a body that does not move
 THINNEST = 0.02  # of size; thinner parts count as this thick
 PROBES, RAYS, SPREAD = 5000, 9, 0.35  # vertices whose thickness is measured, rays of each, and how far they spread
-LAYERS = 6  # of other surfaces, which a ray may pass
+LAYERS = 12  # of surfaces, which a ray may pass
 HIGH = 0.35  # of the frame rate, above which acceleration is jitter
 CINEMA = 24.0  # frames a second, at which characters are compared
 SHORTEST = 16  # frames whose spectrum says something
@@ -165,6 +165,11 @@ def rest(obj) -> np.ndarray:
     return positions(keys.reference_key.data if keys else obj.data.vertices) @ np.array(obj.matrix_world.to_3x3()).T
 
 
+def placed(obj) -> np.ndarray:
+    """The points at rest (V, 3), world."""
+    return rest(obj) + np.array(obj.matrix_world.translation)
+
+
 def world_points(obj) -> np.ndarray:
     """As Blender shows it now (V, 3)."""
     local, world = evaluated(obj)
@@ -225,7 +230,7 @@ def triangles_of(obj) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Skin:
-    """The surface of all soft meshes at rest. rest (V, 3), in the world's axes; areas (V,), 0 at loose vertices;
+    """The surface of all soft meshes at rest. rest (V, 3), world; areas (V,), 0 at loose vertices;
     thickness (V,), NaN where it is not known."""
 
     rest: np.ndarray
@@ -235,15 +240,12 @@ class Skin:
 
     @classmethod
     def of(cls, soft: Sequence) -> Skin:
-        surfaces = [(rest(obj), triangles_of(obj)) for obj in soft]
-        size = diagonal(np.concatenate([points[np.unique(triangles)] for points, triangles in surfaces]))
-        random = np.random.default_rng(0)
-        return cls(
-            np.concatenate([points for points, _ in surfaces]),
-            np.concatenate([vertex_areas(*surface) for surface in surfaces]),
-            np.concatenate([thickness(*surface, size, random) for surface in surfaces]),
-            size,
-        )
+        surfaces = [(placed(obj), turned_outward(rest(obj), triangles_of(obj))) for obj in soft]
+        first = np.cumsum([0, *(len(points) for points, _ in surfaces)])[:-1]
+        points = np.concatenate([points for points, _ in surfaces])
+        triangles = np.concatenate([corners + start for (_, corners), start in zip(surfaces, first, strict=True)])
+        size = diagonal(points[np.unique(triangles)])
+        return cls(points, vertex_areas(points, triangles), thickness(points, triangles, size), size)
 
     @cached_property
     def probed(self) -> np.ndarray:
@@ -266,11 +268,16 @@ class Skin:
         return float(np.sqrt((areas * values[where] ** 2).sum() / max(areas.sum(), 1e-30)))
 
 
-def thickness(points: np.ndarray, triangles: np.ndarray, size: float, random: np.random.Generator) -> np.ndarray:
+def turned_outward(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The triangles (T, 3), all turned over where they enclose their volume from inside."""
+    inward = np.einsum("ij,ij->", points[triangles[:, 0]] - points.mean(axis=0), normals_of(points, triangles)) < 0
+    return triangles[:, ::-1] if inward else triangles
+
+
+def thickness(points: np.ndarray, triangles: np.ndarray, size: float) -> np.ndarray:
     """Median length (V,) of rays inward to the surface behind; NaN where there is none, and at all but PROBES."""
+    random = np.random.default_rng(0)
     normals = normals_of(points, triangles)
-    if np.einsum("ij,ij->", points[triangles[:, 0]] - points.mean(axis=0), normals) < 0:  # they point inward
-        normals = -normals
     inward = np.zeros_like(points)
     np.add.at(inward, triangles.ravel(), -np.repeat(normals, 3, axis=0))
     inward, normals = normalized(inward), normalized(normals)
@@ -288,24 +295,26 @@ def thickness(points: np.ndarray, triangles: np.ndarray, size: float, random: np
 
 
 def length_inside(tree: BVHTree, normals: np.ndarray, point: np.ndarray, ray: np.ndarray, skip: float) -> float | None:
-    """How far a ray goes from a point of the surface until it has left all that it has entered, such as an eye and the
-    head that the eye is sunk into; where it leaves less than it has entered, until the last back.
+    """How far a ray goes from a point of the surface until it has left all that it has entered and all that the point
+    lies in, such as an eye or the root of a fin and the body that these are sunk into; where it leaves less than that,
+    until the last back. What it leaves without having entered it is what the point lies in, or a sheet.
     """
-    gone, inside, last = 0.0, 1, None
+    gone, lengths, backs = 0.0, [], []
     for _ in range(LAYERS):
         start = point + skip * ray
         place, _, face, length = tree.ray_cast(Vector(start), Vector(ray))
         if place is None:
             break
         gone += length + skip
-        if normals[face] @ ray > 0:
-            inside, last = inside - 1, gone
-            if not inside:
-                break
-        else:
-            inside += 1
+        lengths.append(gone)
+        backs.append(normals[face] @ ray > 0)
         point = np.array(place)
-    return last
+    if not any(backs):
+        return None
+    change = np.where(backs, -1, 1)
+    inside = max(1, -change.sum()) + np.cumsum(change)
+    left = np.flatnonzero(np.array(backs) & (inside <= 0))
+    return lengths[left[0] if len(left) else np.flatnonzero(backs)[-1]]
 
 
 def normals_of(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -419,7 +428,7 @@ def jitter(motion: np.ndarray, areas: np.ndarray) -> float | None:
 
 def largest_gap(soft: Sequence, others: Sequence, baked: dict, plain: dict, size: float) -> float:
     """Between a soft mesh and another one, at points that coincide at rest, of size."""
-    places = {obj: rest(obj) + np.array(obj.matrix_world.translation) for obj in (*soft, *others)}
+    places = {obj: placed(obj) for obj in (*soft, *others)}
     largest = 0.0
     for number, obj in enumerate(soft):
         tree = KDTree(len(places[obj]))

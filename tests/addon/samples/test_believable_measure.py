@@ -136,19 +136,35 @@ def test_how_much_a_thin_part_moves(scene, values, expected):
     assert believable_measure.measure(scene)["thin_moves"] == pytest.approx(expected, abs=1e-3)
 
 
-def test_what_is_sunk_into_the_body_is_as_thick_as_that(scene):
-    """Like an eye."""
-    body, eye = (make_baked(scene, "Body", swing(3.0)), make_baked(scene, "Eye", swing(3.0), thickness=0.2, away=0.3))
+@pytest.mark.parametrize("joined", [True, False])
+@pytest.mark.parametrize(("away", "outside", "expected"), [(0.3, 0.32, (0.54, 0.66)), (0.1, -1.0, (0.25, 0.5))])
+def test_what_is_sunk_into_the_body_is_as_thick_as_that(scene, joined, away, outside, expected):
+    """Like an eye, or the root of a fin, wholly inside; as a part of the body's mesh or as one of its own. Alone it is
+    0.12 thick."""
+    body, eye = (make_baked(scene, "Body", swing(3.0)), make_baked(scene, "Eye", swing(3.0), thickness=0.2, away=away))
     first = len(body.data.vertices)
-    scene.view_layers[0].objects.active = body
-    for obj in (body, eye):
-        obj.shape_key_clear()
-        obj.select_set(True)
-    bpy.ops.object.join()
-    skin = believable_measure.Skin.of([body])
-    numbers = np.arange(len(skin.rest))
-    outside = (numbers >= first) & (skin.rest[:, 0] > 0.32) & (np.abs(skin.rest[:, 2] - 1.0) < 0.5)
-    assert np.nanmedian(skin.thickness[outside]) == pytest.approx(0.6, rel=0.1)  # alone: 0.12
+    if joined:
+        scene.view_layers[0].objects.active = body
+        for obj in (body, eye):
+            obj.shape_key_clear()
+            obj.select_set(True)
+        bpy.ops.object.join()
+    skin = believable_measure.Skin.of([body] if joined else [body, eye])
+    of_eye = (np.arange(len(skin.rest)) >= first) & (np.abs(skin.rest[:, 2] - 1.0) < 0.5)
+    low, high = expected
+    assert low < np.nanmedian(skin.thickness[of_eye & (skin.rest[:, 0] > outside)]) < high
+
+
+def test_a_sheet_in_the_body_does_not_make_it_thin(scene):
+    """Like a fin without thickness that goes on inside: nothing has been entered where rays leave it."""
+    body = make_baked(scene, "Body", swing(3.0))
+    first = len(body.data.vertices)
+    corners = [(0.2, -0.15, 0.2), (0.2, 0.15, 0.2), (0.2, 0.15, 1.8), (0.2, -0.15, 1.8)]
+    for facing in (1, -1):
+        sheet = make_mesh(scene, "Sheet", corners, [(0, 1, 2, 3)[::facing]])
+        skin = believable_measure.Skin.of([body, sheet])
+        near = (skin.rest[:, 0] > 0.25) & (np.abs(skin.rest[:, 2] - 1.0) < 0.5) & (np.arange(len(skin.rest)) < first)
+        assert np.nanmedian(skin.thickness[near]) == pytest.approx(0.6, rel=0.15)
 
 
 def test_skin_turned_inside_out(scene):
