@@ -59,11 +59,11 @@ class Bar:
         self.free = ~pinned
         self.own = own_transforms
 
-    def limit(self, distance: float, painted=None):
+    def limit(self, distance: float, painted=None, **constants):
         kind = dynamorph.FullMotionLimit if self.model is self.full else dynamorph.ReducedMotionLimit
         return kind(
             self.model, self.nodes, self.embedding, self.triangles, self.weights,
-            np.full(len(self.nodes), distance), self.weights[self.free] if self.own else None, painted,
+            np.full(len(self.nodes), distance), self.weights[self.free] if self.own else None, painted, **constants,
         )  # fmt: skip
 
     def simulation(self, distance=0.0, h=1 / 120, **options):
@@ -219,25 +219,35 @@ def test_weights_of_one_change_nothing(limited, kind):
     np.testing.assert_array_equal(painted.coordinates, plain.coordinates)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_landing_does_not_crush_edges(kind):
-    """Those along the bar, whose middle is stopped at once."""
-    made = Bar(kind, dynamorph.MaterialModel.STABLE_STVK)
+def shortest_in_a_landing(made, limit) -> float:
+    """Of the edges along the bar, whose middle is stopped at once; relative to their length."""
     gap = made.nodes[None, :, :] - made.nodes[:, None, :]
     first, second = np.nonzero((np.abs(gap[..., 0] - SIZE[0] / 12) < 1e-9) & (np.abs(gap[..., 1:]) < 1e-9).all(axis=2))
     t = np.arange(60) / 120
     frames = moving(np.zeros(60))
     frames[:, :, 0, 3] = np.where(t > 0.1, 5.0 * (t - 0.1), 0.0)[:, None]
-    shortest = []
-    for distance in (0.0, 0.05):
-        simulation, lengths = made.simulation(distance), []
-        simulation.start(frames[0], frames[1], made.neutral)
-        for frame in frames[1:]:
-            simulation.advance(frame[None], made.neutral[None])
-            moved = made.nodes + made.model.displacement(simulation.coordinates)
-            lengths.append(np.linalg.norm(moved[second] - moved[first], axis=1).min() / (SIZE[0] / 12))
-        shortest.append(min(lengths))
-    assert shortest[0] < 0.3 and shortest[1] > 0.45
+    simulation, lengths = made.simulation(), []
+    simulation.set_limit(limit)
+    simulation.start(frames[0], frames[1], made.neutral)
+    for frame in frames[1:]:
+        simulation.advance(frame[None], made.neutral[None])
+        moved = made.nodes + made.model.displacement(simulation.coordinates)
+        lengths.append(np.linalg.norm(moved[second] - moved[first], axis=1).min() / (SIZE[0] / 12))
+    return min(lengths)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_landing_does_not_crush_edges(kind):
+    made = Bar(kind, dynamorph.MaterialModel.STABLE_STVK)
+    assert shortest_in_a_landing(made, None) < 0.3
+    assert shortest_in_a_landing(made, made.limit(0.05)) > 0.45
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_more_edges_that_are_held_do_not_weaken_the_others(kind):
+    made = Bar(kind, dynamorph.MaterialModel.STABLE_STVK)
+    few, many = (shortest_in_a_landing(made, made.limit(0.05, edges_between=count)) for count in (50, 1000))
+    assert many > few - 0.01
 
 
 @pytest.mark.parametrize("fault", ["bad frame", "cut"])

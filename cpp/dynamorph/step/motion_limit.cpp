@@ -231,8 +231,9 @@ Embedding of_points(const Embedding& all, const std::vector<int>& chosen) {
 
 /// The edges of a bone.
 struct CriticalEdges {
-  std::set<int> edges;       ///< that its loads stretch most: places in skin.edges
-  std::vector<int> between;  ///< that are pulled back too
+  std::set<int> edges;  ///< that its loads stretch most: places in skin.edges
+  /// That are pulled back too, each with its largest stretch over that of those.
+  std::vector<std::pair<int, double>> between;
   /// Twice that of the static answer in which they reach their limit, the least of the loads.
   double energy = kInfinity;
 };
@@ -443,7 +444,7 @@ void add_between(const SkinLimits& limits, const std::vector<double>& strain, co
   const auto square = Eigen::Map<const VectorXd>(strain.data(), Index(strain.size())).cwiseAbs2();
   int count = 0;
   const auto hold = [&](int e, int b) {
-    tissue.edges[std::size_t(b)].between.push_back(e);
+    tissue.edges[std::size_t(b)].between.push_back({e, strain[std::size_t(e)]});
     take(e);
     ++count;
   };
@@ -580,12 +581,16 @@ std::vector<Pull> pulls_of(const Tissue& tissue, const SkinLimits& limits, const
   std::vector<int> ends;
   for (const CriticalEdges& critical : tissue.edges) {
     std::vector<int> pulled(critical.edges.begin(), critical.edges.end());
-    pulled.insert(pulled.end(), critical.between.begin(), critical.between.end());
+    double stretched = double(pulled.size());
+    for (const auto& [e, stretch] : critical.between) {
+      pulled.push_back(e);
+      stretched += stretch * stretch;
+    }
     for (int e : pulled) {
       const Edge& edge = tissue.skin.edges[std::size_t(e)];
       const int first = int(points.nodes.rows() + Index(ends.size()));
       out.push_back({numbers.size(), 1, limits.constants.pulled_stretch / limits.constants.stretch,
-                     kEdgePull * critical.energy / double(pulled.size())});
+                     kEdgePull * critical.energy / stretched});
       add_stretch(limits, edge, first, first + 1, numbers);
       ends.insert(ends.end(), {edge.first, edge.second});
     }

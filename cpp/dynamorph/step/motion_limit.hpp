@@ -19,7 +19,8 @@
 //      E_p = 20 m_p w^2 ramp(|u_p - d_p|, L),    E_e = 240 W_b / n_b ramp(|e . d(u - d)| / (0.6 l), 0.4 / 0.6),
 //
 //    ramp(x, limit): cubic from 0.6 of the limit to the limit, then quadratic. The edges are those of the first limit
-//    and 400 between them, n_b of bone b, and W_b is the elastic energy of the static answer in which they reach that.
+//    and 400 between them. W_b is the elastic energy of the static answer in which those of bone b reach the first
+//    limit, and n_b their number, in which one between them counts by the square of its stretch over theirs.
 //    Where L is painted smaller, m times as large, a point is pulled back from 0.6 m L on, with 20 / m. The load keeps
 //    the unpainted L: a spot that must stay near the bones does not make all tissue of its bone sluggish.
 //
