@@ -28,9 +28,10 @@ class Feel:
         return 0.0, 2.0 * self.damping_ratio / undamped
 
 
+# Half of the thickness is the way to the middle of the body: tissue that is pressed farther turns inside out.
 FEELS = {
     "SUBTLE": Feel("Subtle", "A firm body with small, quick motion, for athletic characters", 4.5, 0.3, 0.03, 0.4),
-    "NATURAL": Feel("Natural", "An average body", 3.5, 0.2, 0.05, 0.6),
+    "NATURAL": Feel("Natural", "An average body", 3.5, 0.2, 0.05, 0.5),
     "CARTOON": Feel("Cartoon", "A very soft body with large, slow motion, for caricatures", 2.5, 0.12, 0.07, 0.75),
 }
 
