@@ -74,9 +74,9 @@ is measured from Blender's evaluated meshes, in every frame.
 *Size*: diagonal of the box around the character at rest. Figures of a frame are of its worst one. *Displacement*: how
 far the skin is from where the bones alone have it, before they move it. *Over thickness*: 99th percentile of the
 displacement divided by the local thickness, from the skin through all that is there: an eye, or the root of a fin,
-counts as the body that it is sunk into, and a sheet has no thickness. *Stretch*: length of edges, compared with plain
-skinning. *Stretch, least, of the bones' own*: divided by the same figure of plain skinning, because the bones alone may
-make an edge vanish where a joint folds.
+counts as the body that it is sunk into, a pocket as the coat that it lies on, and a sheet has no thickness. *Stretch*:
+length of edges, compared with plain skinning. *Stretch, least, of the bones' own*: divided by the same figure of plain
+skinning, because the bones alone may make an edge vanish where a joint folds.
 *Flipped*: share of the surface that turns over. *Inverted*: share of the cage's volume that turns inside out. *Thin
 parts*: how much the thinnest fifth of the surface moves, compared with the thickest, if that is at least twice as
 thick. *Seam*: gap between meshes that touch at rest. *Alive*: motion of the liveliest tenth of the surface, and the

@@ -59,6 +59,8 @@ STILL = 1e-5  # of size; smaller steps are what single precision leaves of a bod
 THINNEST = 0.02  # of size; thinner parts count as this thick
 PROBES, RAYS, SPREAD = 5000, 9, 0.35  # vertices whose thickness is measured, rays of each, and how far they spread
 LAYERS = 12  # of surfaces, which a ray may pass
+OFF = 1e-4  # of size; how far off a surface a ray starts
+LIES_ON = 0.01  # of size; what has no wider gap below it lies on what is there
 HIGH = 0.35  # of the frame rate, above which acceleration is jitter
 CINEMA = 24.0  # frames a second, at which characters are compared
 SHORTEST = 16  # frames whose spectrum says something
@@ -288,24 +290,25 @@ def thickness(points: np.ndarray, triangles: np.ndarray, size: float) -> np.ndar
     found = np.full(len(points), np.nan)
     for vertex in chosen:
         rays = normalized(inward[vertex] + SPREAD * random.normal(size=(RAYS, 3)))
-        lengths = [length for ray in rays if (length := length_inside(tree, normals, points[vertex], ray, 1e-4 * size))]
+        lengths = [length for ray in rays if (length := length_inside(tree, normals, points[vertex], ray, size))]
         if lengths:
             found[vertex] = np.median(lengths)
     return found
 
 
-def length_inside(tree: BVHTree, normals: np.ndarray, point: np.ndarray, ray: np.ndarray, skip: float) -> float | None:
+def length_inside(tree: BVHTree, normals: np.ndarray, point: np.ndarray, ray: np.ndarray, size: float) -> float | None:
     """How far a ray goes from a point of the surface until it has left all that it has entered and all that the point
-    lies in, such as an eye or the root of a fin and the body that these are sunk into; where it leaves less than that,
-    until the last back. What it leaves without having entered it is what the point lies in, or a sheet.
+    lies in, such as an eye or the root of a fin and the body that these are sunk into, and all that these lie on, such
+    as a pocket and the coat below; where it leaves less than that, until the last back. What it leaves without having
+    entered it is what the point lies in, or a sheet.
     """
     gone, lengths, backs = 0.0, [], []
     for _ in range(LAYERS):
-        start = point + skip * ray
+        start = point + OFF * size * ray
         place, _, face, length = tree.ray_cast(Vector(start), Vector(ray))
         if place is None:
             break
-        gone += length + skip
+        gone += length + OFF * size
         lengths.append(gone)
         backs.append(normals[face] @ ray > 0)
         point = np.array(place)
@@ -313,7 +316,8 @@ def length_inside(tree: BVHTree, normals: np.ndarray, point: np.ndarray, ray: np
         return None
     change = np.where(backs, -1, 1)
     inside = max(1, -change.sum()) + np.cumsum(change)
-    left = np.flatnonzero(np.array(backs) & (inside <= 0))
+    lies_on_more = np.diff(lengths, append=np.inf) < LIES_ON * size
+    left = np.flatnonzero(np.array(backs) & (inside <= 0) & ~lies_on_more)
     return lengths[left[0] if len(left) else np.flatnonzero(backs)[-1]]
 
 

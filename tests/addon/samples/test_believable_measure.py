@@ -167,6 +167,15 @@ def test_a_sheet_in_the_body_does_not_make_it_thin(scene):
         assert np.nanmedian(skin.thickness[near]) == pytest.approx(0.6, rel=0.15)
 
 
+@pytest.mark.parametrize(("away", "low", "high"), [(0.32, 0.5, 0.7), (0.45, 0.02, 0.04)])
+def test_what_lies_on_the_body_is_as_thick_as_that(scene, away, low, high):
+    """Like a pocket; with a wider gap below it, it is a part of its own."""
+    body, other = (make_baked(scene, "Body", swing(3.0)), make_baked(scene, "Other", swing(3.0), 0.05, away))
+    skin = believable_measure.Skin.of([body, other])
+    outside = (np.arange(len(skin.rest)) >= len(body.data.vertices)) & (skin.rest[:, 0] > away + 0.01)
+    assert low < np.nanmedian(skin.thickness[outside & (np.abs(skin.rest[:, 2] - 1.0) < 0.5)]) < high
+
+
 def test_skin_turned_inside_out(scene):
     """Half of the tube has changed sides: stretched at the border, where the other half stays."""
     obj = make_baked(scene, "Body", np.ones(48))
