@@ -7,6 +7,7 @@
 
 #include "contact_skins.hpp"
 #include "derivatives.hpp"
+#include "dynamorph/contact/at_rest.hpp"
 #include "dynamorph/contact/contact_law.hpp"
 #include "scenes.hpp"
 
@@ -24,19 +25,8 @@ struct DenseModel {
   MatrixXd K, M, J, places;
 
   DenseModel(const Model& model, const ContactSkin& skin) {
-    typename Model::Blend blend;
-    typename Model::Matrix tangent = model.zero();
-    VectorXd force, column;
-    const VectorXd rest = VectorXd::Zero(model.dofs());
-    model.blend(kNeutral, blend);
-    model.linearize(blend, rest, force, tangent);
-    Transforms still(2, 12);
-    still.rowwise() = Eigen::Matrix<double, 1, 12>{{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}};
-    InertialTarget inertial;
-    inertial.q.fill(&rest);
-    inertial.bones.fill(&still);
-    typename Model::Inertia inertia;
-    model.inertia(inertial, blend.mass, inertia);
+    const auto [tangent, mass] = stiffness_and_mass(model, kNeutral);
+    VectorXd column;
     const SkinMap<Model> map(std::shared_ptr<const Model>(&model, [](const Model*) {}), skin.skin);
     const Eigen::Index n = model.dofs();
     K.resize(n, n);
@@ -47,7 +37,7 @@ struct DenseModel {
       const VectorXd unit = VectorXd::Unit(n, i);
       multiply(tangent, unit, column);
       K.col(i) = column;
-      multiply(inertia.mass, unit, column);
+      multiply(mass, unit, column);
       M.col(i) = column;
       map.displacement(VectorXd::Zero(0), unit, column);
       places.col(i) = column;

@@ -20,21 +20,7 @@ struct Soup {
   Triangles triangles;
 };
 
-/// The outside of a mesh.
-Soup outside(const TetMesh& mesh) {
-  std::map<std::array<int, 3>, std::array<int, 3>> faces;  // those of one tet alone, by their sorted corners
-  for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t)
-    for (const std::array<int, 3>& k : {std::array{0, 2, 1}, {0, 1, 3}, {1, 2, 3}, {0, 3, 2}}) {
-      const std::array<int, 3> face{mesh.tets(t, k[0]), mesh.tets(t, k[1]), mesh.tets(t, k[2])};
-      std::array<int, 3> sorted = face;
-      std::sort(sorted.begin(), sorted.end());
-      if (!faces.emplace(sorted, face).second) faces.erase(sorted);
-    }
-  Soup skin{mesh.nodes, Triangles(Eigen::Index(faces.size()), 3)};
-  Eigen::Index row = 0;
-  for (const auto& [_, face] : faces) skin.triangles.row(row++) << face[0], face[1], face[2];
-  return skin;
-}
+Soup outside(const TetMesh& mesh) { return {mesh.nodes, scenes::surface_of(mesh)}; }
 
 /// A box of tets around the origin, in which the planes of nodes are `shift` of a cell away from the middle.
 TetMesh around_origin(int cells, double shift = 0) {
