@@ -93,10 +93,12 @@ void bind_contact_of(py::module_& m, const char* name) {
       m, name, "The points of a model's skin that can touch colliders. Simulations may share them.")
       .def(py::init([](std::shared_ptr<Model> model, const FloatArray& rest, const Embedding& embedding,
                        const MatrixXd& weights, const FloatArray& normals, const VectorXd& thickness,
-                       const std::optional<FloatArray>& residual_shapes, std::shared_ptr<LocalResponses> local) {
+                       const std::optional<FloatArray>& residual_shapes,
+                       const std::optional<std::shared_ptr<LocalResponses>>& local) {
              ContactSkin samples{skin_of(rest, embedding, weights, residual_shapes),
                                  as_points(flat_points("normals", normals, rest.shape(0))), thickness};
-             return without_gil([&] { return std::make_shared<Samples>(model, std::move(samples), local); });
+             return without_gil(
+                 [&] { return std::make_shared<Samples>(model, std::move(samples), local.value_or(nullptr)); });
            }),
            "model"_a.none(false), "rest"_a, "embedding"_a, "weights"_a, "normals"_a, "thickness"_a,
            "residual_shapes"_a = py::none(), "local"_a = py::none(),

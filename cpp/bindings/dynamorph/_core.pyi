@@ -494,7 +494,7 @@ class FullContact:
     """
     The points of a model's skin that can touch colliders. Simulations may share them.
     """
-    def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, local: LocalResponses = None) -> None:
+    def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, local: LocalResponses | None = None) -> None:
         """
         rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale; those below 1 % do not count. normals (P, 3): out of the body, bind space. thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by 1.2 times that not at all. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None. local: how a reduced model's skin gives way; None for an unreduced one.
         """
@@ -507,7 +507,7 @@ class ReducedContact:
     """
     The points of a model's skin that can touch colliders. Simulations may share them.
     """
-    def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, local: LocalResponses = None) -> None:
+    def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, local: LocalResponses | None = None) -> None:
         """
         rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale; those below 1 % do not count. normals (P, 3): out of the body, bind space. thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by 1.2 times that not at all. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None. local: how a reduced model's skin gives way; None for an unreduced one.
         """

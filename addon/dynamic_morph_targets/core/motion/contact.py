@@ -6,7 +6,7 @@ and how deep it went. Never touches bpy.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -59,7 +59,12 @@ class Collision:
         if not len(chosen):
             return
         thickness = model.thickness if len(model.thickness) else dynamorph.Thickness(rest, soft).at(rest)[0]
-        points = (
+        full = model.settings.solver == "FULL"
+        local = None
+        if not full:
+            local, self.dents = _local_responses(model, character, seen, rest, normals)
+        kind: Callable[..., Any] = dynamorph.FullContact if full else dynamorph.ReducedContact
+        self.skin = kind(
             engine,
             rest[chosen],
             dynamorph.Embedding(model.embedding_nodes[chosen], model.embedding_weights[chosen]),
@@ -67,12 +72,8 @@ class Collision:
             normals[chosen],
             np.maximum(thickness[chosen], 0.5 * THINNEST * diagonal(rest)),
             model.residual_shapes[:, chosen] @ character.to_bind.T,
+            local,
         )
-        if model.settings.solver == "FULL":
-            self.skin = dynamorph.FullContact(*points)
-        else:
-            local, self.dents = _local_responses(model, character, seen, rest, normals)
-            self.skin = dynamorph.ReducedContact(*points, local)
 
     def begin(self, first: RigSamples) -> None:
         """Take the colliders of the first sample. Raises SceneError for one that the engine refuses."""
@@ -116,13 +117,14 @@ def _local_responses(
     if known:
         return known
     places = seen[spread(rest[seen], normals[seen], PLACES)]
+    full: Any = model.with_settings(replace(model.settings, solver="FULL")).engine(character)
     local = dynamorph.LocalResponses(
-        model.with_settings(replace(model.settings, solver="FULL")).engine(character),
+        full,
         model.modes,
         rest[places],
         normals[places],
         dynamorph.Embedding(model.embedding_nodes[places], model.embedding_weights[places]),
-        spread(rest[places], normals[places], PATCHES),
+        spread(rest[places], normals[places], PATCHES).tolist(),
     )
     _known_responses[id(model)] = local, local.shapes
     weakref.finalize(model, _known_responses.pop, id(model), None)
