@@ -56,26 +56,23 @@ class Tissue:
         self.probe = probe.Probe(obj, self.model, self.character) if self.player.probed else None
         self.modes = self.model.modes.shape[1] if self.model.settings.solver == "REDUCED" else 0  # shown one by one
         self.target_names = [target.name for target in self.character.targets]
-        self._make_meshes(skin.ObjectHandle.of(obj))
+        character, own_vertices = self.character, self.character.own_vertices
+        self.dofs = len(self.player.amounts.gains)
+        self.skin = self._mesh(skin.ObjectHandle.of(obj), character.vertices[own_vertices], own_vertices, np.eye(3))
+        self.attachments = [
+            self._mesh(skin.ObjectHandle(each.session_uid, each.name), each.points, each.members, each.from_body)
+            for each in character.attachments
+        ]
 
     def exchange(self, character: Character, settings: SimulationSettings) -> None:
         """Go on with the materials, poses and blending of `character`; settings: others with the same time step."""
         self.character = character
         self.player = self.player.exchange(character, settings)
-        if self.dofs != len(self.player.amounts.gains):  # with collision skin gives way by itself
-            written = [surface.written for surface in (self.skin, *self.attachments)]
-            self._make_meshes(self.skin.object)
-            for surface, points in zip((self.skin, *self.attachments), written, strict=True):
-                surface.written = points
-
-    def _make_meshes(self, handle: skin.ObjectHandle) -> None:
-        character, own_vertices = self.character, self.character.own_vertices
-        self.dofs = len(self.player.amounts.gains)
-        self.skin = self._mesh(handle, character.vertices[own_vertices], own_vertices, np.eye(3))
-        self.attachments = [
-            self._mesh(skin.ObjectHandle(each.session_uid, each.name), each.points, each.members, each.from_body)
-            for each in character.attachments
-        ]
+        if self.dofs != len(self.player.amounts.gains):  # with collision, patches of the skin move too
+            self.dofs = len(self.player.amounts.gains)
+            self.skin.move = self._move(character.own_vertices, np.eye(3))
+            for surface, each in zip(self.attachments, character.attachments, strict=True):
+                surface.move = self._move(each.members, each.from_body)
 
     def _mesh(self, handle: skin.ObjectHandle, points: np.ndarray, members: slice, from_body: np.ndarray) -> LiveMesh:
         """A mesh of the body. points (P, 3): its local space; from_body (3, 3): from the body's local space to it."""
@@ -91,12 +88,7 @@ class Tissue:
         turn = from_body @ np.linalg.inv(model.to_bind)
         if model.settings.solver == "FULL":
             return by_nodes(model.free, nodes, weights, turn)
-        return by_modes(self._node_modes @ turn.T, nodes, weights)
-
-    @property
-    def _node_modes(self) -> np.ndarray:
-        """The modes of the nodes (r, n, 3), bind space."""
-        return simulate.node_modes(self.model, self.player.modes.T)
+        return by_modes(simulate.node_modes(model, self.player.modes.T) @ turn.T, nodes, weights)
 
     @property
     def vertices(self) -> dict[skin.ObjectHandle, int]:
@@ -108,10 +100,9 @@ class Tissue:
 
     def values(self, frame: Frame) -> np.ndarray:
         """What `points` asks for: (dofs + J,) coordinates as shown, and target weights."""
-        coordinates = np.zeros(self.dofs)  # the frame may be from before collision was turned on, or off
-        known = frame.coordinates[: self.dofs]
-        coordinates[: len(known)] = known
-        return np.concatenate([self.player.shown(replace(frame, coordinates=coordinates)), frame.weights])
+        more = max(0, self.dofs - len(frame.coordinates))  # it may be from before collision was turned on, or off
+        frame = replace(frame, coordinates=np.pad(frame.coordinates, (0, more))[: self.dofs])
+        return np.concatenate([self.player.shown(frame), frame.weights])
 
     def points(self, values: np.ndarray) -> np.ndarray:
         """Points (3 V,) of the skin, float32, local space."""

@@ -540,7 +540,7 @@ def test_what_cannot_be_drawn_is_not(soft_arm, viewport, graph, monkeypatch):
     display.cage = display.heat = True
     for state in ("depth_test_set", "depth_mask_set", "blend_set"):
         monkeypatch.setattr(f"gpu.state.{state}", lambda _value: None, raising=False)
-    assert len(viewport.callbacks) == 5
+    assert len(viewport.callbacks) == 6
     for draw, arguments, _moment in viewport.callbacks:
         draw(*arguments)
     display.cage = display.heat = False
