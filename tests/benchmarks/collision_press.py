@@ -95,7 +95,7 @@ def with_ball(body) -> tuple:
     """A ball with Blender's Collision and its keys, and the body's size (world units)."""
     points, triangles = believable_measure.world_points(body), believable_measure.triangles_of(body)
     size = diagonal(points[np.unique(triangles)])
-    thickness = believable_measure.thickness(points, triangles, size, np.random.default_rng(0))
+    thickness = believable_measure.thickness(points, triangles, size)
     belly = np.flatnonzero(thickness >= np.nanquantile(thickness, THICK))
     place = belly[points[belly, 1].argmin()]  # the most in front: characters look along -Y
     outward = -1.0 if signed_volume(points, triangles) < 0.0 else 1.0
