@@ -36,6 +36,7 @@ PEERS_BODY = "mh_chubby_53bones.blend"
 LONGEST = 600  # seconds that one may take
 MOVING, RESTING = 0.0015, 0.0011  # of size, with Distance 0: asked of the penetration
 ITERATIONS = 10  # a step, asked with both rounds of friction
+DENT = 0.001  # of size: what is shallower is none
 NONE = "-"
 
 PAGE_TEXT = """# Collision
@@ -52,8 +53,8 @@ After one click, in Full Quality. *Depth*: of the deepest vertex in the ball, in
 evaluated meshes; below zero it is outside. Asked without Distance: at most {moving:.2%} while the ball moves, and
 {resting:.2%} at rest; with the default Distance, none. *Iterations*: of Newton's method in a step, both rounds of
 friction included; asked: {iterations}. *Step*: milliseconds, in Full and in Reduced Quality. *Reduced*: RMS difference
-of the dent in Reduced Quality, over the dent, while the ball rests and at the end of its drag; asked: 60 %. It is about
-100 % where the body is so firm that even its patches would move other skin far, and it is not pushed.
+of the dent in Reduced Quality, over the dent, while the ball rests and at the end of its drag; asked: 60 %. Firm and
+coarse bodies, as low-poly heads, dent too deep. It is about 100 % where a body is so firm that it is not pushed.
 
 {figures}
 ![Characters, pressed]({pressed})
@@ -151,14 +152,17 @@ def reduced(body: str) -> str:
     """How far the dent in Reduced Quality is from that in Full Quality: when the ball rests, and after its drag."""
     if not found(body, "reduced"):
         return NONE
-    return " / ".join(bold(f"{share:.0%}", share > 0.6) for share in (_off(body, 0), _off(body, 1)))
+    return " / ".join(_off(body, shown) for shown in (0, 1))
 
 
-def _off(body: str, shown: int) -> float:
+def _off(body: str, shown: int) -> str:
     full, few, off = (np.load(CACHE / name_of(body) / f"{way}.npy")[shown] for way in ("full", "reduced", "off"))
     dent = full - off
+    if np.linalg.norm(dent, axis=1).max() < DENT * found(body, "full")["size"]:
+        return NONE  # the ball has left the body
     near = np.linalg.norm(dent, axis=1) > 0.1 * np.linalg.norm(dent, axis=1).max()
-    return float(np.sqrt(((few - full)[near] ** 2).sum() / (dent[near] ** 2).sum()))
+    share = np.sqrt(((few - full)[near] ** 2).sum() / (dent[near] ** 2).sum())
+    return bold(f"{share:.0%}", share > 0.6)
 
 
 def peers() -> str:
