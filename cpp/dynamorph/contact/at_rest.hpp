@@ -29,7 +29,7 @@ std::pair<typename Model::Matrix, typename Model::Matrix> stiffness_and_mass(con
   return {K, inertia.mass};
 }
 
-/// The same of a body that hardly anything holds: a push of ten seconds is a static answer.
+/// K + M / (10 s)^2. The answer to a push of ten seconds is static, and exists where nothing holds the body.
 template <class Model>
 typename Model::Matrix lasting_stiffness(const Model& model, const VectorXd& weights) {
   constexpr double kAtRest = 10;  // s

@@ -21,7 +21,6 @@ constexpr double kStep = 2.0 / 3 / 96;  // s, where the mass is fitted: c h of B
 constexpr double kFree = 0.3;           // of a sample's weights on free nodes; with less, pins hold it
 constexpr int kTogether = 256;          // samples solved at a time, so that memory stays small
 constexpr Index kSolved = 3000;         // samples whose compliance is solved for; others have that of the most alike
-constexpr double kTurned = 0.1;         // of the body's size: as far as a normal at a right angle is unlike
 constexpr int kGrouped = 64;            // samples in a group, at most
 constexpr Index kLookedAt = 300;        // samples whose motion is compared with that of one that is pushed
 
@@ -80,8 +79,8 @@ std::vector<Index> most_alike(const Points& rest, const Points& normals, Index s
     Index best = p / stride;
     double least = kInfinity;
     for (Index k = 0; p % stride != 0 && k * stride < normals.rows(); ++k) {
-      const double apart = (rest.row(p) - rest.row(k * stride)).squaredNorm();
-      const double unlike = apart + kTurned * kTurned * size * size * (1 - normals.row(p).dot(normals.row(k * stride)));
+      const double unlike =
+          squared_unlikeness(rest.row(p), normals.row(p), rest.row(k * stride), normals.row(k * stride), size);
       if (unlike < least) {
         least = unlike;
         best = k;

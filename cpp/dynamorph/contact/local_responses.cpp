@@ -72,10 +72,13 @@ double stays_local(double own, double farthest) {
   return smooth_step((own / std::max(farthest, 1e-300) - kOwn[0]) / (kOwn[1] - kOwn[0]));
 }
 
+double squared_unlikeness(const Vector3d& x, const Vector3d& normal, const Vector3d& y, const Vector3d& other_normal,
+                          double size) {
+  return (x - y).squaredNorm() + kTurned * kTurned * size * size * std::max(0.0, 1 - normal.dot(other_normal));
+}
+
 double LocalResponses::unlike(int patch, const Vector3d& rest, const Vector3d& normal) const {
-  const double turned = std::max(0.0, 1 - centers_.normals.row(patch).dot(normal));
-  return std::sqrt((centers_.rest.row(patch).transpose() - rest).squaredNorm() +
-                   kTurned * kTurned * size_ * size_ * turned);
+  return std::sqrt(squared_unlikeness(centers_.rest.row(patch), centers_.normals.row(patch), rest, normal, size_));
 }
 
 void LocalResponses::patches_at(const Vector3d& rest, const Vector3d& normal,

@@ -23,6 +23,11 @@ namespace dynamorph {
 /// more than twice as far, and all from 1.1 times as far on.
 double stays_local(double own, double farthest);
 
+/// How unlike two points of a skin are, m^2: the square of their distance, and more for other unit normals. size: of
+/// the body, meters, of which a tenth is what a right angle between the normals counts as.
+double squared_unlikeness(const Vector3d& x, const Vector3d& normal, const Vector3d& y, const Vector3d& other_normal,
+                          double size);
+
 /// Points of a skin. Bind space, meters.
 struct SkinPlaces {
   Points rest;     ///< (L)
@@ -47,6 +52,7 @@ class LocalResponses {
   void patches_at(const Vector3d& rest, const Vector3d& normal, std::vector<std::pair<int, double>>& out) const;
 
  private:
+  /// How unlike a point is to a patch's center, meters.
   double unlike(int patch, const Vector3d& rest, const Vector3d& normal) const;
   double reach_of(const SkinPlaces& places) const;
   RowMajor weights_of(const SkinPlaces& places) const;  ///< (L, P)

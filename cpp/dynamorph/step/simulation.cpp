@@ -48,6 +48,20 @@ Box extent(const ColliderStep& step) {
   return out;
 }
 
+/// Throws Error unless a state's contacts are of samples that there are (0: without contact).
+void check_contacts(const State& state, Eigen::Index samples) {
+  const auto good = [&](int sample, int collider, const Vector3d& normal) {
+    return sample >= 0 && sample < samples && collider >= 0 && normal.allFinite();
+  };
+  for (const ContactMemory::Plane& plane : state.contact.planes)
+    if (!good(plane.sample, plane.collider, plane.normal) || !plane.point.allFinite())
+      throw Error("The state has a contact that does not fit");
+  for (const Pressure& pressure : state.pressures)
+    if (!good(pressure.sample, pressure.collider, pressure.normal) || !(pressure.force >= 0) ||
+        !std::isfinite(pressure.force))
+      throw Error("The state has a contact that does not fit");
+}
+
 /// The weight of this step's excess in the mean over a swing (motion_limit.hpp).
 double weight_of_step(double frequency, double h) { return 1 - std::exp(-h * frequency); }
 
@@ -309,20 +323,6 @@ StepReport Simulation<Model>::start(const Transforms& now, const Transforms& nex
   state_.contact.clear();
   state_.pressures.clear();
   return report;
-}
-
-/// Throws Error unless a state's contacts are of samples that there are (0: without contact).
-void check_contacts(const State& state, Eigen::Index samples) {
-  const auto good = [&](int sample, int collider, const Vector3d& normal) {
-    return sample >= 0 && sample < samples && collider >= 0 && normal.allFinite();
-  };
-  for (const ContactMemory::Plane& plane : state.contact.planes)
-    if (!good(plane.sample, plane.collider, plane.normal) || !plane.point.allFinite())
-      throw Error("The state has a contact that does not fit");
-  for (const Pressure& pressure : state.pressures)
-    if (!good(pressure.sample, pressure.collider, pressure.normal) || !(pressure.force >= 0) ||
-        !std::isfinite(pressure.force))
-      throw Error("The state has a contact that does not fit");
 }
 
 template <class Model>
