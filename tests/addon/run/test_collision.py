@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import real_character
 from bl_ext.user_default.dynamic_morph_targets.core.errors import SceneError
-from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
+from bl_ext.user_default.dynamic_morph_targets.core.motion import baked, contact
 from bl_ext.user_default.dynamic_morph_targets.io.cache_dir import CacheDir
 from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch, full_comparison, preview, session
 from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
@@ -548,6 +548,17 @@ def test_reduced_quality_dents_where_it_is_pressed(arm):
     full, few = dents
     near = np.linalg.norm(full, axis=1) > 0.1 * np.linalg.norm(full, axis=1).max()
     assert np.linalg.norm((few - full)[near]) < 0.6 * np.linalg.norm(full[near])
+
+
+def test_local_responses_do_not_depend_on_when_live_began(arm):
+    """They are kept while the artist changes the material."""
+    found = []
+    for poisson in (0.4, 0.3):
+        contact._known_responses.clear()
+        arm.dynamorph.targets[0].poisson = poisson
+        found.append(session.Tissue(arm, bpy.context.scene).player.collision.dents)
+    assert found[0].size
+    np.testing.assert_array_equal(*found)
 
 
 @pytest.mark.parametrize("hangs", [False, True])

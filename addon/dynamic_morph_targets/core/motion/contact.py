@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from ..errors import SceneError
 from ..geometry import diagonal, is_closed, signed_volume, vertex_normals
 from ..message import Message, named_frames
 from ..model.model import EngineModel, Model
+from ..settings import Material
 from .colliders import ColliderTrack, colliders_of
 from .limits import THINNEST, frames_around
 from .rig_samples import RigSamples
@@ -111,15 +112,22 @@ def _local_responses(
     model: Model, character: Character, seen: np.ndarray, rest: np.ndarray, normals: np.ndarray
 ) -> tuple[Any, np.ndarray]:
     """How the skin gives way locally, and the `Collision.dents` of it. seen: the vertices that can touch something;
-    rest, normals (V, 3): bind space. It takes a while, and is the same for all materials: so it is kept with the model.
+    rest, normals (V, 3): bind space. It takes a while, so it is kept with the model, and made for one material: the
+    engine scales it by the shear modulus, and what Live changes must not depend on when Live began.
     """
     known = _known_responses.get(id(model))
     if known:
         return known
     places = seen[spread(rest[seen], normals[seen], PLACES)]
-    full: Any = model.with_settings(replace(model.settings, solver="FULL")).engine(character)
+    lame_lambda, lame_mu = Material().lame()
+    sets = [s for s, target_set in enumerate(character.target_sets) for _ in target_set.targets]
+    targets = [
+        dynamorph.MorphTarget("", shape, lame_lambda=lame_lambda, lame_mu=lame_mu, density=Material.density, set=s)
+        for shape, s in zip(model.displacements, sets, strict=True)
+    ]
+    law = dynamorph.MaterialModel.__members__[model.settings.material_model]
     local = dynamorph.LocalResponses(
-        full,
+        dynamorph.FullModel(model.soft_body(), targets, law, dynamorph.Blending.EVEN),
         model.modes,
         rest[places],
         normals[places],
