@@ -23,8 +23,8 @@ namespace dynamorph {
 /// more than twice as far, and all from 1.1 times as far on.
 double stays_local(double own, double farthest);
 
-/// How unlike two points of a skin are, m^2: the square of their distance, and more for other unit normals. size: of
-/// the body, meters, of which a tenth is what a right angle between the normals counts as.
+/// How unlike two points of a skin are, m^2: the square of their distance, and more for other unit normals. A right
+/// angle between these counts as a tenth of `size`, the body's, meters.
 double squared_unlikeness(const Vector3d& x, const Vector3d& normal, const Vector3d& y, const Vector3d& other_normal,
                           double size);
 
