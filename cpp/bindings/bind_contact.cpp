@@ -57,15 +57,28 @@ void bind_collider(py::module_& m) {
            "active: whether something can touch it, for each step (S) or for all.");
 }
 
+using CornerWeights = decltype(SurfacePoints::weights);
+
+/// corners, corner_weights (P, 3); by default all vertices of the surface.
+SurfacePoints surface_points(const std::optional<IndexArray>& corners, const std::optional<CornerWeights>& weights,
+                             Eigen::Index vertices) {
+  if (corners.has_value() != weights.has_value())
+    throw std::invalid_argument("corners, corner_weights: give both of them or none");
+  if (!corners) return SurfacePoints::vertices(vertices);
+  return {to_indices<Triangles>(*corners, "corners"), *weights};
+}
+
 void bind_local_responses(py::module_& m) {
   py::class_<LocalResponses, std::shared_ptr<LocalResponses>>(
       m, "LocalResponses",
       "How patches of a skin give way where something presses, which a reduced model's coordinates cannot do. "
       "Simulations may share it.")
       .def(py::init([](std::shared_ptr<FullModel> model, const MatrixXd& basis, const FloatArray& rest,
-                       const FloatArray& normals, const Embedding& embedding, const std::vector<int>& centers) {
+                       const FloatArray& normals, const Embedding& embedding, const std::vector<int>& centers,
+                       const std::optional<IndexArray>& corners, const std::optional<CornerWeights>& weights) {
              const SkinPlaces places{as_points(flat_points("rest", rest, -1)),
-                                     as_points(flat_points("normals", normals, rest.shape(0))).rowwise().normalized()};
+                                     as_points(flat_points("normals", normals, rest.shape(0))).rowwise().normalized(),
+                                     surface_points(corners, weights, embedding.nodes.rows())};
              check_finite("basis", basis);
              check_finite("rest", places.rest);
              check_finite("normals", places.normals);
@@ -73,10 +86,11 @@ void bind_local_responses(py::module_& m) {
                  [&] { return std::make_shared<LocalResponses>(*model, basis, places, embedding, centers); });
            }),
            "model"_a.none(false), "basis"_a, "rest"_a, "normals"_a, "embedding"_a, "centers"_a,
+           "corners"_a = py::none(), "corner_weights"_a = py::none(),
            "model: the unreduced one. basis (3 free, dofs): the reduced model's. rest (L, 3): places that are spread "
-           "evenly over the soft skin, meters, bind space; normals (L, 3): outward, any length; embedding: of the L "
-           "places. centers "
-           "(P): those in the middle of a patch.")
+           "evenly over the soft skin, meters, bind space; normals (L, 3): outward, any length; embedding: of the "
+           "skin's V vertices. centers (P): those in the middle of a patch. corners (L, 3), corner_weights (L, 3): "
+           "the places are means of these vertices; by default they are the vertices.")
       .def_property_readonly(
           "shapes", [](const LocalResponses& r) { return MatrixXd(r.shapes()); },
           "Displacement (3 free, P) of the free nodes by a unit of each patch's amplitude, which has a mean square of "
@@ -94,18 +108,23 @@ void bind_contact_of(py::module_& m, const char* name) {
       .def(py::init([](std::shared_ptr<Model> model, const FloatArray& rest, const Embedding& embedding,
                        const MatrixXd& weights, const FloatArray& normals, const VectorXd& thickness,
                        const std::optional<FloatArray>& residual_shapes,
-                       const std::optional<std::shared_ptr<LocalResponses>>& local) {
-             ContactSkin samples{skin_of(rest, embedding, weights, residual_shapes),
-                                 as_points(flat_points("normals", normals, rest.shape(0))), thickness};
+                       const std::optional<std::shared_ptr<LocalResponses>>& local,
+                       const std::optional<IndexArray>& corners, const std::optional<CornerWeights>& corner_weights) {
+             ContactSkin samples{skin_of(rest, embedding, weights, residual_shapes), {}, {}, thickness};
+             samples.points = surface_points(corners, corner_weights, samples.skin.rest.rows());
+             samples.normals = as_points(flat_points("normals", normals, samples.points.size()));
              return without_gil(
                  [&] { return std::make_shared<Samples>(model, std::move(samples), local.value_or(nullptr)); });
            }),
            "model"_a.none(false), "rest"_a, "embedding"_a, "weights"_a, "normals"_a, "thickness"_a,
-           "residual_shapes"_a = py::none(), "local"_a = py::none(),
-           "rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin "
-           "weights at any positive scale; those below 1 % do not count. normals (P, 3): out of the body, bind space. "
+           "residual_shapes"_a = py::none(), "local"_a = py::none(), "corners"_a = py::none(),
+           "corner_weights"_a = py::none(),
+           "rest (V, 3): the skin's vertices, meters, bind space. embedding: of these in the body's mesh. weights "
+           "(V, B): skin weights at any positive scale; those below 1 % do not count. corners (P, 3), corner_weights "
+           "(P, 3): the points are means of these vertices, with weights that sum to one; by default they are the "
+           "vertices. normals (P, 3): out of the body, bind space. "
            "thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by "
-           "1.2 times that not at all. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, "
+           "1.2 times that not at all. residual_shapes (J, V, 3): what the mesh cannot carry of each target's shape, "
            "or None. local: how a reduced model's skin gives way; None for an unreduced one.")
       .def_property_readonly(
           "stiffness", [](const Samples& s) { return VectorXd(s.stiffness()); },

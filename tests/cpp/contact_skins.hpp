@@ -32,8 +32,32 @@ inline ContactSkin contact_skin_of(const SoftBody& body, double thickness) {
     else
       weights(p, 0) = 1;
   out.skin.weights = normalized(weights);
+  out.points = SurfacePoints::vertices(weights.rows());
   out.normals = normals(nodes, Eigen::all);
   out.thickness = VectorXd::Constant(weights.rows(), thickness);
+  return out;
+}
+
+/// The same with the middle of each face of the body's surface, after the surface's nodes.
+inline ContactSkin contact_faces_of(const SoftBody& body, double thickness) {
+  ContactSkin out = contact_skin_of(body, thickness);
+  const Triangles faces = surface_of(body.mesh);
+  const Eigen::Index vertices = out.points.size(), all = vertices + faces.rows();
+  out.points.corners.conservativeResize(all, 3);
+  out.points.weights.conservativeResize(all, 3);
+  out.normals.conservativeResize(all, 3);
+  out.thickness = VectorXd::Constant(all, thickness);
+  for (Eigen::Index t = 0; t < faces.rows(); ++t) {
+    Vector3d normal = Vector3d::Zero();
+    for (int k = 0; k < 3; ++k)
+      for (int v = 0; v < int(vertices); ++v)
+        if (out.skin.rest.row(v) == body.mesh.nodes.row(faces(t, k))) {
+          out.points.corners(vertices + t, k) = v;
+          normal += out.normals.row(v).normalized();
+        }
+    out.points.weights.row(vertices + t).setConstant(1.0 / 3);
+    out.normals.row(vertices + t) = normal;
+  }
   return out;
 }
 

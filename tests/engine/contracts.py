@@ -70,8 +70,12 @@ def scene() -> SimpleNamespace:
     normals = s.points - s.points.mean(axis=0)
     s.samples = {"rest": s.points, "embedding": s.embedding, "weights": np.ones((len(s.points), 1)),
                  "normals": normals, "thickness": np.full(len(s.points), 0.05)}  # fmt: skip
+    corners = {"corners": np.tile(np.arange(len(s.points), dtype=np.int32)[:, None], 3),
+               "corner_weights": np.full((len(s.points), 3), 1.0 / 3.0)}  # fmt: skip
+    s.samples |= corners
     s.full_contact = dynamorph.FullContact(s.full, **s.samples)
-    s.places = {"basis": np.eye(s.full.dofs)[:, :4], "rest": s.points, "normals": normals, "embedding": s.embedding}
+    s.places = {"basis": np.eye(s.full.dofs)[:, :4], "rest": s.points, "normals": normals, "embedding": s.embedding,
+                **corners}  # fmt: skip
     s.dents = dynamorph.LocalResponses(s.full, **s.places, centers=[0, 1])
     s.reduced_contact = dynamorph.ReducedContact(s.reduced, **s.samples, local=s.dents)
     s.collider_points = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dynamic_morph_targets.core.geometry import is_closed, vertex_normals
-from dynamic_morph_targets.core.motion.contact import BITS, Touched, as_bits, spread, touched
+from dynamic_morph_targets.core.geometry import diagonal, is_closed, vertex_normals
+from dynamic_morph_targets.core.motion.contact import BITS, Touched, as_bits, touched
+from dynamic_morph_targets.core.motion.contact_points import SPACING, mixed, spread
 
 
 class Collision:
@@ -39,6 +40,27 @@ def test_points_are_spread_over_both_sides_of_something_thin():
 def test_few_points_are_all_taken():
     points = sheet(4, 0.0)
     assert spread(points, np.ones_like(points), 16).tolist() == list(range(16))
+
+
+def test_no_part_of_a_skin_is_far_from_a_point_of_it():
+    """Large faces and slivers, which share an edge."""
+    rest = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.3, 1.0, 0.2], [1.0, -0.03, 0.0]])
+    triangles = np.array([[0, 1, 2], [1, 0, 3]])
+    corners, weights = mixed(rest, triangles)
+    points = np.einsum("pk,pkc->pc", weights, rest[corners])
+    assert (np.diff(weights, axis=1) <= 0.0).all()  # the nearest corner first
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0)
+    assert len(np.unique(points.round(9), axis=0)) == len(points)
+    shares = np.random.default_rng(1).dirichlet(np.ones(3), 400)
+    for triangle in triangles:
+        apart = np.linalg.norm((shares @ rest[triangle])[:, None] - points, axis=2).min(axis=1)
+        assert apart.max() < SPACING * diagonal(rest)
+
+
+def test_a_fine_skin_is_its_vertices():
+    rest = np.array([[0.0, 0.0, 0.0], [0.005, 0.0, 0.0], [0.0, 0.005, 0.0], [1.0, 1.0, 1.0]])
+    corners, _ = mixed(rest, np.array([[0, 1, 2]]))
+    assert corners[:, 0].tolist() == [0, 1, 2]
 
 
 def test_normals_are_those_of_the_triangles_around():

@@ -476,9 +476,9 @@ class LocalResponses:
     """
     How patches of a skin give way where something presses, which a reduced model's coordinates cannot do. Simulations may share it.
     """
-    def __init__(self, model: FullModel, basis: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, centers: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex]) -> None:
+    def __init__(self, model: FullModel, basis: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, centers: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], corners: typing.Annotated[numpy.typing.ArrayLike, numpy.int32] | None = None, corner_weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 3]"] | None = None) -> None:
         """
-        model: the unreduced one. basis (3 free, dofs): the reduced model's. rest (L, 3): places that are spread evenly over the soft skin, meters, bind space; normals (L, 3): outward, any length; embedding: of the L places. centers (P): those in the middle of a patch.
+        model: the unreduced one. basis (3 free, dofs): the reduced model's. rest (L, 3): places that are spread evenly over the soft skin, meters, bind space; normals (L, 3): outward, any length; embedding: of the skin's V vertices. centers (P): those in the middle of a patch. corners (L, 3), corner_weights (L, 3): the places are means of these vertices; by default they are the vertices.
         """
     @property
     def shapes(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
@@ -494,9 +494,9 @@ class FullContact:
     """
     The points of a model's skin that can touch colliders. Simulations may share them.
     """
-    def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, local: LocalResponses | None = None) -> None:
+    def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, local: LocalResponses | None = None, corners: typing.Annotated[numpy.typing.ArrayLike, numpy.int32] | None = None, corner_weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 3]"] | None = None) -> None:
         """
-        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale; those below 1 % do not count. normals (P, 3): out of the body, bind space. thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by 1.2 times that not at all. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None. local: how a reduced model's skin gives way; None for an unreduced one.
+        rest (V, 3): the skin's vertices, meters, bind space. embedding: of these in the body's mesh. weights (V, B): skin weights at any positive scale; those below 1 % do not count. corners (P, 3), corner_weights (P, 3): the points are means of these vertices, with weights that sum to one; by default they are the vertices. normals (P, 3): out of the body, bind space. thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by 1.2 times that not at all. residual_shapes (J, V, 3): what the mesh cannot carry of each target's shape, or None. local: how a reduced model's skin gives way; None for an unreduced one.
         """
     @property
     def stiffness(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
@@ -507,9 +507,9 @@ class ReducedContact:
     """
     The points of a model's skin that can touch colliders. Simulations may share them.
     """
-    def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, local: LocalResponses | None = None) -> None:
+    def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, local: LocalResponses | None = None, corners: typing.Annotated[numpy.typing.ArrayLike, numpy.int32] | None = None, corner_weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 3]"] | None = None) -> None:
         """
-        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale; those below 1 % do not count. normals (P, 3): out of the body, bind space. thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by 1.2 times that not at all. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None. local: how a reduced model's skin gives way; None for an unreduced one.
+        rest (V, 3): the skin's vertices, meters, bind space. embedding: of these in the body's mesh. weights (V, B): skin weights at any positive scale; those below 1 % do not count. corners (P, 3), corner_weights (P, 3): the points are means of these vertices, with weights that sum to one; by default they are the vertices. normals (P, 3): out of the body, bind space. thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by 1.2 times that not at all. residual_shapes (J, V, 3): what the mesh cannot carry of each target's shape, or None. local: how a reduced model's skin gives way; None for an unreduced one.
         """
     @property
     def stiffness(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:

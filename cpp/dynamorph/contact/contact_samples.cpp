@@ -17,28 +17,30 @@ using Eigen::Index;
 namespace {
 
 constexpr double kFirmness = 30;        // times the stiffness of the body: what is left of a dent is 1/30
+constexpr double kEach = 10;            // samples of a patch: of more, each pushes less, so that they all push as much
 constexpr double kStep = 2.0 / 3 / 96;  // s, where the mass is fitted: c h of BDF2 at 24 fps and 4 substeps
 constexpr double kFree = 0.3;           // of a sample's weights on free nodes; with less, pins hold it
 constexpr int kTogether = 256;          // samples solved at a time, so that memory stays small
 constexpr Index kSolved = 3000;         // samples whose compliance is solved for; others have that of the most alike
 constexpr int kGrouped = 64;            // samples in a group, at most
-constexpr Index kLookedAt = 300;        // samples whose motion is compared with that of one that is pushed
+constexpr Index kLookedAt = 300;        // samples whose motion by the coordinates is compared with that of a pushed one
 
 /// j^T A^-1 j of each row j.
 VectorXd compliance(const SparseMatrix& A, const SparseRows& J) {
   BlockCholesky<double> factor;
-  VectorXd out = VectorXd::Zero(J.rows());
+  VectorXd out = VectorXd::Zero(J.rows()), column;
   if (!factor.factorize(A)) return out;
   MatrixXd columns;
   for (Index first = 0; first < J.rows(); first += kTogether) {
     const Index count = std::min<Index>(kTogether, J.rows() - first);
-    columns.setZero(A.rows(), count);
+    columns.resize(A.rows(), count);
     for (Index k = 0; k < count; ++k) {
-      const auto column = J.parts.row(J.first(first + k));
-      columns.col(k) = column.transpose();
+      column.setZero(A.rows());
+      J.add(first + k, 1, column);
+      columns.col(k) = column;
     }
     factor.solve_in_place(columns);
-    for (Index k = 0; k < count; ++k) out(first + k) = J.parts.row(J.first(first + k)).dot(columns.col(k));
+    for (Index k = 0; k < count; ++k) out(first + k) = J.dot(first + k, columns.col(k));
   }
   return out;
 }
@@ -65,8 +67,15 @@ VectorXd stay_local(const VectorXd& own, const MatrixXd& moved) {
   return out;
 }
 
+/// At most `most` of `count` samples, evenly.
+std::vector<int> spaced(Index count, Index most) {
+  std::vector<int> out;
+  for (Index p = 0; p < count; p += (count + most - 1) / most) out.push_back(int(p));
+  return out;
+}
+
 /// The rows of chosen points (3 points, columns).
-RowMajor points_of(const RowMajor& basis, const std::vector<int>& points) {
+RowMajor rows_of(const RowMajor& basis, const std::vector<int>& points) {
   RowMajor out(3 * Index(points.size()), basis.cols());
   for (std::size_t i = 0; i < points.size(); ++i) out.middleRows<3>(3 * Index(i)) = basis.middleRows<3>(3 * points[i]);
   return out;
@@ -91,22 +100,38 @@ std::vector<Index> most_alike(const Points& rest, const Points& normals, Index s
   return out;
 }
 
-/// The sum of the weights of each point's free nodes.
-VectorXd free_weights(const SoftBody& body, const Embedding& embedding) {
-  VectorXd out = VectorXd::Zero(embedding.nodes.rows());
-  for (Index p = 0; p < out.size(); ++p)
+/// The rest positions of points (P) of a skin.
+Points places_of(const Skin& skin, const SurfacePoints& points) {
+  Points out = Points::Zero(points.size(), 3);
+  for (Index p = 0; p < out.rows(); ++p)
+    points.each_corner(p, [&](int v, double weight) { out.row(p) += weight * skin.rest.row(v); });
+  return out;
+}
+
+/// Calls f(free node, weight) for those that carry a point.
+template <class F>
+void each_free_node(const SoftBody& body, const Embedding& embedding, const SurfacePoints& points, Index point, F&& f) {
+  points.each_corner(point, [&](int v, double weight) {
     for (int k = 0; k < 4; ++k)
-      if (body.free_of_node[std::size_t(embedding.nodes(p, k))] >= 0) out(p) += embedding.weights(p, k);
+      if (const int free = body.free_of_node[std::size_t(embedding.nodes(v, k))]; free >= 0)
+        f(free, weight * embedding.weights(v, k));
+  });
+}
+
+/// The sum of the weights of each point's free nodes.
+VectorXd free_weights(const SoftBody& body, const Embedding& embedding, const SurfacePoints& points) {
+  VectorXd out = VectorXd::Zero(points.size());
+  for (Index p = 0; p < out.size(); ++p)
+    each_free_node(body, embedding, points, p, [&](int, double weight) { out(p) += weight; });
   return out;
 }
 
 /// The target sets' shares of the tissue at the nodes of each point (P, S).
-MatrixXd set_shares(const SoftBody& body, const Embedding& embedding) {
-  MatrixXd out = MatrixXd::Zero(embedding.nodes.rows(), body.sets());
+MatrixXd set_shares(const SoftBody& body, const Embedding& embedding, const SurfacePoints& points) {
+  MatrixXd out = MatrixXd::Zero(points.size(), body.sets());
   for (Index p = 0; p < out.rows(); ++p) {
-    for (int k = 0; k < 4; ++k)
-      if (const int free = body.free_of_node[std::size_t(embedding.nodes(p, k))]; free >= 0)
-        out.row(p) += std::abs(embedding.weights(p, k)) * body.volumes.row(free);
+    each_free_node(body, embedding, points, p,
+                   [&](int free, double weight) { out.row(p) += std::abs(weight) * body.volumes.row(free); });
     const double sum = out.row(p).sum();
     if (sum > 0) out.row(p) /= sum;
   }
@@ -115,9 +140,10 @@ MatrixXd set_shares(const SoftBody& body, const Embedding& embedding) {
 
 /// Groups of at most kGrouped samples.
 template <class Group>
-std::vector<Group> grouped(const Skin& skin, const VectorXd& thickness) {
+std::vector<Group> grouped(const Skin& skin, const SurfacePoints& points, const Points& rest,
+                           const VectorXd& thickness) {
   std::vector<Eigen::AlignedBox3d> places;
-  for (Index p = 0; p < skin.rest.rows(); ++p) places.emplace_back(Vector3d(skin.rest.row(p)));
+  for (Index p = 0; p < rest.rows(); ++p) places.emplace_back(Vector3d(rest.row(p)));
   const Bvh tree(places);
   std::vector<Group> out;
   for (std::size_t n = 0; n < tree.nodes.size();) {  // a node's children follow it
@@ -132,7 +158,10 @@ std::vector<Group> grouped(const Skin& skin, const VectorXd& thickness) {
     std::map<Index, Eigen::AlignedBox3d> boxes;
     for (const int p : group.samples) {
       group.thickness = std::max(group.thickness, thickness(p));
-      for (SkinWeights::InnerIterator it(skin.weights, p); it; ++it) boxes[it.col()].extend(Vector3d(skin.rest.row(p)));
+      points.each_corner(p, [&](int v, double) {
+        for (SkinWeights::InnerIterator it(skin.weights, v); it; ++it)
+          boxes[it.col()].extend(Vector3d(skin.rest.row(v)));
+      });
     }
     group.boxes.assign(boxes.begin(), boxes.end());
     n += std::size_t(2 * count - 1);  // the nodes of a tree with as many leaves
@@ -153,7 +182,8 @@ VectorXd most_moved(const ModalPoints& points, const Embedding&) {
 }
 
 const ContactSkin& checked(const ContactSkin& samples) {
-  const Index P = samples.skin.rest.rows();
+  const Index P = samples.points.size();
+  check_points(samples.points, samples.skin.rest.rows());
   check_size("normals", samples.normals.rows(), P);
   check_size("thickness", samples.thickness.size(), P);
   if (!samples.normals.allFinite() || !(samples.normals.rowwise().norm().array() > 0).all())
@@ -169,11 +199,14 @@ template <class Model>
 ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, ContactSkin samples,
                                       std::shared_ptr<const LocalResponses> local)
     : map_(model, checked(samples).skin),
+      points_(std::move(samples.points)),
+      rest_(places_of(map_.skin(), points_)),
       normals_(samples.normals.rowwise().normalized()),
       thickness_(std::move(samples.thickness)),
-      groups_(grouped<Group>(map_.skin(), thickness_)),
-      share_(set_shares(model->body(), map_.skin().embedding)),
+      groups_(grouped<Group>(map_.skin(), points_, rest_, thickness_)),
+      share_(set_shares(model->body(), map_.skin().embedding, points_)),
       softness_(model->body().sets()),
+      firmness_(kFirmness),
       local_(std::move(local)) {
   const VectorXd neutral = neutral_weights(model->body(), model->targets());
   for (std::size_t j = 0; j < model->targets().size(); ++j)
@@ -181,22 +214,25 @@ ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, Contac
   stiffness_.setZero(size());
   mass_.setZero(size());
   taken_.setOnes(size());
+  if (local_)
+    firmness_ = kFirmness * std::min(1.0, kEach * double(local_->size()) / double(std::max<Index>(size(), 1)));
   moved_.setZero(model->dofs());
   residual_.setZero(0);
   if (size() == 0) return;
-  const typename Model::SkinPoints points = model->skin_points(map_.skin().embedding);
-  bound_motion(points);
+  const typename Model::SkinPoints vertices = model->skin_points(map_.skin().embedding);
+  bound_motion(vertices);
   find_patches();
-  find_stiffness(points, neutral);
+  find_stiffness(vertices, neutral);
 }
 
 template <class Model>
-void ContactSamples<Model>::bound_motion(const typename Model::SkinPoints& points) {
-  moved_ = most_moved(points, map_.skin().embedding);
+void ContactSamples<Model>::bound_motion(const typename Model::SkinPoints& vertices) {
+  moved_ = most_moved(vertices, map_.skin().embedding);
   const MatrixXd& R = map_.skin().residual_shapes;
   residual_.setZero(R.size() > 0 ? R.cols() : 0);
-  for (Index j = 0; j < residual_.size(); ++j) residual_(j) = R.col(j).reshaped(3, size()).colwise().norm().maxCoeff();
-  shapes_.resize(3 * size(), Index(model().targets().size()));
+  for (Index j = 0; j < residual_.size(); ++j)
+    residual_(j) = R.col(j).reshaped(3, map_.size()).colwise().norm().maxCoeff();
+  shapes_.resize(3 * map_.size(), Index(model().targets().size()));
   for (Index j = 0; j < shapes_.cols(); ++j) {
     VectorXd shape;
     map_.displacement(VectorXd::Unit(shapes_.cols(), j), model().target(int(j)), shape);
@@ -213,42 +249,42 @@ void ContactSamples<Model>::find_patches() {
   patches_.resize(std::size_t(size()));
   std::vector<std::pair<int, double>> found;
   for (Index p = 0; p < size(); ++p) {
-    local_->patches_at(map_.skin().rest.row(p), normals_.row(p), found);
+    local_->patches_at(rest_.row(p), normals_.row(p), found);
     for (const auto& [patch, weight] : found) patches_[std::size_t(p)].push_back(patch);
   }
 }
 
 template <class Model>
-void ContactSamples<Model>::find_stiffness(const typename Model::SkinPoints& points, const VectorXd& neutral) {
+void ContactSamples<Model>::find_stiffness(const typename Model::SkinPoints& vertices, const VectorXd& neutral) {
   const Index stride = (size() + kSolved - 1) / kSolved;
-  const std::vector<Index> solved = most_alike(map_.skin().rest, normals_, stride, model().body().size);
+  const std::vector<Index> solved = most_alike(rest_, normals_, stride, model().body().size);
+  const std::vector<int> samples = spaced(size(), kSolved);
   PointRows numbers;
-  for (int p = 0; p < int(size()); p += int(stride)) {
+  for (const int p : samples) {
     numbers.add_row();
-    numbers.add(p, normals_.row(p));
+    add(p, normals_.row(p), numbers);
   }
   typename SkinMap<Model>::Rows rows;
-  points.rows(numbers, rows);
+  vertices.rows(numbers, rows);
   const typename Model::Matrix A = lasting_stiffness(model(), neutral);
   auto [K, M] = stiffness_and_mass(model(), neutral);
   values(K) += values(M) / (kStep * kStep);
   VectorXd lasting = compliance(A, rows), in_step = compliance(K, rows), pushed = VectorXd::Ones(lasting.size());
   if constexpr (std::is_same_v<Model, ReducedModel>) {
-    std::vector<int> others;
-    for (Index p = 0; p < size(); p += (size() + kLookedAt - 1) / kLookedAt) others.push_back(int(p));
-    MatrixXd moved = points_of(points.basis(), others) * answers_to(A, rows);
-    pushed = stay_local(lasting, moved);
+    const MatrixXd answers = answers_to(A, rows);
+    pushed = stay_local(lasting, rows_of(vertices.basis(), spaced(map_.size(), kLookedAt)) * answers);
     if (local_) {
       const VectorXd taken = pushed;
       for (Index p = 0; p < size(); ++p) taken_(p) = taken(solved[std::size_t(p)]);
-      const auto [local, dents] = local_answers(numbers, others, neutral);
-      moved = moved * taken.asDiagonal() + dents;
-      pushed = stay_local(lasting.cwiseProduct(taken) + local, moved);
+      const std::vector<int> others = spaced(map_.size(), kSolved);  // patches move few, but those may be far off
+      const auto [local, dents] = local_answers(samples, numbers, others, neutral);
+      pushed = stay_local(lasting.cwiseProduct(taken) + local,
+                          rows_of(vertices.basis(), others) * answers * taken.asDiagonal() + dents);
       lasting = lasting.cwiseProduct(taken.cwiseAbs2()) + local;
       in_step = in_step.cwiseProduct(taken.cwiseAbs2()) + local;
     }
   }
-  const VectorXd free = free_weights(model().body(), map_.skin().embedding);
+  const VectorXd free = free_weights(model().body(), map_.skin().embedding, points_);
   for (Index p = 0; p < size(); ++p) {
     const Index k = solved[std::size_t(p)];
     if (!(in_step(k) > 0)) continue;
@@ -261,38 +297,64 @@ void ContactSamples<Model>::find_stiffness(const typename Model::SkinPoints& poi
 }
 
 template <class Model>
-std::pair<VectorXd, MatrixXd> ContactSamples<Model>::local_answers(const PointRows& numbers,
+std::pair<VectorXd, MatrixXd> ContactSamples<Model>::local_answers(const std::vector<int>& samples,
+                                                                   const PointRows& numbers,
                                                                    const std::vector<int>& others,
                                                                    const VectorXd& neutral) const {
   std::vector<int> all(std::size_t(local_->size()));
   std::iota(all.begin(), all.end(), 0);
-  MatrixXd rows(local_->size(), numbers.size());
-  for (int k = 0; k < numbers.size(); ++k)
-    rows.col(k) = local_row(numbers.point(k), numbers.direction(k), all).transpose();
-  MatrixXd answers = local_->stiffness().llt().solve(rows);
-  for (int k = 0; k < numbers.size(); ++k) answers.col(k) /= local_stiffer(numbers.point(k), neutral);
-  RowMajor places(3 * Index(others.size()), local_->size());
-  for (std::size_t i = 0; i < others.size(); ++i)
-    for (int axis = 0; axis < 3; ++axis)
-      places.row(3 * Index(i) + axis) = local_row(others[i], Vector3d::Unit(axis), all);
-  return {rows.cwiseProduct(answers).colwise().sum().transpose(), places * answers};
+  MatrixXd places(3 * Index(others.size()), local_->size());
+  PointRows axes;
+  for (int i = 0; i < int(places.rows()); ++i) {
+    axes.add_row();
+    axes.add(others[std::size_t(i / 3)], Vector3d::Unit(i % 3));
+    places.row(i) = local_row(axes, i, all);
+  }
+  VectorXd own(numbers.size());
+  MatrixXd moved = MatrixXd::Zero(places.rows(), numbers.size());
+  for (int k = 0; k < numbers.size(); ++k) {
+    const std::vector<int>& patches = patches_[std::size_t(samples[std::size_t(k)])];
+    const Index m = Index(patches.size());
+    MatrixXd stiffness(m, m);
+    for (Index i = 0; i < m; ++i)
+      for (Index j = 0; j < m; ++j)
+        stiffness(i, j) = local_->stiffness()(patches[std::size_t(i)], patches[std::size_t(j)]);
+    const VectorXd row = local_row(numbers, k, patches).transpose();
+    const VectorXd answer = stiffness.llt().solve(row) / local_stiffer(samples[std::size_t(k)], neutral);
+    own(k) = row.dot(answer);
+    for (Index i = 0; i < m; ++i) moved.col(k) += answer(i) * places.col(patches[std::size_t(i)]);
+  }
+  return {own, moved};
 }
 
 template <class Model>
-Eigen::RowVectorXd ContactSamples<Model>::local_row(Index sample, const Vector3d& direction,
+Eigen::RowVectorXd ContactSamples<Model>::local_row(const PointRows& numbers, int row,
                                                     const std::vector<int>& patches) const {
   const Embedding& embedding = map_.skin().embedding;
   Eigen::RowVectorXd out = Eigen::RowVectorXd::Zero(Index(patches.size()));
-  for (int k = 0; k < 4; ++k) {
-    const int node = model().body().free_of_node[std::size_t(embedding.nodes(sample, k))];
-    if (node < 0) continue;
-    for (int axis = 0; axis < 3; ++axis) {
-      const double factor = embedding.weights(sample, k) * direction(axis);
-      const double* row = local_->shapes().row(3 * node + axis).data();
-      for (std::size_t m = 0; m < patches.size(); ++m) out(Index(m)) += factor * row[patches[m]];
+  for (int part = numbers.first(row); part < numbers.first(row + 1); ++part)
+    for (int k = 0; k < 4; ++k) {
+      const int v = numbers.point(part), node = model().body().free_of_node[std::size_t(embedding.nodes(v, k))];
+      if (node < 0) continue;
+      for (int axis = 0; axis < 3; ++axis) {
+        const double factor = embedding.weights(v, k) * numbers.direction(part)(axis);
+        const double* shapes = local_->shapes().row(3 * node + axis).data();
+        for (std::size_t m = 0; m < patches.size(); ++m) out(Index(m)) += factor * shapes[patches[m]];
+      }
     }
-  }
   return out;
+}
+
+template <class Model>
+Vector3d ContactSamples<Model>::unmoved(const Transforms& bones, const VectorXd& weights, Index sample) const {
+  Vector3d out = Vector3d::Zero();
+  points_.each_corner(sample, [&](int v, double weight) { out += weight * map_.unmoved(bones, weights, v); });
+  return out;
+}
+
+template <class Model>
+void ContactSamples<Model>::add(Index sample, const Vector3d& direction, PointRows& numbers) const {
+  points_.each_corner(sample, [&](int v, double weight) { numbers.add(v, weight * direction); });
 }
 
 template <class Model>
@@ -330,7 +392,7 @@ double ContactSamples<Model>::stiffer(Index sample, const VectorXd& weights, con
 
 template <class Model>
 double ContactSamples<Model>::stiffness(Index sample, const VectorXd& weights, double square) const {
-  return kFirmness * (stiffer(sample, weights, softness_) * stiffness_(sample) + mass_(sample) / square);
+  return firmness_ * (stiffer(sample, weights, softness_) * stiffness_(sample) + mass_(sample) / square);
 }
 
 template <class Model>

@@ -11,7 +11,10 @@
 // Its few coordinates can move firm skin only by moving other skin far: where that would move any other sample more
 // than twice as far as the pushed one they take no part in contact, and all of it from 1.1 times as far on. Without the
 // local responses of patches (local_responses.hpp) such a sample is not pushed; with them they give way there alone,
-// and C_p is the compliance of both.
+// C_p is the compliance of both, and the samples of a patch push as much as ten together, however many they are.
+//
+// A sample is a vertex of the skin or a point of one of its edges or faces. It is where the mean of its corners is, as
+// the skin is drawn, and a push on it pushes all of them.
 #pragma once
 
 #include <Eigen/Geometry>
@@ -27,11 +30,12 @@
 
 namespace dynamorph {
 
-/// Points of a skin that can touch something. Bind space, meters.
+/// Points of a skin that can touch something: the samples. Bind space, meters.
 struct ContactSkin {
-  Skin skin;           ///< of P points
-  Points normals;      ///< (P): out of the body, any length above zero
-  VectorXd thickness;  ///< T (P) > 0: of the tissue below; a collider that the bones take in deeper pushes less
+  Skin skin;             ///< its vertices (V)
+  SurfacePoints points;  ///< the samples (P)
+  Points normals;        ///< (P): out of the body, any length above zero
+  VectorXd thickness;    ///< T (P) > 0: of the tissue below; a collider that the bones take in deeper pushes less
 };
 
 /// Immutable: simulations may share it.
@@ -45,7 +49,8 @@ class ContactSamples {
 
   const Model& model() const { return map_.model(); }
   const SkinMap<Model>& map() const { return map_; }
-  Eigen::Index size() const { return map_.size(); }  ///< P
+  const SurfacePoints& points() const { return points_; }
+  Eigen::Index size() const { return points_.size(); }  ///< P
   const VectorXd& thickness() const { return thickness_; }
   /// 1 / C (P), N/m, at the neutral targets; 0 where pins leave next to nothing to move.
   const VectorXd& stiffness() const { return stiffness_; }
@@ -60,8 +65,8 @@ class ContactSamples {
   const std::vector<int>& patches(Eigen::Index sample) const { return patches_[std::size_t(sample)]; }
   /// The part of a push that the model's coordinates take, in [0, 1]; one without local responses.
   double taken(Eigen::Index sample) const { return taken_(sample); }
-  /// How far a sample moves along a direction in bind space with a unit of each of these patches.
-  Eigen::RowVectorXd local_row(Eigen::Index sample, const Vector3d& direction, const std::vector<int>& patches) const;
+  /// What a number of the skin's vertices, with directions in bind space, is for a unit of each of these patches.
+  Eigen::RowVectorXd local_row(const PointRows& numbers, int row, const std::vector<int>& patches) const;
   /// How much stiffer the local responses at a sample are at target weights (J).
   double local_stiffer(Eigen::Index sample, const VectorXd& weights) const {
     return stiffer(sample, weights, local_->shear().cwiseInverse());
@@ -79,31 +84,38 @@ class ContactSamples {
   /// A box in world space around all samples of a group that are displaced by no more than `farthest`.
   static Eigen::AlignedBox3d region(const Group& group, const Transforms& bones, double farthest);
 
-  /// Displacement of a sample in the targets' shapes blended by the weights (J), bind space, meters.
-  Vector3d shape(const VectorXd& weights, Eigen::Index sample) const {
-    return shapes_.middleRows<3>(3 * sample) * weights;
+  /// Displacement of a vertex of the skin in the targets' shapes blended by the weights (J), bind space, meters.
+  Vector3d shape(const VectorXd& weights, Eigen::Index vertex) const {
+    return shapes_.middleRows<3>(3 * vertex) * weights;
   }
+  /// Where a sample is at q = 0, world space.
+  Vector3d unmoved(const Transforms& bones, const VectorXd& weights, Eigen::Index sample) const;
+  /// Adds how far a sample moves along a direction to the last row of numbers.
+  void add(Eigen::Index sample, const Vector3d& direction, PointRows& numbers) const;
   /// Out of the body, unit, world space, as a sample's transform has it.
   Vector3d normal(const PointTransform& T, Eigen::Index sample) const;
 
  private:
-  void bound_motion(const typename Model::SkinPoints& points);
+  void bound_motion(const typename Model::SkinPoints& vertices);
   void find_patches();
-  void find_stiffness(const typename Model::SkinPoints& points, const VectorXd& neutral);
-  /// How far the local responses to a newton along each of these numbers (k) move it, and other samples (3 others, k).
-  std::pair<VectorXd, MatrixXd> local_answers(const PointRows& numbers, const std::vector<int>& others,
-                                              const VectorXd& neutral) const;
+  void find_stiffness(const typename Model::SkinPoints& vertices, const VectorXd& neutral);
+  /// How far the patches at each of these samples (k) move it for a newton along the numbers (k), and vertices
+  /// (3 others, k).
+  std::pair<VectorXd, MatrixXd> local_answers(const std::vector<int>& samples, const PointRows& numbers,
+                                              const std::vector<int>& others, const VectorXd& neutral) const;
   double stiffer(Eigen::Index sample, const VectorXd& weights, const VectorXd& softness) const;
 
-  SkinMap<Model> map_;
-  Points normals_;  ///< unit
+  SkinMap<Model> map_;  ///< of the vertices
+  SurfacePoints points_;
+  Points rest_, normals_;  ///< of the samples; unit
   VectorXd thickness_, stiffness_, mass_;
   std::vector<Group> groups_;
   MatrixXd share_;     ///< of the target sets in a sample's tissue (P, S); rows sum to one
   VectorXd softness_;  ///< 1 / mu of each set's neutral target
-  VectorXd moved_;     ///< the most that a unit of each coordinate displaces a sample; of a mesh, of a node (1)
+  double firmness_;    ///< times the stiffness of the body
+  VectorXd moved_;     ///< the most that a unit of each coordinate displaces a vertex; of a mesh, of a node (1)
   VectorXd residual_;  ///< the same of each target's residual shape (J)
-  MatrixXd shapes_;    ///< displacements of the samples in each target's shape (3P, J)
+  MatrixXd shapes_;    ///< displacements of the vertices in each target's shape (3V, J)
   std::shared_ptr<const LocalResponses> local_;
   std::vector<std::vector<int>> patches_;
   VectorXd taken_;

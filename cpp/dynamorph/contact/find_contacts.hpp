@@ -39,7 +39,7 @@ struct SampleStep {
 
   void resize(Eigen::Index count) {
     samples.resize(std::size_t(count));
-    for (Points* points : {&before, &predicted, &unmoved, &normal}) points->resize(count, 3);
+    for (Points* points : {&before, &predicted, &unmoved, &normal}) points->setZero(count, 3);
     thickness.resize(count);
   }
 };

@@ -23,7 +23,7 @@ constexpr double kGivesWay = 1e-6;     // of the most compliant patch: what is h
 constexpr double kAlike = 1e-9;        // patches that overlap give way nearly alike
 
 SkinPlaces at(const SkinPlaces& places, const std::vector<int>& chosen) {
-  SkinPlaces out{Points(Index(chosen.size()), 3), Points(Index(chosen.size()), 3)};
+  SkinPlaces out{Points(Index(chosen.size()), 3), Points(Index(chosen.size()), 3), {}};
   for (std::size_t k = 0; k < chosen.size(); ++k) {
     if (chosen[k] < 0 || chosen[k] >= places.rest.rows())
       throw std::invalid_argument("centers: there is no such place");
@@ -34,26 +34,37 @@ SkinPlaces at(const SkinPlaces& places, const std::vector<int>& chosen) {
 }
 
 /// f_P (3 free, P) of the patches' weights at the places (L, P).
-MatrixXd loads_on(const SoftBody& body, const SkinPlaces& places, const Embedding& embedding, const RowMajor& pressed) {
-  MatrixXd out = MatrixXd::Zero(3 * Index(body.free_nodes.size()), pressed.cols());
-  for (Index p = 0; p < pressed.rows(); ++p)
-    for (Index patch = 0; patch < pressed.cols(); ++patch) {
-      if (pressed(p, patch) == 0) continue;
-      for (int k = 0; k < 4; ++k)
-        if (const int node = body.free_of_node[std::size_t(embedding.nodes(p, k))]; node >= 0)
-          out.col(patch).segment<3>(3 * node) +=
-              pressed(p, patch) * embedding.weights(p, k) * places.normals.row(p).transpose();
-    }
+MatrixXd loads_on(const NodalPoints& vertices, const SkinPlaces& places, const RowMajor& pressed) {
+  PointRows numbers;
+  for (Index patch = 0; patch < pressed.cols(); ++patch) {
+    numbers.add_row();
+    for (Index p = 0; p < pressed.rows(); ++p)
+      if (pressed(p, patch) > 0)
+        places.points.each_corner(
+            p, [&](int v, double weight) { numbers.add(v, pressed(p, patch) * weight * places.normals.row(p)); });
+  }
+  SparseRows rows;
+  vertices.rows(numbers, rows);
+  MatrixXd out(rows.parts.cols(), pressed.cols());
+  VectorXd load;
+  for (Index patch = 0; patch < pressed.cols(); ++patch) {
+    load.setZero(out.rows());
+    rows.add(patch, 1, load);
+    out.col(patch) = load;
+  }
   return out;
 }
 
 /// `stays_local` of what the coordinates (dofs, P) do for each patch: its mean, and the farthest of other places.
-VectorXd stay_local(const ModalPoints& points, const SkinPlaces& places, const RowMajor& pressed,
+VectorXd stay_local(const ModalPoints& vertices, const SkinPlaces& places, const RowMajor& pressed,
                     const MatrixXd& coordinates) {
   VectorXd own = VectorXd::Zero(pressed.cols()), farthest = own;
   const Index stride = std::max<Index>(1, pressed.rows() / kLookedAt);
   for (Index p = 0; p < pressed.rows(); ++p) {
-    const MatrixXd moved = points.basis().middleRows<3>(3 * p) * coordinates;
+    RowMajor basis = RowMajor::Zero(3, coordinates.rows());
+    places.points.each_corner(p,
+                              [&](int v, double weight) { basis += weight * vertices.basis().middleRows<3>(3 * v); });
+    const MatrixXd moved = basis * coordinates;
     own += (places.normals.row(p) * moved).cwiseProduct(pressed.row(p)).transpose();
     if (p % stride != 0) continue;
     for (Index patch = 0; patch < own.size(); ++patch)
@@ -101,7 +112,8 @@ LocalResponses::LocalResponses(const FullModel& model, const MatrixXd& basis, co
                                const Embedding& embedding, const std::vector<int>& centers)
     : centers_(at(places, centers)), size_(model.body().size), shear_(model.body().sets()) {
   check_size("normals", places.normals.rows(), places.rest.rows());
-  check_size("embedding", embedding.nodes.rows(), places.rest.rows());
+  check_size("corners", places.points.size(), places.rest.rows());
+  check_points(places.points, embedding.nodes.rows());
   check_size("basis", basis.rows(), model.dofs());
   if (embedding.nodes.size() > 0 &&
       (embedding.nodes.minCoeff() < 0 || embedding.nodes.maxCoeff() >= model.body().mesh.nodes.rows()))
@@ -112,7 +124,7 @@ LocalResponses::LocalResponses(const FullModel& model, const MatrixXd& basis, co
   reach_ = reach_of(places);
 
   const RowMajor pressed = weights_of(places);
-  const MatrixXd loads = loads_on(model.body(), places, embedding, pressed);
+  const MatrixXd loads = loads_on(model.skin_points(embedding), places, pressed);
   const SparseMatrix K = lasting_stiffness(model, neutral);
   MatrixXd answers = loads;
   BlockCholesky<double> factor;
@@ -128,6 +140,9 @@ LocalResponses::LocalResponses(const FullModel& model, const MatrixXd& basis, co
   stiffness_ = (0.5 * (stiffness_ + stiffness_.transpose())).eval();
   normalize(model.body().volumes.rowwise().sum(), answers.cwiseProduct(loads).colwise().sum(), R);
   shapes_ = R;
+  farthest_.resize(R.cols());
+  for (Index patch = 0; patch < R.cols(); ++patch)
+    farthest_(patch) = as_points(VectorXd(R.col(patch))).rowwise().norm().maxCoeff();
   if (!shapes_.allFinite() || !stiffness_.allFinite())
     throw std::invalid_argument("basis: the responses to it are not finite");
 }

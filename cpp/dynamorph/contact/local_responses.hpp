@@ -16,6 +16,7 @@
 #include "dynamorph/core/types.hpp"
 #include "dynamorph/mesh/embedding.hpp"
 #include "dynamorph/models/full_model.hpp"
+#include "dynamorph/models/skin.hpp"
 
 namespace dynamorph {
 
@@ -30,15 +31,17 @@ double squared_unlikeness(const Vector3d& x, const Vector3d& normal, const Vecto
 
 /// Points of a skin. Bind space, meters.
 struct SkinPlaces {
-  Points rest;     ///< (L)
-  Points normals;  ///< (L): outward, unit
+  Points rest;           ///< (L)
+  Points normals;        ///< (L): outward, unit
+  SurfacePoints points;  ///< (L): which ones of its vertices
 };
 
 /// Immutable: simulations may share it.
 class LocalResponses {
  public:
-  /// places (L), embedded in the mesh: spread evenly over the soft skin. Every one of `centers` is in the middle of a
-  /// patch. B (3 free, dofs). Throws std::invalid_argument for arrays that do not fit each other.
+  /// places (L): spread evenly over the soft skin. embedding: of the skin's vertices in the mesh. Every one of
+  /// `centers` is in the middle of a patch. B (3 free, dofs). Throws std::invalid_argument for arrays that do not fit
+  /// each other.
   LocalResponses(const FullModel& model, const MatrixXd& basis, const SkinPlaces& places, const Embedding& embedding,
                  const std::vector<int>& centers);
 
@@ -46,6 +49,7 @@ class LocalResponses {
   /// R (3 free, P): displacements of the free nodes, each with a mean square of one over the body's volume.
   const RowMajor& shapes() const { return shapes_; }
   const MatrixXd& stiffness() const { return stiffness_; }  ///< C (P, P), N/m times m^3
+  const VectorXd& farthest() const { return farthest_; }  ///< how far a unit of each patch (P) moves a node, at most, m
   const VectorXd& shear() const { return shear_; }  ///< mu (S) of the neutral target of each set, for which C is, Pa
 
   /// The patches that a point of the skin is part of, with its weights in them.
@@ -64,7 +68,7 @@ class LocalResponses {
   double reach_ = 0;  ///< how unlike its center a point of a patch is at most, meters
   RowMajor shapes_;
   MatrixXd stiffness_;
-  VectorXd shear_;
+  VectorXd farthest_, shear_;
 };
 
 }  // namespace dynamorph

@@ -14,6 +14,25 @@ PointTransform Skin::transform(const Transforms& bones, Index point) const {
   return TransformMap(sum.data());
 }
 
+SurfacePoints SurfacePoints::vertices(Index count) {
+  SurfacePoints out;
+  out.corners.resize(count, 3);
+  out.weights.setZero(count, 3);
+  for (Index p = 0; p < count; ++p) out.corners.row(p).setConstant(std::int32_t(p));
+  if (count > 0) out.weights.col(0).setOnes();
+  return out;
+}
+
+void check_points(const SurfacePoints& points, Index vertices) {
+  check_size("corner_weights", points.weights.rows(), points.size());
+  if (points.size() == 0) return;
+  if (points.corners.minCoeff() < 0 || points.corners.maxCoeff() >= vertices)
+    throw std::invalid_argument("corners: there are " + std::to_string(vertices) + " vertices");
+  if (!points.weights.allFinite() || !(points.weights.minCoeff() >= 0) ||
+      !((points.weights.rowwise().sum().array() - 1).abs().maxCoeff() < 1e-9))
+    throw std::invalid_argument("corner_weights: must not be negative, and sum to one");
+}
+
 const Embedding& checked_embedding(const Skin& skin, const SoftBody& body, Index targets) {
   const Index P = skin.rest.rows();
   check_size("embedding", skin.embedding.nodes.rows(), P);
@@ -42,6 +61,12 @@ void PointRows::add(int point, const Vector3d& direction) {
   points_.push_back(point);
   directions_.push_back(direction);
   ends_.back() = int(points_.size());
+}
+
+Vector3d PointRows::total(int row) const {
+  Vector3d sum = Vector3d::Zero();
+  for (int k = first(row); k < first(row + 1); ++k) sum += directions_[k];
+  return sum;
 }
 
 NodalPoints::NodalPoints(const SoftBody& body, const Embedding& embedding)

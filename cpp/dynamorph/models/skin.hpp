@@ -34,6 +34,26 @@ struct Skin {
   PointTransform transform(const Transforms& bones, Eigen::Index point) const;
 };
 
+/// Points of a surface (P): each is a mean of up to three of its vertices.
+struct SurfacePoints {
+  Triangles corners;                                                  ///< (P, 3); those of weight zero do not count
+  Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor> weights;  ///< (P, 3), not negative; rows sum to one
+
+  /// The vertices themselves.
+  static SurfacePoints vertices(Eigen::Index count);
+  Eigen::Index size() const { return corners.rows(); }
+
+  /// Calls f(vertex, weight) for each corner of a point.
+  template <class F>
+  void each_corner(Eigen::Index point, F&& f) const {
+    for (int k = 0; k < 3; ++k)
+      if (weights(point, k) > 0) f(int(corners(point, k)), weights(point, k));
+  }
+};
+
+/// Throws std::invalid_argument unless the points are such of a surface with so many vertices.
+void check_points(const SurfacePoints& points, Eigen::Index vertices);
+
 /// The skin's embedding. Throws std::invalid_argument unless its arrays fit each other, the body and its targets.
 const Embedding& checked_embedding(const Skin& skin, const SoftBody& body, Eigen::Index targets);
 
@@ -54,6 +74,8 @@ class PointRows {
   int point(int k) const { return points_[k]; }
   const Vector3d& direction(int k) const { return directions_[k]; }
   Vector3d& direction(int k) { return directions_[k]; }
+  /// The sum of a row's directions.
+  Vector3d total(int row) const;
 
  private:
   std::vector<int> points_, ends_;

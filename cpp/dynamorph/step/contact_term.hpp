@@ -45,7 +45,7 @@ struct ContactStep {
 
 namespace contact_rows {
 
-/// A row that is made of a row of J and the one after it, which are of the same point.
+/// A row that is made of a row of J and the one after it, which are of the same points.
 struct Sum {
   int first;
   double factor, after;
@@ -60,17 +60,22 @@ inline void make(const RowMajor& J, const std::vector<Sum>& sums, RowMajor& out)
 }
 inline void make(const SparseRows& J, const std::vector<Sum>& sums, SparseRows& out) {
   using Part = Eigen::SparseMatrix<double, Eigen::RowMajor>::InnerIterator;
+  int parts = 0;
+  for (const Sum& sum : sums) parts += J.ends[std::size_t(sum.first)] - J.first(sum.first);
   out.ends.clear();
-  out.parts.resize(Eigen::Index(sums.size()), J.parts.cols());
-  out.parts.reserve(12 * Eigen::Index(sums.size()));
-  for (std::size_t k = 0; k < sums.size(); ++k) {
-    out.ends.push_back(int(k) + 1);
-    out.parts.startVec(Eigen::Index(k));
-    const bool both = sums[k].after != 0;
-    Part after(J.parts, sums[k].first + (both ? 1 : 0));  // with the same columns
-    for (Part it(J.parts, sums[k].first); it; ++it, ++after)
-      out.parts.insertBack(Eigen::Index(k), it.col()) =
-          sums[k].factor * it.value() + (both ? sums[k].after * after.value() : 0);
+  out.parts.resize(parts, J.parts.cols());
+  out.parts.reserve(12 * Eigen::Index(parts));
+  int made = 0;
+  for (const Sum& sum : sums) {
+    const bool both = sum.after != 0;
+    for (int part = J.first(sum.first); part < J.ends[std::size_t(sum.first)]; ++part) {
+      out.parts.startVec(made);
+      Part after(J.parts, both ? part - J.first(sum.first) + J.first(sum.first + 1) : part);  // with the same columns
+      for (Part it(J.parts, part); it; ++it, ++after)
+        out.parts.insertBack(made, it.col()) = sum.factor * it.value() + (both ? sum.after * after.value() : 0);
+      ++made;
+    }
+    out.ends.push_back(made);
   }
   out.parts.finalize();
 }
@@ -111,11 +116,11 @@ struct ContactTerm {
       const double stiffness = contact.weight * samples.stiffness(contact.sample, step.weights, step.square);
       if (!(stiffness > 0)) continue;
       const double friction = step.friction[std::size_t(contact.collider)];
-      const Vector3d unmoved = samples.map().unmoved(step.bones, step.weights, contact.sample);
+      const Vector3d unmoved = samples.unmoved(step.bones, step.weights, contact.sample);
       const auto add = [&](const Vector3d& direction, const Vector3d& from) {
         offsets_(numbers_.size()) = direction.dot(unmoved - from);
         numbers_.add_row();
-        numbers_.add(contact.sample, direction);
+        samples.add(contact.sample, direction, numbers_);
       };
       touching_.push_back({contact,
                            numbers_.size(),
@@ -238,7 +243,7 @@ struct ContactTerm {
     for (const Touch& touch : touching_) {
       Vector3d& sum = on_colliders[std::size_t(touch.contact.collider)];
       const int rows = touch.friction > 0 ? 3 : 1;
-      for (int k = 0; k < rows; ++k) sum += forces_(touch.row + k) * numbers_.direction(touch.row + k);
+      for (int k = 0; k < rows; ++k) sum += forces_(touch.row + k) * numbers_.total(touch.row + k);
     }
   }
 
@@ -253,19 +258,23 @@ struct ContactTerm {
       }
     std::sort(patches.begin(), patches.end());
     const Eigen::Index m = Eigen::Index(patches.size());
-    VectorXd shape, at_shape, stiffer(m);
+    VectorXd shape, at_shape, stiffer(m), deepest = VectorXd::Constant(m, width_);
     blended_shape(samples.model(), step.weights, shape);
     multiply(rows_, shape, at_shape);
     MatrixXd rows(Eigen::Index(touching_.size()), m), stiffness(m, m);
     for (std::size_t i = 0; i < touching_.size(); ++i) {
       const Touch& touch = touching_[i];
       const int sample = touch.contact.sample, last = touch.friction > 0 ? touch.row + 2 : touch.row;
-      const double taken = samples.taken(sample);
+      const double taken = samples.taken(sample), depth = -offsets_(touch.row) - at_shape(touch.row);
+      for (const int patch : samples.patches(sample)) {
+        const auto at = std::lower_bound(patches.begin(), patches.end(), patch) - patches.begin();
+        deepest(at) = std::max(deepest(at), depth);
+      }
       for (int row = touch.row; row <= last; ++row) {
         contact_rows::scale(rows_, row, taken);
         offsets_(row) += (1 - taken) * at_shape(row);
       }
-      rows.row(Eigen::Index(i)) = samples.local_row(sample, scratch_.direction(touch.row), patches);
+      rows.row(Eigen::Index(i)) = samples.local_row(scratch_, touch.row, patches);
     }
     for (Eigen::Index j = 0; j < m; ++j)
       stiffer(j) = std::sqrt(samples.local_stiffer(sample_of[std::size_t(patches[std::size_t(j)])], step.weights));
@@ -273,7 +282,9 @@ struct ContactTerm {
       for (Eigen::Index k = 0; k < m; ++k)
         stiffness(j, k) =
             stiffer(j) * stiffer(k) * samples.local()->stiffness()(patches[std::size_t(j)], patches[std::size_t(k)]);
-    dents_.begin(std::move(patches), rows, stiffness);
+    for (Eigen::Index j = 0; j < m; ++j)
+      deepest(j) *= kFarther / std::max(samples.local()->farthest()(patches[std::size_t(j)]), 1e-300);
+    dents_.begin(std::move(patches), rows, stiffness, deepest);
   }
 
   /// Takes what gives way beneath the contacts from their depths.
@@ -314,6 +325,8 @@ struct ContactTerm {
       }
     return force;
   }
+
+  static constexpr double kFarther = 1.5;  // than the deepest contact is deep: no patch moves any skin more than that
 
   double distance_ = 0, width_ = 1, sticks_ = 1;
   std::vector<Touch> touching_;

@@ -257,11 +257,15 @@ bool Simulation<Model>::place_samples(const StepInput& input, double margin) {
   near_.resize(Eigen::Index(samples.size()));
   for (Eigen::Index row = 0; row < near_.before.rows(); ++row) {
     const int p = samples[std::size_t(row)];
-    const PointTransform then = map.skin().transform(state_.bones[0], p), now = map.skin().transform(input.bones, p);
-    near_.before.row(row) = map.posed(then, p, map.displacement(input.weights, state_.q[0], p));
-    near_.predicted.row(row) = map.posed(now, p, map.displacement(input.weights, next_, p));
-    near_.unmoved.row(row) = map.posed(now, p, samples_->shape(input.weights, p));
-    near_.normal.row(row) = samples_->normal(now, p);
+    PointTransform whole = PointTransform::Zero();
+    samples_->points().each_corner(p, [&](int v, double weight) {
+      const PointTransform then = map.skin().transform(state_.bones[0], v), now = map.skin().transform(input.bones, v);
+      near_.before.row(row) += weight * map.posed(then, v, map.displacement(input.weights, state_.q[0], v));
+      near_.predicted.row(row) += weight * map.posed(now, v, map.displacement(input.weights, next_, v));
+      near_.unmoved.row(row) += weight * map.posed(now, v, samples_->shape(input.weights, v));
+      whole += weight * now;
+    });
+    near_.normal.row(row) = samples_->normal(whole, p);
     near_.thickness(row) = samples_->thickness()(p);
   }
   return !samples.empty();

@@ -115,7 +115,9 @@ def test_an_artists_symmetric_cage_is_filled_symmetrically(scene):
     """And a cage that is not symmetric is filled as it is, whatever the skin."""
     torso = make_torso(scene)
     bpy.ops.mesh.primitive_uv_sphere_add(segments=16, ring_count=10)
-    own = bpy.context.object
+    sphere = bpy.context.object.data
+    faces = sorted(tuple(face.vertices) for face in sphere.polygons)  # Blender makes them in another order each time
+    own = make_mesh(scene, "Cage", [vertex.co for vertex in sphere.vertices], faces)
     own.scale = (0.45, 0.55, 0.7)
     bpy.context.view_layer.update()
     activate(torso)

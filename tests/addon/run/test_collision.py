@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A ball is pressed into the arm: the skin gives way where it is touched, in bakes and in Live alike."""
 
+import copy
 import os
 
 import bmesh
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 import real_character
 from bl_ext.user_default.dynamic_morph_targets.core.errors import SceneError
-from bl_ext.user_default.dynamic_morph_targets.core.motion import baked, contact
+from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
 from bl_ext.user_default.dynamic_morph_targets.io.cache_dir import CacheDir
 from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch, full_comparison, preview, session
 from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
@@ -20,7 +21,7 @@ from bl_ext.user_default.dynamic_morph_targets.scene import plain as scene_plain
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport as overlays
 from bl_ext.user_default.dynamic_morph_targets.write import assign, reconcile, storage
 from bl_ext.user_default.dynamic_morph_targets.write.authoring import setups
-from builders import activate, add_key, evaluated_points, make_arm, make_ball, rig_of
+from builders import activate, add_key, evaluated_points, make_arm, make_ball, make_box, rig_of
 from layout import drawn
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
@@ -416,6 +417,35 @@ def test_a_thin_plate_at_three_meters_a_second_takes_the_skin_along(arm, ball):
 
 
 @pytest.mark.fault("X04")
+@pytest.mark.parametrize("solver", ["REDUCED", "FULL"])
+def test_a_blade_does_not_slip_between_vertices(scene, solver):
+    """Of a skin whose rings are 0.3 m apart: a blade of 2 cm presses between two of them."""
+    obj = make_arm(scene, rings=8, around=8)
+    rig_of(obj).animation_data_clear()
+    rig_of(obj).pose.bones["lower"].rotation_euler.x = 0.0
+    scene.frame_end = FRAMES
+    activate(obj)
+    bpy.ops.dynamorph.add_soft_skin()
+    settings = obj.dynamorph
+    settings.model.cage_nodes, settings.model.solver, settings.simulation.gravity = 600, solver, 0.0
+    settings.collision.use, settings.collision.bake_full = True, False
+    blade = make_box("Blade")
+    blade.scale = (0.3, 1.0, 0.02)
+    corner = np.abs(evaluated_points(obj)[:, 0]).max()
+    for frame, depth in ((1, -0.02), (FRAMES // 2, PRESSED)):
+        blade.location = (corner + 0.15 - depth, 0.0, 1.0)
+        blade.keyframe_insert("location", frame=frame)
+    activate(obj)
+    bake(obj)
+    scene.frame_set(FRAMES)
+    edges = evaluated_points(obj)[np.array([edge.vertices for edge in obj.data.edges])]
+    along = np.linspace(0.0, 1.0, 50)[:, None, None]
+    points = ((1.0 - along) * edges[:, 0] + along * edges[:, 1]).reshape(-1, 3)
+    inside = points[np.abs(points[:, 2] - 1.0) < 0.01]
+    assert len(inside)
+    assert inside[:, 0].max() - (corner - PRESSED) < 0.15 * PRESSED
+
+
 def test_a_plane_through_the_body_is_reported(arm, ball):
     is_a_plane_through_the_middle(ball)
     job = bake(arm)
@@ -554,7 +584,7 @@ def test_local_responses_do_not_depend_on_when_live_began(arm):
     """They are kept while the artist changes the material."""
     found = []
     for poisson in (0.4, 0.3):
-        contact._known_responses.clear()
+        storage.keep_model(arm, copy.copy(packed["model"]))  # which has none yet
         arm.dynamorph.targets[0].poisson = poisson
         found.append(session.Tissue(arm, bpy.context.scene).player.collision.dents)
     assert found[0].size

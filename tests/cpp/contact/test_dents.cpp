@@ -24,7 +24,7 @@ struct LocalScene {
   FullModel full{body, all, MaterialModel::stable_stvk, Blending::even};
   std::shared_ptr<const ReducedModel> few;
   ContactSkin skin = contact_skin_of(*body, 0.05);
-  SkinPlaces places{skin.skin.rest, skin.normals.rowwise().normalized()};
+  SkinPlaces places{skin.skin.rest, skin.normals.rowwise().normalized(), skin.points};
 
   explicit LocalScene(int modes) : few(reduced_model(body, all, MaterialModel::stable_stvk, Blending::even, modes)) {}
   LocalResponses responses(const std::vector<int>& centers) const {
@@ -104,11 +104,14 @@ TEST_CASE("places without a patch nearby belong to the nearest, and centers must
 TEST_CASE("dents settle in the minimum of their energy, whose derivatives are forces and their stiffness") {
   constexpr int n = 7, m = 4;
   constexpr double kWidth = 0.01;
+  double most = kInfinity;
+  SUBCASE("as far as they are pushed") { most = 1; }
+  SUBCASE("not much further than they may") { most = 0.004; }
   const MatrixXd rows = random_vector(n * m, 1, 5).reshaped(n, m), root = random_vector(m * m, 1, 6).reshaped(m, m);
   const MatrixXd C = root * root.transpose() + MatrixXd::Identity(m, m);
   const VectorXd k = 20 * (VectorXd::Ones(n) + random_vector(n, 0.9, 7)), depths = random_vector(n, 0.05, 8);
   Dents dents;
-  dents.begin({0, 2, 3, 5}, rows, C);
+  dents.begin({0, 2, 3, 5}, rows, C, VectorXd::Constant(m, most));
   const auto energy = [&](const VectorXd& d) {
     dents.settle(d, k, kWidth);
     double sum = dents.energy();
@@ -126,7 +129,12 @@ TEST_CASE("dents settle in the minimum of their energy, whose derivatives are fo
   dents.amplitudes(a);
   const VectorXd own = (VectorXd(m) << a(0), a(2), a(3), a(5)).finished();
   CHECK(a(1) == 0);
-  CHECK((C * own - rows.transpose() * pressed).norm() < 1e-9 * pressed.norm());
+  VectorXd resisting = C * own;
+  for (int j = 0; j < m; ++j)
+    resisting(j) += std::copysign(1000 * C(j, j) * contact_ramp(std::abs(own(j)) - most, most / 2).force, own(j));
+  CHECK((resisting - rows.transpose() * pressed).norm() < 1e-9 * pressed.norm());
+  CHECK(own.cwiseAbs().maxCoeff() < 1.2 * most);
+  if (most < 1) CHECK(own.cwiseAbs().maxCoeff() > most);
   CHECK((rows * own - dents.given_way()).norm() < 1e-12);
   constexpr double e = 1e-6;
   std::vector<int> contacts;

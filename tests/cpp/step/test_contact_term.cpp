@@ -25,11 +25,14 @@ struct AtFirst : ContactTerm<Model> {
 
 template <class Model>
 void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const LocalResponses> local = nullptr) {
-  const ContactSamples<Model> samples(model, contact_skin_of(model->body(), 0.05), local);
+  const ContactSamples<Model> samples(model, contact_faces_of(model->body(), 0.05), local);
   const Transforms bones = bent(0.4);
-  VectorXd before, now, shape;
+  VectorXd vertices, before = VectorXd::Zero(3 * samples.size()), shape;
   blended_shape(*model, kBetween, shape);
-  samples.map().positions(bones, kBetween, shape, before);
+  samples.map().positions(bones, kBetween, shape, vertices);
+  for (Eigen::Index p = 0; p < samples.size(); ++p)
+    samples.points().each_corner(
+        p, [&](int v, double weight) { before.segment<3>(3 * p) += weight * vertices.segment<3>(3 * v); });
   const std::vector<double> friction{0.5, 0};
   // Some samples deep, some in the transition, some free; slips of about the one at which friction is whole.
   constexpr double kWidth = 0.01;
@@ -63,7 +66,7 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
   double pressed = 0;
   for (const Pressure& pressure : now_pressed) {
     CHECK(pressure.force > 0);
-    CHECK(pressure.sample % 4 != 0);
+    if (!local) CHECK(pressure.sample % 4 != 0);  // a dent bulges around itself
     if (pressure.collider == 1) pressed += pressure.force;
   }
   CHECK(pressed > 0);
@@ -94,7 +97,8 @@ TEST_CASE("contact has the derivatives of its energy, over models") {
   const auto few = reduced_model(body, all, MaterialModel::stable_stvk, Blending::even, 10);
   const ContactSkin skin = contact_skin_of(*body, 0.05);
   const FullModel full(body, all, MaterialModel::stable_stvk, Blending::even);
-  check_contact(few, std::make_shared<LocalResponses>(full, few->basis(),
-                                                      SkinPlaces{skin.skin.rest, skin.normals.rowwise().normalized()},
-                                                      skin.skin.embedding, std::vector<int>{2, 9, 17, 24, 30, 41}));
+  check_contact(few,
+                std::make_shared<LocalResponses>(
+                    full, few->basis(), SkinPlaces{skin.skin.rest, skin.normals.rowwise().normalized(), skin.points},
+                    skin.skin.embedding, std::vector<int>{2, 9, 17, 24, 30, 41}));
 }

@@ -15,65 +15,62 @@ import numpy as np
 from ..character import Character
 from ..engine import dynamorph
 from ..errors import SceneError
-from ..geometry import diagonal, is_closed, signed_volume, vertex_normals
+from ..geometry import diagonal, is_closed
 from ..message import Message, named_frames
 from ..model.model import EngineModel, Model
 from ..settings import Material
 from .colliders import ColliderTrack, colliders_of
+from .contact_points import ContactPoints, contact_points, spread
 from .limits import THINNEST, frames_around
 from .rig_samples import RigSamples
 
 PLACES = 3000  # of the skin by which its patches are pressed, at most
-PATCHES = 256  # of the skin that give way by themselves in Reduced Quality
-SAMPLES = 20000  # points of the skin that can touch something, at most; of more vertices, those that are spread evenly
+PATCHES = 512  # of the skin that give way by themselves in Reduced Quality
+SAMPLES = 20000  # points of the skin that can touch something, at most
 PROBED_SAMPLES = 4000  # the same where Blender poses the nodes, which have a matrix of weights
-EXCLUDED = 0.5  # smallest weight of `Character.excluded` with which a vertex touches nothing
+EXCLUDED = 0.5  # smallest weight of `Character.excluded` with which a point touches nothing
 BITS = 52  # of a float, which are exact: so many colliders are told apart where they are unusable
 
 
 class Collision:
-    """What a player with collision has of it: the points of the skin that can touch something, P of its vertices, and
-    the engine's colliders in a shot: those of its first sample, whose faces they keep.
+    """What a player with collision has of it: the points of the skin that can touch something, P of them, and the
+    engine's colliders in a shot: those of its first sample, whose faces they keep.
 
-    skin: the engine's points of an engine model, or None where no skin is soft; vertices (P,): which those are. dents
+    skin: the engine's points of an engine model, or None where no skin is soft; vertices (P,): nearest to those. dents
     (3 free, K): displacement of the free nodes by each patch of the skin that gives way by itself in Reduced Quality;
     none otherwise.
     """
 
     def __init__(self, model: Model, engine: EngineModel, character: Character):
-        rest = character.vertices @ character.to_bind.T
-        soft = character.triangles[(character.cage_index[character.triangles] >= 0).all(axis=1)]
-        outward = -1.0 if signed_volume(rest, soft) < 0.0 else 1.0  # some meshes are inside out
-        normals = outward * vertex_normals(rest, character.triangles)
-        seen = np.unique(character.coincident[soft])  # of points at one place, one
-        seen = seen[model.free[model.embedding_nodes[seen]].any(axis=1) & normals[seen].any(axis=1)]
-        touchable = seen[character.excluded[seen] < EXCLUDED]
-        most = PROBED_SAMPLES if character.probed else SAMPLES
-        chosen = touchable[spread(rest[touchable], normals[touchable], most)]
+        surface = contact_points(model, character)
+        touchable = surface[surface.of(character.excluded) < EXCLUDED]
+        points = touchable.at_most(PROBED_SAMPLES if character.probed else SAMPLES)
         self.skin: Any = None
         self.dents = np.zeros((3 * int(model.free.sum()), 0))
-        self.vertices = chosen
-        self._bones = character.weights[chosen].argmax(axis=1)
+        self.vertices = points.vertices[:, 0]
+        self._bones = character.weights[self.vertices].argmax(axis=1)
         self._known: list[tuple[str, int]] = []  # names and topologies of the colliders
         self._shapes: list[np.ndarray] = []
         self._colliders: list[Any] = []
-        if not len(chosen):
+        if not len(points.rest):
             return
-        thickness = model.thickness if len(model.thickness) else dynamorph.Thickness(rest, soft).at(rest)[0]
         full = model.settings.solver == "FULL"
         local = None
         if not full:
-            local, self.dents = _local_responses(model, character, seen, rest, normals)
+            local, self.dents = _local_responses(model, character, surface)
         kind: Callable[..., Any] = dynamorph.FullContact if full else dynamorph.ReducedContact
+        vertices, corners = np.unique(points.vertices, return_inverse=True)
         self.skin = kind(
             engine,
-            rest[chosen],
-            dynamorph.Embedding(model.embedding_nodes[chosen], model.embedding_weights[chosen]),
-            _moving(model, character, chosen),
-            normals[chosen],
-            np.maximum(thickness[chosen], 0.5 * THINNEST * diagonal(rest)),
-            model.residual_shapes[:, chosen] @ character.to_bind.T,
+            (character.vertices @ character.to_bind.T)[vertices],
+            dynamorph.Embedding(model.embedding_nodes[vertices], model.embedding_weights[vertices]),
+            _moving(model, character, vertices),
+            points.normals,
+            points.least(_thickness(model, character)),
+            model.residual_shapes[:, vertices] @ character.to_bind.T,
             local,
+            corners.reshape(points.vertices.shape),
+            points.weights,
         )
 
     def begin(self, first: RigSamples) -> None:
@@ -108,17 +105,37 @@ class Collision:
         return self._known[number][0]
 
 
-def _local_responses(
-    model: Model, character: Character, seen: np.ndarray, rest: np.ndarray, normals: np.ndarray
-) -> tuple[Any, np.ndarray]:
-    """How the skin gives way locally, and the `Collision.dents` of it. seen: the vertices that can touch something;
-    rest, normals (V, 3): bind space. It takes a while, so it is kept with the model, and made for one material: the
-    engine scales it by the shear modulus, and what Live changes must not depend on when Live began.
+def _moving(model: Model, character: Character, vertices: np.ndarray) -> np.ndarray:
+    """Weights (V, B + 1) of what moves these vertices (V,): of the bones, or of the free nodes where Blender poses
+    those.
+    """
+    if not character.probed:
+        return character.weights[vertices].clip(0.0)  # rounding may leave less than nothing
+    nodes = model.embedding_nodes[vertices]
+    out = np.zeros((len(vertices), len(model.nodes)))
+    np.add.at(out, (np.arange(len(vertices))[:, None], nodes), model.embedding_weights[vertices].clip(0.0))
+    return out[:, model.free]
+
+
+def _thickness(model: Model, character: Character) -> np.ndarray:
+    """Of the tissue below each vertex of the skin (V,), meters, above zero."""
+    rest = character.vertices @ character.to_bind.T
+    found = model.thickness
+    if not len(found):
+        soft = character.triangles[(character.cage_index[character.triangles] >= 0).all(axis=1)]
+        found = dynamorph.Thickness(rest, soft).at(rest)[0]
+    return np.maximum(found, 0.5 * THINNEST * diagonal(rest))
+
+
+def _local_responses(model: Model, character: Character, surface: ContactPoints) -> tuple[Any, np.ndarray]:
+    """How the skin gives way locally, and the `Collision.dents` of it. surface: all of it. It takes a while, so it is
+    kept with the model, and made for one material: the engine scales it by the shear modulus, and what Live changes
+    must not depend on when Live began.
     """
     known = _known_responses.get(id(model))
     if known:
         return known
-    places = seen[spread(rest[seen], normals[seen], PLACES)]
+    places = surface.at_most(PLACES)
     lame_lambda, lame_mu = Material().lame()
     sets = [s for s, target_set in enumerate(character.target_sets) for _ in target_set.targets]
     targets = [
@@ -129,10 +146,12 @@ def _local_responses(
     local = dynamorph.LocalResponses(
         dynamorph.FullModel(model.soft_body(), targets, law, dynamorph.Blending.EVEN),
         model.modes,
-        rest[places],
-        normals[places],
-        dynamorph.Embedding(model.embedding_nodes[places], model.embedding_weights[places]),
-        spread(rest[places], normals[places], PATCHES).tolist(),
+        places.rest,
+        places.normals,
+        dynamorph.Embedding(model.embedding_nodes, model.embedding_weights),
+        spread(places.rest, places.normals, PATCHES).tolist(),
+        places.vertices,
+        places.weights,
     )
     _known_responses[id(model)] = local, local.shapes
     weakref.finalize(model, _known_responses.pop, id(model), None)
@@ -140,43 +159,6 @@ def _local_responses(
 
 
 _known_responses: dict[int, tuple[Any, np.ndarray]] = {}  # by id(model)
-
-
-def _moving(model: Model, character: Character, points: np.ndarray) -> np.ndarray:
-    """Weights (P, B + 1) of what moves these points (P,) of the skin: of the bones, or of the free nodes where Blender
-    poses those.
-    """
-    if not character.probed:
-        return character.weights[points].clip(0.0)  # rounding may leave less than nothing
-    nodes = model.embedding_nodes[points]
-    out = np.zeros((len(points), len(model.nodes)))
-    np.add.at(out, (np.arange(len(points))[:, None], nodes), model.embedding_weights[points].clip(0.0))
-    return out[:, model.free]
-
-
-def spread(points: np.ndarray, normals: np.ndarray, count: int) -> np.ndarray:
-    """Indices of at most `count` of the points (P, 3) that are spread over a surface: of each cell of a grid, and each
-    of six directions of the normals (P, 3), so that both sides of something thin have some, the outermost: it touches
-    first.
-    """
-    if len(points) <= count:
-        return np.arange(len(points))
-    rows = np.arange(len(points))
-    axis = np.abs(normals).argmax(axis=1)
-    sign = np.sign(normals[rows, axis])
-    side = 2 * axis + (sign > 0.0)
-    inward = np.argsort(-sign * points[rows, axis], kind="stable")
-    low, high = 0.0, diagonal(points)  # of a cell
-    found = np.zeros(0, np.int64)
-    for _ in range(12):
-        size = 0.5 * (low + high)
-        cells = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
-        _, first = np.unique(np.column_stack([cells, side])[inward], axis=0, return_index=True)
-        if len(first) > count:
-            low = size
-        else:
-            high, found = size, inward[first]
-    return np.sort(found)
 
 
 def _collider(track: ColliderTrack, points: np.ndarray) -> Any:
