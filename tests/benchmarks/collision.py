@@ -3,6 +3,7 @@
 
     python tests/benchmarks/collision.py --page   the page from what was measured before
     python tests/benchmarks/collision.py --ours   measures all but Blender's own ways again
+    python tests/benchmarks/collision.py --peers  measures Blender's own ways alone
 
 Every way to simulate a character runs in a process of its own (collision_press.py); its findings stay in
 build/collision.
@@ -31,7 +32,7 @@ CACHE, PAGE, PICTURES = ROOT / "build/collision", ROOT / "docs/collision.md", "i
 CHARACTERS = ("mh_male_53bones.blend", "mh_chubby_53bones.blend", "zoo/Cow.glb", "zoo/Husky.glb", "zoo/Blobfish.glb",
               "zoo/Woman_Casual.glb", "zoo/Space_Enemy_Large.glb")  # fmt: skip
 OURS = ("full", "full_0", "reduced", "off")
-PEERS = ("soft_body", "cloth")
+PEERS = ("soft_body", "cloth", "cloth_dynamics")
 PEERS_BODY = "mh_chubby_53bones.blend"
 LONGEST = 600  # seconds that one may take
 MOVING, RESTING = 0.0015, 0.0011  # of size, with Distance 0: asked of the penetration
@@ -61,8 +62,8 @@ coarse bodies, as low-poly heads, dent too deep. It is about 100 % where a body 
 
 ## Beside what Blender has
 
-The same ball and the same body ({peer_body}, {vertices:,} vertices). Soft Body and Cloth as they come, with all of the
-body held at {held:g}: they are shells, and know no volume. Depth as above; seconds for {last} frames, ours with the
+The same ball and the same body ({peer_body}, {vertices:,} vertices). Soft Body, Cloth and Cloth Dynamics (of Blender
+5.2, experimental) as they come, with all of the body held at {held:g}: they are shells, and know no volume. Depth as above; seconds for {last} frames, ours with the
 build of the model.
 
 {peers}"""
@@ -74,11 +75,11 @@ def main() -> int:
         return 0
     if "--page" not in sys.argv:
         peers = [] if "--ours" in sys.argv else [(PEERS_BODY, way) for way in PEERS]
-        if peers:
+        ours = [] if "--peers" in sys.argv else [(body, way) for body in CHARACTERS for way in OURS]
+        if peers and ours:
             shutil.rmtree(CACHE, ignore_errors=True)
-        work = peers + [(body, way) for body in CHARACTERS for way in OURS]
         with ThreadPoolExecutor(2) as pool:
-            list(pool.map(lambda each: measure(*each), work))
+            list(pool.map(lambda each: measure(*each), peers + ours))
     write_page()
     print(f"written to {PAGE.relative_to(ROOT)}")
     return 0
@@ -88,7 +89,9 @@ def measure(body: str, way: str) -> None:
     folder = CACHE / name_of(body)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{way}.json").unlink(missing_ok=True)
-    command = [sys.executable, collision_press.__file__, ASSETS / body, folder, way]
+    newest = sorted((ROOT / ".venv").glob("3.*/bin/python"))[-1]  # of Blender too
+    python = newest if way == "cloth_dynamics" else sys.executable
+    command = [python, collision_press.__file__, ASSETS / body, folder, way]
     with (folder / f"{way}.log").open("w") as log:
         try:
             subprocess.run(command, stdout=log, stderr=subprocess.STDOUT, timeout=LONGEST, check=False)
@@ -168,7 +171,7 @@ def _off(body: str, shown: int) -> str:
 def peers() -> str:
     rows = []
     for way, title in (("full", "Dynamorph, Full"), ("reduced", "Dynamorph, Reduced"), ("soft_body", "Soft Body"),
-                       ("cloth", "Cloth")):  # fmt: skip
+                       ("cloth", "Cloth"), ("cloth_dynamics", "Cloth Dynamics")):  # fmt: skip
         each = found(PEERS_BODY, way)
         cells = [f"{100 * each['moving']:.3f}", f"{100 * each['resting']:.3f}", f"{each['seconds']:.0f}"] if each else [
             NONE, NONE, f"over {LONGEST}"]  # fmt: skip

@@ -4,7 +4,7 @@
     python tests/benchmarks/collision_press.py ASSET FOLDER WAY
 
 FOLDER gets WAY.json, positions in WAY.npy, and WAY_1.png to WAY_3.png. WAY: full, full_0 (with Distance 0), reduced,
-off (no collision), soft_body or cloth.
+off (no collision), soft_body, cloth or cloth_dynamics (Blender 5.2).
 """
 
 from __future__ import annotations
@@ -187,6 +187,37 @@ def cloth(body) -> dict:
     return {}
 
 
+def cloth_dynamics(body) -> dict:
+    """The asset of Blender 5.2, whose colliders have a modifier of their own."""
+    assets = Path(bpy.utils.system_resource("DATAFILES")) / "assets/nodes/geometry_nodes_dynamics_assets.blend"
+    with bpy.data.libraries.load(str(assets), link=False) as (_, wanted):
+        wanted.node_groups = ["Cloth Dynamics (Experimental)", "Collider"]
+    dynamics, collider = wanted.node_groups
+    ball = bpy.data.objects["Sphere"]
+    ball.modifiers.clear()
+    ball.modifiers.new("Collider", "NODES").node_group = collider
+    _set_socket(ball.modifiers[0], "Friction", FRICTION)
+    effectors = bpy.data.collections.new("Effectors")
+    effectors.objects.link(ball)
+    group = body.vertex_groups.new(name="Held")
+    group.add(range(len(body.data.vertices)), HELD, "REPLACE")
+    modifier = body.modifiers.new("Cloth Dynamics", "NODES")
+    modifier.node_group = dynamics
+    _set_socket(modifier, "Pin Group", group.name)
+    _set_socket(modifier, "Effectors Collection", effectors)
+    return {}
+
+
+def _set_socket(modifier, name: str, value) -> None:
+    items = modifier.node_group.interface.items_tree
+    found = next(item for item in items if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name == name)
+    socket = getattr(modifier.properties.inputs, found.identifier)
+    if isinstance(value, str):
+        socket.type, socket.attribute_name = "ATTRIBUTE", value
+    else:
+        socket.value = value
+
+
 WAYS = {
     "full": ours("FULL"),
     "full_0": ours("FULL", distance=0.0),
@@ -194,6 +225,7 @@ WAYS = {
     "off": ours("FULL", use=False),
     "soft_body": soft_body,
     "cloth": cloth,
+    "cloth_dynamics": cloth_dynamics,
 }
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which objects stop a soft skin, and that they are read as Blender evaluates them."""
 
+from pathlib import Path
+
 import bpy
 import numpy as np
 import pytest
@@ -89,6 +91,27 @@ def test_the_body_and_what_moves_with_it_is_left_out(arm_with_collision):
     following.dynamorph.follows = obj
     make_box("Prop").parent = rig_of(obj)  # which it may well touch
     assert names(obj) == ["Prop"]
+
+
+ASSETS = Path(bpy.utils.system_resource("DATAFILES")) / "assets/nodes/geometry_nodes_dynamics_assets.blend"
+
+
+@pytest.mark.skipif(not ASSETS.exists(), reason="this Blender has no Collider asset")
+def test_the_collider_asset_stops_the_skin_with_its_friction(arm_with_collision):
+    with bpy.data.libraries.load(str(ASSETS), link=False) as (_, wanted):
+        wanted.node_groups = ["Collider"]
+    made = make_box("Bench", collision=False)
+    modifier = made.modifiers.new("Collider", "NODES")
+    modifier.node_group = wanted.node_groups[0]
+    assert names(arm_with_collision) == ["Bench"]
+    found = tracks(arm_with_collision)["Bench"]
+    assert found.friction == pytest.approx(0.2)  # as the asset comes
+    socket = next(item for item in modifier.node_group.interface.items_tree if item.name == "Friction")
+    getattr(modifier.properties.inputs, socket.identifier).value = 0.75
+    assert tracks(arm_with_collision)["Bench"].friction == pytest.approx(0.75)
+    assert_is_where_blender_has_it(made, found)
+    modifier.show_viewport = False
+    assert names(arm_with_collision) == []
 
 
 # Reading --------------------------------------------------------------------------------------------------------------
