@@ -63,8 +63,8 @@ coarse bodies, as low-poly heads, dent too deep. It is about 100 % where a body 
 ## Beside what Blender has
 
 The same ball and the same body ({peer_body}, {vertices:,} vertices). Soft Body, Cloth and Cloth Dynamics (of Blender
-5.2, experimental) as they come, with all of the body held at {held:g}: they are shells, and know no volume. Depth as above; seconds for {last} frames, ours with the
-build of the model.
+5.2, experimental) as they come, with all of the body held at {held:g}: they are shells, and know no volume. Depth as
+above; seconds for {last} frames, ours with the build of the model.
 
 {peers}"""
 
