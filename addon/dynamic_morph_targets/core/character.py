@@ -181,6 +181,16 @@ class Character:
         """The vertices of the soft skin's own mesh."""
         return slice(0, self.attachments[0].members.start if self.attachments else len(self.vertices))
 
+    @property
+    def bind_points(self) -> np.ndarray:
+        """The vertices (V, 3) in bind space, meters."""
+        return self.vertices @ self.to_bind.T
+
+    @property
+    def soft_triangles(self) -> np.ndarray:
+        """Those triangles (T, 3) whose corners are all carried by a cage."""
+        return self.triangles[(self.cage_index[self.triangles] >= 0).all(axis=1)]
+
     @cached_property
     def target_sets(self) -> tuple[TargetSet, ...]:
         """What is simulated: of the method Single, the neutral target alone."""

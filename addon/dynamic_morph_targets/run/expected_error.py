@@ -61,7 +61,7 @@ class Measurement:
         for shot in shots:
             shot.play(hop)
         reduced, full = (shot.bake(exact=shot is shots[1])[0] for shot in shots)  # exact reduced ones take memory
-        areas = vertex_areas(character.vertices @ character.to_bind.T, character.triangles)
+        areas = vertex_areas(character.bind_points, character.triangles)
         return baked.motion_distance(reduced, full, character.to_bind, areas)
 
     def goes_on(self, _fraction: float, _message: str) -> bool:

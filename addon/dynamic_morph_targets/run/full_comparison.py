@@ -61,7 +61,7 @@ class FullComparison(Batch):
         yield from super().write()
         reduced, full = self.jobs
         character = reduced.outcome.character
-        areas = vertex_areas(character.vertices @ character.to_bind.T, character.triangles)
+        areas = vertex_areas(character.bind_points, character.triangles)
         distance = baked.motion_distance(reduced.outcome.bake, full.outcome.bake, character.to_bind, areas)
         reduced.target().dynamorph.bake.off_full = distance
 

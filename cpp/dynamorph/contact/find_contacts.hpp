@@ -37,7 +37,8 @@ struct SampleStep {
   Points normal;             ///< of the skin there, outward, unit
   VectorXd thickness;        ///< T of the tissue below
 
-  void resize(Eigen::Index count) {
+  /// So many samples, at zero.
+  void begin(Eigen::Index count) {
     samples.resize(std::size_t(count));
     for (Points* points : {&before, &predicted, &unmoved, &normal}) points->setZero(count, 3);
     thickness.resize(count);

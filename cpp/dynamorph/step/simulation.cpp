@@ -254,16 +254,27 @@ bool Simulation<Model>::place_samples(const StepInput& input, double margin) {
   std::sort(samples.begin(), samples.end());
 
   const SkinMap<Model>& map = samples_->map();
-  near_.resize(Eigen::Index(samples.size()));
+  vertices_.clear();
+  vertex_at_.assign(std::size_t(map.size()), -1);
+  near_.begin(Eigen::Index(samples.size()));
   for (Eigen::Index row = 0; row < near_.before.rows(); ++row) {
     const int p = samples[std::size_t(row)];
     PointTransform whole = PointTransform::Zero();
     samples_->points().each_corner(p, [&](int v, double weight) {
-      const PointTransform then = map.skin().transform(state_.bones[0], v), now = map.skin().transform(input.bones, v);
-      near_.before.row(row) += weight * map.posed(then, v, map.displacement(input.weights, state_.q[0], v));
-      near_.predicted.row(row) += weight * map.posed(now, v, map.displacement(input.weights, next_, v));
-      near_.unmoved.row(row) += weight * map.posed(now, v, samples_->shape(input.weights, v));
-      whole += weight * now;
+      int& at = vertex_at_[std::size_t(v)];
+      if (at < 0) {  // many samples share it
+        at = int(vertices_.size());
+        const PointTransform then = map.skin().transform(state_.bones[0], v),
+                             now = map.skin().transform(input.bones, v);
+        vertices_.push_back({map.posed(then, v, map.displacement(input.weights, state_.q[0], v)),
+                             map.posed(now, v, map.displacement(input.weights, next_, v)),
+                             map.posed(now, v, samples_->shape(input.weights, v)), now});
+      }
+      const PlacedVertex& vertex = vertices_[std::size_t(at)];
+      near_.before.row(row) += weight * vertex.before;
+      near_.predicted.row(row) += weight * vertex.predicted;
+      near_.unmoved.row(row) += weight * vertex.unmoved;
+      whole += weight * vertex.transform;
     });
     near_.normal.row(row) = samples_->normal(whole, p);
     near_.thickness(row) = samples_->thickness()(p);

@@ -166,8 +166,15 @@ class Simulation {
   std::vector<Contact> found_;
   std::vector<int> unusable_;
   VectorXd dents_;
-  ContactMemory memory_;                      ///< at the end of the step
-  SampleStep near_;                           ///< samples that a collider comes near
+  ContactMemory memory_;  ///< at the end of the step
+  SampleStep near_;       ///< samples that a collider comes near
+  /// A vertex of the samples' skin, where `SampleStep` has the samples.
+  struct PlacedVertex {
+    Vector3d before, predicted, unmoved;
+    PointTransform transform;  ///< at the end of the step
+  };
+  std::vector<PlacedVertex> vertices_;
+  std::vector<int> vertex_at_;                ///< of each vertex, in vertices_; -1: not there
   VectorXd shape_;                            ///< coordinates of the blended targets
   std::vector<Eigen::AlignedBox3d> extents_;  ///< of the active colliders during the step
   std::vector<double> friction_;              ///< of the colliders

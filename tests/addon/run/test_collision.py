@@ -31,15 +31,21 @@ PRESSED, FRAMES = 0.04, 16  # how deep it is pressed, and by which frame it rest
 packed = {}  # the model of the arm, which all tests share
 
 
-@pytest.fixture
-def arm(scene):
-    """A still arm with a fine skin, built, and a ball that is pressed into its side."""
-    obj = make_arm(scene, rings=61, around=48)
+def still_arm(scene, **size):
+    """An arm that does not move, with Soft Skin."""
+    obj = make_arm(scene, **size)
     rig_of(obj).animation_data_clear()
     rig_of(obj).pose.bones["lower"].rotation_euler.x = 0.0
     scene.frame_end = FRAMES
     activate(obj)
     bpy.ops.dynamorph.add_soft_skin()
+    return obj
+
+
+@pytest.fixture
+def arm(scene):
+    """A still arm with a fine skin, built, and a ball that is pressed into its side."""
+    obj = still_arm(scene, rings=61, around=48)
     settings = obj.dynamorph
     settings.model.cage_nodes, settings.model.modes, settings.simulation.gravity = 800, 60, 0.0
     if not packed:
@@ -420,12 +426,7 @@ def test_a_thin_plate_at_three_meters_a_second_takes_the_skin_along(arm, ball):
 @pytest.mark.parametrize("solver", ["REDUCED", "FULL"])
 def test_a_blade_does_not_slip_between_vertices(scene, solver):
     """Of a skin whose rings are 0.3 m apart: a blade of 2 cm presses between two of them."""
-    obj = make_arm(scene, rings=8, around=8)
-    rig_of(obj).animation_data_clear()
-    rig_of(obj).pose.bones["lower"].rotation_euler.x = 0.0
-    scene.frame_end = FRAMES
-    activate(obj)
-    bpy.ops.dynamorph.add_soft_skin()
+    obj = still_arm(scene, rings=8, around=8)
     settings = obj.dynamorph
     settings.model.cage_nodes, settings.model.solver, settings.simulation.gravity = 600, solver, 0.0
     settings.collision.use, settings.collision.bake_full = True, False

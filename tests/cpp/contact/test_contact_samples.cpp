@@ -19,10 +19,10 @@ namespace {
 const VectorXd kNeutral = Vector3d(1, 0, 0);
 constexpr double kSquare = 4.0 / 9 / (96 * 96);  // (c h)^2, s^2
 
-/// A model's matrices at its neutral target, dense, the rows of the samples' normals, and those of their places.
+/// A model's matrices at its neutral target, dense, the rows of the samples' normals, and those of the vertices.
 template <class Model>
 struct DenseModel {
-  MatrixXd K, M, J, places;
+  MatrixXd K, M, J, vertices;
 
   DenseModel(const Model& model, const ContactSkin& skin) {
     const auto [tangent, mass] = stiffness_and_mass(model, kNeutral);
@@ -31,8 +31,8 @@ struct DenseModel {
     const Eigen::Index n = model.dofs();
     K.resize(n, n);
     M.resize(n, n);
-    J.resize(skin.normals.rows(), n);
-    places.resize(3 * skin.normals.rows(), n);
+    J.setZero(skin.points.size(), n);
+    vertices.resize(3 * map.size(), n);
     for (Eigen::Index i = 0; i < n; ++i) {
       const VectorXd unit = VectorXd::Unit(n, i);
       multiply(tangent, unit, column);
@@ -40,9 +40,11 @@ struct DenseModel {
       multiply(mass, unit, column);
       M.col(i) = column;
       map.displacement(VectorXd::Zero(0), unit, column);
-      places.col(i) = column;
+      vertices.col(i) = column;
       for (Eigen::Index p = 0; p < J.rows(); ++p)
-        J(p, i) = skin.normals.row(p).normalized().dot(column.segment<3>(3 * p).transpose());
+        skin.points.each_corner(p, [&](int v, double weight) {
+          J(p, i) += weight * skin.normals.row(p).normalized().dot(column.segment<3>(3 * v).transpose());
+        });
     }
   }
   double stiffness(Eigen::Index sample, double square) const {
@@ -55,23 +57,25 @@ struct DenseModel {
   double part(Eigen::Index sample) const {
     if (std::is_same_v<Model, FullModel>) return 1;
     const MatrixXd A = K + M / 100;  // a push of ten seconds
-    const VectorXd answer = A.ldlt().solve(J.row(sample).transpose()), moved = places * answer;
+    const VectorXd answer = A.ldlt().solve(J.row(sample).transpose()), moved = vertices * answer;
     double farthest = 0;
-    for (Eigen::Index p = 0; p < J.rows(); ++p) farthest = std::max(farthest, moved.segment<3>(3 * p).norm());
+    for (Eigen::Index v = 0; v < moved.size(); v += 3) farthest = std::max(farthest, moved.segment<3>(v).norm());
     return smooth_step((J.row(sample).dot(answer) / farthest - 0.5) / 0.4);
   }
 };
 
 template <class Model>
 void check_stiffness(std::shared_ptr<const Model> model) {
-  const ContactSkin skin = contact_skin_of(model->body(), 0.05);
+  const ContactSkin skin = contact_faces_of(model->body(), 0.05);
   const ContactSamples<Model> samples(model, skin);
   const DenseModel<Model> dense(*model, skin);
   int held = 0, checked = 0, pressing = 0;
   for (Eigen::Index p = 0; p < samples.size(); ++p) {
-    if (skin.skin.rest(p, 0) < 1e-9) {  // pinned
+    bool pinned = true;
+    skin.points.each_corner(p, [&](int v, double) { pinned = pinned && skin.skin.rest(v, 0) < 1e-9; });
+    if (pinned) {
       CHECK(samples.stiffness(p, kNeutral, kSquare) == 0);
-      ++held;
+      held += p < skin.skin.rest.rows();
     } else if (p % 7 == 0) {
       const double part = dense.part(p);
       CHECK(samples.stiffness()(p) == doctest::Approx(part * dense.stiffness(p, 0)).epsilon(1e-3));

@@ -56,7 +56,7 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
     """The tetrahedra of a character; mesh: those of an earlier build, to be used again. Raises dynamorph.Error with
     advice when the skin cannot be filled or nothing holds it.
     """
-    surface = (character.vertices @ character.to_bind.T)[character.coincident]
+    surface = character.bind_points[character.coincident]
     contents = _cages(character, surface)
     with stages("Meshing", 0.30) as report:
         defects = dynamorph.closed_surface(surface, character.triangles)[2]
@@ -103,8 +103,8 @@ _depths: dict[bytes, Depths] = {}  # of the last bodies, by what they follow fro
 
 def held_by_thickness(character: Character, mesh: dynamorph.TetMesh, inherited: Inherited, fill: np.ndarray) -> Hold:
     """The hold of a character's cage. fill (m,)."""
-    surface = (character.vertices @ character.to_bind.T)[character.coincident]
-    triangles = character.triangles[(character.cage_index[character.triangles] >= 0).all(axis=1)]
+    surface = character.bind_points[character.coincident]
+    triangles = character.soft_triangles
     made_from = (mesh.nodes, mesh.tets, inherited.weights, surface, triangles)
     key = b"".join(hashlib.sha256(array.tobytes()).digest() for array in made_from)
     if key not in _depths:
@@ -228,7 +228,7 @@ def _outside(character: Character, mesh: dynamorph.TetMesh, surface: np.ndarray)
     """
     if character.cage is None:
         return []
-    size = diagonal(character.vertices @ character.to_bind.T)
+    size = diagonal(character.bind_points)
     embedding = dynamorph.embed(mesh, surface)
     left = float((embedding.distances > 1e-5 * size)[character.cage_index == 0].mean())
     if left > MOSTLY:

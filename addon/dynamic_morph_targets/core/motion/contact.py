@@ -62,7 +62,7 @@ class Collision:
         vertices, corners = np.unique(points.vertices, return_inverse=True)
         self.skin = kind(
             engine,
-            (character.vertices @ character.to_bind.T)[vertices],
+            character.bind_points[vertices],
             dynamorph.Embedding(model.embedding_nodes[vertices], model.embedding_weights[vertices]),
             _moving(model, character, vertices),
             points.normals,
@@ -119,10 +119,10 @@ def _moving(model: Model, character: Character, vertices: np.ndarray) -> np.ndar
 
 def _thickness(model: Model, character: Character) -> np.ndarray:
     """Of the tissue below each vertex of the skin (V,), meters, above zero."""
-    rest = character.vertices @ character.to_bind.T
+    rest = character.bind_points
     found = model.thickness
     if not len(found):
-        soft = character.triangles[(character.cage_index[character.triangles] >= 0).all(axis=1)]
+        soft = character.soft_triangles
         found = dynamorph.Thickness(rest, soft).at(rest)[0]
     return np.maximum(found, 0.5 * THINNEST * diagonal(rest))
 

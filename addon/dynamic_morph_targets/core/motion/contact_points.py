@@ -48,8 +48,8 @@ class ContactPoints:
 
 def contact_points(model: Model, character: Character) -> ContactPoints:
     """All points of the soft skin that a model moves."""
-    rest = character.vertices @ character.to_bind.T
-    soft = character.triangles[(character.cage_index[character.triangles] >= 0).all(axis=1)]
+    rest = character.bind_points
+    soft = character.soft_triangles
     outward = -1.0 if signed_volume(rest, soft) < 0.0 else 1.0  # some meshes are inside out
     normals = outward * vertex_normals(rest, character.triangles)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-300)

@@ -21,7 +21,7 @@ THINNEST = 0.02  # of the body's size; thinner parts count as this thick
 
 def largest_distances(model: Model, character: Character, settings: SimulationSettings) -> np.ndarray:
     """The limit (V,) in meters of each vertex, without the Max Distance map; infinite without one."""
-    size = diagonal(character.vertices @ character.to_bind.T)
+    size = diagonal(character.bind_points)
     out = np.full(len(character.vertices), settings.max_displacement * size or np.inf)
     if settings.max_thickness and len(model.thickness):
         thickness = np.maximum(2.0 * model.thickness, THINNEST * size)
@@ -32,7 +32,7 @@ def largest_distances(model: Model, character: Character, settings: SimulationSe
 def motion_limit(model: Model, engine: EngineModel, character: Character, settings: SimulationSettings) -> Any:
     """What limits the motion of such an engine model; None without limits, or where no skin is soft."""
     distances = largest_distances(model, character, settings)
-    soft = character.triangles[(character.cage_index[character.triangles] >= 0).all(axis=1)]
+    soft = character.soft_triangles
     if not np.isfinite(distances).all() or not len(soft):
         return None
     painted = max_distance.pulled(character.max_distance)
@@ -41,7 +41,7 @@ def motion_limit(model: Model, engine: EngineModel, character: Character, settin
     )
     return kind(
         engine,
-        character.vertices @ character.to_bind.T,
+        character.bind_points,
         dynamorph.Embedding(model.embedding_nodes, model.embedding_weights),
         soft,
         character.weights,

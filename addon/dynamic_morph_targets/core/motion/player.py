@@ -139,7 +139,7 @@ class Player:
     @property
     def size(self) -> float:
         """Diagonal of the body's bounding box, meters."""
-        return diagonal(self.character.vertices @ self.character.to_bind.T)
+        return diagonal(self.character.bind_points)
 
     def run(self, rig: RigSamples) -> Iterator[Frame]:
         """Yields one frame per entry of settings.frames, in one pass; rig: 1 + (end - first) * substeps samples."""

@@ -121,7 +121,7 @@ class Skin:
 
     def __init__(self, model: Model, character: Character):
         self.model = model
-        self.rest = character.vertices @ character.to_bind.T
+        self.rest = character.bind_points
         self._weights = character.weights
         self._carriers: np.ndarray | None = None
         self.known: np.ndarray | slice = slice(None)

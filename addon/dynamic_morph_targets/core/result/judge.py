@@ -195,7 +195,7 @@ def judge(
 ) -> Verdict:
     """The verdict on a bake of `character` with `model` and these settings. It covers all the character's vertices."""
     limits = Limits(settings.max_displacement, settings.max_thickness)
-    triangles = character.triangles[(character.cage_index[character.triangles] >= 0).all(axis=1)]
+    triangles = character.soft_triangles
     if not len(bake.modes) or not len(triangles):
         return Verdict(limits, held, frame=float(bake.frames[0]), touched=touched)
     skin = _Skin(character, triangles, model.thickness)
@@ -232,7 +232,7 @@ class _Skin:
     """The soft part (T, 3) of a character's surface, bind space. thickness (V,): radii, meters, or none."""
 
     def __init__(self, character: Character, triangles: np.ndarray, thickness: np.ndarray):
-        self.rest = rest = character.vertices @ character.to_bind.T
+        self.rest = rest = character.bind_points
         self.triangles = triangles
         self.normals = self._normals(rest)
         self.areas = vertex_areas(rest, triangles)
