@@ -22,6 +22,7 @@ def _modules():
         compare,
         export,
         feel,
+        grab,
         jobs,
         materials,
         painting,
@@ -34,7 +35,7 @@ def _modules():
         weights,
     )
     from .ui.operators import live as live_operators
-    from .ui.overlays import viewport
+    from .ui.overlays import hands, viewport
     from .ui.panels import sections
 
     return (
@@ -53,6 +54,7 @@ def _modules():
         transfer,
         weights,
         live_operators,
+        grab,
         compare,
         feel,
         export,
@@ -61,6 +63,7 @@ def _modules():
         weight_curves,
         live,
         viewport,
+        hands,
         sections,
     )
 

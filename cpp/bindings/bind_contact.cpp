@@ -47,7 +47,20 @@ void bind_collider(py::module_& m) {
            "points"_a, "triangles"_a, "one_sided"_a = false,
            "points (V, 3): meters, in its own frame. triangles (T, 3): any triangle soup; closed parts push outward, "
            "open ones from both sides. one_sided: all that is behind its faces counts as inside. Raises ValueError "
-           "without triangles, for indices out of range and for points that are not finite.");
+           "without triangles, for indices out of range and for points that are not finite.")
+      .def(
+          "signed_distances",
+          [](const Collider& collider, const FloatArray& points) {
+            const Points x = to_matrix<Points>(points, "points");
+            check_finite("points", x);
+            VectorXd out(x.rows());
+            for (Eigen::Index i = 0; i < x.rows(); ++i) out(i) = collider.signed_distance(collider.rest(), x.row(i));
+            return out;
+          },
+          "points"_a,
+          "Of points (N, 3) from the mesh as it was built, in its own frame: (N,), meters, negative inside. An open "
+          "part "
+          "that is not one-sided has no inside. Raises ValueError for points that are not finite.");
   py::class_<ColliderMotion>(m, "ColliderMotion", "Where a collider is during S steps, in world space.")
       .def(py::init(&collider_motion), "collider"_a.none(false), "motion"_a, "friction"_a = 0.5,
            "active"_a = py::bool_(true),

@@ -283,6 +283,7 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "swap_slot": (two_slots, {}),
     "use_selected_bones": (bones_selected, {}),
 }
+BY_MOUSE = {"grab"}  # of a tool
 CHANGING_NOTHING = {  # nothing that is saved or undone
     "cancel": (target_selected, {}),
     "export": (baked, {"format": "RAW", "filepath": str(FOLDER / "clip.npz")}),

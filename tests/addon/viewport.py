@@ -3,7 +3,7 @@
 
 import bpy
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport
+from bl_ext.user_default.dynamic_morph_targets.ui.overlays import hands, viewport
 from pressed import in_window
 
 
@@ -26,17 +26,21 @@ class Viewport:
         self._patch = pytest.MonkeyPatch()
         self._patch.setattr(bpy.types.SpaceView3D, "draw_handler_add", self._add)
         self._patch.setattr(bpy.types.SpaceView3D, "draw_handler_remove", self._remove)
-        viewport.unregister()
+        self._each("unregister")
         with pytest.MonkeyPatch.context() as patch:
             in_window(patch)
-            viewport.register()
+            self._each("register")
         return self
 
     def __exit__(self, *_error):
-        viewport.unregister()
+        self._each("unregister")
         self._patch.undo()
         assert not self.callbacks
-        viewport.register()
+        self._each("register")
+
+    def _each(self, name):
+        for module in (viewport, hands):
+            getattr(module, name)()
 
     def draw(self, moment):
         """moment: POST_VIEW or POST_PIXEL."""

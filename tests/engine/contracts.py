@@ -194,6 +194,7 @@ def calls() -> dict[str, tuple[object, dict]]:
         "SoftBody": (lib, {"mesh": s.mesh, "fill": s.ones, "stiffness": s.ones, "region_weights": s.ones[:, None],
                            "pinned": s.pinned.tolist(), "weights": np.ones((s.n, 1)), "hold": s.ones}),
         "Collider": (lib, {"points": s.collider_points, "triangles": s.collider_triangles, "one_sided": False}),
+        "Collider.signed_distances": (s.collider, {"points": s.vertices}),
         "ColliderMotion": (lib, {"collider": s.collider, "motion": np.repeat(s.bones, 2, 0),
                                  "friction": np.array([0.5]), "active": np.array([True])}),
         "FullContact": (lib, {"model": s.full, **s.samples, "residual_shapes": np.zeros((2, len(s.points), 3)),

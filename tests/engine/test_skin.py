@@ -101,6 +101,24 @@ def test_a_grabbed_point_is_held_in_the_world_while_its_bone_moves(model):
     assert left[1] < 0.05 * left[0]
 
 
+def test_ten_thousand_random_drags_stay_finite_and_leave_nothing_behind():
+    """Goals that jump anywhere near the bar, with springs from soft to hard, and then nothing that pulls."""
+    simulation, random = simulation_of(REDUCED), np.random.default_rng(7)
+    rest, still, neutral = (
+        simulation.coordinates.copy(),
+        np.repeat(STILL[None], 100, 0),
+        np.repeat(NEUTRAL[None], 100, 0),
+    )
+    for _ in range(100):
+        goals = random.normal(scale=0.3, size=(100, 2, 3))
+        pulls = dynamorph.Grabs([0, 3], goals, 10.0 ** random.uniform(0.0, 5.0, 2))
+        simulation.advance(still, neutral, grabs=pulls)
+        assert np.isfinite(simulation.coordinates).all()
+    for _ in range(15):
+        simulation.advance(still, neutral)
+    assert np.abs(simulation.coordinates - rest).max() < 1e-6
+
+
 def test_forces_may_differ_from_step_to_step():
     """As in calls of one step each, and the same at all steps as a constant force."""
     push = np.random.default_rng(5).normal(size=(12, len(FULL.displacement(np.zeros(FULL.dofs))), 3))

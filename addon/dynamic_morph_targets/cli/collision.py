@@ -8,6 +8,8 @@ import argparse
 import bpy
 
 from ..core.errors import InputError
+from ..run import bake_time
+from ..scene import run_settings
 
 SETTINGS = ("distance", "friction", "bake_full")  # of the panel, that are options of the same name
 
@@ -21,7 +23,7 @@ def add_options(bake: argparse.ArgumentParser) -> None:
 
 
 def apply(args: argparse.Namespace, obj: bpy.types.Object) -> None:
-    """Apply the options that are given to the object. Raises InputError."""
+    """Apply the options that are given to the object, and say how long what follows takes. Raises InputError."""
     chosen, settings = vars(args), obj.dynamorph.collision
     name, on = chosen.get("collection"), chosen.get("collision")
     if name is not None:
@@ -44,3 +46,6 @@ def apply(args: argparse.Namespace, obj: bpy.types.Object) -> None:
     settings.use_friction |= chosen.get("friction") is not None
     if chosen.get("solver") == "reduced" and chosen.get("bake_full") is None:
         settings.bake_full = False
+    if args.goal == "BAKE" and args.clips != "actions" and settings.use and run_settings.bake_solver(obj) == "FULL":
+        time = bake_time.expected(obj, args.frames, args.substeps)
+        print(f"{obj.name}: what collides is baked in Full Quality: {time}", flush=True)

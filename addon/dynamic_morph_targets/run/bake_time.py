@@ -27,10 +27,10 @@ def learn(obj: bpy.types.Object, given: BakeInput, seconds: float) -> None:
         steps[obj.session_uid] = seconds / _count(given.settings)
 
 
-def expected(obj: bpy.types.Object) -> Message:
-    """In words for the artist."""
+def expected(obj: bpy.types.Object, frames: tuple[int, int] | None = None, substeps: int | None = None) -> Message:
+    """In words for the artist. frames, substeps: instead of those of the object."""
     try:
-        settings = run_settings.simulation_settings(obj, bpy.context.scene)
+        settings = run_settings.simulation_settings(obj, bpy.context.scene, frames, substeps)
     except SceneError:  # the bake will say what is wrong
         return Message("longer")
     nodes = obj.dynamorph.model.cage_nodes

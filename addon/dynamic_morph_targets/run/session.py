@@ -15,7 +15,8 @@ from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
 from ..core.message import joined
 from ..core.motion import rig_samples, simulate
-from ..core.motion.contact import Touched, pressed, touched
+from ..core.motion.contact import Touched, touched
+from ..core.motion.grab import Grab, together
 from ..core.motion.player import Frame, Player, State, statistics
 from ..core.motion.rig_samples import RigSamples
 from ..core.painted_map import MAPS
@@ -169,6 +170,7 @@ class Session:
         self.content_id = obj.dynamorph.model.content_id
         self.first = self.last = 0  # frames simulated from and to, while there are any
         self.now: int | None = None  # the one that shows, or just before
+        self.grabs: tuple[Grab, ...] = ()  # by which the artist pulls the skin
         self._frames: dict[int, Frame] = {}
         self._states: dict[int, tuple[int, State]] = {}
         self.skinning, self.painted = way_to_skin(obj), painted(obj)
@@ -237,19 +239,6 @@ class Session:
             np.array(numbers), dict(zip(names, steps.T, strict=True)), player.collision, self.tissue.model.bone_names
         )
 
-    def contact_vertices(self) -> tuple[np.ndarray, np.ndarray]:
-        """At the frame that shows, the vertices of the skin that something pushes, and the one, if any, that the bones
-        take deepest beyond what it can give way.
-        """
-        collision, own = self.tissue.player.collision, self.tissue.character.own_vertices.stop
-        kept = None if self.now is None else self._states.get(self.now % self._kept)
-        if collision is None or kept is None or kept[0] != self.now:
-            return np.zeros(0, int), np.zeros(0, int)
-        steps = self._frames[self.now].steps
-        deepest = np.array([steps["too_deep_sample"]] if steps["too_deep"] > 0.0 else [], int)
-        pushed, deep = (collision.vertices[samples] for samples in (pressed(kept[1][3]), deepest))
-        return pushed[pushed < own], deep[deep < own]
-
     def knows(self, time: float) -> bool:
         """Whether a frame, or a time between two, has been simulated already."""
         return {math.floor(time), math.ceil(time)} <= self._frames.keys()
@@ -257,7 +246,7 @@ class Session:
     def rig_changed(self) -> None:
         """The rig moves differently from now on."""
         self.rig.forget()
-        self._rewind()
+        self.rewind()
 
     def _sync_settings(self, obj: bpy.types.Object, settings: SimulationSettings) -> None:
         """Apply what the artist has changed; the frames simulated after the one that shows are then dropped."""
@@ -276,7 +265,7 @@ class Session:
         placing, materials, sampled = _placing(obj), _materials(obj), _sampling(obj)
         changed = (placing, materials) != (self._placing, self._material)
         if changed or _physics(settings) != _physics(self.tissue.player.settings):
-            self._rewind()
+            self.rewind()
             if placing != self._placing:
                 _, character = model_store.live_model(obj)
             else:
@@ -329,6 +318,7 @@ class Session:
         number, samples = self.last + 1, self.rig.after(obj, self.last)[1:]
         collision = self.tissue.player.collision
         if collision is None or collision.fits(samples):
+            self.pull()
             self._keep(number, self.tissue.player.advance(samples, number))
         else:  # other colliders are there: it begins again
             self._begin(obj, number)
@@ -340,16 +330,26 @@ class Session:
             self.first += 1
         self._states[number % self._kept] = number, self.tissue.player.state
 
-    def _rewind(self) -> None:
+    def pull(self) -> None:
+        """Pull the skin by `grabs` in the frames that follow."""
+        if self.tissue.player.hand:
+            self.tissue.player.hand.pull(together(self.grabs))
+
+    def state_at(self, number: int) -> State | None:
+        """From which the frame after this one goes on; None where that is not kept."""
+        kept = self._states.get(number % self._kept)
+        return kept[1] if kept and kept[0] == number else None
+
+    def rewind(self) -> None:
         """Drop the frames after the one that shows; if its state is no longer stored, all of them."""
         now = self.now
         if now == self.last:
             return
-        kept = None if now is None else self._states.get(now % self._kept)
-        if now is None or kept is None or kept[0] != now:
+        state = None if now is None else self.state_at(now)
+        if now is None or state is None:
             self._frames = {}
             return
-        self.tissue.player.state = kept[1]
+        self.tissue.player.state = state
         self._frames = {k: frame for k, frame in self._frames.items() if k <= now}
         self.last = now
 

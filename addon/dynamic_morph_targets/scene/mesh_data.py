@@ -38,6 +38,21 @@ def rest_points(obj) -> np.ndarray:
     return points.astype(np.float64)
 
 
+def shown_points(obj, depsgraph) -> np.ndarray:
+    """World positions (V, 3) of the mesh's own vertices as shown; modifiers that add some put theirs after them.
+
+    Raises SceneError where modifiers take some away.
+    """
+    evaluated = obj.evaluated_get(depsgraph)
+    count = len(obj.data.vertices)
+    if len(evaluated.data.vertices) < count:
+        raise SceneError("Modifiers take vertices of '{name}' away, so it cannot be colored", name=obj.name)
+    points = np.empty((len(evaluated.data.vertices), 3), np.float32)
+    evaluated.data.attributes["position"].data.foreach_get("vector", points.ravel())
+    world = np.array(evaluated.matrix_world, np.float32)
+    return points[:count] @ world[:3, :3].T + world[:3, 3]
+
+
 def target_shape(obj, key_name: str, groups: VertexGroups | None = None) -> np.ndarray:
     """The displacement by the shape key at value 1: (V, 3), local space. groups: those of `obj`, if they were read
     already.

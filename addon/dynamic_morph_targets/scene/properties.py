@@ -160,8 +160,8 @@ class DynamorphDisplay(PropertyGroup):
     )  # fmt: skip
     contact: BoolProperty(
         name="Show Contact",
-        description="Draw where something pushes the skin while Live is on: green points, and a red one where the "
-        "bones take it deepest into something beyond what it can give way",
+        description="Draw where something stops the skin that shows: green points where it touches, and red ones "
+        "where it is inside all the same, because the bones leave it no room",
         update=_redraw_views,
     )  # fmt: skip
     posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")

@@ -464,6 +464,10 @@ class Collider:
         """
         points (V, 3): meters, in its own frame. triangles (T, 3): any triangle soup; closed parts push outward, open ones from both sides. one_sided: all that is behind its faces counts as inside. Raises ValueError without triangles, for indices out of range and for points that are not finite.
         """
+    def signed_distances(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        Of points (N, 3) from the mesh as it was built, in its own frame: (N,), meters, negative inside. An open part that is not one-sided has no inside. Raises ValueError for points that are not finite.
+        """
 class ColliderMotion:
     """
     Where a collider is during S steps, in world space.

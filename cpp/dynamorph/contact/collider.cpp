@@ -386,6 +386,11 @@ bool Collider::contains(const ColliderPose& pose, const Vector3d& x, const Colli
   return solids_ > 0 && std::abs(winding_number(pose.points, winding_triangles(), pose.bvh, pose.dipoles, x)) > 0.5;
 }
 
+double Collider::signed_distance(const ColliderPose& pose, const Vector3d& x) const {
+  const ColliderPoint at = nearest(pose, x);
+  return (contains(pose, x, at) ? -1 : 1) * (x - at.point).norm();
+}
+
 // With x, the corner a and the edges u and v all moving straight and evenly, the volume (x - a) . (u x v) that they
 // span is a cubic of time; where it is zero, x is in the triangle's plane.
 ColliderPoint Collider::first_crossing(const ColliderPose& before, const ColliderPose& after, const Vector3d& from,

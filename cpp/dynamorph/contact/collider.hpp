@@ -66,6 +66,8 @@ class Collider {
   Vector3d pseudonormal(const ColliderPose& pose, const ColliderPoint& at) const;
   /// Whether x is inside, if `nearest` is the point nearest to it.
   bool contains(const ColliderPose& pose, const Vector3d& x, const ColliderPoint& nearest) const;
+  /// Meters; negative inside.
+  double signed_distance(const ColliderPose& pose, const Vector3d& x) const;
   /// Of a triangle, unit, out of the collider; zero without area.
   Vector3d normal(const ColliderPose& pose, int triangle) const;
 

@@ -16,6 +16,8 @@ constexpr double kIntoSkin = -0.3;   // n . N below which a surface presses on t
 constexpr double kFromWithin = 0.5;  // above it, from within the body
 constexpr double kTurnsOver = 0.95;  // above it, what touched the skin has turned over
 constexpr double kTouches = 0.25;    // of the margin: gap in which a sample touched something
+constexpr double kNear = 0.25;       // of the way from the distance to the margin: what is looked at without a motion
+constexpr double kWays = 2;          // in which a sample may get there, beyond that
 constexpr double kFadeBegins = 0.7;  // of a contact, in thicknesses of tissue
 constexpr double kFadeEnds = 1.2;    // there it has no weight left
 constexpr double kHollow = 0.1;      // of the margin: how far behind a plane the surface may be in a hollow
@@ -142,11 +144,12 @@ struct ContactFinder::Plane {
 
 class ContactFinder::Search {
  public:
-  Search(const Collider& collider, const Posed& posed, double margin)
+  Search(const Collider& collider, const Posed& posed, double near, double margin)
       : collider_(collider),
         begin_(*posed.begin),
         end_(*posed.end),
         deforms_(posed.deforms),
+        near_(near),
         margin_(margin),
         size_(end_.bvh.nodes[0].box.diagonal().norm()),
         nudge_(kNudge * size_),
@@ -179,7 +182,7 @@ class ContactFinder::Search {
 
   const Collider& collider_;
   const ColliderPose &begin_, &end_;
-  double deforms_, margin_, size_, nudge_;
+  double deforms_, near_, margin_, size_, nudge_;
   Vector3d drift_;
 };
 
@@ -217,14 +220,15 @@ Vector3d ContactFinder::Search::direction(const Vector3d& x, const ColliderPoint
 void ContactFinder::Search::run(const Sample& sample) {
   const double way = (sample.to - sample.from).norm() + deforms_ + 2 * nudge_;
   ColliderPoint nearest;
-  if (way <= margin_) nearest = collider_.nearest(end_, sample.to, margin_);
+  const double margin = std::min(margin_, near_ + kWays * way);
+  if (way <= margin) nearest = collider_.nearest(end_, sample.to, margin);
   bool lost = !sample.held.isZero(0);
-  if (way > margin_ || (nearest && (nearest.point - sample.to).norm() <= way)) lost |= !sweep(sample);
+  if (way > margin || (nearest && (nearest.point - sample.to).norm() <= way)) lost |= !sweep(sample);
   if (count == 0) {
-    if (!nearest) nearest = collider_.nearest(end_, sample.to, lost ? kInfinity : margin_);
+    if (!nearest) nearest = collider_.nearest(end_, sample.to, lost ? kInfinity : margin);
     if (nearest && collider_.contains(end_, sample.to, nearest))
       get_out(sample, nearest);
-    else if (nearest && (nearest.point - sample.to).norm() < margin_)
+    else if (nearest && (nearest.point - sample.to).norm() < margin)
       approach(sample, nearest);
   } else if (count == 1) {
     Plane& plane = planes[0];
@@ -351,8 +355,8 @@ void check(const std::vector<ColliderStep>& colliders, const SampleStep& samples
 
 }  // namespace
 
-void ContactFinder::find(const std::vector<ColliderStep>& colliders, const SampleStep& samples, double margin,
-                         ContactMemory& memory, std::vector<Contact>& contacts) {
+void ContactFinder::find(const std::vector<ColliderStep>& colliders, const SampleStep& samples, double distance,
+                         double margin, ContactMemory& memory, std::vector<Contact>& contacts) {
   check(colliders, samples);
   contacts.clear();
   unusable_.clear();
@@ -365,7 +369,7 @@ void ContactFinder::find(const std::vector<ColliderStep>& colliders, const Sampl
     if (step.active && !usable) unusable_.push_back(c);
     const bool known = std::exchange(memory.active[c], usable) && usable && posed_[c].came;
     if (usable && !posed_[c].away)
-      touch(step.collider, c, posed_[c], known, samples, around, margin, memory.planes, contacts);
+      touch(step.collider, c, posed_[c], known, samples, around, distance, margin, memory.planes, contacts);
   }
   memory.planes.clear();
   for (const Contact& contact : contacts)
@@ -374,7 +378,7 @@ void ContactFinder::find(const std::vector<ColliderStep>& colliders, const Sampl
 
 /// Adds the contacts of all samples with one collider. known: whether it was there in the last step.
 void ContactFinder::touch(const Collider& collider, int number, const Posed& posed, bool known,
-                          const SampleStep& samples, const Bvh::Box& around, double margin,
+                          const SampleStep& samples, const Bvh::Box& around, double distance, double margin,
                           const std::vector<ContactMemory::Plane>& held, std::vector<Contact>& contacts) {
   const Bvh::Box region =
       corners_box(posed.begin->bvh.nodes[0].box, posed.from_begin.turn, posed.from_begin.shift)
@@ -382,7 +386,7 @@ void ContactFinder::touch(const Collider& collider, int number, const Posed& pos
   if (!region.intersects(around)) return;
   auto plane = std::lower_bound(held.begin(), held.end(), number,
                                 [](const ContactMemory::Plane& plane, int c) { return plane.collider < c; });
-  Search search(collider, posed, margin);
+  Search search(collider, posed, distance + kNear * (margin - distance), margin);
   for (Eigen::Index row = 0; row < samples.before.rows(); ++row) {
     const int p = samples.samples[std::size_t(row)];
     const Vector3d before = samples.before.row(row), predicted = samples.predicted.row(row);
@@ -412,8 +416,9 @@ void ContactFinder::touch(const Collider& collider, int number, const Posed& pos
       double depth = found.normal.dot(found.at.point - unmoved);
       if (collider.solid()) {  // under a small one that has gone past it is deeper than under the plane
         const Vector3d below = unmoved - kSeen * thickness * sample.normal;
+        const Vector3d matters = unmoved - kFadeBegins * thickness * sample.normal;
         const ColliderPoint last =
-            collider.first_crossing(*posed.end, *posed.end, below, unmoved, Collider::Crossing::entering);
+            collider.first_crossing(*posed.end, *posed.end, below, matters, Collider::Crossing::entering);
         if (last) depth = std::max(depth, sample.normal.dot(unmoved - last.point));
       }
       const double fade = (depth / thickness - kFadeBegins) / (kFadeEnds - kFadeBegins);

@@ -57,17 +57,19 @@ struct ContactMemory {
   std::vector<std::uint8_t> active;  ///< whether each collider acted; empty at the beginning
 
   void clear() { *this = {}; }
+  bool acted(int collider) const { return collider < int(active.size()) && active[std::size_t(collider)]; }
 };
 
 /// Its buffers are kept from step to step; what it finds depends on the arguments alone.
 class ContactFinder {
  public:
-  /// Sets `contacts` to those of all samples that are nearer than `margin` (meters) to an active collider at the end of
-  /// the step, or inside it; by collider, and those of a collider by sample. A sample may have several contacts with a
-  /// collider, as in the corner of a room. Updates the memory.
-  /// Throws std::invalid_argument for arrays that do not fit each other.
-  void find(const std::vector<ColliderStep>& colliders, const SampleStep& samples, double margin, ContactMemory& memory,
-            std::vector<Contact>& contacts);
+  /// Sets `contacts` to those of all samples that are inside an active collider at the end of the step or may get
+  /// there: by collider, and those of a collider by sample. Those are looked at that come nearer than `margin`, or a
+  /// quarter of it for those that hardly move beside the collider, both from `distance` on, where they begin to be
+  /// pushed (meters). A sample may have several contacts with a collider, as in the corner of a room. Updates the
+  /// memory. Throws std::invalid_argument for arrays that do not fit each other.
+  void find(const std::vector<ColliderStep>& colliders, const SampleStep& samples, double distance, double margin,
+            ContactMemory& memory, std::vector<Contact>& contacts);
 
   /// Active colliders that could not act in the last step: they are not finite, or scaled to nothing.
   const std::vector<int>& unusable() const { return unusable_; }
@@ -108,7 +110,7 @@ class ContactFinder {
   class Search;
 
   void touch(const Collider& collider, int number, const Posed& posed, bool known, const SampleStep& samples,
-             const Bvh::Box& around, double margin, const std::vector<ContactMemory::Plane>& held,
+             const Bvh::Box& around, double distance, double margin, const std::vector<ContactMemory::Plane>& held,
              std::vector<Contact>& contacts);
 
   static bool split(const Eigen::Map<const RowMajor>& transform, Frame& frame, Matrix3d& stretch);

@@ -354,35 +354,48 @@ constexpr const auto& either(const OfDouble& of_double, const OfSingle& of_singl
 }  // namespace
 
 template <class Real>
-void BlockCholesky<Real>::solve(const VectorXd& b, VectorXd& x, std::vector<Real>& scratch) const {
-  const auto &forward = either<Real>(forward_double, forward_single),
-             &backward = either<Real>(backward_double, backward_single);
+void BlockCholesky<Real>::forward(const VectorXd& b, std::vector<Real>& y) const {
+  const auto& eliminate = either<Real>(forward_double, forward_single);
   const SymbolicCholesky& S = *symbolic_;
   const size_t n = S.order.size();
-  scratch.resize(3 * (n + S.most_rows));
-  Real *all = scratch.data(), *front = all + 3 * n;
+  y.resize(3 * (n + S.most_rows));
+  Real *all = y.data(), *front = all + 3 * n;
   for (size_t k = 0; k < n; ++k)
     for (int c = 0; c < 3; ++c) all[3 * k + c] = Real(b[3 * S.order[k] + c]);
   for (const SymbolicCholesky::Supernode& s : S.supernodes) {
     const int columns = 3 * s.columns, *below = S.rows_below.data() + s.below;
     std::copy_n(all + 3 * s.first, columns, front);
     std::fill_n(front + columns, 3 * s.rows - columns, Real(0));
-    forward(factor_.data() + s.factor, 3 * s.rows, columns, front);
+    eliminate(factor_.data() + s.factor, 3 * s.rows, columns, front);
     std::copy_n(front, columns, all + 3 * s.first);
     for (int i = s.columns; i < s.rows; ++i, ++below)
       for (int c = 0; c < 3; ++c) all[3 * *below + c] += front[3 * i + c];
   }
+}
+
+template <class Real>
+void BlockCholesky<Real>::backward(std::vector<Real>& y, VectorXd& x) const {
+  const auto& substitute = either<Real>(backward_double, backward_single);
+  const SymbolicCholesky& S = *symbolic_;
+  const size_t n = S.order.size();
+  Real *all = y.data(), *front = all + 3 * n;
   for (size_t k = S.supernodes.size(); k-- > 0;) {
     const SymbolicCholesky::Supernode& s = S.supernodes[k];
     const int columns = 3 * s.columns, *below = S.rows_below.data() + s.below;
     std::copy_n(all + 3 * s.first, columns, front);
     for (int i = s.columns; i < s.rows; ++i, ++below) std::copy_n(all + 3 * *below, 3, front + 3 * i);
-    backward(factor_.data() + s.factor, 3 * s.rows, columns, front);
+    substitute(factor_.data() + s.factor, 3 * s.rows, columns, front);
     std::copy_n(front, columns, all + 3 * s.first);
   }
   x.resize(3 * n);
   for (size_t k = 0; k < n; ++k)
     for (int c = 0; c < 3; ++c) x[3 * S.order[k] + c] = all[3 * k + c];
+}
+
+template <class Real>
+void BlockCholesky<Real>::solve(const VectorXd& b, VectorXd& x, std::vector<Real>& scratch) const {
+  forward(b, scratch);
+  backward(scratch, x);
 }
 
 template <class Real>
@@ -394,31 +407,64 @@ VectorXd BlockCholesky<Real>::solve(const VectorXd& b) const {
 }
 
 template <class Real>
+void BlockCholesky<Real>::forward_sides(Real* X) const {
+  const auto& eliminate = either<Real>(forward_sides_double, forward_sides_single);
+  for (const SymbolicCholesky::Supernode& s : symbolic_->supernodes) {
+    const int columns = 3 * s.columns;
+    const Real* own = X + size_t(3 * s.first) * kSides;
+    if (std::all_of(own, own + size_t(columns) * kSides, [](Real x) { return x == 0; })) continue;
+    eliminate(factor_.data() + s.factor, symbolic_->rows_below.data() + s.below, 3 * s.first, 3 * s.rows, columns, X);
+  }
+}
+
+template <class Real>
+void BlockCholesky<Real>::backward_sides(Real* X) const {
+  const auto& substitute = either<Real>(backward_sides_double, backward_sides_single);
+  for (size_t k = symbolic_->supernodes.size(); k-- > 0;) {
+    const SymbolicCholesky::Supernode& s = symbolic_->supernodes[k];
+    substitute(factor_.data() + s.factor, symbolic_->rows_below.data() + s.below, 3 * s.first, 3 * s.rows,
+               3 * s.columns, X);
+  }
+}
+
+namespace {
+
+/// Calls move(side, x) for kSides columns of X from the first on, in the order of the factor, with the numbers of sides
+/// (3n, kSides).
+template <class Real, class Matrix, class Move>
+void exchange(const SymbolicCholesky& S, std::vector<Real>& sides, Matrix& X, Eigen::Index first, const Move& move) {
+  const Eigen::Index some = std::min<Eigen::Index>(kSides, X.cols() - first);
+  for (size_t k = 0; k < S.order.size(); ++k)
+    for (int c = 0; c < 3; ++c)
+      for (Eigen::Index side = 0; side < some; ++side)
+        move(sides[(3 * k + c) * kSides + side], X(3 * S.order[k] + c, first + side));
+}
+
+}  // namespace
+
+template <class Real>
 void BlockCholesky<Real>::solve_in_place(Eigen::Ref<MatrixXd> X) const {
-  const auto &forward = either<Real>(forward_sides_double, forward_sides_single),
-             &backward = either<Real>(backward_sides_double, backward_sides_single);
-  const SymbolicCholesky& S = *symbolic_;
-  const size_t n = S.order.size();
-  std::vector<Real> sides(3 * n * kSides);
+  std::vector<Real> sides(X.rows() * kSides);
+  for (Eigen::Index first = 0; first < X.cols(); first += kSides) {
+    exchange(*symbolic_, sides, X, first, [](Real& side, double x) { side = Real(x); });
+    forward_sides(sides.data());
+    backward_sides(sides.data());
+    exchange(*symbolic_, sides, X, first, [](Real side, double& x) { x = side; });
+  }
+}
+
+template <class Real>
+typename BlockCholesky<Real>::Columns BlockCholesky<Real>::forward(const MatrixXd& X) const {
+  std::vector<Real> sides(X.rows() * kSides);
+  Columns out(X.rows(), X.cols());
   for (Eigen::Index first = 0; first < X.cols(); first += kSides) {
     const Eigen::Index some = std::min<Eigen::Index>(kSides, X.cols() - first);
-    const auto exchange = [&](const auto& move) {
-      for (size_t k = 0; k < n; ++k)
-        for (int c = 0; c < 3; ++c)
-          for (Eigen::Index side = 0; side < some; ++side)
-            move(sides[(3 * k + c) * kSides + side], X(3 * S.order[k] + c, first + side));
-    };
-    exchange([](Real& side, double x) { side = Real(x); });
-    for (const SymbolicCholesky::Supernode& s : S.supernodes)
-      forward(factor_.data() + s.factor, S.rows_below.data() + s.below, 3 * s.first, 3 * s.rows, 3 * s.columns,
-              sides.data());
-    for (size_t k = S.supernodes.size(); k-- > 0;) {
-      const SymbolicCholesky::Supernode& s = S.supernodes[k];
-      backward(factor_.data() + s.factor, S.rows_below.data() + s.below, 3 * s.first, 3 * s.rows, 3 * s.columns,
-               sides.data());
-    }
-    exchange([](Real side, double& x) { x = side; });
+    exchange(*symbolic_, sides, X, first, [](Real& side, double x) { side = Real(x); });
+    forward_sides(sides.data());
+    using Sides = Eigen::Matrix<Real, Eigen::Dynamic, kSides, Eigen::RowMajor>;
+    out.middleCols(first, some) = Eigen::Map<const Sides>(sides.data(), X.rows(), kSides).leftCols(some);
   }
+  return out;
 }
 
 template class BlockCholesky<float>;

@@ -37,10 +37,25 @@ class BlockCholesky {
   VectorXd solve(const VectorXd& b) const;
   /// Computes x = A^-1 b with the caller's scratch, so that nothing is allocated from the second call on. b may be x.
   void solve(const VectorXd& b, VectorXd& x, std::vector<Real>& scratch) const;
-  /// Solves for all columns of X (3n, k), eight at a time, which is much faster than one by one.
+  /// Solves for all columns of X (3n, k), eight at a time, which is much faster than one by one, and more so where only
+  /// a few rows of them are not zero.
   void solve_in_place(Eigen::Ref<MatrixXd> X) const;
 
+  // The two halves of a solution, A^-1 = P^T L^-T L^-1 P.
+
+  using Columns = Eigen::Matrix<Real, Eigen::Dynamic, Eigen::Dynamic>;
+  /// y = L^-1 P b: its first 3n numbers, with room for `backward`.
+  void forward(const VectorXd& b, std::vector<Real>& y) const;
+  /// x = P^T L^-T y. Overwrites y.
+  void backward(std::vector<Real>& y, VectorXd& x) const;
+  /// L^-1 P X of all columns of X (3n, k), eight at a time.
+  Columns forward(const MatrixXd& X) const;
+
  private:
+  /// X: kSides numbers for each row of the matrix, in the factor's order.
+  void forward_sides(Real* X) const;
+  void backward_sides(Real* X) const;
+
   std::shared_ptr<const SymbolicCholesky> symbolic_;
   std::vector<Real> factor_;                      ///< the supernodes' columns, with 1 / L_ii on the diagonal
   std::vector<double> panel_, strips_, updates_;  ///< scratch of the factorization

@@ -13,7 +13,7 @@ double SparseRows::dot(Index row, const VectorXd& x) const {
   return sum;
 }
 
-void SparseRows::add(Index row, double factor, VectorXd& y) const {
+void SparseRows::add(Index row, double factor, Eigen::Ref<VectorXd> y) const {
   for (int m = first(row); m < ends[row]; ++m)
     for (Part it(parts, m); it; ++it) y(it.col()) += factor * it.value();
 }

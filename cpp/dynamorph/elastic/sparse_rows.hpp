@@ -19,7 +19,7 @@ struct SparseRows {
   /// The dot product of a row with x (3n).
   double dot(Eigen::Index row, const VectorXd& x) const;
   /// y += factor times a row.
-  void add(Eigen::Index row, double factor, VectorXd& y) const;
+  void add(Eigen::Index row, double factor, Eigen::Ref<VectorXd> y) const;
 };
 
 /// Rows and their stiffness d >= 0 (k), N/m for rows without a unit.

@@ -224,7 +224,7 @@ void Simulation<Model>::find_contacts(const StepInput& input, const StepRule& ru
     for (const ColliderStep& step : *input.colliders) memory_.active.push_back(step.active);
     return;
   }
-  finder_.find(*input.colliders, near_, margin, memory_, found_);
+  finder_.find(*input.colliders, near_, distance_, margin, memory_, found_);
   unusable_ = finder_.unusable();
   friction_.clear();
   for (const ColliderStep& collider : *input.colliders) friction_.push_back(collider.friction);
@@ -243,12 +243,17 @@ bool Simulation<Model>::place_samples(const StepInput& input, double margin) {
   std::vector<int>& samples = near_.samples;
   samples.clear();
   extents_.clear();
-  for (const ColliderStep& step : *input.colliders)
-    if (step.active) extents_.push_back(extent(step));
+  for (int c = 0; c < int(input.colliders->size()); ++c)
+    if (const ColliderStep& step = (*input.colliders)[std::size_t(c)]; step.active)
+      extents_.push_back({extent(step), memory_.acted(c) && step.before.allFinite()});
   for (const auto& group : samples_->groups()) {
-    const double reach = farthest + margin + kTissue * group.thickness;
-    const Box box = samples_->region(group, state_.bones[0], reach).merged(samples_->region(group, input.bones, reach));
-    if (std::any_of(extents_.begin(), extents_.end(), [&](const Box& extent) { return extent.intersects(box); }))
+    const double near = farthest + margin, appears = kTissue * group.thickness;
+    const Box box = samples_->region(group, state_.bones[0], near).merged(samples_->region(group, input.bones, near));
+    const auto reaches = [&](const Extent& extent) {
+      const double square = extent.known ? 0 : appears * appears;
+      return extent.box.squaredExteriorDistance(box) <= square;
+    };
+    if (std::any_of(extents_.begin(), extents_.end(), reaches))
       samples.insert(samples.end(), group.samples.begin(), group.samples.end());
   }
   std::sort(samples.begin(), samples.end());

@@ -174,10 +174,15 @@ class Simulation {
     PointTransform transform;  ///< at the end of the step
   };
   std::vector<PlacedVertex> vertices_;
-  std::vector<int> vertex_at_;                ///< of each vertex, in vertices_; -1: not there
-  VectorXd shape_;                            ///< coordinates of the blended targets
-  std::vector<Eigen::AlignedBox3d> extents_;  ///< of the active colliders during the step
-  std::vector<double> friction_;              ///< of the colliders
+  std::vector<int> vertex_at_;  ///< of each vertex, in vertices_; -1: not there
+  VectorXd shape_;              ///< coordinates of the blended targets
+  /// Where an active collider is during the step.
+  struct Extent {
+    Eigen::AlignedBox3d box;
+    bool known;  ///< it acted in the last step: nothing is inside that has not come in
+  };
+  std::vector<Extent> extents_;
+  std::vector<double> friction_;  ///< of the colliders
   NewtonScratch<Matrix> newton_;
   MatrixXd rest_gravity_;     ///< gravity in each target's own pose (dofs, J), or empty
   MatrixXd rest_directions_;  ///< the same at each transform, A^T g (3T, J)

@@ -17,9 +17,10 @@ from bl_ext.user_default.dynamic_morph_targets.cli import main
 from bl_ext.user_default.dynamic_morph_targets.core import errors as core_errors
 from bl_ext.user_default.dynamic_morph_targets.core import memory
 from bl_ext.user_default.dynamic_morph_targets.io import disk, paths, report_page
+from bl_ext.user_default.dynamic_morph_targets.run import batch
 from bl_ext.user_default.dynamic_morph_targets.scene import rig_motion
 from bl_ext.user_default.dynamic_morph_targets.write import storage
-from builders import make_arm, make_soft
+from builders import make_arm, make_ball, make_soft
 
 
 @pytest.fixture
@@ -135,6 +136,7 @@ def test_collision_is_turned_on_and_limited(shot, run, stand_in):
     assert collision("--collision").bake_full and not collision("--collision", "--no-bake-full").bake_full
     assert not collision("--collision", "--solver", "reduced").bake_full  # that is what is asked for
     assert collision("--collision", "--solver", "reduced", "--bake-full").bake_full
+    assert "Full Quality" not in run("bake", shot, *chosen, "--collision")[1]  # nothing collides
     collision("--collision", "--exclude", "upper")
     assert bpy.data.objects["Arm"].dynamorph.excluded_group == "upper"
     code, _, errors = run("bake", shot, *chosen, "--exclude", "Nowhere")
@@ -143,6 +145,23 @@ def test_collision_is_turned_on_and_limited(shot, run, stand_in):
     assert code == 2 and "the file has no collection named 'Nowhere'" in errors
     code, _, errors = run("bake", shot, *chosen, "--collection", "Furniture", "--no-collision")
     assert code == 2 and "leave out --no-collision" in errors
+
+
+def test_the_quality_of_a_bake_with_collision_is_said_before_it_with_its_time(shot, run, monkeypatch):
+    bpy.ops.wm.open_mainfile(filepath=str(shot))
+    make_ball()
+    bpy.ops.wm.save_mainfile()
+
+    def stop(*_):
+        raise core_errors.InputError("stopped before the bake")
+
+    monkeypatch.setattr(batch, "run_all", stop)
+    chosen = "--object", "Arm", "--collision", "--in-place"
+    code, out, errors = run("bake", shot, *chosen)
+    assert code == 2 and "stopped" in errors
+    assert "Arm: what collides is baked in Full Quality: less than a minute" in out
+    _, out, _ = run("bake", shot, *chosen, "--frames", 1, 9000)
+    assert "Arm: what collides is baked in Full Quality: about" in out
 
 
 def test_all_in_place(shot, run, stand_in):

@@ -301,16 +301,16 @@ def test_the_colored_surface_lies_on_the_mesh(scene, soft_arm):
     """Modifiers that add vertices put them after the mesh's own."""
     writer.write_keys(soft_arm, hand_made_bake(soft_arm))
     scene.frame_set(12)
-    before = viewport.shown_points(soft_arm, bpy.context.evaluated_depsgraph_get())
+    before = mesh_data.shown_points(soft_arm, bpy.context.evaluated_depsgraph_get())
     soft_arm.modifiers.new("Solidify", "SOLIDIFY").offset = 1.0
-    points = viewport.shown_points(soft_arm, bpy.context.evaluated_depsgraph_get())
+    points = mesh_data.shown_points(soft_arm, bpy.context.evaluated_depsgraph_get())
     assert points.shape == before.shape
     corners = viewport.triangles(soft_arm)
     assert corners.shape == (2 * len(soft_arm.data.polygons), 3) or (len(corners) and corners.max() < len(points))
     soft_arm.modifiers.remove(soft_arm.modifiers["Solidify"])
     soft_arm.modifiers.new("Decimate", "DECIMATE").ratio = 0.2
     with pytest.raises(errors.SceneError, match="take vertices of 'Arm' away"):
-        viewport.shown_points(soft_arm, bpy.context.evaluated_depsgraph_get())
+        mesh_data.shown_points(soft_arm, bpy.context.evaluated_depsgraph_get())
 
 
 def test_only_one_thing_colors_the_surface(addon):

@@ -637,32 +637,57 @@ def test_live_goes_on_when_a_collider_comes_or_goes(arm):
     play(arm, 3 * FRAMES + 1, 3 * FRAMES + 3)
 
 
-def test_contact_is_drawn_where_the_skin_is_pushed(arm, viewport, monkeypatch):
-    drawn_points = []
+@pytest.fixture
+def contact_points(viewport, monkeypatch):
+    """Returns what *Show Contact* draws now: points (n, 3) by color, green and red."""
+    found = {}
     monkeypatch.setattr(overlays, "make_batch", lambda kind, points: points)
-    monkeypatch.setattr(overlays, "draw_points", lambda points, color, size: drawn_points.append((points, color)))
-    bpy.ops.dynamorph.live()
+    monkeypatch.setattr(
+        overlays, "draw_points", lambda points, color, size: found.update({"gr"[color[0] > color[1]]: points})
+    )
+
+    def draw() -> dict:
+        found.clear()
+        viewport.draw("POST_VIEW")
+        return {{"g": "green", "r": "red"}[color]: points for color, points in found.items()}
+
+    yield draw
+    bpy.context.window_manager.dynamorph.contact = False
+
+
+@pytest.mark.parametrize("baked", [False, True])
+def test_contact_is_drawn_where_the_skin_that_shows_touches_something(arm, contact_points, scene, baked):
+    ball, display = bpy.data.objects["Ball"], bpy.context.window_manager.dynamorph
+    if baked:
+        bake(arm)
+    else:
+        bpy.ops.dynamorph.live()
     play(arm, 1, FRAMES)
-    viewport.draw("POST_VIEW")
-    assert drawn_points == []
-    bpy.context.window_manager.dynamorph.contact = True
-    viewport.draw("POST_VIEW")
-    ((pushed, green),) = drawn_points
-    center = np.array(bpy.data.objects["Ball"].matrix_world.translation)
-    assert len(pushed) and np.linalg.norm(pushed - center, axis=1).max() < RADIUS + 0.01 * SIZE
-    assert green[1] > green[0]
+    assert contact_points() == {}
+    display.contact = True
+    drawn_points = contact_points()
+    away = np.linalg.norm(drawn_points["green"] - np.array(ball.matrix_world.translation), axis=1)
+    assert drawn_points.keys() == {"green"} and np.abs(away - RADIUS).max() < 0.004 * SIZE
+    arm.vertex_groups.new(name="Passes").add(range(len(arm.data.vertices)), 1.0, "REPLACE")
+    arm.dynamorph.excluded_group = "Passes"
+    assert contact_points() == {}
+
+
+def test_skin_that_is_inside_all_the_same_is_drawn_red(arm, contact_points):
+    """With the bones alone nothing gives way; the ball is stretched and turned."""
     ball = bpy.data.objects["Ball"]
     ball.animation_data_clear()
-    for frame, place in ((1, 0.6), (6, 0.15)):
-        ball.location.x = place
-        ball.keyframe_insert("location", frame=frame)
+    ball.location, ball.scale, ball.rotation_euler = (SURFACE, 0.0, HEIGHT), (2.0, 1.0, 0.5), (0.3, 0.4, 0.0)
     bpy.context.view_layer.update()
-    play(arm, 1, 8)
-    drawn_points.clear()
-    viewport.draw("POST_VIEW")
-    (deep, red) = drawn_points[-1]
-    assert len(deep) == 1 and red[0] > red[1]
-    bpy.context.window_manager.dynamorph.contact = False
+    bpy.context.window_manager.dynamorph.contact = True
+    deep = np.array(contact_points()["red"])
+    shape = np.array(ball.matrix_world)
+    skin = evaluated_points(arm)
+    own = (skin - shape[:3, 3]) @ np.linalg.inv(shape[:3, :3]).T
+    inside = skin[np.linalg.norm(own, axis=1) < 0.93 * RADIUS]
+    away = np.linalg.norm((deep - shape[:3, 3]) @ np.linalg.inv(shape[:3, :3]).T, axis=1)
+    assert len(inside) > 20 and away.max() < RADIUS
+    assert np.linalg.norm(inside[:, None] - deep, axis=2).min(axis=1).max() < 1e-5
 
 
 def test_turning_it_on_in_live_counts_from_the_next_frame_on(arm):

@@ -12,7 +12,7 @@ from bl_ext.user_default.dynamic_morph_targets.core import engine
 from bl_ext.user_default.dynamic_morph_targets.core.material import fit
 from bl_ext.user_default.dynamic_morph_targets.core.motion import posing
 from bl_ext.user_default.dynamic_morph_targets.run import batch, heat, task, weight_curves
-from bl_ext.user_default.dynamic_morph_targets.scene import events, extract, model_store, plain, rig_motion
+from bl_ext.user_default.dynamic_morph_targets.scene import events, extract, mesh_data, model_store, plain, rig_motion
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import gpu_drawing
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import graph as overlays_graph
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport as overlays_viewport
@@ -500,14 +500,13 @@ def test_the_cage_is_drawn(scene, built_arm, picture):
 
 def test_the_surface_is_drawn_as_hot_as_it_moves(scene, soft_arm, picture, monkeypatch):
     """Before the mesh itself, at the place where it is shown."""
-    overlays = overlays_viewport
     scene.frame_set(20)
     values = np.linspace(0.0, 1.2, len(soft_arm.data.vertices))  # along the arm
     moved = {soft_arm.session_uid: values}
     monkeypatch.setattr(heat, "displacements", lambda _obj: moved)
     bpy.context.window_manager.dynamorph.heat = True
     pixels = picture("POST_VIEW", SIDE_VIEW)
-    points = overlays.shown_points(soft_arm, bpy.context.evaluated_depsgraph_get())
+    points = mesh_data.shown_points(soft_arm, bpy.context.evaluated_depsgraph_get())
     columns, rows = np.flatnonzero(pixels.any(axis=(0, 2))), np.flatnonzero(pixels.any(axis=(1, 2)))
     assert abs(columns.min() - (200 + 80 * points[:, 1].min())) < 3
     assert abs(rows.max() - (20 + 80 * points[:, 2].max())) < 3
@@ -540,7 +539,7 @@ def test_what_cannot_be_drawn_is_not(soft_arm, viewport, graph, monkeypatch):
     display.cage = display.heat = True
     for state in ("depth_test_set", "depth_mask_set", "blend_set"):
         monkeypatch.setattr(f"gpu.state.{state}", lambda _value: None, raising=False)
-    assert len(viewport.callbacks) == 6
+    assert len(viewport.callbacks) == 8
     for draw, arguments, _moment in viewport.callbacks:
         draw(*arguments)
     display.cage = display.heat = False

@@ -110,7 +110,7 @@ def test_the_row_below_the_buttons_says_what_is_next(soft_arm, stand_in, monkeyp
         "Live builds it, Bake too",
         "Live shows it, Bake keeps it",
         "Space plays, Bake keeps it",
-        "Space stops, Bake keeps it",
+        "Grab it, or Space stops it",
         "Build updates Live",
         "Space plays it",
         "Bake updates it",

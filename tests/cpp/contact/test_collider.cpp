@@ -78,6 +78,7 @@ TEST_CASE("inside and outside of a box, also at its edges and corners") {
     if (std::abs(distance) < 1e-9) continue;
     CHECK(contains(box, x) == (distance < 0));
     CHECK(contains(turned, x) == (distance < 0));
+    CHECK(turned.signed_distance(turned.rest(), x) == doctest::Approx(distance).epsilon(1e-6));
     const ColliderPoint nearest = box.nearest(box.rest(), x);
     CHECK((x - nearest.point).norm() == doctest::Approx(std::abs(distance)).epsilon(1e-6));
     CHECK(box.pseudonormal(box.rest(), nearest).norm() == doctest::Approx(1));

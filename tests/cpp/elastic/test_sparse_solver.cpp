@@ -53,6 +53,16 @@ TEST_CASE("block Cholesky: solves like Eigen's, in both precisions, for one and 
       // The error of rounding the factor is the condition number's, so compare what is solved for.
       CHECK((A * X - B).norm() < 1e-2 * B.norm());
       CHECK((A * single.solve(B.col(3)) - B.col(3)).norm() < 1e-2 * B.col(3).norm());
+
+      // The halves, also of columns that are nearly empty: A^-1 = W^T W.
+      std::vector<double> half;
+      const MatrixXd W = factor.forward(MatrixXd::Identity(A.rows(), A.rows()));
+      CHECK((W.transpose() * W * B - expected).norm() < 1e-9 * expected.norm());
+      VectorXd x;
+      factor.forward(B.col(3), half);
+      CHECK((Eigen::Map<VectorXd>(half.data(), A.rows()) - W * B.col(3)).norm() < 1e-9 * (W * B.col(3)).norm());
+      factor.backward(half, x);
+      CHECK((x - expected.col(3)).norm() < 1e-9 * expected.norm());
     }
 }
 
@@ -142,14 +152,20 @@ TEST_CASE("sparse solver: stiffness at points is exact, on the mesh's pattern an
   for (int i = 0; i < int(free_of_node.size()); ++i) free_of_node[std::size_t(i)] = i - 9;  // the first nine are pinned
   for (int& free : free_of_node) free = std::max(free, -1);
   const VectorXd b = VectorXd::LinSpaced(A.rows(), -1, 2);
+  SparseSolver solver;
+  VectorXd x;
   for (int parts : {1, 5})
     for (double stiffness : {1.0, 1e4}) {  // beside a mesh of some 1e3
       const SparsePoints points = random_points(mesh, free_of_node, A.rows(), 12, parts, stiffness);
+      const SparsePoints many = random_points(mesh, free_of_node, A.rows(), 300, parts, stiffness);
       const MatrixXd exact = MatrixXd(A) + dense(points);
-      SparseSolver solver;
-      VectorXd x;
-      REQUIRE(solver.solve(A, {&points}, b, x));
-      CHECK((exact * x - b).norm() < 2e-4 * b.norm());
+      for (const auto& each :
+           std::vector<std::vector<const SparsePoints*>>{{&points}, {&points, &many}, {}, {&points}}) {
+        MatrixXd H = A;
+        for (const SparsePoints* some : each) H += dense(*some);
+        REQUIRE(solver.solve(A, each, b, x));
+        CHECK((H * x - b).norm() < 2e-4 * b.norm());
+      }
 
       SparseMatrix majorized = A;
       add_majorant(points, majorized);

@@ -27,6 +27,7 @@ from .rig_samples import RigSamples
 PLACES = 3000  # of the skin by which its patches are pressed, at most
 PATCHES = 512  # of the skin that give way by themselves in Reduced Quality
 SAMPLES = 20000  # points of the skin that can touch something, at most
+REDUCED_SAMPLES = 10000  # the same in Reduced Quality, where patches that are coarser than that give way
 PROBED_SAMPLES = 4000  # the same where Blender poses the nodes, which have a matrix of weights
 EXCLUDED = 0.5  # smallest weight of `Character.excluded` with which a point touches nothing
 BITS = 52  # of a float, which are exact: so many colliders are told apart where they are unusable
@@ -44,7 +45,9 @@ class Collision:
     def __init__(self, model: Model, engine: EngineModel, character: Character):
         surface = contact_points(model, character)
         touchable = surface[surface.of(character.excluded) < EXCLUDED]
-        points = touchable.at_most(PROBED_SAMPLES if character.probed else SAMPLES)
+        full = model.settings.solver == "FULL"
+        most = SAMPLES if full else REDUCED_SAMPLES
+        points = touchable.at_most(PROBED_SAMPLES if character.probed else most)
         self.skin: Any = None
         self.dents = np.zeros((3 * int(model.free.sum()), 0))
         self.vertices = points.vertices[:, 0]
@@ -54,7 +57,6 @@ class Collision:
         self._colliders: list[Any] = []
         if not len(points.rest):
             return
-        full = model.settings.solver == "FULL"
         local = None
         if not full:
             local, self.dents = _local_responses(model, character, surface)
@@ -64,7 +66,7 @@ class Collision:
             engine,
             character.bind_points[vertices],
             dynamorph.Embedding(model.embedding_nodes[vertices], model.embedding_weights[vertices]),
-            _moving(model, character, vertices),
+            moving_weights(model, character, vertices),
             points.normals,
             points.least(_thickness(model, character)),
             model.residual_shapes[:, vertices] @ character.to_bind.T,
@@ -78,7 +80,7 @@ class Collision:
         tracks = colliders_of(first)
         self._known = [(track.name, track.topology) for track in tracks]
         self._shapes = [track.shapes[track.shape[0, 1]].copy() for track in tracks]
-        self._colliders = [_collider(track, shape) for track, shape in zip(tracks, self._shapes, strict=True)]
+        self._colliders = [collider_of(track, shape) for track, shape in zip(tracks, self._shapes, strict=True)]
 
     def fits(self, rig: RigSamples) -> bool:
         """Whether these samples have the same colliders."""
@@ -105,7 +107,7 @@ class Collision:
         return self._known[number][0]
 
 
-def _moving(model: Model, character: Character, vertices: np.ndarray) -> np.ndarray:
+def moving_weights(model: Model, character: Character, vertices: np.ndarray) -> np.ndarray:
     """Weights (V, B + 1) of what moves these vertices (V,): of the bones, or of the free nodes where Blender poses
     those.
     """
@@ -161,7 +163,8 @@ def _local_responses(model: Model, character: Character, surface: ContactPoints)
 _known_responses: dict[int, tuple[Any, np.ndarray]] = {}  # by id(model)
 
 
-def _collider(track: ColliderTrack, points: np.ndarray) -> Any:
+def collider_of(track: ColliderTrack, points: np.ndarray) -> Any:
+    """The engine's, with the vertices at points (V, 3). Raises SceneError for what it refuses."""
     # A closed surface has an inside of its own, also where its normals point inward.
     one_sided = track.one_sided and not is_closed(track.triangles)
     try:
@@ -227,17 +230,6 @@ def touched(times: np.ndarray, steps: dict[str, np.ndarray], collision: Collisio
     frames = frames_around(worst, (depth <= 0.0) | (collider != collider[worst]), times)
     names = collision.names(int(steps["too_deep_sample"][worst]), collider[worst], bones)
     return Touched(penetration, float(depth[worst]), *names, frames, unusable)
-
-
-def pressed(state: np.ndarray) -> np.ndarray:
-    """The points of the skin that something pushes, from what is touched in a player's `State`: planes of 8 numbers,
-    one for each collider, then pressures (sample, collider, normal, force).
-    """
-    if not len(state):
-        return np.zeros(0, int)
-    planes, colliders = state[:2].astype(int)
-    pressures = state[2 + 8 * planes + colliders :].reshape(-1, 6)
-    return np.unique(pressures[pressures[:, 5] > 0.0, 0].astype(int))
 
 
 def as_bits(colliders: Sequence[int]) -> float:

@@ -16,6 +16,7 @@ from ..model.model import EngineModel, EngineSimulation, Model
 from ..settings import SimulationSettings
 from .amounts import Amounts
 from .contact import Collision, as_bits
+from .grab import Hand
 from .limits import motion_limit
 from .posing import Posing
 from .rig_samples import RigSamples
@@ -82,13 +83,12 @@ class Player:
         keep_going: Callable[[], bool] | None = None,
         engine: EngineModel | None = None,
     ):
-        self.model = model
-        self.settings = settings
+        self.model, self.character, self.settings = model, character, settings
         self.number, self.passes = settings.first, 0
         self.engine: EngineModel | None = None
         self._keep_going = keep_going
-        self.character = character
         self.collision: Collision | None = None
+        self.hand: Hand | None = None  # by which the artist pulls the skin
         self._first: RigSamples | None = None  # the first sample
         self.modes = model.modes
         self._shapes = np.zeros((len(self.character.targets), 0))
@@ -97,6 +97,7 @@ class Player:
             self.engine = engine or model.engine(self.character, self.character.probed)
             self._shapes = model.target_coordinates(self.engine)
             self._simulation = _stepper(model, self.engine, settings, keep_going)
+            self.hand = Hand(model, self.engine, character, self._simulation)
             self._simulation.set_limit(motion_limit(model, self.engine, self.character, settings))
             if settings.collision:
                 self.collision = Collision(model, self.engine, character)
@@ -224,7 +225,8 @@ class Player:
                     steps = slice(end - stride, end)
                     push = self._push(moving[steps], bones[steps])
                     stops = self.collision.motions(moving[steps]) if self.collision else None
-                    report = self._simulation.advance(bones[steps], weights[steps], push, colliders=stops)
+                    grabs = self.hand.springs(steps, substeps) if self.hand else None
+                    report = self._simulation.advance(bones[steps], weights[steps], push, grabs, stops)
                     time = self.number - left / samples
                     yield Frame(time, self.coordinates, weights[end - 1], report)
 
@@ -296,7 +298,7 @@ class _NothingMoves:
     def start(self, _now: np.ndarray, _next: np.ndarray, _weights: np.ndarray) -> dict:
         return NO_STEPS
 
-    def advance(self, _bones: np.ndarray, _weights: np.ndarray, _external: object, colliders: object) -> dict:
+    def advance(self, *_moving: object) -> dict:
         return NO_STEPS
 
     def balance_targets(self, _bones: np.ndarray) -> None:

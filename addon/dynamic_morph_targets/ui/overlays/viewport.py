@@ -21,8 +21,8 @@ from mathutils import Matrix, Vector
 
 from ...core import engine, errors, logger
 from ...core.motion.rig_samples import RigSamples
-from ...run import heat, live
-from ...scene import checks, events, model_store, references, rig_motion, skin
+from ...run import heat, live, touching
+from ...scene import checks, events, mesh_data, model_store, references, rig_motion, skin
 from ...write.display import beside, comparison
 from .gpu_drawing import (
     MARGIN,
@@ -44,7 +44,7 @@ GIZMOS = 90.0  # that Blender's own buttons take at the right
 LEGEND = 160.0  # wide, of what the colors of the surface mean
 SHADED = 0.55  # how light the colored surface is where it is seen from the side
 NEARER = 2e-3  # of the body's size: that the colored surface is drawn before the mesh
-CONTACT_COLORS = 3, 0  # of the theme's collection colors, where the skin is pushed, and where too deep: green and red
+CONTACT_COLORS = 3, 0  # of the theme's collection colors, where the skin is pushed, and where inside: green and red
 HELD_COLOR = 2  # of the theme's collection colors: unlike those of selected and of unselected vertices
 
 
@@ -166,11 +166,13 @@ def _draw_contact():
     """POST_VIEW."""
     context = bpy.context
     obj = skin.mesh_in(context)
-    session = live.sessions.get(obj.session_uid) if obj else None
-    if not context.window_manager.dynamorph.contact or session is None or not is_shown(context, obj):
+    if not context.window_manager.dynamorph.contact or not is_shown(context, obj):
         return
-    points, colors = shown_points(obj, context.view_layer.depsgraph), context.preferences.themes[0].collection_color
-    for vertices, color, size in zip(session.contact_vertices(), CONTACT_COLORS, (4.0, 8.0), strict=True):
+    depsgraph, colors = context.view_layer.depsgraph, context.preferences.themes[0].collection_color
+    points = mesh_data.shown_points(obj, depsgraph)
+    for vertices, color, size in zip(
+        touching.touching(obj, points, depsgraph), CONTACT_COLORS, (4.0, 8.0), strict=True
+    ):
         if len(vertices):  # on top, because what pushes them hides them
             draw_points(make_batch("POINTS", points[vertices]), (*colors[color].color, 0.9), size)
 
@@ -193,21 +195,6 @@ def painted(context, obj) -> tuple[dict[int, np.ndarray], str, list[str]] | None
     if display.max_distance:
         return heat.max_distance(obj), iface_("Max Distance"), [iface_("bones only"), "50%", iface_("as set")]
     return None
-
-
-def shown_points(obj, depsgraph) -> np.ndarray:
-    """World positions (V, 3) of the mesh's own vertices as shown; modifiers that add some put theirs after them.
-
-    Raises SceneError where modifiers take some away.
-    """
-    evaluated = obj.evaluated_get(depsgraph)
-    count = len(obj.data.vertices)
-    if len(evaluated.data.vertices) < count:
-        raise errors.SceneError("Modifiers take vertices of '{name}' away, so it cannot be colored", name=obj.name)
-    points = np.empty((len(evaluated.data.vertices), 3), np.float32)
-    evaluated.data.attributes["position"].data.foreach_get("vector", points.ravel())
-    world = np.array(evaluated.matrix_world, np.float32)
-    return points[:count] @ world[:3, :3].T + world[:3, 3]
 
 
 def _draw_surface():
@@ -233,7 +220,7 @@ def _draw_surfaces(meshes: dict, depsgraph, nearer: float):
         gpu.matrix.load_matrix(Matrix.Translation((0.0, 0.0, nearer)) @ view)
         for mesh, values in meshes.items():
             if len(values) == len(mesh.data.vertices):
-                points, corners = shown_points(mesh, depsgraph), triangles(mesh)
+                points, corners = mesh_data.shown_points(mesh, depsgraph), triangles(mesh)
                 light = shade(points, corners, np.array(view)[2, :3])
                 batch = _colored(points, heat.colors(values) * light[:, None], corners)
                 batch.draw(gpu.shader.from_builtin("SMOOTH_COLOR"))
@@ -349,7 +336,7 @@ def _draw_names_beside():
         draw_text(name, left, bottom, box.text)
 
 
-def _quietly(draw):
+def quietly(draw):
     """A callback that draws nothing where `draw` fails, and logs a bug once: it would come back at every redraw.
 
     What is expected the panel or the legend says.
@@ -404,7 +391,7 @@ def register():
         in_view = (_draw_surface, _draw_cage, _draw_contact)
         on_top = (draw_graph, _draw_names_beside, _draw_surface_legend)
         for draw, moment in [(draw, "POST_VIEW") for draw in in_view] + [(draw, "POST_PIXEL") for draw in on_top]:
-            _handles.append(bpy.types.SpaceView3D.draw_handler_add(_quietly(draw), (), "WINDOW", moment))
+            _handles.append(bpy.types.SpaceView3D.draw_handler_add(quietly(draw), (), "WINDOW", moment))
 
 
 def unregister():
@@ -415,6 +402,7 @@ def unregister():
 
 
 def forget():
-    """Free what is kept on the graphics card, and cages."""
+    """Free what is kept on the graphics card, cages and colliders."""
+    touching.forget()
     for cache in (_cage, _order, _cage_batches, graph_batches):
         cache.cache_clear()

@@ -91,7 +91,7 @@ def next_step(obj) -> str:
     if not live.is_on(obj) and baked and staleness.outdated(obj):
         return "Bake updates it"
     if live.is_on(obj) and not baked:
-        return "Space stops, Bake keeps it" if events.is_playing() else "Space plays, Bake keeps it"
+        return "Grab it, or Space stops it" if events.is_playing() else "Space plays, Bake keeps it"
     if live.is_on(obj) or baked:
         return "Space stops it" if events.is_playing() else "Space plays it"
     if is_outdated(obj) or not obj.dynamorph.model.content_id:

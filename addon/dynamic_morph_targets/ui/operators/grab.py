@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The tool that grabs a soft skin which is live, and what it does with the mouse."""
+
+from __future__ import annotations
+
+import time
+
+import bpy
+import numpy as np
+from bpy.types import Operator, WorkSpaceTool
+from bpy_extras.view3d_utils import region_2d_to_location_3d, region_2d_to_origin_3d, region_2d_to_vector_3d
+from mathutils import Vector
+
+from ...run import grabbing
+from ...scene import events, mesh_data, skin
+from ...scene.registration import of_classes
+from ..base import report_errors
+
+TAP, TAP_PIXELS = 0.2, 4  # a press that is shorter in seconds, and moves less, slaps
+NOTCH = 0.02  # of the distance from the viewer: by which the wheel moves the hand
+
+
+class DYNAMORPH_OT_grab(Operator):
+    """Drag the soft skin while Live is on, and let go; a tap slaps it, and Shift at the release holds it"""
+
+    bl_idname = "dynamorph.grab"
+    bl_label = "Grab Soft Skin"
+    bl_options = {"INTERNAL"}  # it leaves nothing that could be undone
+
+    @classmethod
+    def poll(cls, context):
+        return skin.mesh_in(context) is not None and context.region_data is not None
+
+    def invoke(self, context, event):
+        return report_errors(self, self._take, context, event)
+
+    def _take(self, context, event):
+        obj, mouse = skin.mesh_in(context), (event.mouse_region_x, event.mouse_region_y)
+        hit, normal = _under(context, obj, mouse)
+        if hit is None:
+            return {"CANCELLED", "PASS_THROUGH"}
+        self.grabbing = grabbing.begin(obj)
+        points = mesh_data.shown_points(obj, context.evaluated_depsgraph_get()).astype(np.float64)
+        self.hold = self.grabbing.take(np.array(hit), points)
+        self.mouse = self.first = mouse
+        self.depth, self.normal, self.pressed = hit, normal, time.perf_counter()
+        context.window_manager.modal_handler_add(self)
+        context.workspace.status_text_set(
+            "Drag to pull  |  Wheel: depth  |  Shift at the release: hold  |  Esc: let go"
+        )
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        result = report_errors(self, self._follow, context, event)
+        if result & {"FINISHED", "CANCELLED"}:
+            context.workspace.status_text_set(None)
+            events.redraw(events.VIEWS)
+        return result
+
+    def _follow(self, context, event):
+        if grabbing.current is not self.grabbing or event.type in {"ESC", "RIGHTMOUSE"}:
+            grabbing.end()
+            return {"CANCELLED"}
+        if event.type in {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}:
+            self.mouse = event.mouse_region_x, event.mouse_region_y
+            self._lead(context)
+        elif event.type in {"WHEELUPMOUSE", "WHEELDOWNMOUSE"}:
+            toward = self.depth - region_2d_to_origin_3d(context.region, context.region_data, self.mouse)
+            self.depth = self.depth + (NOTCH if event.type == "WHEELUPMOUSE" else -NOTCH) * toward
+            self._lead(context)
+        elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
+            self._release(event)
+            return {"FINISHED"}
+        elif event.type == "TIMER":
+            return {"PASS_THROUGH"}  # playback goes on
+        return {"RUNNING_MODAL"}
+
+    def _lead(self, context):
+        goal = region_2d_to_location_3d(context.region, context.region_data, self.mouse, self.depth)
+        self.grabbing.lead(self.hold, np.array(goal))
+        events.redraw(events.VIEWS)
+
+    def _release(self, event):
+        moved = max(abs(now - then) for now, then in zip(self.mouse, self.first, strict=True))
+        if moved < TAP_PIXELS and time.perf_counter() - self.pressed < TAP:
+            self.grabbing.slap(self.hold, -np.array(self.normal))
+        elif not event.shift:
+            self.grabbing.let_go(self.hold)
+
+
+def _under(context, obj, mouse) -> tuple[Vector | None, Vector]:
+    """The place on the soft skin `obj` under the mouse, and its normal: world space; None where something else is."""
+    origin = region_2d_to_origin_3d(context.region, context.region_data, mouse)
+    direction = region_2d_to_vector_3d(context.region, context.region_data, mouse)
+    found, place, normal, _, other, _ = context.scene.ray_cast(context.evaluated_depsgraph_get(), origin, direction)
+    if not found or other.original != obj:
+        return None, direction
+    return place, normal if normal.dot(direction) < 0.0 else -normal
+
+
+class GrabTool(WorkSpaceTool):
+    """What the tools of both modes have in common."""
+
+    bl_space_type = "VIEW_3D"
+    bl_label = "Grab Soft Skin"
+    bl_description = (
+        "Drag the soft skin while Live is on, and let go.\n"
+        "A tap slaps it. The wheel moves the hand in depth; Shift at the release leaves it there; Esc lets go of all"
+    )
+    bl_icon = "brush.uv_sculpt.grab"
+    bl_keymap = tuple(
+        (DYNAMORPH_OT_grab.bl_idname, {"type": "LEFTMOUSE", "value": "PRESS", "shift": shift}, None)
+        for shift in (False, True)
+    )
+
+
+class DYNAMORPH_TOOL_grab_object(GrabTool):
+    bl_context_mode = "OBJECT"
+    bl_idname = "dynamorph.grab_object"
+
+
+class DYNAMORPH_TOOL_grab_pose(GrabTool):
+    bl_context_mode = "POSE"
+    bl_idname = "dynamorph.grab_pose"
+
+
+TOOLS = (DYNAMORPH_TOOL_grab_object, DYNAMORPH_TOOL_grab_pose)
+_shown: list = []  # tools that are in the toolbar
+_register, _unregister = of_classes((DYNAMORPH_OT_grab,))
+
+
+def register():
+    _register()
+    for tool in TOOLS:
+        bpy.utils.register_tool(tool, separator=True)
+        _shown.append(tool)
+
+
+def unregister():
+    grabbing.end()
+    while _shown:
+        bpy.utils.unregister_tool(_shown.pop())
+    _unregister()
