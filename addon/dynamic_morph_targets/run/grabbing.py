@@ -7,18 +7,19 @@ frame discards. Nothing of the file is changed but what Live shows.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
 
-from ..core import engine, errors, logger
+from ..core import engine, logger
 from ..core.errors import SceneError
-from ..core.geometry import diagonal
+from ..core.message import Message
 from ..core.model.model import Model
 from ..core.motion.grab import FIRM, Grab, pinch
 from ..core.motion.player import Frame, Player, State
-from ..scene import events, skin
+from ..scene import events, rig_motion, skin
 from . import live
 from .session import Session
 
@@ -48,23 +49,31 @@ class Hold:
 
 
 class Copy:
-    """The motion of a session that goes on by itself, at rest to begin with, from the frame `now` that shows."""
+    """The motion of a session that goes on by itself, at rest to begin with, from the frame that shows. Raises
+    SceneError where that is not kept.
+    """
 
     def __init__(self, obj: bpy.types.Object, session: Session):
         state = None if session.now is None else session.state_at(session.now)
         if session.now is None or state is None:
             raise SceneError("What Live shows at this frame is not kept: go to the first frame and play")
         coordinates, bones, excess, touched = state
-        self.now = session.now
+        self.now, self._rig_changes = session.now, session.rig_changes
         self.frames = 0  # since a hand last did something
         self._state: State = [coordinates[0]] * 4, [bones[0]] * 4, excess, touched
         substeps = session.tissue.player.settings.substeps
         self._rig = session.rig.after(obj, self.now)[:1].still(substeps)
 
-    def step(self, player: Player) -> Frame:
+    def is_of(self, session: Session) -> bool:
+        """Whether the session still shows that frame of the same motion of the rig."""
+        return (self.now, self._rig_changes) == (session.now, session.rig_changes)
+
+    def step(self, player: Player, grabs: tuple[Grab, ...]) -> Frame:
         """The next frame; the player is left as it was."""
+        assert player.hand is not None
         state, number = player.state, player.number
         player.state = self._state
+        player.hand.pull(grabs)
         try:
             frame = player.advance(self._rig, self.now)
             self._state = player.state
@@ -78,48 +87,53 @@ class Grabbing:
     """The hands on one soft skin that is live. Raises SceneError where there is nothing to take hold of."""
 
     def __init__(self, obj: bpy.types.Object):
+        if live.is_on(obj) and obj.session_uid not in live.sessions:
+            live.refresh(obj)  # its file was just opened, or its skinning changed
         session = live.sessions.get(obj.session_uid)
         if session is None or not live.is_on(obj):
-            raise SceneError("'{name}' is not live: press Live Soft Skin first", name=obj.name)
+            raise SceneError(
+                live.problem(obj) or Message("'{name}' is not live: press Live Soft Skin first", name=obj.name)
+            )
         if session.tissue.player.hand is None:
             raise SceneError("With the Method Static nothing moves by itself: there is nothing to grab")
         self.object = skin.ObjectHandle.of(obj)
         self.holds: dict[int, Hold] = {}  # by the number of the hand
+        self.size = session.tissue.player.size / skin.unit_scale()  # of the body, Blender units
+        self._session = session
         self._taken = 0  # so many hands, until now
         self._copy: Copy | None = None
-        self._shown: np.ndarray | None = None
+        self._shown: np.ndarray | None = None  # points of the copy
+        self._calm = False  # the copy stands still, held
+        self._aged: int | None = None  # the frame for which hands grew older
 
-    def session(self) -> Session:
-        """Raises SceneError when it has ended."""
-        session = live.sessions.get(self.object.session_uid)
-        if session is None:
-            raise SceneError("'{name}' is not live any more", name=self.object.name)
-        return session
+    def is_of(self, obj: bpy.types.Object) -> bool:
+        """Whether these are hands on the soft skin `obj` as it is live now."""
+        return live.is_on(obj) and live.sessions.get(obj.session_uid) is self._session
 
     def take(self, place: np.ndarray, points: np.ndarray) -> int:
         """A hand takes hold of the skin at `place` (3,), which shows at points (V, 3): world space. Returns its number.
         Raises SceneError.
         """
-        tissue, size = self.session().tissue, diagonal(points)
-        vertices, share = pinch(points, place, RADIUS * size, _moving(tissue.model)[: len(points)])
+        tissue, radius = self._session.tissue, RADIUS * self.size
+        vertices, share = pinch(points, place, radius, _moving(tissue.model)[: len(points)])
         if not len(vertices):
             raise SceneError("This part does not move by itself: grab a softer one")
+        self._begin_copy(self.object.find())
         _, shear = tissue.character.material(0).lame()  # of the neutral target
-        stiffness = FIRM * shear * RADIUS * size * skin.unit_scale() * share
+        stiffness = FIRM * shear * radius * skin.unit_scale() * share
         number, self._taken = self._taken, self._taken + 1
         self.holds[number] = Hold(vertices, points[vertices] - place, stiffness, place, place)
-        if self._copy is None or self._copy.now != self.session().now:
-            self.session().rewind()
-            self._begin()
         self._changed()
         return number
 
     def lead(self, number: int, goal: np.ndarray) -> None:
         """Lead a hand to a goal (3,), world space; at most FARTHEST from where it took hold."""
-        hold, farthest = self.holds[number], FARTHEST * self._size
+        if number not in self.holds:  # all have let go
+            return
+        hold = self.holds[number]
         way = goal - hold.start
-        length = float(np.linalg.norm(way))
-        self.holds[number] = replace(hold, goal=hold.start + way * min(1.0, farthest / max(length, 1e-300)))
+        most = FARTHEST * self.size / max(float(np.linalg.norm(way)), 1e-300)
+        self.holds[number] = replace(hold, goal=hold.start + way * min(1.0, most))
         self._changed()
 
     def let_go(self, number: int) -> None:
@@ -128,64 +142,72 @@ class Grabbing:
 
     def slap(self, number: int, inward: np.ndarray) -> None:
         """Lead a hand inward, a unit vector (3,), and let go by itself."""
-        hold = self.holds[number]
-        self.holds[number] = replace(hold, goal=hold.start + SLAP * self._size * inward, frames=SLAP_FRAMES)
-        self._changed()
+        if number in self.holds:
+            start = self.holds[number].start
+            goal = start + SLAP * self.size * inward
+            self.holds[number] = replace(self.holds[number], goal=goal, frames=SLAP_FRAMES)
+            self._changed()
 
-    def end(self) -> None:
-        """Let go of everything."""
+    def let_go_of_all(self) -> None:
         self.holds.clear()
         self._changed()
 
     def tick(self) -> bool:
-        """A frame has passed: let go of what is slapped, and where time stands still, let the copy go on. Returns
+        """A frame may have passed: let go of what was slapped, and where time stands still, let the copy go on. Returns
         whether there is anything left to do. Raises what a step does.
         """
-        obj, session = self.object.find(), self.session()
-        if not live.is_on(obj):  # a preview shows something else
+        obj = next((each for each in bpy.data.objects if each.session_uid == self.object.session_uid), None)
+        if obj is None or not self.is_of(obj):  # it is gone, or a preview shows something else
             return False
-        self.holds = {number: _aged(hold) for number, hold in self.holds.items() if hold.frames != 0}
-        self._apply()
+        if live.is_scrubbing() or rig_motion.render_runs() or live.is_away(obj):
+            return True  # what Live waits for, too
         if events.is_playing():
             self._copy = None
+            if self.holds and self._session.now is not None and self._session.knows(self._session.now + 1):
+                self._session.rewind()  # those frames were simulated without the hand
+            self._grow_older(self._session.now)
             return bool(self.holds)
-        if self._copy is None or self._copy.now != session.now:
-            if not self.holds or session.now is None:
+        if self._calm and self._copy and self._copy.is_of(self._session):
+            return True
+        return self._go_on(obj)
+
+    def _go_on(self, obj: bpy.types.Object) -> bool:
+        session = self._session
+        if self._copy is None or not self._copy.is_of(session):
+            if not self.holds:
                 return False
-            self._begin()
-        return self._go_on(obj, session)
+            self._begin_copy(obj)
+        assert self._copy is not None
+        tissue, player = session.tissue, session.tissue.player
+        self._grow_older(None)
+        tissue.show(tissue.values(self._copy.step(player, session.grabs)))
+        before, self._shown = self._shown, tissue.skin.written
+        moved = np.inf if before is None or self._shown is None else np.abs(self._shown - before).max()
+        calm = moved * np.abs(tissue.character.to_bind).max() < CALM * player.size
+        self._calm = bool(calm and self.holds)
+        seconds = self._copy.frames * player.settings.substeps * player.settings.step
+        return bool(self.holds) or (not calm and seconds < LONGEST)
 
-    @property
-    def _size(self) -> float:
-        return self.session().tissue.player.size / skin.unit_scale()
+    def _begin_copy(self, obj: bpy.types.Object) -> None:
+        """Where time stands still, unless there is one that goes on."""
+        if not events.is_playing() and (self._copy is None or not self._copy.is_of(self._session)):
+            self._copy, self._shown = Copy(obj, self._session), None
 
-    def _begin(self) -> None:
-        self._copy, self._shown = None, None
-        if not events.is_playing():
-            self._copy = Copy(self.object.find(), self.session())
+    def _grow_older(self, frame: int | None) -> None:
+        """A hand that slaps lets go after its frames. frame: the one that shows while Blender plays."""
+        if frame is None or frame != self._aged:
+            self.holds = {number: _aged(hold) for number, hold in self.holds.items() if hold.frames != 0}
+            self._aged = frame
+            self._apply()
 
     def _changed(self) -> None:
         self._apply()
+        self._calm = False
         if self._copy:
             self._copy.frames = 0
 
     def _apply(self) -> None:
-        session = live.sessions.get(self.object.session_uid)
-        if session is not None:
-            session.grabs = tuple(hold.grab(skin.unit_scale()) for hold in self.holds.values())
-
-    def _go_on(self, obj: bpy.types.Object, session: Session) -> bool:
-        assert self._copy is not None
-        tissue, player = session.tissue, session.tissue.player
-        session.pull()
-        values = tissue.values(self._copy.step(player))
-        tissue.show(values)
-        points = tissue.points(values)
-        moved = np.inf if self._shown is None else np.abs(points - self._shown).max()
-        self._shown = points
-        calm = moved * np.abs(tissue.character.to_bind).max() < CALM * player.size
-        seconds = self._copy.frames * player.settings.substeps * player.settings.step
-        return bool(self.holds) or (not calm and seconds < LONGEST)
+        self._session.grabs = tuple(hold.grab(skin.unit_scale()) for hold in self.holds.values())
 
 
 def _moving(model: Model) -> np.ndarray:
@@ -206,7 +228,7 @@ current: Grabbing | None = None
 def begin(obj: bpy.types.Object) -> Grabbing:
     """The hands on the soft skin `obj`; those on another one let go. Raises SceneError."""
     global current
-    if current is None or current.object.session_uid != obj.session_uid or not live.is_on(obj):
+    if current is None or not current.is_of(obj):
         end()
         current = Grabbing(obj)
     if not bpy.app.background and not bpy.app.timers.is_registered(_tick):
@@ -215,22 +237,31 @@ def begin(obj: bpy.types.Object) -> Grabbing:
 
 
 def end() -> None:
-    """Let go of everything."""
+    """Let go of everything, and show what Live has at this frame."""
     global current
-    if current is not None:
-        current.end()
+    ended, current = current, None
+    if ended is None:
+        return
+    ended.let_go_of_all()
+    with suppress(SceneError):  # it was deleted
+        obj = ended.object.find()
+        if ended.is_of(obj) and not (live.is_scrubbing() or rig_motion.render_runs()):
+            live.refresh(obj)
+
+
+def forget() -> None:
+    """The file is closed."""
+    global current
     current = None
 
 
 def _tick() -> float | None:
     """By a timer, once a frame."""
-    global current
     if current is None:
         return None
     try:
         goes_on = current.tick()
-    except engine.expected_errors() as error:
-        logger.log_once(SceneError(errors.sentence(error)))
+    except engine.expected_errors():  # Live says it, too, when it goes on
         goes_on = False
     except Exception as bug:  # a timer that raises would be called no more, and say nothing
         logger.log_once(bug)

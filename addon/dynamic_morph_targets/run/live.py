@@ -96,8 +96,8 @@ def _stated(obj: bpy.types.Object) -> tuple[str, ...]:
 
 def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) -> None:
     """Show the state of the soft skin at the scene's time. Problems are recorded, see `problem`."""
-    uid, rig = obj.session_uid, references.rig_of(obj)
-    if problem(obj) or obj.mode in AWAY or (rig and rig.mode == "EDIT"):
+    uid = obj.session_uid
+    if problem(obj) or is_away(obj):
         return
     try:
         settings = simulation_settings(obj, scene)
@@ -116,6 +116,12 @@ def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) 
     except Exception as bug:  # raised in a handler, it would be printed at every frame
         logger.log_once(bug)
         _stop(obj, logger.bug_sentence(bug))
+
+
+def is_away(obj: bpy.types.Object) -> bool:
+    """Whether the artist edits the mesh or the rig, which Live then leaves alone."""
+    rig = references.rig_of(obj)
+    return obj.mode in AWAY or bool(rig and rig.mode == "EDIT")
 
 
 def _stop(obj: bpy.types.Object, why: str) -> None:

@@ -16,7 +16,7 @@ from ..core.errors import SceneError
 from ..core.message import joined
 from ..core.motion import rig_samples, simulate
 from ..core.motion.contact import Touched, touched
-from ..core.motion.grab import Grab, together
+from ..core.motion.grab import Grab
 from ..core.motion.player import Frame, Player, State, statistics
 from ..core.motion.rig_samples import RigSamples
 from ..core.painted_map import MAPS
@@ -171,6 +171,7 @@ class Session:
         self.first = self.last = 0  # frames simulated from and to, while there are any
         self.now: int | None = None  # the one that shows, or just before
         self.grabs: tuple[Grab, ...] = ()  # by which the artist pulls the skin
+        self.rig_changes = 0  # how often the rig's motion was edited
         self._frames: dict[int, Frame] = {}
         self._states: dict[int, tuple[int, State]] = {}
         self.skinning, self.painted = way_to_skin(obj), painted(obj)
@@ -245,6 +246,7 @@ class Session:
 
     def rig_changed(self) -> None:
         """The rig moves differently from now on."""
+        self.rig_changes += 1
         self.rig.forget()
         self.rewind()
 
@@ -318,7 +320,8 @@ class Session:
         number, samples = self.last + 1, self.rig.after(obj, self.last)[1:]
         collision = self.tissue.player.collision
         if collision is None or collision.fits(samples):
-            self.pull()
+            if self.tissue.player.hand:
+                self.tissue.player.hand.pull(self.grabs)
             self._keep(number, self.tissue.player.advance(samples, number))
         else:  # other colliders are there: it begins again
             self._begin(obj, number)
@@ -329,11 +332,6 @@ class Session:
             del self._frames[self.first]
             self.first += 1
         self._states[number % self._kept] = number, self.tissue.player.state
-
-    def pull(self) -> None:
-        """Pull the skin by `grabs` in the frames that follow."""
-        if self.tissue.player.hand:
-            self.tissue.player.hand.pull(together(self.grabs))
 
     def state_at(self, number: int) -> State | None:
         """From which the frame after this one goes on; None where that is not kept."""

@@ -15,9 +15,8 @@ from ..scene import colliders, mesh_data, references
 NEAR = 5e-4  # of the size, beyond Distance: what is nearer is touched
 INSIDE = 2e-3  # of the size: what is deeper in a collider shows
 
-_known: dict[
-    int, tuple[np.ndarray, Any]
-] = {}  # by Object.session_uid: a collider's last shape (V, 3), and the engine's
+# By Object.session_uid: a collider's last shape (V, 3), what tells its faces, and the engine's.
+_known: dict[int, tuple[np.ndarray, tuple[int, bool], Any]] = {}
 
 
 def touching(
@@ -27,10 +26,10 @@ def touching(
 
     points (V, 3): where they show, world space. Raises SceneError for a collider that cannot be read.
     """
-    world = np.array(obj.matrix_world)[:3, :3]
+    world = np.array(obj.matrix_world)
     keys = obj.data.shape_keys
     rest = references.key_points(keys.reference_key) if keys else mesh_data.rest_points(obj)
-    size = diagonal(rest @ world.T)
+    size = diagonal(rest @ mesh_data.stretch(world))
     touched = (obj.dynamorph.collision.distance + NEAR) * size
     distances = np.full(len(points), np.inf)
     for other in colliders.colliders(obj):
@@ -66,9 +65,10 @@ def _lower(distances: np.ndarray, points: np.ndarray, evaluated: bpy.types.Objec
 def _collider(uid: int, track: Any, shape: np.ndarray) -> Any:
     """The engine's collider with this shape (V, 3), which is kept while its object has it."""
     known = _known.get(uid)
-    if known is None or not np.array_equal(known[0], shape):
-        known = _known[uid] = shape, contact.collider_of(track, shape)
-    return known[1]
+    faces = track.topology, track.one_sided
+    if known is None or known[1] != faces or not np.array_equal(known[0], shape):
+        known = _known[uid] = shape, faces, contact.collider_of(track, shape)
+    return known[2]
 
 
 def _weight(obj: bpy.types.Object, group: int, vertex: int) -> float:

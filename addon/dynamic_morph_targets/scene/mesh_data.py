@@ -46,7 +46,9 @@ def shown_points(obj, depsgraph) -> np.ndarray:
     evaluated = obj.evaluated_get(depsgraph)
     count = len(obj.data.vertices)
     if len(evaluated.data.vertices) < count:
-        raise SceneError("Modifiers take vertices of '{name}' away, so it cannot be colored", name=obj.name)
+        raise SceneError(
+            "Modifiers take vertices of '{name}' away: turn them off to see or grab its skin", name=obj.name
+        )
     points = np.empty((len(evaluated.data.vertices), 3), np.float32)
     evaluated.data.attributes["position"].data.foreach_get("vector", points.ravel())
     world = np.array(evaluated.matrix_world, np.float32)

@@ -64,10 +64,10 @@ struct ContactMemory {
 class ContactFinder {
  public:
   /// Sets `contacts` to those of all samples that are inside an active collider at the end of the step or may get
-  /// there: by collider, and those of a collider by sample. Those are looked at that come nearer than `margin`, or a
-  /// quarter of it for those that hardly move beside the collider, both from `distance` on, where they begin to be
-  /// pushed (meters). A sample may have several contacts with a collider, as in the corner of a room. Updates the
-  /// memory. Throws std::invalid_argument for arrays that do not fit each other.
+  /// there: by collider, and those of a collider by sample. Those are looked at that come nearer than `margin`, meters.
+  /// Those that hardly move beside the collider must come nearer than a quarter of the way from `distance`, where they
+  /// begin to be pushed, to the margin. A sample may have several contacts with a collider, as in the corner of a room.
+  /// Updates the memory. Throws std::invalid_argument for arrays that do not fit each other.
   void find(const std::vector<ColliderStep>& colliders, const SampleStep& samples, double distance, double margin,
             ContactMemory& memory, std::vector<Contact>& contacts);
 

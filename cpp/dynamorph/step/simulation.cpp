@@ -48,6 +48,11 @@ Box extent(const ColliderStep& step) {
   return out;
 }
 
+/// Whether a collider was somewhere at the beginning of a step, and not scaled to nothing.
+bool came(const ColliderStep& step) {
+  return step.before.allFinite() && (!step.rigid() || step.before.leftCols<3>().determinant() != 0);
+}
+
 /// Throws Error unless a state's contacts are of samples that there are (0: without contact).
 void check_contacts(const State& state, Eigen::Index samples) {
   const auto good = [&](int sample, int collider, const Vector3d& normal) {
@@ -224,7 +229,8 @@ void Simulation<Model>::find_contacts(const StepInput& input, const StepRule& ru
     for (const ColliderStep& step : *input.colliders) memory_.active.push_back(step.active);
     return;
   }
-  finder_.find(*input.colliders, near_, distance_, margin, memory_, found_);
+  // A hand may lead the skin anywhere.
+  finder_.find(*input.colliders, near_, input.grabs ? margin : distance_, margin, memory_, found_);
   unusable_ = finder_.unusable();
   friction_.clear();
   for (const ColliderStep& collider : *input.colliders) friction_.push_back(collider.friction);
@@ -245,7 +251,7 @@ bool Simulation<Model>::place_samples(const StepInput& input, double margin) {
   extents_.clear();
   for (int c = 0; c < int(input.colliders->size()); ++c)
     if (const ColliderStep& step = (*input.colliders)[std::size_t(c)]; step.active)
-      extents_.push_back({extent(step), memory_.acted(c) && step.before.allFinite()});
+      extents_.push_back({extent(step), memory_.acted(c) && came(step)});
   for (const auto& group : samples_->groups()) {
     const double near = farthest + margin, appears = kTissue * group.thickness;
     const Box box = samples_->region(group, state_.bones[0], near).merged(samples_->region(group, input.bones, near));

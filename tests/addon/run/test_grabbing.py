@@ -10,7 +10,7 @@ from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import mesh_data, model_store, plain
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import hands
 from bl_ext.user_default.dynamic_morph_targets.write import assign, storage
-from builders import evaluated_points
+from builders import evaluated_points, rig_of
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -122,6 +122,55 @@ def test_a_hand_acts_in_the_frames_that_follow(live_arm, scene):
     hand.lead(number, place + 0.1 * RIGHT)
     scene.frame_set(2)
     assert (shown(live_arm) - free)[hand.holds[0].vertices, 0].mean() > 0.0
+
+
+def test_letting_go_of_all_shows_what_live_has(live_arm):
+    before, place = shown(live_arm), softest(live_arm)
+    hand, number = held_at(live_arm, place)
+    hand.lead(number, place + 0.1 * RIGHT)
+    ticks(hand, 10)
+    hand.let_go_of_all()
+    assert hand.tick()  # it rings
+    grabbing.end()
+    np.testing.assert_array_equal(shown(live_arm), before)
+
+
+def test_a_hand_that_holds_still_rests_until_it_is_led_on(live_arm):
+    place = softest(live_arm)
+    hand, number = held_at(live_arm, place)
+    hand.lead(number, place + 0.05 * RIGHT)
+    *_, before, after = ticks(hand, 200)
+    np.testing.assert_array_equal(before, after)
+    hand.lead(number, place + 0.1 * RIGHT)
+    assert np.abs(ticks(hand, 3)[-1] - after).max() > 1e-4
+
+
+def test_a_copy_begins_again_where_the_rig_moves_otherwise_and_ends_with_its_model(live_arm, scene):
+    before, place = shown(live_arm), softest(live_arm)
+    hand, number = held_at(live_arm, place)
+    hand.lead(number, place + 0.05 * RIGHT)
+    ticks(hand, 3)
+    rig = rig_of(live_arm)
+    rig.animation_data_clear()
+    rig.pose.bones["lower"].rotation_euler.x = 1.0
+    bpy.context.view_layer.update()
+    scene.frame_set(1)
+    moved = ticks(hand, 3)[-1]
+    assert np.abs(moved - before).max() > 0.3
+    live.sessions.pop(live_arm.session_uid)
+    assert not hand.tick()
+    assert grabbing.begin(live_arm) is not hand  # Live goes on, and so can a new hand
+
+
+@pytest.mark.parametrize("busy", ["is_scrubbing", "is_away"])
+def test_the_hand_waits_for_what_live_waits_for(live_arm, monkeypatch, busy):
+    place = softest(live_arm)
+    hand, number = held_at(live_arm, place)
+    hand.lead(number, place + 0.1 * RIGHT)
+    before = shown(live_arm)
+    monkeypatch.setattr(live, busy, lambda *_: True)
+    np.testing.assert_array_equal(ticks(hand, 3)[-1], before)
+    assert hand.tick()
 
 
 def test_dead_parts_and_skin_that_is_not_live_are_refused(live_arm):

@@ -59,8 +59,9 @@ class Hand:
         self._before = NOTHING  # at the end of the last frame
         self.grab = NOTHING  # at the end of the next one
 
-    def pull(self, grab: Grab) -> None:
+    def pull(self, grabs: Sequence[Grab]) -> None:
         """From now on. Where the same vertices are pulled, they are led to their new goals during the next frame."""
+        grab = together(grabs)
         if not np.array_equal(grab.vertices, self.grab.vertices):
             skin: Any = self._skin(grab.vertices) if len(grab.vertices) else None
             self._simulation.set_skin(skin)

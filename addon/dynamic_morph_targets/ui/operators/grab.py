@@ -7,6 +7,7 @@ import time
 
 import bpy
 import numpy as np
+from bpy.app.handlers import persistent
 from bpy.types import Operator, WorkSpaceTool
 from bpy_extras.view3d_utils import region_2d_to_location_3d, region_2d_to_origin_3d, region_2d_to_vector_3d
 from mathutils import Vector
@@ -16,8 +17,8 @@ from ...scene import events, mesh_data, skin
 from ...scene.registration import of_classes
 from ..base import report_errors
 
-TAP, TAP_PIXELS = 0.2, 4  # a press that is shorter in seconds, and moves less, slaps
-NOTCH = 0.02  # of the distance from the viewer: by which the wheel moves the hand
+TAP, TAP_PIXELS = 0.4, 4  # a press that is shorter in seconds, and moves less, slaps
+NOTCH = 0.01  # of the body's size: by which the wheel moves the hand away from the viewer, or nearer
 
 
 class DYNAMORPH_OT_grab(Operator):
@@ -52,21 +53,34 @@ class DYNAMORPH_OT_grab(Operator):
 
     def modal(self, context, event):
         result = report_errors(self, self._follow, context, event)
-        if result & {"FINISHED", "CANCELLED"}:
-            context.workspace.status_text_set(None)
-            events.redraw(events.VIEWS)
+        if "CANCELLED" in result:
+            self.cancel(context)
+        elif "FINISHED" in result:
+            self._done(context)
         return result
 
+    def cancel(self, context):
+        """Also by Blender, when the window closes."""
+        self.grabbing.let_go(self.hold)
+        self._done(context)
+
+    def _done(self, context):
+        context.workspace.status_text_set(None)
+        events.redraw(events.VIEWS)
+
     def _follow(self, context, event):
-        if grabbing.current is not self.grabbing or event.type in {"ESC", "RIGHTMOUSE"}:
-            grabbing.end()
+        if grabbing.current is not self.grabbing:
+            return {"CANCELLED"}
+        if event.type in {"ESC", "RIGHTMOUSE"}:
+            self.grabbing.let_go_of_all()
             return {"CANCELLED"}
         if event.type in {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}:
             self.mouse = event.mouse_region_x, event.mouse_region_y
             self._lead(context)
         elif event.type in {"WHEELUPMOUSE", "WHEELDOWNMOUSE"}:
-            toward = self.depth - region_2d_to_origin_3d(context.region, context.region_data, self.mouse)
-            self.depth = self.depth + (NOTCH if event.type == "WHEELUPMOUSE" else -NOTCH) * toward
+            away = region_2d_to_vector_3d(context.region, context.region_data, self.mouse)
+            notch = NOTCH * self.grabbing.size
+            self.depth = self.depth + (notch if event.type == "WHEELUPMOUSE" else -notch) * away
             self._lead(context)
         elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
             self._release(event)
@@ -129,8 +143,18 @@ _shown: list = []  # tools that are in the toolbar
 _register, _unregister = of_classes((DYNAMORPH_OT_grab,))
 
 
+@persistent
+def _before_load(*_args):
+    """load_pre."""
+    grabbing.forget()
+
+
+HANDLERS = {"load_pre": _before_load}
+
+
 def register():
     _register()
+    events.add(HANDLERS)
     for tool in TOOLS:
         bpy.utils.register_tool(tool, separator=True)
         _shown.append(tool)
@@ -138,6 +162,7 @@ def register():
 
 def unregister():
     grabbing.end()
+    events.remove(HANDLERS)
     while _shown:
         bpy.utils.unregister_tool(_shown.pop())
     _unregister()
