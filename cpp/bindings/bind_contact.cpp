@@ -59,8 +59,7 @@ void bind_collider(py::module_& m) {
           },
           "points"_a,
           "Of points (N, 3) from the mesh as it was built, in its own frame: (N,), meters, negative inside. An open "
-          "part "
-          "that is not one-sided has no inside. Raises ValueError for points that are not finite.");
+          "part that is not one-sided has no inside. Raises ValueError for points that are not finite.");
   py::class_<ColliderMotion>(m, "ColliderMotion", "Where a collider is during S steps, in world space.")
       .def(py::init(&collider_motion), "collider"_a.none(false), "motion"_a, "friction"_a = 0.5,
            "active"_a = py::bool_(true),

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
-from ..core import engine, logger
+from ..core import engine, errors, logger
 from ..core.errors import SceneError
 from ..core.message import Message
 from ..core.model.model import Model
@@ -104,7 +104,7 @@ class Grabbing:
         self._copy: Copy | None = None
         self._shown: np.ndarray | None = None  # points of the copy
         self._calm = False  # the copy stands still, held
-        self._aged: int | None = None  # the frame for which hands grew older
+        self._frame: int | None = None  # that showed when hands last grew older
 
     def is_of(self, obj: bpy.types.Object) -> bool:
         """Whether these are hands on the soft skin `obj` as it is live now."""
@@ -195,10 +195,15 @@ class Grabbing:
 
     def _grow_older(self, frame: int | None) -> None:
         """A hand that slaps lets go after its frames. frame: the one that shows while Blender plays."""
-        if frame is None or frame != self._aged:
+        if frame is None or frame != self._frame:
             self.holds = {number: _aged(hold) for number, hold in self.holds.items() if hold.frames != 0}
-            self._aged = frame
+            self._frame = frame
             self._apply()
+
+    def stop_live(self, why: str) -> None:
+        """The panel says why."""
+        with suppress(SceneError):  # it was deleted
+            live.stop(self.object.find(), why)
 
     def _changed(self) -> None:
         self._apply()
@@ -261,10 +266,12 @@ def _tick() -> float | None:
         return None
     try:
         goes_on = current.tick()
-    except engine.expected_errors():  # Live says it, too, when it goes on
+    except engine.expected_errors() as error:  # in the next frame Live would fail, too
+        current.stop_live(errors.sentence(error))
         goes_on = False
     except Exception as bug:  # a timer that raises would be called no more, and say nothing
         logger.log_once(bug)
+        current.stop_live(logger.bug_sentence(bug))
         goes_on = False
     events.redraw(events.VIEWS)
     if not goes_on:

@@ -112,10 +112,10 @@ def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) 
             live_key.hide(obj, False)
         session.tissue.show(session.values(obj, settings, scene.frame_float, arrives))
     except engine.expected_errors() as error:
-        _stop(obj, errors.sentence(error))
+        stop(obj, errors.sentence(error))
     except Exception as bug:  # raised in a handler, it would be printed at every frame
         logger.log_once(bug)
-        _stop(obj, logger.bug_sentence(bug))
+        stop(obj, logger.bug_sentence(bug))
 
 
 def is_away(obj: bpy.types.Object) -> bool:
@@ -124,7 +124,7 @@ def is_away(obj: bpy.types.Object) -> bool:
     return obj.mode in AWAY or bool(rig and rig.mode == "EDIT")
 
 
-def _stop(obj: bpy.types.Object, why: str) -> None:
+def stop(obj: bpy.types.Object, why: str) -> None:
     """Stop Live of `obj` at what it shows now; the panel says why."""
     sessions.pop(obj.session_uid, None)
     _problems[obj.session_uid] = why, _stated(obj)

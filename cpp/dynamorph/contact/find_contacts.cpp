@@ -16,8 +16,7 @@ constexpr double kIntoSkin = -0.3;   // n . N below which a surface presses on t
 constexpr double kFromWithin = 0.5;  // above it, from within the body
 constexpr double kTurnsOver = 0.95;  // above it, what touched the skin has turned over
 constexpr double kTouches = 0.25;    // of the margin: gap in which a sample touched something
-constexpr double kNear = 0.25;       // of the way from the distance to the margin: where a still sample is looked at
-constexpr double kWays = 2;          // that a sample goes in a step: so much earlier it is looked at
+constexpr double kWays = 2;          // of a sample in a step: from how much farther it is looked at
 constexpr double kFadeBegins = 0.7;  // of a contact, in thicknesses of tissue
 constexpr double kFadeEnds = 1.2;    // there it has no weight left
 constexpr double kHollow = 0.1;      // of the margin: how far behind a plane the surface may be in a hollow
@@ -355,7 +354,7 @@ void check(const std::vector<ColliderStep>& colliders, const SampleStep& samples
 
 }  // namespace
 
-void ContactFinder::find(const std::vector<ColliderStep>& colliders, const SampleStep& samples, double distance,
+void ContactFinder::find(const std::vector<ColliderStep>& colliders, const SampleStep& samples, double near,
                          double margin, ContactMemory& memory, std::vector<Contact>& contacts) {
   check(colliders, samples);
   contacts.clear();
@@ -369,7 +368,7 @@ void ContactFinder::find(const std::vector<ColliderStep>& colliders, const Sampl
     if (step.active && !usable) unusable_.push_back(c);
     const bool known = std::exchange(memory.active[c], usable) && usable && posed_[c].came;
     if (usable && !posed_[c].away)
-      touch(step.collider, c, posed_[c], known, samples, around, distance, margin, memory.planes, contacts);
+      touch(step.collider, c, posed_[c], known, samples, around, near, margin, memory.planes, contacts);
   }
   memory.planes.clear();
   for (const Contact& contact : contacts)
@@ -378,7 +377,7 @@ void ContactFinder::find(const std::vector<ColliderStep>& colliders, const Sampl
 
 /// Adds the contacts of all samples with one collider. known: whether it was there in the last step.
 void ContactFinder::touch(const Collider& collider, int number, const Posed& posed, bool known,
-                          const SampleStep& samples, const Bvh::Box& around, double distance, double margin,
+                          const SampleStep& samples, const Bvh::Box& around, double near, double margin,
                           const std::vector<ContactMemory::Plane>& held, std::vector<Contact>& contacts) {
   const Bvh::Box region =
       corners_box(posed.begin->bvh.nodes[0].box, posed.from_begin.turn, posed.from_begin.shift)
@@ -386,7 +385,7 @@ void ContactFinder::touch(const Collider& collider, int number, const Posed& pos
   if (!region.intersects(around)) return;
   auto plane = std::lower_bound(held.begin(), held.end(), number,
                                 [](const ContactMemory::Plane& plane, int c) { return plane.collider < c; });
-  Search search(collider, posed, distance + kNear * (margin - distance), margin);
+  Search search(collider, posed, near, margin);
   for (Eigen::Index row = 0; row < samples.before.rows(); ++row) {
     const int p = samples.samples[std::size_t(row)];
     const Vector3d before = samples.before.row(row), predicted = samples.predicted.row(row);

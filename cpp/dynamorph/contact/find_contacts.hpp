@@ -64,11 +64,11 @@ struct ContactMemory {
 class ContactFinder {
  public:
   /// Sets `contacts` to those of all samples that are inside an active collider at the end of the step or may get
-  /// there: by collider, and those of a collider by sample. Those are looked at that come nearer than `margin`, meters.
-  /// Those that hardly move beside the collider must come nearer than a quarter of the way from `distance`, where they
-  /// begin to be pushed, to the margin. A sample may have several contacts with a collider, as in the corner of a room.
-  /// Updates the memory. Throws std::invalid_argument for arrays that do not fit each other.
-  void find(const std::vector<ColliderStep>& colliders, const SampleStep& samples, double distance, double margin,
+  /// there: by collider, and those of a collider by sample. Those are looked at that come nearer than `near`, meters,
+  /// and twice their way beside the collider, but not from farther than `margin`. A sample may have several contacts
+  /// with a collider, as in the corner of a room. Updates the memory. Throws std::invalid_argument for arrays that do
+  /// not fit each other.
+  void find(const std::vector<ColliderStep>& colliders, const SampleStep& samples, double near, double margin,
             ContactMemory& memory, std::vector<Contact>& contacts);
 
   /// Active colliders that could not act in the last step: they are not finite, or scaled to nothing.
@@ -110,7 +110,7 @@ class ContactFinder {
   class Search;
 
   void touch(const Collider& collider, int number, const Posed& posed, bool known, const SampleStep& samples,
-             const Bvh::Box& around, double distance, double margin, const std::vector<ContactMemory::Plane>& held,
+             const Bvh::Box& around, double near, double margin, const std::vector<ContactMemory::Plane>& held,
              std::vector<Contact>& contacts);
 
   static bool split(const Eigen::Map<const RowMajor>& transform, Frame& frame, Matrix3d& stretch);

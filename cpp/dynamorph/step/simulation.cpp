@@ -18,6 +18,7 @@ constexpr int kStaticIterations = 200;   // needed only once, and gravity moves 
 constexpr double kWatched = 0.45;        // of its limit: what is nearer than that is not pulled in this step
 constexpr double kContactWidth = 1e-3;   // of the body's size: the depth over which contact gets its full stiffness
 constexpr double kContactMargin = 0.02;  // of the size: samples that come so near in a step can touch something
+constexpr double kContactNear = 0.005;   // of the size: those that hardly move, only if they come so near
 constexpr double kTissue = 1.5;          // thicknesses in which a sample that appears in a collider is looked for
 constexpr double kSticks = 1e-3;         // of the size, per second: what slips slower than that is held by friction
 
@@ -229,8 +230,8 @@ void Simulation<Model>::find_contacts(const StepInput& input, const StepRule& ru
     for (const ColliderStep& step : *input.colliders) memory_.active.push_back(step.active);
     return;
   }
-  // A hand may lead the skin anywhere.
-  finder_.find(*input.colliders, near_, input.grabs ? margin : distance_, margin, memory_, found_);
+  const double near = input.grabs ? margin : distance_ + kContactNear * size;  // a hand may lead the skin anywhere
+  finder_.find(*input.colliders, near_, near, margin, memory_, found_);
   unusable_ = finder_.unusable();
   friction_.clear();
   for (const ColliderStep& collider : *input.colliders) friction_.push_back(collider.friction);

@@ -17,18 +17,18 @@ from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch, ful
 from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import animation, model_store, staleness
-from bl_ext.user_default.dynamic_morph_targets.scene import plain as scene_plain
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport as overlays
-from bl_ext.user_default.dynamic_morph_targets.write import assign, reconcile, storage
+from bl_ext.user_default.dynamic_morph_targets.write import reconcile, storage
 from bl_ext.user_default.dynamic_morph_targets.write.authoring import setups
 from builders import activate, add_key, evaluated_points, make_arm, make_ball, make_box, rig_of
+from built import BuiltOnce
 from layout import drawn
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
 RADIUS, HEIGHT, SURFACE, SIZE = 0.2, 1.0, 0.3, 2.18  # meters: of the ball, of its place, of the arm, and its diagonal
 PRESSED, FRAMES = 0.04, 16  # how deep it is pressed, and by which frame it rests
-packed = {}  # the model of the arm, which all tests share
+built = BuiltOnce()
 
 
 def still_arm(scene, **size):
@@ -48,13 +48,7 @@ def arm(scene):
     obj = still_arm(scene, rings=61, around=48)
     settings = obj.dynamorph
     settings.model.cage_nodes, settings.model.modes, settings.simulation.gravity = 800, 60, 0.0
-    if not packed:
-        batch.run(Job(obj, goal="BUILD"))
-        packed["model"], packed["record"] = model_store.stored_model(obj), scene_plain.plain(settings.model)
-    storage.keep_model(obj, packed["model"])
-    assign.assign(settings.model, packed["record"])
-    settings.model.stale = ""
-    storage.fit_modes(obj, 10)
+    built.give(obj, 10)
     ball = make_ball(radius=RADIUS)
     for frame, depth in ((1, -0.02), (FRAMES // 2, PRESSED)):
         ball.location = (SURFACE + RADIUS - depth, 0.0, HEIGHT)
@@ -585,7 +579,7 @@ def test_local_responses_do_not_depend_on_when_live_began(arm):
     """They are kept while the artist changes the material."""
     found = []
     for poisson in (0.4, 0.3):
-        storage.keep_model(arm, copy.copy(packed["model"]))  # which has none yet
+        storage.keep_model(arm, copy.copy(built.model))  # which has none yet
         arm.dynamorph.targets[0].poisson = poisson
         found.append(session.Tissue(arm, bpy.context.scene).player.collision.dents)
     assert found[0].size

@@ -5,18 +5,17 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core.errors import SceneError
-from bl_ext.user_default.dynamic_morph_targets.run import batch, grabbing, live
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import mesh_data, model_store, plain
+from bl_ext.user_default.dynamic_morph_targets.run import grabbing, live
+from bl_ext.user_default.dynamic_morph_targets.scene import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import hands
-from bl_ext.user_default.dynamic_morph_targets.write import assign, storage
 from builders import evaluated_points, rig_of
+from built import BuiltOnce
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
 
 RIGHT = np.array([1.0, 0.0, 0.0])
-packed = {}  # the model of the arm, which all tests share
+built = BuiltOnce()
 
 
 @pytest.fixture
@@ -24,13 +23,7 @@ def live_arm(soft_arm, scene):
     """The soft arm with a coarse model, live at its first frame."""
     settings = soft_arm.dynamorph
     settings.model.cage_nodes, settings.model.modes, settings.simulation.gravity = 200, 8, 0.0
-    if not packed:
-        batch.run(Job(soft_arm, goal="BUILD"))
-        packed["model"], packed["record"] = model_store.stored_model(soft_arm), plain.plain(settings.model)
-    storage.keep_model(soft_arm, packed["model"])
-    assign.assign(settings.model, packed["record"])
-    settings.model.stale = ""
-    storage.fit_modes(soft_arm, 8)
+    built.give(soft_arm, 8)
     scene.frame_set(1)
     bpy.ops.dynamorph.live()
     yield soft_arm
@@ -47,9 +40,13 @@ def softest(obj) -> np.ndarray:
     return points[points[:, 0].argmax()]
 
 
-def held_at(obj, place):
+def held_at(obj, place, led=0.0):
+    """The hands, and the number of one that holds the skin there and leads it so far to the right, meters."""
     hand = grabbing.begin(obj)
-    return hand, hand.take(place, shown(obj))
+    number = hand.take(place, shown(obj))
+    if led:
+        hand.lead(number, place + led * RIGHT)
+    return hand, number
 
 
 def ticks(hand, count):
@@ -104,8 +101,7 @@ def test_what_time_brings_next_discards_what_happened_while_it_stood(live_arm, s
     expected = shown(live_arm)
     scene.frame_set(1)
     place = softest(live_arm)
-    hand, number = held_at(live_arm, place)
-    hand.lead(number, place + 0.3 * RIGHT)
+    hand, number = held_at(live_arm, place, 0.3)
     ticks(hand, 5)
     hand.let_go(number)
     grabbing.end()
@@ -118,16 +114,14 @@ def test_a_hand_acts_in_the_frames_that_follow(live_arm, scene):
     free = shown(live_arm)
     scene.frame_set(1)
     place = softest(live_arm)
-    hand, number = held_at(live_arm, place)
-    hand.lead(number, place + 0.1 * RIGHT)
+    hand, number = held_at(live_arm, place, 0.1)
     scene.frame_set(2)
     assert (shown(live_arm) - free)[hand.holds[0].vertices, 0].mean() > 0.0
 
 
 def test_letting_go_of_all_shows_what_live_has(live_arm):
     before, place = shown(live_arm), softest(live_arm)
-    hand, number = held_at(live_arm, place)
-    hand.lead(number, place + 0.1 * RIGHT)
+    hand, number = held_at(live_arm, place, 0.1)
     ticks(hand, 10)
     hand.let_go_of_all()
     assert hand.tick()  # it rings
@@ -137,8 +131,7 @@ def test_letting_go_of_all_shows_what_live_has(live_arm):
 
 def test_a_hand_that_holds_still_rests_until_it_is_led_on(live_arm):
     place = softest(live_arm)
-    hand, number = held_at(live_arm, place)
-    hand.lead(number, place + 0.05 * RIGHT)
+    hand, number = held_at(live_arm, place, 0.05)
     *_, before, after = ticks(hand, 200)
     np.testing.assert_array_equal(before, after)
     hand.lead(number, place + 0.1 * RIGHT)
@@ -147,8 +140,7 @@ def test_a_hand_that_holds_still_rests_until_it_is_led_on(live_arm):
 
 def test_a_copy_begins_again_where_the_rig_moves_otherwise_and_ends_with_its_model(live_arm, scene):
     before, place = shown(live_arm), softest(live_arm)
-    hand, number = held_at(live_arm, place)
-    hand.lead(number, place + 0.05 * RIGHT)
+    hand, number = held_at(live_arm, place, 0.05)
     ticks(hand, 3)
     rig = rig_of(live_arm)
     rig.animation_data_clear()
@@ -165,8 +157,7 @@ def test_a_copy_begins_again_where_the_rig_moves_otherwise_and_ends_with_its_mod
 @pytest.mark.parametrize("busy", ["is_scrubbing", "is_away"])
 def test_the_hand_waits_for_what_live_waits_for(live_arm, monkeypatch, busy):
     place = softest(live_arm)
-    hand, number = held_at(live_arm, place)
-    hand.lead(number, place + 0.1 * RIGHT)
+    hand, number = held_at(live_arm, place, 0.1)
     before = shown(live_arm)
     monkeypatch.setattr(live, busy, lambda *_: True)
     np.testing.assert_array_equal(ticks(hand, 3)[-1], before)
@@ -192,8 +183,7 @@ def test_the_hand_is_drawn_with_its_force(live_arm, viewport, monkeypatch):
     viewport.draw("POST_VIEW")
     assert drawn == []
     place = softest(live_arm)
-    hand, number = held_at(live_arm, place)
-    hand.lead(number, place + 0.1 * RIGHT)
+    hand, number = held_at(live_arm, place, 0.1)
     ticks(hand, 10)
     viewport.draw("POST_VIEW")
     viewport.draw("POST_PIXEL")
@@ -211,8 +201,7 @@ def test_nothing_is_left_in_the_file(live_arm):
 
     before, points = blocks(), evaluated_points(live_arm)
     place = softest(live_arm)
-    hand, number = held_at(live_arm, place)
-    hand.lead(number, place + 0.1 * RIGHT)
+    hand, number = held_at(live_arm, place, 0.1)
     ticks(hand, 5)
     grabbing.end()
     bpy.ops.dynamorph.live()

@@ -20,17 +20,15 @@ from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import (
     animation,
     extract,
-    model_store,
     references,
     rig_motion,
     staleness,
 )
 from bl_ext.user_default.dynamic_morph_targets.scene import events as scene_events
-from bl_ext.user_default.dynamic_morph_targets.scene import plain as scene_plain
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import live as operators_live
-from bl_ext.user_default.dynamic_morph_targets.write import assign, storage
 from bl_ext.user_default.dynamic_morph_targets.write.display import comparison
 from builders import activate, evaluated_points, fingerprint, refused, rig_of, skinning_of, soon
+from built import BuiltOnce
 from installed import MODULE
 from layout import drawn
 from mathutils import Matrix
@@ -38,7 +36,7 @@ from pressed import Pressed, press
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
-packed = {}  # the model of the arm, which all tests share
+built = BuiltOnce()
 
 
 @pytest.fixture
@@ -46,15 +44,7 @@ def live_arm(soft_arm):
     """The soft arm with a coarse model, built."""
     settings = soft_arm.dynamorph
     settings.model.cage_nodes, settings.model.modes = 200, 8
-    if not packed:
-        job = Job(soft_arm, goal="BUILD")
-        batch.run(job)
-        packed["model"] = model_store.stored_model(soft_arm)
-        packed["record"] = scene_plain.plain(settings.model)
-    storage.keep_model(soft_arm, packed["model"])
-    assign.assign(settings.model, packed["record"])
-    settings.model.stale = ""
-    storage.fit_modes(soft_arm, 8)
+    built.give(soft_arm, 8)
     settings.simulation.gravity = 0.0
     return soft_arm
 

@@ -110,7 +110,7 @@ struct Skin {
     const Points predicted = unmoved;
     std::vector<int> all(std::size_t(at.rows()));
     std::iota(all.begin(), all.end(), 0);
-    finder.find(colliders, {all, at, predicted, unmoved, normal, thickness}, 0, margin, memory, contacts);
+    finder.find(colliders, {all, at, predicted, unmoved, normal, thickness}, 0.25 * margin, margin, memory, contacts);
     at = predicted;
     for (int round = 0; round < 20; ++round)  // to where all planes agree
       for (const Contact& contact : contacts) {

@@ -62,14 +62,13 @@ class Collision:
             local, self.dents = _local_responses(model, character, surface)
         kind: Callable[..., Any] = dynamorph.FullContact if full else dynamorph.ReducedContact
         vertices, corners = np.unique(points.vertices, return_inverse=True)
+        *places, residual_shapes = carried(model, character, vertices)
         self.skin = kind(
             engine,
-            character.bind_points[vertices],
-            dynamorph.Embedding(model.embedding_nodes[vertices], model.embedding_weights[vertices]),
-            moving_weights(model, character, vertices),
+            *places,
             points.normals,
             points.least(_thickness(model, character)),
-            model.residual_shapes[:, vertices] @ character.to_bind.T,
+            residual_shapes,
             local,
             corners.reshape(points.vertices.shape),
             points.weights,
@@ -107,7 +106,19 @@ class Collision:
         return self._known[number][0]
 
 
-def moving_weights(model: Model, character: Character, vertices: np.ndarray) -> np.ndarray:
+def carried(model: Model, character: Character, vertices: np.ndarray) -> tuple[Any, ...]:
+    """How the engine's points at these vertices (V,) of the skin move: rest positions, embedding, weights of what moves
+    them, and residual shapes, as `dynamorph.FullSkin` takes them.
+    """
+    return (
+        character.bind_points[vertices],
+        dynamorph.Embedding(model.embedding_nodes[vertices], model.embedding_weights[vertices]),
+        _moving_weights(model, character, vertices),
+        model.residual_shapes[:, vertices] @ character.to_bind.T,
+    )
+
+
+def _moving_weights(model: Model, character: Character, vertices: np.ndarray) -> np.ndarray:
     """Weights (V, B + 1) of what moves these vertices (V,): of the bones, or of the free nodes where Blender poses
     those.
     """

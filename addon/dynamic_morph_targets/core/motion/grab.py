@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from ..character import Character
 from ..engine import dynamorph
 from ..model.model import EngineModel, EngineSimulation, Model
-from .contact import moving_weights
+from .contact import carried
 
 MOST = 8  # vertices that a hand pulls: more would only take time
 FIRM = 30.0  # of the springs together, in shear moduli of the tissue times the radius that they pull: skin follows
@@ -36,7 +36,7 @@ def together(grabs: Sequence[Grab]) -> Grab:
     """All of them as one."""
     if not grabs:
         return NOTHING
-    return Grab(*(np.concatenate([getattr(each, name) for each in grabs]) for name in Grab.__dataclass_fields__))
+    return Grab(*(np.concatenate([getattr(each, field.name) for each in grabs]) for field in fields(Grab)))
 
 
 def pinch(points: np.ndarray, place: np.ndarray, radius: float, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -80,12 +80,5 @@ class Hand:
         return dynamorph.Grabs(np.arange(len(way)), goals, self.grab.stiffness)
 
     def _skin(self, vertices: np.ndarray) -> Any:
-        model, character = self._model, self._character
-        kind: Any = dynamorph.FullSkin if model.settings.solver == "FULL" else dynamorph.ReducedSkin
-        return kind(
-            self._engine,
-            character.bind_points[vertices],
-            dynamorph.Embedding(model.embedding_nodes[vertices], model.embedding_weights[vertices]),
-            moving_weights(model, character, vertices),
-            model.residual_shapes[:, vertices] @ character.to_bind.T,
-        )
+        kind: Any = dynamorph.FullSkin if self._model.settings.solver == "FULL" else dynamorph.ReducedSkin
+        return kind(self._engine, *carried(self._model, self._character, vertices))

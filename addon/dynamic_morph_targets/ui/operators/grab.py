@@ -8,6 +8,7 @@ import time
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Operator, WorkSpaceTool
 from bpy_extras.view3d_utils import region_2d_to_location_3d, region_2d_to_origin_3d, region_2d_to_vector_3d
 from mathutils import Vector
@@ -46,9 +47,7 @@ class DYNAMORPH_OT_grab(Operator):
         self.mouse = self.first = mouse
         self.depth, self.normal, self.pressed = hit, normal, time.perf_counter()
         context.window_manager.modal_handler_add(self)
-        context.workspace.status_text_set(
-            "Drag to pull  |  Wheel: depth  |  Shift at the release: hold  |  Esc: let go"
-        )
+        context.workspace.status_text_set(iface_("Drag to Pull   |   Wheel: Depth   |   Shift: Hold   |   Esc: Let Go"))
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):

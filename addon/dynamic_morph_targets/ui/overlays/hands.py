@@ -19,7 +19,7 @@ def hands_on(context) -> list[tuple[np.ndarray, np.ndarray, float]]:
     (3,) each, world space; newtons.
     """
     obj, current = skin.mesh_in(context), grabbing.current
-    if current is None or not is_shown(context, obj) or current.object.session_uid != obj.session_uid:
+    if current is None or not current.holds or not is_shown(context, obj) or not current.is_of(obj):
         return []
     points, unit = mesh_data.shown_points(obj, context.view_layer.depsgraph), skin.unit_scale()
     found = []

@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A model that is built once, for all the tests of a module."""
+
+from bl_ext.user_default.dynamic_morph_targets.run import batch
+from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene import model_store, plain
+from bl_ext.user_default.dynamic_morph_targets.write import assign, storage
+
+
+class BuiltOnce:
+    """model: what the first object got; the objects after it must be like that one."""
+
+    model = None
+
+    def give(self, obj, modes):
+        """The object has the model, as if it had just been built with so many modes."""
+        record = obj.dynamorph.model
+        if self.model is None:
+            batch.run(Job(obj, goal="BUILD"))
+            self.model, self._record = model_store.stored_model(obj), plain.plain(record)
+        storage.keep_model(obj, self.model)
+        assign.assign(record, self._record)
+        record.stale = ""
+        storage.fit_modes(obj, modes)
