@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "collider_motion.hpp"
 #include "dynamorph/contact/contact_samples.hpp"
+#include "dynamorph/contact/self_contact.hpp"
 #include "model_interface.hpp"
 
 using namespace dynamorph;
@@ -144,6 +145,25 @@ void bind_contact_of(py::module_& m, const char* name) {
           "targets; 0 where pins hold it.");
 }
 
+template <class Model>
+void bind_self_contact_of(py::module_& m, const char* name) {
+  using Samples = ContactSamples<Model>;
+  using Self = SelfContact<Model>;
+  py::class_<Self, std::shared_ptr<Self>>(m, name,
+                                          "Where the skin of a model touches the same skin. Simulations may share it.")
+      .def(py::init([](std::shared_ptr<Samples> contact, const FloatArray& centers, const VectorXd& radii,
+                       const Embedding& embedding, const MatrixXd& weights, std::vector<int> points) {
+             BodyBalls balls{skin_of(centers, embedding, weights, std::nullopt), radii};
+             return without_gil([&] { return std::make_shared<Self>(contact, std::move(balls), std::move(points)); });
+           }),
+           "contact"_a.none(false), "centers"_a, "radii"_a, "embedding"_a, "weights"_a, "points"_a,
+           "contact: the points of the skin. centers (K, 3), radii (K): of balls that fill the body, meters, bind "
+           "space, as `Thickness.covering` finds them. embedding: of the centers in the body's mesh. weights (K, B): "
+           "skin weights of the centers. points: numbers of those points that touch the balls, ascending; a few "
+           "thousand, spread evenly. What a point touches at rest, or nearly, it does not touch. Raises ValueError "
+           "for arrays that do not fit each other.");
+}
+
 }  // namespace
 
 void bind_contact(py::module_& m) {
@@ -151,4 +171,6 @@ void bind_contact(py::module_& m) {
   bind_local_responses(m);
   bind_contact_of<FullModel>(m, "FullContact");
   bind_contact_of<ReducedModel>(m, "ReducedContact");
+  bind_self_contact_of<FullModel>(m, "FullSelfContact");
+  bind_self_contact_of<ReducedModel>(m, "ReducedSelfContact");
 }

@@ -241,7 +241,26 @@ Error like `closed_surface`.)")
           },
           "points"_a, R"(Returns (thickness (k,), depth (k,)) at points (k, 3), all in meters.
 
-Depth is the distance to the skin, 0 outside the body. A point outside has the thickness of the skin nearest to it.)");
+Depth is the distance to the skin, 0 outside the body. A point outside has the thickness of the skin nearest to it.)")
+      .def(
+          "covering",
+          [](const Thickness& self, const FloatArray& array, double tolerance) {
+            const Points p = points(array, "points");
+            check_finite("points", p);
+            if (!(tolerance >= 0)) throw std::invalid_argument("tolerance: must not be negative");
+            const std::vector<Thickness::Ball> balls = without_gil([&] { return self.covering(p, tolerance); });
+            Points centers(Eigen::Index(balls.size()), 3);
+            VectorXd radii(centers.rows());
+            for (std::size_t k = 0; k < balls.size(); ++k) {
+              centers.row(Eigen::Index(k)) = balls[k].center;
+              radii(Eigen::Index(k)) = balls[k].radius;
+            }
+            return std::make_pair(centers, radii);
+          },
+          "points"_a, "tolerance"_a, R"(Returns (centers (K, 3), radii (K,)) of few balls that fill the body, meters.
+
+They come as near to each of the points (k, 3) of the skin as tolerance times the thickness there, or as near as any
+ball in the body does.)");
 }
 
 void bind_mesh_cut(py::module_& m) {

@@ -122,10 +122,10 @@ void read_contact(const VectorXd& numbers, State& state) {
   const auto fits = [](bool good) {
     if (!good) throw std::invalid_argument("state: its contact is not one that a simulation had");
   };
-  const auto whole = [&] {
+  const auto whole = [&](int least = 0) {
     fits(at < numbers.size());
     const double number = numbers(at++);
-    fits(number >= 0 && number < 1 << 30 && number == std::floor(number));
+    fits(number >= least && number < 1 << 30 && number == std::floor(number));
     return int(number);
   };
   const auto vector = [&] {
@@ -142,7 +142,7 @@ void read_contact(const VectorXd& numbers, State& state) {
   }
   for (int k = 0; k < colliders; ++k) state.contact.active.push_back(whole() != 0);
   while (at < numbers.size()) {
-    const int sample = whole(), collider = whole();
+    const int sample = whole(), collider = whole(kOwnSkin);
     const Vector3d normal = vector();
     fits(at < numbers.size());
     state.pressures.push_back({sample, collider, normal, numbers(at++)});
@@ -331,8 +331,10 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back. With "
           "colliders: the largest number of contacts in a step; "
           "penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point "
-          "into a collider than it can give way, so that contact does (0: nowhere), and the sample "
-          "and collider where that is (-1: none); contact_forces, newtons on each collider (C, 3) at the last step; "
+          "into a collider, or into the body itself, than it can give way, so that contact does (0: nowhere), and the "
+          "sample "
+          "(-1: none) and collider (-1: the body) where that is; contact_forces, newtons on each collider (C, 3) at "
+          "the last step; "
           "unusable_colliders, the "
           "numbers of those that were active but not finite or without extent.")
       .def(
@@ -366,6 +368,14 @@ void bind_simulation_of(py::module_& m, const char* name) {
           },
           "contact"_a, "distance"_a = 0.0,
           "The points that the colliders of `advance` push, from a distance in meters on; None for none.")
+      .def(
+          "set_self_contact",
+          [](Sim& s, std::shared_ptr<SelfContact<Model>> self, double friction) {
+            changing(s, [&] { s.set_self_contact(std::move(self), friction); });
+          },
+          "self_contact"_a, "friction"_a = 0.5,
+          "Where the skin touches itself, from the distance of `set_contact` on, which comes first and drops it; None: "
+          "nowhere. friction: of skin on skin.")
       .def_property_readonly("model", &Sim::shared_model)
       .def_property_readonly(
           "coordinates", [](const Sim& s) { return in_turn(s, [&] { return VectorXd(s.coordinates()); }); },

@@ -78,6 +78,12 @@ def scene() -> SimpleNamespace:
                 **corners}  # fmt: skip
     s.dents = dynamorph.LocalResponses(s.full, **s.places, centers=[0, 1])
     s.reduced_contact = dynamorph.ReducedContact(s.reduced, **s.samples, local=s.dents)
+    balls = {"centers": s.points[:2], "radii": [0.05, 0.04], "weights": np.ones((2, 1)),
+             "embedding": dynamorph.embed(s.mesh, s.points[:2]), "points": [0, 2]}  # fmt: skip
+    s.full_own = {"contact": s.full_contact, **balls}
+    s.reduced_own = {"contact": s.reduced_contact, **balls}
+    s.full_self = dynamorph.FullSelfContact(**s.full_own)
+    s.reduced_self = dynamorph.ReducedSelfContact(**s.reduced_own)
     s.collider_points = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
     s.collider_triangles = np.array([[0, 1, 2]], np.int32)
     s.collider = dynamorph.Collider(s.collider_points, s.collider_triangles)
@@ -185,6 +191,7 @@ def calls() -> dict[str, tuple[object, dict]]:
         "MeshCut.embed": (s.cut, {"cut": s.cut.cut()}),
         "Thickness": (lib, {**skin, "progress": going}),
         "Thickness.at": (s.thickness, {"points": s.vertices}),
+        "Thickness.covering": (s.thickness, {"points": s.vertices, "tolerance": 0.1}),
         "TargetSet": (lib, {"bones": [1], "names": ["a", "b"], "poses": [s.local, s.turned],
                             "radii": [0.0, 1.0]}),
         "PoseSpace": (lib, {"sets": [s.set]}),
@@ -197,6 +204,8 @@ def calls() -> dict[str, tuple[object, dict]]:
         "Collider.signed_distances": (s.collider, {"points": s.vertices}),
         "ColliderMotion": (lib, {"collider": s.collider, "motion": np.repeat(s.bones, 2, 0),
                                  "friction": np.array([0.5]), "active": np.array([True])}),
+        "FullSelfContact": (lib, s.full_own),
+        "ReducedSelfContact": (lib, s.reduced_own),
         "FullContact": (lib, {"model": s.full, **s.samples, "residual_shapes": np.zeros((2, len(s.points), 3)),
                               "local": None}),
         "LocalResponses": (lib, {"model": s.full, **s.places, "centers": [0, 1]}),
@@ -272,6 +281,10 @@ def calls() -> dict[str, tuple[object, dict]]:
             f"{kind}.set_contact": (
                 new,
                 {"contact": s.full_contact if kind == "FullSimulation" else s.reduced_contact, "distance": 0.01},
+            ),
+            f"{kind}.set_self_contact": (
+                new,
+                {"self_contact": s.full_self if kind == "FullSimulation" else s.reduced_self, "friction": 0.5},
             ),
             f"{kind}.balance_targets": (new, {"bones": np.repeat(s.bones[None], 2, 0)}),
             f"{kind}.solve_static": (new, {"bones": s.bones, "weights": s.weights, **push, "guess": zero}),

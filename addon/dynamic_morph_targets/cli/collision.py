@@ -18,6 +18,8 @@ def add_options(bake: argparse.ArgumentParser) -> None:
     """All but SETTINGS."""
     bake.add_argument("--collision", action=argparse.BooleanOptionalAction,
                       help="let the objects that have Blender's Collision stop the skin")  # fmt: skip
+    bake.add_argument("--self-collision", action=argparse.BooleanOptionalAction,
+                      help="let the skin stop itself too; turns --collision on")  # fmt: skip
     bake.add_argument("--collection", metavar="NAME", help="only those in this collection; turns --collision on")
     bake.add_argument("--exclude", metavar="GROUP", help="a vertex group in which objects pass through the skin")
 
@@ -33,6 +35,13 @@ def apply(args: argparse.Namespace, obj: bpy.types.Object) -> None:
         if settings.collection is None:
             raise InputError(f"--collection: the file has no collection named '{name}'")
         on = True
+    own = chosen.get("self_collision")
+    if own:
+        if on is False:
+            raise InputError("--self-collision turns collision on: leave out --no-collision")
+        on = True
+    if own is not None:
+        settings.use_self = own
     if on is not None:
         settings.use = on
     group = chosen.get("exclude")

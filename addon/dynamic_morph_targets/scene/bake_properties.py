@@ -193,6 +193,12 @@ class DynamorphCollision(PropertyGroup):
         default=SimulationSettings.distance, min=0.0, max=0.05, soft_max=0.01, precision=4, subtype="FACTOR",
         override=OVERRIDE,
     )  # fmt: skip
+    use_self: BoolProperty(
+        name="Self Collision",
+        description="Let the skin stop itself too, as a belly on the thighs or an arm on the chest; what touches at "
+        "rest, or folds at a joint, is left alone. Turn it on where parts of the body pass through each other",
+        override=OVERRIDE,
+    )
     use_friction: BoolProperty(
         name="Override Friction",
         description="Use one friction for all objects instead of their own, which is a tenth of the Friction for "

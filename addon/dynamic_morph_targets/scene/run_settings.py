@@ -18,7 +18,9 @@ def bake_solver(obj) -> str:
     off. Live and clips always have its Quality.
     """
     settings = obj.dynamorph
-    if settings.model.method != "STATIC" and settings.collision.bake_full and colliders(obj):
+    collision = settings.collision
+    touches = collision.use and (collision.use_self or colliders(obj))
+    if settings.model.method != "STATIC" and collision.bake_full and touches:
         return "FULL"
     return settings.model.solver
 
@@ -89,4 +91,6 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
         max_thickness=chosen.max_thickness,
         collision=collision.use,
         distance=collision.distance,
+        self_collision=collision.use and collision.use_self,
+        self_friction=collision.friction if collision.use_friction else SimulationSettings.self_friction,
     )

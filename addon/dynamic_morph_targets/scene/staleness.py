@@ -134,7 +134,9 @@ def outdated(obj) -> list[str]:
     except (RecordError, SceneError) as error:
         return [sentence(error)]
     now["simulation"] |= _kept_range(then.get("simulation", {}), now["simulation"], settings.simulation.is_patch)
-    if bool(then.get("colliders")) != bool(colliders.colliders(obj)):  # which decides on it, and is reported itself
+    touches_itself = [each.get("collision", {}).get("use_self") for each in (then, now)]
+    # Either decides on the quality, and is reported itself.
+    if bool(then.get("colliders")) != bool(colliders.colliders(obj)) or touches_itself[0] != touches_itself[1]:
         del now["model"]["solver"]
     found = _changes(obj, then, now)
     if obj.dynamorph.model.content_id != then["content_id"]:
@@ -197,8 +199,9 @@ def bake_inputs(skinned: Skinning, simulation: SimulationSettings) -> dict:
     inputs["groups"] |= {"excluded_group": settings.excluded_group} if settings.collision.use else {}
     inputs["groups"]["armature_modifiers"] = skinned.settings()
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
-    del inputs["simulation"]["distance"]
-    names = ["distance", "use_friction", *(["friction"] if settings.collision.use_friction else [])]
+    for name in ("distance", "self_collision", "self_friction"):  # as the artist set them, below
+        del inputs["simulation"][name]
+    names = ["distance", "use_self", "use_friction", *(["friction"] if settings.collision.use_friction else [])]
     inputs["collision"] = {name: getattr(settings.collision, name) for name in names if settings.collision.use}
     inputs["output"] = asdict(settings.output.settings())
     for name, target in named_targets(obj):

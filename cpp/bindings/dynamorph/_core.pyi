@@ -8,7 +8,7 @@ import numpy.typing
 import scipy.sparse
 import typing
 import typing_extensions
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Embedding', 'Error', 'FullContact', 'FullModel', 'FullMotionLimit', 'FullSimulation', 'FullSkin', 'Grabs', 'Integrator', 'LocalResponses', 'MaterialModel', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedContact', 'ReducedModel', 'ReducedMotionLimit', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'tetrahedralize', 'unpack_model']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Embedding', 'Error', 'FullContact', 'FullModel', 'FullMotionLimit', 'FullSelfContact', 'FullSimulation', 'FullSkin', 'Grabs', 'Integrator', 'LocalResponses', 'MaterialModel', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedContact', 'ReducedModel', 'ReducedMotionLimit', 'ReducedSelfContact', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -114,6 +114,13 @@ class Thickness:
         Returns (thickness (k,), depth (k,)) at points (k, 3), all in meters.
         
         Depth is the distance to the skin, 0 outside the body. A point outside has the thickness of the skin nearest to it.
+        """
+    def covering(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], tolerance: typing.SupportsFloat | typing.SupportsIndex) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
+        """
+        Returns (centers (K, 3), radii (K,)) of few balls that fill the body, meters.
+        
+        They come as near to each of the points (k, 3) of the skin as tolerance times the thickness there, or as near as any
+        ball in the body does.
         """
 class TargetSet:
     """
@@ -520,6 +527,22 @@ class ReducedContact:
         """
         The model's own stiffness at each point (P) along its normal, N/m, at the neutral targets; 0 where pins hold it.
         """
+class FullSelfContact:
+    """
+    Where the skin of a model touches the same skin. Simulations may share it.
+    """
+    def __init__(self, contact: FullContact, centers: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], radii: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], points: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex]) -> None:
+        """
+        contact: the points of the skin. centers (K, 3), radii (K): of balls that fill the body, meters, bind space, as `Thickness.covering` finds them. embedding: of the centers in the body's mesh. weights (K, B): skin weights of the centers. points: numbers of those points that touch the balls, ascending; a few thousand, spread evenly. What a point touches at rest, or nearly, it does not touch. Raises ValueError for arrays that do not fit each other.
+        """
+class ReducedSelfContact:
+    """
+    Where the skin of a model touches the same skin. Simulations may share it.
+    """
+    def __init__(self, contact: ReducedContact, centers: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], radii: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], points: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex]) -> None:
+        """
+        contact: the points of the skin. centers (K, 3), radii (K): of balls that fill the body, meters, bind space, as `Thickness.covering` finds them. embedding: of the centers in the body's mesh. weights (K, B): skin weights of the centers. points: numbers of those points that touch the balls, ascending; a few thousand, spread evenly. What a point touches at rest, or nearly, it does not touch. Raises ValueError for arrays that do not fit each other.
+        """
 class Integrator:
     """
     Members:
@@ -619,7 +642,7 @@ class FullSimulation:
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None, colliders: collections.abc.Sequence[ColliderMotion] | None = None) -> dict:
         """
-        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. colliders: what pushes the points of `set_contact`. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back. With colliders: the largest number of contacts in a step; penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point into a collider than it can give way, so that contact does (0: nowhere), and the sample and collider where that is (-1: none); contact_forces, newtons on each collider (C, 3) at the last step; unusable_colliders, the numbers of those that were active but not finite or without extent.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. colliders: what pushes the points of `set_contact`. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back. With colliders: the largest number of contacts in a step; penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point into a collider, or into the body itself, than it can give way, so that contact does (0: nowhere), and the sample (-1: none) and collider (-1: the body) where that is; contact_forces, newtons on each collider (C, 3) at the last step; unusable_colliders, the numbers of those that were active but not finite or without extent.
         """
     def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
@@ -632,6 +655,10 @@ class FullSimulation:
     def set_limit(self, limit: FullMotionLimit) -> None:
         """
         Limits the motion from now on; None for no limit.
+        """
+    def set_self_contact(self, self_contact: FullSelfContact, friction: typing.SupportsFloat | typing.SupportsIndex = 0.5) -> None:
+        """
+        Where the skin touches itself, from the distance of `set_contact` on, which comes first and drops it; None: nowhere. friction: of skin on skin.
         """
     def set_skin(self, skin: FullSkin) -> None:
         """
@@ -686,7 +713,7 @@ class ReducedSimulation:
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None, colliders: collections.abc.Sequence[ColliderMotion] | None = None) -> dict:
         """
-        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. colliders: what pushes the points of `set_contact`. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back. With colliders: the largest number of contacts in a step; penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point into a collider than it can give way, so that contact does (0: nowhere), and the sample and collider where that is (-1: none); contact_forces, newtons on each collider (C, 3) at the last step; unusable_colliders, the numbers of those that were active but not finite or without extent.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. colliders: what pushes the points of `set_contact`. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back. With colliders: the largest number of contacts in a step; penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point into a collider, or into the body itself, than it can give way, so that contact does (0: nowhere), and the sample (-1: none) and collider (-1: the body) where that is; contact_forces, newtons on each collider (C, 3) at the last step; unusable_colliders, the numbers of those that were active but not finite or without extent.
         """
     def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
@@ -699,6 +726,10 @@ class ReducedSimulation:
     def set_limit(self, limit: ReducedMotionLimit) -> None:
         """
         Limits the motion from now on; None for no limit.
+        """
+    def set_self_contact(self, self_contact: ReducedSelfContact, friction: typing.SupportsFloat | typing.SupportsIndex = 0.5) -> None:
+        """
+        Where the skin touches itself, from the distance of `set_contact` on, which comes first and drops it; None: nowhere. friction: of skin on skin.
         """
     def set_skin(self, skin: ReducedSkin) -> None:
         """

@@ -48,9 +48,11 @@ class ContactSamples {
                  std::shared_ptr<const LocalResponses> local = nullptr);
 
   const Model& model() const { return map_.model(); }
+  const std::shared_ptr<const Model>& shared_model() const { return map_.shared_model(); }
   const SkinMap<Model>& map() const { return map_; }
   const SurfacePoints& points() const { return points_; }
   Eigen::Index size() const { return points_.size(); }  ///< P
+  const Points& rest() const { return rest_; }          ///< (P, 3), bind space
   const VectorXd& thickness() const { return thickness_; }
   /// 1 / C (P), N/m, at the neutral targets; 0 where pins leave next to nothing to move.
   const VectorXd& stiffness() const { return stiffness_; }

@@ -144,4 +144,29 @@ Thickness::Measures Thickness::at(const Points& points) const {
   return out;
 }
 
+std::vector<Thickness::Ball> Thickness::covering(const Points& points, double tolerance) const {
+  const auto gap = [&](const Ball& ball, Eigen::Index p) {
+    return std::abs((points.row(p).transpose() - ball.center).norm() - ball.radius);
+  };
+  VectorXd most = tolerance * at(points).thickness;
+  parallel_for(int((points.rows() + kBlock - 1) / kBlock), [&](int block) {
+    for (Eigen::Index p = Eigen::Index(block) * kBlock; p < std::min(points.rows(), Eigen::Index(block + 1) * kBlock);
+         ++p) {
+      double nearest = kInfinity;
+      for (const Ball& ball : balls_)
+        if (ball.radius > 0) nearest = std::min(nearest, gap(ball, p));
+      most(p) = std::max(most(p), nearest);
+    }
+  });
+  std::vector<char> covered(std::size_t(points.rows()), false);
+  std::vector<Ball> out;
+  for (const Ball& ball : balls_) {
+    bool needed = false;
+    for (Eigen::Index p = 0; ball.radius > 0 && p < points.rows(); ++p)
+      if (!covered[std::size_t(p)] && gap(ball, p) <= most(p)) covered[std::size_t(p)] = needed = true;
+    if (needed) out.push_back(ball);
+  }
+  return out;
+}
+
 }  // namespace dynamorph

@@ -28,12 +28,15 @@ class Thickness {
   /// Measures at points (k, 3). A point outside the body has the thickness of the skin nearest to it.
   Measures at(const Points& points) const;
 
- private:
   struct Ball {
     Vector3d center;
     double radius;
   };
+  /// Few balls inside the body, largest first, that come as near to each of the points (k, 3) of its skin as
+  /// `tolerance` times the thickness there, or as near as any does.
+  std::vector<Ball> covering(const Points& points, double tolerance) const;
 
+ private:
   void find_balls(const Points& vertices, const Triangles& triangles, const ProgressFn& progress);
   double thickness(const Vector3d& p) const;
 

@@ -136,6 +136,7 @@ class SkinMap {
   }
 
   const Model& model() const { return *model_; }
+  const std::shared_ptr<const Model>& shared_model() const { return model_; }
   const Skin& skin() const { return skin_; }
   Eigen::Index size() const { return skin_.rest.rows(); }  ///< P
 

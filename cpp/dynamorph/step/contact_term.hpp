@@ -5,12 +5,13 @@
 //   g = n . (x_p(q) - point),     t = (I - n n^T) (x_p(q) - x_p(before) - motion),
 //   E = s k ramp(distance - g) + mu lambda F(|t|),
 //
-// where s is the contact's weight, k the sample's stiffness (contact_samples.hpp), ramp and F are of contact_law.hpp,
-// mu is the friction, and lambda the pressure in the round before. With local responses the skin gives way beneath the
-// contacts, by rho a along their normals (dents.hpp), and the coordinates take a part of the push alone: then n . x_p
-// in g is that of the targets' shape, plus `taken` times what q moves it by, plus rho a. Friction has no potential of
-// its own: with lambda of the round before it has one, and each step takes two rounds. The first one has the pressures
-// of the step before.
+// x_p is the place of a sample, less that of the other side where skin touches skin (self_contact.hpp). Here s is the
+// contact's weight, k the sample's stiffness (contact_samples.hpp), ramp and F are of contact_law.hpp, mu is the
+// friction, and lambda the pressure in the round before. With local responses the skin gives way beneath the contacts,
+// by rho a along their normals (dents.hpp), and the coordinates take a part of the push alone: then n . x_p in g is
+// that of the targets' shape, plus `taken` times what q moves it by, plus rho a. Friction has no potential of its own:
+// with lambda of the round before it has one, and each step takes two rounds. The first one has the pressures of the
+// step before.
 #pragma once
 
 #include <algorithm>
@@ -37,6 +38,7 @@ struct ContactStep {
   const Transforms& bones;              ///< at the end of the step
   const VectorXd& weights;              ///< of the targets (J)
   const std::vector<double>& friction;  ///< mu of the colliders
+  double own_friction;                  ///< mu of skin on skin
   double square;                        ///< (c h)^2, s^2
   double distance;                      ///< at which samples begin to be pushed, meters
   double width;                         ///< over which the push grows to its full stiffness, meters
@@ -113,19 +115,26 @@ struct ContactTerm {
     numbers_.clear();
     offsets_.resize(3 * Eigen::Index(contacts.size()));
     for (const Contact& contact : contacts) {
-      const double stiffness = contact.weight * samples.stiffness(contact.sample, step.weights, step.square);
+      const double stiffness = contact.weight * firmness(samples, contact, step);
       if (!(stiffness > 0)) continue;
-      const double friction = step.friction[std::size_t(contact.collider)];
-      const Vector3d unmoved = samples.unmoved(step.bones, step.weights, contact.sample);
+      const bool own = contact.collider == kOwnSkin;
+      const double friction = own ? step.own_friction : step.friction[std::size_t(contact.collider)];
+      Vector3d unmoved = Vector3d::Zero();
+      double far = contact.point.norm();
+      contact.each_sample([&](int sample, double part) {
+        const Vector3d place = samples.unmoved(step.bones, step.weights, sample);
+        unmoved += part * place;
+        far += std::abs(part) * place.norm();
+      });
       const auto add = [&](const Vector3d& direction, const Vector3d& from) {
         offsets_(numbers_.size()) = direction.dot(unmoved - from);
         numbers_.add_row();
-        samples.add(contact.sample, direction, numbers_);
+        contact.each_sample([&](int sample, double part) { samples.add(sample, part * direction, numbers_); });
       };
       touching_.push_back({contact,
                            numbers_.size(),
                            stiffness,
-                           stiffness * (unmoved.norm() + contact.point.norm()),
+                           stiffness * far,
                            friction,
                            friction * force_of(pressures, contact),
                            {},
@@ -229,18 +238,20 @@ struct ContactTerm {
   /// The amplitudes of all patches, where it is.
   void dents(VectorXd& amplitudes) const { dents_.amplitudes(amplitudes); }
 
-  /// The largest depth of a sample under a surface, meters, where it is; 0 for none. Those with less than half of their
-  /// weight do not count.
+  /// The largest depth of a sample under a collider's surface, meters, where it is; 0 for none. Those with less than
+  /// half of their weight do not count.
   double penetration() const {
     double deepest = 0;
     for (const Touch& touch : touching_)
-      if (touch.contact.weight >= 0.5) deepest = std::max(deepest, -values_(touch.row) - distance_);
+      if (touch.contact.weight >= 0.5 && touch.contact.collider != kOwnSkin)
+        deepest = std::max(deepest, -values_(touch.row) - distance_);
     return deepest;
   }
 
   /// Newtons on each collider (C), where it is.
   void forces(std::vector<Vector3d>& on_colliders) const {
     for (const Touch& touch : touching_) {
+      if (touch.contact.collider == kOwnSkin) continue;  // those sum to zero
       Vector3d& sum = on_colliders[std::size_t(touch.contact.collider)];
       const int rows = touch.friction > 0 ? 3 : 1;
       for (int k = 0; k < rows; ++k) sum += forces_(touch.row + k) * numbers_.total(touch.row + k);
@@ -248,14 +259,31 @@ struct ContactTerm {
   }
 
  private:
+  /// k of a contact, N/m. Both sides are pushed by each other's contacts, so that each has half of it.
+  static double firmness(const ContactSamples<Model>& samples, const Contact& contact, const ContactStep& step) {
+    const auto of = [&](int sample) { return samples.stiffness(sample, step.weights, step.square); };
+    double compliance = 0, others = 0;
+    contact.each_sample([&](int sample, double part) {
+      if (part > 0) return;
+      const double stiffness = of(sample);
+      others -= stiffness > 0 ? part : 0;
+      compliance -= stiffness > 0 ? part / stiffness : 0;
+    });
+    const double own = of(contact.sample);
+    if (!(others > 0) || !(own > 0)) return own;
+    return 0.5 / (1 / own + compliance / others);
+  }
+
   /// Lets the skin give way by the patches that the contacts press.
   void begin_dents(const ContactSamples<Model>& samples, const ContactStep& step) {
     std::vector<int> patches, sample_of(std::size_t(samples.local()->size()), -1);
     for (const Touch& touch : touching_)
-      for (const int patch : samples.patches(touch.contact.sample)) {
-        if (sample_of[std::size_t(patch)] < 0) patches.push_back(patch);
-        sample_of[std::size_t(patch)] = touch.contact.sample;
-      }
+      touch.contact.each_sample([&](int sample, double) {
+        for (const int patch : samples.patches(sample)) {
+          if (sample_of[std::size_t(patch)] < 0) patches.push_back(patch);
+          sample_of[std::size_t(patch)] = sample;
+        }
+      });
     std::sort(patches.begin(), patches.end());
     const Eigen::Index m = Eigen::Index(patches.size());
     VectorXd shape, at_shape, stiffer(m), deepest = VectorXd::Constant(m, width_);
@@ -264,12 +292,16 @@ struct ContactTerm {
     MatrixXd rows(Eigen::Index(touching_.size()), m), stiffness(m, m);
     for (std::size_t i = 0; i < touching_.size(); ++i) {
       const Touch& touch = touching_[i];
-      const int sample = touch.contact.sample, last = touch.friction > 0 ? touch.row + 2 : touch.row;
-      const double taken = samples.taken(sample), depth = -offsets_(touch.row) - at_shape(touch.row);
-      for (const int patch : samples.patches(sample)) {
-        const auto at = std::lower_bound(patches.begin(), patches.end(), patch) - patches.begin();
-        deepest(at) = std::max(deepest(at), depth);
-      }
+      const int last = touch.friction > 0 ? touch.row + 2 : touch.row;
+      const double depth = -offsets_(touch.row) - at_shape(touch.row);
+      double taken = 1;
+      touch.contact.each_sample([&](int sample, double) {
+        taken = std::min(taken, samples.taken(sample));
+        for (const int patch : samples.patches(sample)) {
+          const auto at = std::lower_bound(patches.begin(), patches.end(), patch) - patches.begin();
+          deepest(at) = std::max(deepest(at), depth);
+        }
+      });
       for (int row = touch.row; row <= last; ++row) {
         contact_rows::scale(rows_, row, taken);
         offsets_(row) += (1 - taken) * at_shape(row);

@@ -57,10 +57,10 @@ bool came(const ColliderStep& step) {
 /// Throws Error unless a state's contacts are of samples that there are (0: without contact).
 void check_contacts(const State& state, Eigen::Index samples) {
   const auto good = [&](int sample, int collider, const Vector3d& normal) {
-    return sample >= 0 && sample < samples && collider >= 0 && normal.allFinite();
+    return sample >= 0 && sample < samples && collider >= kOwnSkin && normal.allFinite();
   };
   for (const ContactMemory::Plane& plane : state.contact.planes)
-    if (!good(plane.sample, plane.collider, plane.normal) || !plane.point.allFinite())
+    if (!good(plane.sample, plane.collider, plane.normal) || plane.collider == kOwnSkin || !plane.point.allFinite())
       throw Error("The state has a contact that does not fit");
   for (const Pressure& pressure : state.pressures)
     if (!good(pressure.sample, pressure.collider, pressure.normal) || !(pressure.force >= 0) ||
@@ -209,6 +209,7 @@ void Simulation<Model>::set_contact(std::shared_ptr<const ContactSamples<Model>>
   if (!(distance >= 0) || !std::isfinite(distance))
     throw std::invalid_argument("distance: must be finite and not negative");
   samples_ = std::move(samples);
+  self_.reset();
   distance_ = distance;
   state_.contact.clear();
   state_.pressures.clear();
@@ -216,11 +217,40 @@ void Simulation<Model>::set_contact(std::shared_ptr<const ContactSamples<Model>>
 }
 
 template <class Model>
+void Simulation<Model>::set_self_contact(std::shared_ptr<const SelfContact<Model>> self, double friction) {
+  if (self && &self->samples() != samples_.get())
+    throw std::invalid_argument("self_contact: its samples are not those of the contact");
+  if (!(friction >= 0) || !std::isfinite(friction))
+    throw std::invalid_argument("friction: must be finite and not negative");
+  self_ = std::move(self);
+  own_friction_ = friction;
+}
+
+template <class Model>
 void Simulation<Model>::find_contacts(const StepInput& input, const StepRule& rule) {
   contacts_.clear();
   found_.clear();
   unusable_.clear();
+  friction_.clear();
   memory_ = state_.contact;
+  const double size = model_->body().size;
+  find_at_colliders(input);
+  if (self_) {
+    blended_shape(*model_, input.weights, shape_);
+    self_->find({state_.bones[0], input.bones, input.weights, shape_, state_.q[0], next_,
+                 distance_ + kContactNear * size, distance_ + kContactMargin * size},
+                self_scratch_, found_on_self_);
+    found_.insert(found_.begin(), found_on_self_.begin(), found_on_self_.end());
+  }
+  if (found_.empty()) return;
+  contacts_.begin(*samples_, found_,
+                  {input.bones, input.weights, friction_, own_friction_, rule.square, distance_, kContactWidth * size,
+                   kSticks * size * options_.h},
+                  state_.pressures);
+}
+
+template <class Model>
+void Simulation<Model>::find_at_colliders(const StepInput& input) {
   if (!input.colliders || input.colliders->empty()) return memory_.clear();
   if (!samples_) throw std::invalid_argument("colliders: the simulation has no samples that can touch them");
   const double size = model_->body().size, margin = distance_ + kContactMargin * size;
@@ -233,12 +263,7 @@ void Simulation<Model>::find_contacts(const StepInput& input, const StepRule& ru
   const double near = input.grabs ? margin : distance_ + kContactNear * size;  // a hand may lead the skin anywhere
   finder_.find(*input.colliders, near_, near, margin, memory_, found_);
   unusable_ = finder_.unusable();
-  friction_.clear();
   for (const ColliderStep& collider : *input.colliders) friction_.push_back(collider.friction);
-  contacts_.begin(*samples_, found_,
-                  {input.bones, input.weights, friction_, rule.square, distance_, kContactWidth * size,
-                   kSticks * size * options_.h},
-                  state_.pressures);
 }
 
 template <class Model>
@@ -296,7 +321,7 @@ bool Simulation<Model>::place_samples(const StepInput& input, double margin) {
 
 template <class Model>
 void Simulation<Model>::report_contacts(const StepInput& input, StepReport& report) {
-  if (!input.colliders || input.colliders->empty()) return;
+  if (found_.empty() && (!input.colliders || input.colliders->empty())) return;
   report.contacts = contacts_.count();
   if (report.converged) report.penetration = contacts_.penetration();
   for (const Contact& contact : found_) {
@@ -305,7 +330,7 @@ void Simulation<Model>::report_contacts(const StepInput& input, StepReport& repo
     report.too_deep_sample = contact.sample;
     report.too_deep_collider = contact.collider;
   }
-  report.contact_forces.assign(input.colliders->size(), Vector3d::Zero());
+  report.contact_forces.assign(input.colliders ? input.colliders->size() : 0, Vector3d::Zero());
   contacts_.forces(report.contact_forces);
   report.unusable_colliders = unusable_;
 }

@@ -16,6 +16,7 @@
 
 #include "dynamorph/contact/contact_samples.hpp"
 #include "dynamorph/contact/find_contacts.hpp"
+#include "dynamorph/contact/self_contact.hpp"
 #include "dynamorph/models/full_model.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/reduced/reduced_model.hpp"
@@ -90,6 +91,10 @@ class Simulation {
   /// distance in meters.
   void set_contact(std::shared_ptr<const ContactSamples<Model>> samples, double distance);
 
+  /// Lets the skin touch itself from now on; null: not. Its samples must be those of the contact, whose distance it
+  /// keeps. friction: of skin on skin.
+  void set_self_contact(std::shared_ptr<const SelfContact<Model>> self, double friction);
+
   /// Drops the factors of earlier steps, which save time: the steps that follow depend on the state alone, to the last
   /// bit. Call it where the state is copied, and after it is set.
   void forget() { newton_.solver.forget(); }
@@ -134,6 +139,7 @@ class Simulation {
   bool place_samples(const StepInput& input, double margin);
   /// Decides what can touch what in that step.
   void find_contacts(const StepInput& input, const StepRule& rule);
+  void find_at_colliders(const StepInput& input);
   /// Adds what the contacts do at next_.
   void report_contacts(const StepInput& input, StepReport& report);
   /// Moves q to the minimum of the sum of the terms.
@@ -161,9 +167,11 @@ class Simulation {
   std::array<Transforms, InertialTarget::kMoments> slowed_;  ///< bones of a scaled past
   ContactTerm<Model> contacts_;
   std::shared_ptr<const ContactSamples<Model>> samples_;
-  double distance_ = 0;
+  std::shared_ptr<const SelfContact<Model>> self_;
+  typename SelfContact<Model>::Scratch self_scratch_;
+  double distance_ = 0, own_friction_ = 0;
   ContactFinder finder_;
-  std::vector<Contact> found_;
+  std::vector<Contact> found_, found_on_self_;
   std::vector<int> unusable_;
   VectorXd dents_;
   ContactMemory memory_;  ///< at the end of the step

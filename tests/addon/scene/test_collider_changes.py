@@ -120,6 +120,9 @@ def test_settings_of_the_body_are_named(baked):
     collision.use_friction = True
     assert looked(baked) == ["Override Friction changed"]
     collision.use_friction = False
+    collision.use_self = True
+    assert looked(baked) == ["Self Collision changed"]
+    collision.use_self = False
     collision.use = False
     assert looked(baked) == ["Collision changed"]
     collision.distance *= 2.0  # which is not used now

@@ -5,7 +5,7 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.run import bake_time
-from bl_ext.user_default.dynamic_morph_targets.scene import colliders
+from bl_ext.user_default.dynamic_morph_targets.scene import colliders, run_settings
 from builders import activate, evaluated_points, make_box, make_mesh, refused, rig_of
 from layout import drawn
 
@@ -95,6 +95,25 @@ def test_a_bake_without_dents_is_mentioned_with_a_fix(soft_arm):
     assert "'Arm' collides in Reduced Quality" in " ".join(drawn(soft_arm))
     bpy.ops.dynamorph.fix(problem="FULL_QUALITY")
     assert collision.bake_full and "in Reduced Quality" not in " ".join(drawn(soft_arm))
+
+
+def test_a_body_that_stops_itself_is_baked_in_full_quality(soft_arm):
+    collision = soft_arm.dynamorph.collision
+    collision.use_self = True
+
+    def settings():
+        return run_settings.simulation_settings(soft_arm, bpy.context.scene)
+
+    assert not settings().self_collision and run_settings.bake_solver(soft_arm) == "REDUCED"
+    collision.use = True
+    assert settings().self_collision and run_settings.bake_solver(soft_arm) == "FULL"
+    assert settings().self_friction == 0.0
+    collision.use_friction, collision.friction = True, 0.25
+    assert settings().self_friction == 0.25
+    found = " ".join(drawn(soft_arm, PHYSICS))
+    assert "No object has Collision yet" not in found and "Only in Full Quality: bakes show it, Live does not" in found
+    soft_arm.dynamorph.model.solver = "FULL"
+    assert "Only in Full Quality" not in " ".join(drawn(soft_arm, PHYSICS))
 
 
 def test_the_quality_of_a_bake_is_said_before_it_with_its_time(soft_arm, monkeypatch):

@@ -45,7 +45,7 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
       contacts.push_back({p, c, x + depth * normal, normal, x, 0.004 * normal.unitOrthogonal() * (1 + p % 5), 0.7, -1});
       if (c == 0) pressures.push_back({p, 0, normal, 0.1 * (p % 7)});
     }
-  const ContactStep step{bones, kBetween, friction, 1e-4, 0, kWidth, 0.01};
+  const ContactStep step{bones, kBetween, friction, 0.5, 1e-4, 0, kWidth, 0.01};
   AtFirst<Model> term;
   term.begin(samples, contacts, step, pressures);
   typename Model::Blend blend;

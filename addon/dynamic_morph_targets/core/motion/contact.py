@@ -29,6 +29,8 @@ PATCHES = 512  # of the skin that give way by themselves in Reduced Quality
 SAMPLES = 20000  # points of the skin that can touch something, at most
 REDUCED_SAMPLES = 10000  # the same in Reduced Quality, where patches that are coarser than that give way
 PROBED_SAMPLES = 4000  # the same where Blender poses the nodes, which have a matrix of weights
+OWN_SAMPLES = 2000  # of them that can touch the body itself, at most
+COVERED = 0.08  # of the tissue's thickness: how near the balls that stand for the body come to its skin
 EXCLUDED = 0.5  # smallest weight of `Character.excluded` with which a point touches nothing
 BITS = 52  # of a float, which are exact: so many colliders are told apart where they are unusable
 
@@ -37,20 +39,23 @@ class Collision:
     """What a player with collision has of it: the points of the skin that can touch something, P of them, and the
     engine's colliders in a shot: those of its first sample, whose faces they keep.
 
-    skin: the engine's points of an engine model, or None where no skin is soft; vertices (P,): nearest to those. dents
-    (3 free, K): displacement of the free nodes by each patch of the skin that gives way by itself in Reduced Quality;
-    none otherwise.
+    skin: the engine's points of an engine model, or None where no skin is soft; vertices (P,): nearest to those. own:
+    where they touch the body itself, None without self-collision, which is for Full Quality. dents (3 free, K):
+    displacement of the free nodes by each patch of the skin that gives way by itself in Reduced Quality; none
+    otherwise.
     """
 
-    def __init__(self, model: Model, engine: EngineModel, character: Character):
+    def __init__(self, model: Model, engine: EngineModel, character: Character, with_own: bool = False):
         surface = contact_points(model, character)
         touchable = surface[surface.of(character.excluded) < EXCLUDED]
         full = model.settings.solver == "FULL"
         most = SAMPLES if full else REDUCED_SAMPLES
         points = touchable.at_most(PROBED_SAMPLES if character.probed else most)
         self.skin: Any = None
+        self.own: Any = None
         self.dents = np.zeros((3 * int(model.free.sum()), 0))
         self.vertices = points.vertices[:, 0]
+        self._name = character.name
         self._bones = character.weights[self.vertices].argmax(axis=1)
         self._known: list[tuple[str, int]] = []  # names and topologies of the colliders
         self._shapes: list[np.ndarray] = []
@@ -73,6 +78,11 @@ class Collision:
             corners.reshape(points.vertices.shape),
             points.weights,
         )
+        if with_own and full:  # patches of the skin of a reduced model would jitter between its limbs
+            own = spread(points.rest, points.normals, OWN_SAMPLES)
+            balls = _balls(model, character, points.rest[own])
+            touching_itself: Callable[..., Any] = dynamorph.FullSelfContact
+            self.own = touching_itself(self.skin, *balls, own)
 
     def begin(self, first: RigSamples) -> None:
         """Take the colliders of the first sample. Raises SceneError for one that the engine refuses."""
@@ -102,8 +112,8 @@ class Collision:
         return bones[bone] if bone < len(bones) else "", self.collider(collider)
 
     def collider(self, number: int) -> str:
-        """Its name."""
-        return self._known[number][0]
+        """Its name; of a number below zero the body's own."""
+        return self._known[number][0] if number >= 0 else self._name
 
 
 def carried(model: Model, character: Character, vertices: np.ndarray) -> tuple[Any, ...]:
@@ -128,6 +138,28 @@ def _moving_weights(model: Model, character: Character, vertices: np.ndarray) ->
     out = np.zeros((len(vertices), len(model.nodes)))
     np.add.at(out, (np.arange(len(vertices))[:, None], nodes), model.embedding_weights[vertices].clip(0.0))
     return out[:, model.free]
+
+
+def _balls(model: Model, character: Character, places: np.ndarray) -> tuple[Any, ...]:
+    """Balls that fill the body near these places (P, 3) of the skin, as `dynamorph.FullSelfContact` takes them. It
+    takes a while, so it is kept with the model.
+    """
+    known = _known_balls.get(id(model))
+    if not known or not np.array_equal(known[0], places):
+        body = dynamorph.Thickness(character.bind_points, character.soft_triangles)
+        _known_balls[id(model)] = known = places, body.covering(places, COVERED)
+        weakref.finalize(model, _known_balls.pop, id(model), None)
+    centers, radii = known[1]
+    embedding = dynamorph.embed(dynamorph.TetMesh(model.nodes, model.tets), centers)
+    weights = embedding.weights.clip(0.0)
+    if not character.probed:
+        return centers, radii, embedding, np.einsum("kn,kn...->k...", weights, model.node_weights[embedding.nodes])
+    nodes = np.zeros((len(centers), len(model.nodes)))
+    np.add.at(nodes, (np.arange(len(centers))[:, None], embedding.nodes), weights)
+    return centers, radii, embedding, nodes[:, model.free]
+
+
+_known_balls: dict[int, tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]] = {}  # by id(model): places, and balls
 
 
 def _thickness(model: Model, character: Character) -> np.ndarray:

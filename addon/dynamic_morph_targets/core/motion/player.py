@@ -100,8 +100,9 @@ class Player:
             self.hand = Hand(model, self.engine, character, self._simulation)
             self._simulation.set_limit(motion_limit(model, self.engine, self.character, settings))
             if settings.collision:
-                self.collision = Collision(model, self.engine, character)
+                self.collision = Collision(model, self.engine, character, settings.self_collision)
                 self._simulation.set_contact(self.collision.skin, settings.distance * self.size)
+                self._simulation.set_self_contact(self.collision.own, settings.self_friction)
                 if dents := self.collision.dents.shape[1]:
                     self.modes = np.hstack([model.modes, self.collision.dents])
                     self._shapes = np.pad(self._shapes, ((0, 0), (0, dents)))

@@ -18,11 +18,14 @@ def draw_collision(layout, context, obj):
     found = [other.name for other in colliders.colliders(obj)]
     if found:
         draw_message(layout, Message("Collides with: {names}", names=listed(found)), icon="CHECKMARK")
-    elif settings.use:
+    elif settings.use and not settings.use_self:
         draw_message(layout, "No object has Collision yet", icon="INFO")
     column = layout.column()
     column.active = settings.use
     draw_setting(column, settings, "collection")
+    column.prop(settings, "use_self")
+    if settings.use_self and obj.dynamorph.model.solver == "REDUCED":
+        draw_message(column, "Only in Full Quality: bakes show it, Live does not", icon="INFO")
     column.prop(settings, "distance")
     column.prop_search(obj.dynamorph, "excluded_group", obj, "vertex_groups")
     draw_setting(column, settings, "use_friction")

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Skin on skin of one body: two blocks on two bones, one mesh, that run into each other."""
+
+from types import SimpleNamespace
+
+import dynamorph
+import numpy as np
+import pytest
+from scenes import bar
+from test_contact import surface
+
+H = 1 / 96
+SIDES, HIGH, GAP = 0.3, 0.15, 0.1
+
+
+def blocks(solver, held=False, gap=GAP):
+    """Block 0 lies below block 1. held: the far side of each is."""
+    nodes, tets = bar((6, 6, 3), (SIDES, SIDES, HIGH))
+    nodes = nodes - [SIDES / 2, SIDES / 2, HIGH]
+    mirrored, count = nodes * [1.0, 1.0, -1.0] + [0.0, 0.0, gap], len(nodes)
+    nodes = np.concatenate([nodes, mirrored])
+    tets = np.concatenate([tets, (tets + count)[:, [0, 2, 1, 3]]]).astype(np.int32)
+    mesh, ones = dynamorph.TetMesh(nodes, tets), np.ones(len(tets))
+    weights = np.repeat(np.eye(2), count, axis=0)
+    pinned = (np.abs(nodes[:, 2] - gap / 2) > HIGH + gap / 2 - 1e-6) & held
+    s = SimpleNamespace(nodes=nodes, lower=np.arange(2 * count) < count, pinned=pinned)
+    s.body = dynamorph.SoftBody(mesh, ones, ones, ones[:, None], pinned, weights)
+    target = dynamorph.MorphTarget("rest", 0 * nodes, lame_lambda=4e4, lame_mu=1e4, density=1000.0,
+                                   stiffness_damping=0.004)  # fmt: skip
+    law = dynamorph.MaterialModel.STABLE_STVK
+    s.model = full = dynamorph.FullModel(s.body, [target], law, dynamorph.Blending.EVEN)
+    if solver == "REDUCED":
+        basis = dynamorph.make_response_basis(full, 10, 20)
+        s.model = dynamorph.ReducedModel(s.body, [target], dynamorph.reduce(full, basis), dynamorph.Blending.EVEN)
+    faces = surface(tets)
+    normals = np.zeros_like(nodes)
+    across = np.cross(nodes[faces[:, 1]] - nodes[faces[:, 0]], nodes[faces[:, 2]] - nodes[faces[:, 0]])
+    np.add.at(normals, faces.ravel(), np.repeat(across, 3, axis=0))
+    s.skin = np.unique(faces)
+    kind, own = (
+        (dynamorph.FullContact, dynamorph.FullSelfContact)
+        if solver == "FULL"
+        else (dynamorph.ReducedContact, dynamorph.ReducedSelfContact)
+    )
+    points = nodes[s.skin]
+    s.contact = kind(s.model, points, dynamorph.embed(mesh, points), weights[s.skin], normals[s.skin],
+                     np.full(len(points), HIGH / 2))  # fmt: skip
+    centers = np.array([[x, y, z] for z in (-HIGH / 2, gap + HIGH / 2)
+                        for x in np.linspace(-0.09, 0.09, 10) for y in np.linspace(-0.09, 0.09, 10)])  # fmt: skip
+    of_balls = np.repeat(np.eye(2), 100, axis=0)
+    s.balls = centers, np.full(200, HIGH / 2), dynamorph.embed(mesh, centers), of_balls
+    s.own = own(s.contact, *s.balls, np.arange(len(points)))
+    s.facing = {side: np.flatnonzero((np.abs(nodes[:, :2]) < 0.06).all(axis=1) & (np.abs(nodes[:, 2] - z) < 1e-6))
+                for side, z in (("lower", 0.0), ("upper", gap))}  # fmt: skip
+    s.size = s.body.size
+    return s
+
+
+def posed(down):
+    """The bones, with block 1 lower by so much."""
+    bones = np.repeat(np.eye(4)[None, :3], 2, axis=0)
+    bones[1, 2, 3] = -down
+    return bones
+
+
+def simulated(s, down, own=True, steps=60, friction=0.0):
+    """Begins at rest; block 1 comes down and stays. Returns the displacement of the nodes, and the reports."""
+    kind = dynamorph.FullSimulation if isinstance(s.model, dynamorph.FullModel) else dynamorph.ReducedSimulation
+    simulation = kind(s.model, H)
+    simulation.set_contact(s.contact)
+    simulation.set_self_contact(s.own if own else None, friction)
+    simulation.start(posed(0.0), posed(0.0), np.ones(1))
+    reports = [simulation.advance(posed(down * min(1.0, k / 20))[None], np.ones((1, 1))) for k in range(1, steps + 1)]
+    return s.model.displacement(simulation.coordinates), reports, simulation
+
+
+@pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_two_parts_of_a_body_stop_each_other(solver, friction):
+    """A tenth of the overlap is left at most, and each side gives way by half of it."""
+    s, overlap = blocks(solver, held=True), 0.02
+    moved, reports, _ = simulated(s, GAP + overlap, friction=friction)
+    assert all(report["converged"] for report in reports)
+    lower, upper = (moved[s.facing[side], 2].mean() for side in ("lower", "upper"))
+    left = overlap + lower - upper
+    assert abs(left) < 0.1 * overlap
+    assert lower == pytest.approx(-upper, rel=0.02 if solver == "FULL" else 0.1)  # modes are not symmetric
+    free, _, _ = simulated(s, GAP + overlap, own=False)
+    assert np.abs(free[s.facing["lower"], 2]).max() < 0.1 * overlap
+
+
+def test_the_forces_of_both_sides_sum_to_zero():
+    """Free blocks that begin within each other fly apart, and their center of mass stays."""
+    s = blocks("FULL")
+    simulation, nothing = dynamorph.FullSimulation(s.model, H), np.zeros(0)
+    simulation.set_contact(s.contact)
+    simulation.set_self_contact(s.own)
+    down = posed(GAP + 0.02)
+    simulation.state = [np.zeros(s.model.dofs)] * 4, [down.reshape(-1, 12)] * 4, nothing, nothing
+    simulation.advance(np.repeat(down[None], 30, 0), np.ones((30, 1)))
+    mass = s.body.volumes.sum(axis=1)
+    pushed = mass[:, None] * s.model.displacement(simulation.coordinates)[s.body.free_nodes]
+    lower, upper = (pushed[s.lower[s.body.free_nodes] == side].sum(axis=0) for side in (True, False))
+    assert lower[2] < -0.01 * mass.sum() / 2
+    assert np.abs(lower + upper).max() < 1e-6 * np.abs(lower).max()
+
+
+def test_what_is_near_at_rest_is_left_alone():
+    s = blocks("FULL", held=True, gap=0.01)  # less than a fifth of the thickness
+    moved, reports, _ = simulated(s, 0.02)
+    assert max(report["contacts"] for report in reports) == 0
+    free, _, _ = simulated(s, 0.02, own=False)
+    assert np.array_equal(moved, free)
+
+
+def test_it_is_the_same_from_a_kept_state():
+    s = blocks("FULL", held=True)
+    _, _, simulation = simulated(s, GAP + 0.02, steps=25, friction=0.5)
+    other = dynamorph.FullSimulation(s.model, H)
+    other.set_contact(s.contact)
+    other.set_self_contact(s.own, 0.5)
+    other.state = simulation.state
+    for each in (simulation, other):
+        each.advance(np.repeat(posed(GAP + 0.02)[None], 5, 0), np.ones((5, 1)))
+    assert np.array_equal(simulation.coordinates, other.coordinates)
+
+
+def test_where_the_bones_leave_no_room_it_says_so():
+    s = blocks("FULL", held=True)
+    _, reports, _ = simulated(s, GAP + 0.6 * 2 * HIGH)
+    worst = max(reports, key=lambda report: report["too_deep"])
+    assert worst["too_deep"] > 0 and worst["too_deep_sample"] >= 0 and worst["too_deep_collider"] == -1
+
+
+def test_what_does_not_fit_is_refused():
+    s, other = blocks("FULL"), blocks("FULL")
+    simulation = dynamorph.FullSimulation(s.model, H)
+    simulation.set_contact(s.contact)
+    with pytest.raises(ValueError, match="its samples are not those"):
+        simulation.set_self_contact(other.own)
+    with pytest.raises(ValueError, match="friction"):
+        simulation.set_self_contact(s.own, -1.0)
+    with pytest.raises(ValueError, match="ascending"):
+        dynamorph.FullSelfContact(s.contact, *s.balls, [3, 2])
+    with pytest.raises(ValueError, match="radius"):
+        dynamorph.FullSelfContact(s.contact, s.balls[0], -s.balls[1], *s.balls[2:], [0])
