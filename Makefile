@@ -131,8 +131,8 @@ feels: build
 limit: build
 	@$(python) tests/benchmarks/limit.py
 
-# docs/collision.md with its picture, a ball pressed into characters of ../shared, beside Blender's own; takes about 15
-# minutes.
+# docs/collision.md with its pictures: a ball pressed into characters of ../shared, beside Blender's own, and characters
+# that fold up; takes about 15 minutes.
 collision: build
 	@$(python) tests/benchmarks/collision.py
 

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`make collision`: docs/collision.md and its pictures, a ball pressed into characters of ../shared.
+"""`make collision`: docs/collision.md and its pictures: a ball is pressed into characters of ../shared, and characters
+fold up.
 
     python tests/benchmarks/collision.py --page   the page from what was measured before
     python tests/benchmarks/collision.py --ours   measures all but Blender's own ways again
     python tests/benchmarks/collision.py --peers  measures Blender's own ways alone
 
-Every way to simulate a character runs in a process of its own (collision_press.py); its findings stay in
-build/collision.
+Every way to simulate a character runs in a process of its own (collision_press.py, collision_fold.py); its findings
+stay in build/collision.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ import shutil
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
+import collision_fold
 import collision_press
 import numpy as np
 from characters import ASSETS
@@ -34,9 +37,12 @@ CHARACTERS = ("mh_male_53bones.blend", "mh_chubby_53bones.blend", "zoo/Cow.glb",
 OURS = ("full", "full_0", "reduced", "off")
 PEERS = ("soft_body", "cloth", "cloth_dynamics")
 PEERS_BODY = "mh_chubby_53bones.blend"
+FOLDED = (ASSETS / "mh_chubby_53bones.blend", ASSETS / "mh_male_53bones.blend", ROOT / "sample_blends/herbert.blend")
+WAYS_TO_FOLD = {"none": "as the bones say", "self": "Self Collision"}
 LONGEST = 600  # seconds that one may take
 MOVING, RESTING = 0.0015, 0.0011  # of size, with Distance 0: asked of the penetration
 ITERATIONS = 10  # a step, asked with both rounds of friction
+LEFT, SNAP, STILL, SHARE = 0.05, 0.005, 0.002, 0.46  # asked: of the points inside; of size, of size; of a step
 DENT = 0.001  # of size: what is shallower is none
 NONE = "-"
 
@@ -60,6 +66,18 @@ coarse bodies, as low-poly heads, dent too deep. It is about 100 % where a body 
 {figures}
 ![Characters, pressed]({pressed})
 
+## Self Collision
+
+The same characters fold up, with hips by 95 degrees, knees by 125 and elbows by 95, in {folds} steps of 1/96 s, in Full
+Quality and without friction. *Inside*: of {points:,} points, those of thigh and torso that are inside each other, away
+from the joint, by the winding number; asked: at most 3 of the first character's, and {left:.0%} of the others'. *Worst
+step*: the farthest that Self Collision alone moves a point in one step, in percent of size; asked: {snap}. *Still*: the
+largest second difference of a point in the frames after it has stopped; asked: {still}. *Step*: milliseconds, the
+median; *its part*: of a step with it, asked: {share:.0%}. Knees that are folded so far are told, not forced.
+
+{folded}
+![Characters, folded]({folded_picture})
+
 ## Beside what Blender has
 
 The same ball and the same body ({peer_body}, {vertices:,} vertices). Soft Body, Cloth and Cloth Dynamics (of Blender
@@ -80,18 +98,26 @@ def main() -> int:
             shutil.rmtree(CACHE, ignore_errors=True)
         with ThreadPoolExecutor(2) as pool:
             list(pool.map(lambda each: measure(*each), peers + ours))
+            list(pool.map(measure_fold, [] if "--peers" in sys.argv else FOLDED))
     write_page()
     print(f"written to {PAGE.relative_to(ROOT)}")
     return 0
 
 
 def measure(body: str, way: str) -> None:
+    newest = sorted((ROOT / ".venv").glob("3.*/bin/python"))[-1]  # of Blender too
+    python = newest if way == "cloth_dynamics" else sys.executable
+    run(body, way, [python, collision_press.__file__, ASSETS / body, CACHE / name_of(body), way])
+
+
+def measure_fold(path: Path) -> None:
+    run(path.name, "fold", [sys.executable, collision_fold.__file__, path, CACHE / name_of(path.name)])
+
+
+def run(body: str, way: str, command: list) -> None:
     folder = CACHE / name_of(body)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{way}.json").unlink(missing_ok=True)
-    newest = sorted((ROOT / ".venv").glob("3.*/bin/python"))[-1]  # of Blender too
-    python = newest if way == "cloth_dynamics" else sys.executable
-    command = [python, collision_press.__file__, ASSETS / body, folder, way]
     with (folder / f"{way}.log").open("w") as log:
         try:
             subprocess.run(command, stdout=log, stderr=subprocess.STDOUT, timeout=LONGEST, check=False)
@@ -144,11 +170,38 @@ def write_page() -> None:
             commit=measured_at(PAGE.name), machine=machine(), radius=collision_press.RADIUS, deep=collision_press.DEEP,
             dragged=collision_press.DRAGGED, friction=collision_press.FRICTION, moving=MOVING, resting=RESTING,
             iterations=ITERATIONS, figures=grid(titles, rows), pressed=PICTURES.format("pressed"),
+            folds=collision_fold.FOLDS, points=collision_fold.POINTS, left=LEFT, snap=f"{SNAP:.1%}",
+            still=f"{STILL:.1%}", share=SHARE, folded=folded(), folded_picture=PICTURES.format("folded"),
             peer_body=name_of(PEERS_BODY).replace("_", " "), vertices=found(PEERS_BODY, "full")["vertices"],
             held=collision_press.HELD, last=LAST, peers=peers(),
         ).rstrip() + "\n",
         encoding="utf-8",
     )  # fmt: skip
+
+
+def folded() -> str:
+    """The table of those that fold up; it makes their picture."""
+    rows, pictures = [], []
+    for path in FOLDED:
+        each, title = found(path.name, "fold"), name_of(path.name).replace("_", " ")
+        if not each:
+            rows.append([title, *["did not end"] * 5])
+            continue
+        bare, own = each["none"], each["self"]
+        part = 1.0 - bare["milliseconds"] / own["milliseconds"]
+        most = 3 if path == FOLDED[0] else LEFT * bare["inside"]
+        rows.append([
+            title, f"{bare['inside']} / {bold(str(own['inside']), own['inside'] > most)}",
+            percent(each["alone"], SNAP), percent(own["still"], STILL),
+            f"{bare['milliseconds']:.1f} / {own['milliseconds']:.1f}", bold(f"{part:.0%}", part > SHARE),
+        ])  # fmt: skip
+        images = [Image.open(CACHE / name_of(path.name) / f"fold_{way}.png").convert("RGB") for way in WAYS_TO_FOLD]
+        pictures.append(Row(title, "", images, [""] * len(images)))
+    sheet = compose("Self Collision", "Hips folded by 95 degrees", tuple(WAYS_TO_FOLD.values()), pictures)
+    save(sheet, PAGE.parent / PICTURES.format("folded"), small=True)
+    return grid(
+        ["", "inside, without / with", "worst step, %", "still, %", "step, ms, without / with", "its part"], rows
+    )
 
 
 def reduced(body: str) -> str:

@@ -49,28 +49,32 @@ def blocks(solver, held=False, gap=GAP):
                         for x in np.linspace(-0.09, 0.09, 10) for y in np.linspace(-0.09, 0.09, 10)])  # fmt: skip
     of_balls = np.repeat(np.eye(2), 100, axis=0)
     s.balls = centers, np.full(200, HIGH / 2), dynamorph.embed(mesh, centers), of_balls
-    s.own = own(s.contact, *s.balls, np.arange(len(points)))
+    s.parts = np.arange(len(points)), of_balls.argmax(axis=1), weights[s.skin].argmax(axis=1)
+    s.own = own(s.contact, *s.balls, *s.parts)
     s.facing = {side: np.flatnonzero((np.abs(nodes[:, :2]) < 0.06).all(axis=1) & (np.abs(nodes[:, 2] - z) < 1e-6))
                 for side, z in (("lower", 0.0), ("upper", gap))}  # fmt: skip
     s.size = s.body.size
     return s
 
 
-def posed(down):
-    """The bones, with block 1 lower by so much."""
+def posed(down, turn=0.0, scale=1.0):
+    """The bones, with block 1 lower by so much and turned by an angle about the vertical, and everything scaled."""
     bones = np.repeat(np.eye(4)[None, :3], 2, axis=0)
+    bones[1, :2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
     bones[1, 2, 3] = -down
-    return bones
+    return scale * bones
 
 
-def simulated(s, down, own=True, steps=60, friction=0.0):
+def simulated(s, down, own=True, steps=60, friction=0.0, **pose):
     """Begins at rest; block 1 comes down and stays. Returns the displacement of the nodes, and the reports."""
     kind = dynamorph.FullSimulation if isinstance(s.model, dynamorph.FullModel) else dynamorph.ReducedSimulation
     simulation = kind(s.model, H)
     simulation.set_contact(s.contact)
     simulation.set_self_contact(s.own if own else None, friction)
-    simulation.start(posed(0.0), posed(0.0), np.ones(1))
-    reports = [simulation.advance(posed(down * min(1.0, k / 20))[None], np.ones((1, 1))) for k in range(1, steps + 1)]
+    simulation.start(posed(0.0, **pose), posed(0.0, **pose), np.ones(1))
+    reports = [
+        simulation.advance(posed(down * min(1.0, k / 20), **pose)[None], np.ones((1, 1))) for k in range(1, steps + 1)
+    ]
     return s.model.displacement(simulation.coordinates), reports, simulation
 
 
@@ -103,6 +107,25 @@ def test_the_forces_of_both_sides_sum_to_zero():
     lower, upper = (pushed[s.lower[s.body.free_nodes] == side].sum(axis=0) for side in (True, False))
     assert lower[2] < -0.01 * mass.sum() / 2
     assert np.abs(lower + upper).max() < 1e-6 * np.abs(lower).max()
+
+
+def test_a_body_that_is_scaled_is_as_large_as_it_shows():
+    s, overlap = blocks("FULL", held=True), 0.02
+    moved, _, _ = simulated(s, GAP + overlap, scale=2.0)
+    lower, upper = (moved[s.facing[side], 2].mean() for side in ("lower", "upper"))
+    assert abs(overlap + lower - upper) < 0.1 * overlap
+
+
+def test_a_joint_that_is_folded_flat_is_told_not_forced():
+    """By 125 degrees skinning leaves 0.21 of a joint, by 60 three quarters."""
+    s = blocks("FULL", held=True)
+    s.own = dynamorph.FullSelfContact(s.contact, *s.balls, *s.parts, [[0, 1]])
+    pressed = {}
+    for degrees in (60.0, 125.0):
+        _, reports, _ = simulated(s, GAP + 0.02, steps=30, turn=np.radians(degrees))
+        pressed[degrees] = reports[-1]["contacts"], reports[-1]["too_deep"]
+    assert pressed[60.0][0] > 0 and pressed[60.0][1] == 0.0
+    assert pressed[125.0][0] == 0 and pressed[125.0][1] == pytest.approx(0.02, rel=0.2)
 
 
 def test_what_is_near_at_rest_is_left_alone():
@@ -140,7 +163,14 @@ def test_what_does_not_fit_is_refused():
         simulation.set_self_contact(other.own)
     with pytest.raises(ValueError, match="friction"):
         simulation.set_self_contact(s.own, -1.0)
-    with pytest.raises(ValueError, match="ascending"):
-        dynamorph.FullSelfContact(s.contact, *s.balls, [3, 2])
+    points, of_balls, of_points = s.parts
+    for wrong, why in (
+        (([3, 2], of_balls, of_points[:2]), "ascending"),
+        ((points, of_balls[:-1], of_points), "of_balls"),
+        ((points, of_balls, of_points[:-1]), "of_points"),
+        ((points, of_balls, -of_points - 1), "from 0 on"),
+    ):
+        with pytest.raises(ValueError, match=why):
+            dynamorph.FullSelfContact(s.contact, *s.balls, *wrong)
     with pytest.raises(ValueError, match="radius"):
-        dynamorph.FullSelfContact(s.contact, s.balls[0], -s.balls[1], *s.balls[2:], [0])
+        dynamorph.FullSelfContact(s.contact, s.balls[0], -s.balls[1], *s.balls[2:], *s.parts)

@@ -15,18 +15,17 @@ constexpr double kAccuracy = 1e-4;  // an iteration costs much less than the New
 constexpr double kWait = 2;
 constexpr int kMostIterations = 100;      // with H's own factor, rounded; after that the result is good enough
 constexpr Eigen::Index kMostApart = 192;  // rows of points beside the factor: with more it is cheaper to factor again
-constexpr double kMatters = 1;  // stiffness of a row beside that of the nodes, from which it is in the preconditioner
 
 }  // namespace
 
 bool SparseSolver::solve(const SparseMatrix& H, const std::vector<const SparsePoints*>& points, const VectorXd& b,
                          VectorXd& x) {
-  const std::vector<Row> stiff = stiff_rows(H, points);
-  const bool within = Eigen::Index(stiff.size()) > kMostApart;  // the factor
-  const std::vector<Row> apart = within ? std::vector<Row>() : stiff;
+  Eigen::Index rows = 0;
+  for (const SparsePoints* each : points) rows += each->rows.rows();
+  const bool within = rows > kMostApart;  // the factor
   fit_ &= within == has_points_;
   if (fit_) {
-    set_apart(apart, b.size());
+    set_apart(points, b.size(), within ? 0 : rows);
     if (iterate(H, points, b, x, factoring_)) return true;
   }
   has_points_ = within;
@@ -35,38 +34,23 @@ bool SparseSolver::solve(const SparseMatrix& H, const std::vector<const SparsePo
     if (within) add_majorant(*each, majorized_);
   fit_ = factor_.factorize(within ? majorized_ : H);
   if (!fit_) return false;
-  set_apart(apart, b.size());
+  set_apart(points, b.size(), within ? 0 : rows);
   solves_ = iterations_ = 0;
   factoring_ = int(factor_.factorization_work() / (kWait * (2 * double(factor_.size()) + double(H.nonZeros()))));
   return iterate(H, points, b, x, kMostIterations) || b.dot(x) > 0;
 }
 
-std::vector<SparseSolver::Row> SparseSolver::stiff_rows(const SparseMatrix& H,
-                                                        const std::vector<const SparsePoints*>& points) {
-  using Part = Eigen::SparseMatrix<double, Eigen::RowMajor>::InnerIterator;
-  const VectorXd soft = H.diagonal().cwiseMax(1e-300).cwiseInverse();
-  std::vector<Row> out;
-  for (const SparsePoints* each : points)
-    for (Eigen::Index k = 0; k < each->rows.rows(); ++k) {
-      double compliance = 0;
-      for (int part = each->rows.first(k); part < each->rows.ends[std::size_t(k)]; ++part)
-        for (Part it(each->rows.parts, part); it; ++it) compliance += it.value() * it.value() * soft(it.col());
-      if (each->stiffness(k) * compliance > kMatters) out.push_back({each, k});
-    }
-  return out;
-}
-
-void SparseSolver::set_apart(const std::vector<Row>& apart, Eigen::Index size) {
-  const Eigen::Index rows = Eigen::Index(apart.size());
+void SparseSolver::set_apart(const std::vector<const SparsePoints*>& points, Eigen::Index size, Eigen::Index rows) {
   W_.resize(0, rows);
   if (rows == 0) return;
   MatrixXd transposed = MatrixXd::Zero(size, rows);
   VectorXd stiffness(rows);
-  for (Eigen::Index row = 0; row < rows; ++row) {
-    const Row& each = apart[std::size_t(row)];
-    each.points->rows.add(each.number, 1, transposed.col(row));
-    stiffness(row) = each.points->stiffness(each.number);
-  }
+  Eigen::Index row = 0;
+  for (const SparsePoints* each : points)
+    for (Eigen::Index k = 0; k < each->rows.rows(); ++k, ++row) {
+      each->rows.add(k, 1, transposed.col(row));
+      stiffness(row) = each->stiffness(k);
+    }
   const auto W = factor_.forward(transposed);
   reached_.clear();
   for (Eigen::Index i = 0; i < size; ++i)

@@ -26,8 +26,7 @@ void multiply_symmetric(const SparseMatrix& H, const VectorXd& x, VectorXd& y);
 ///
 ///   (L L^T + J^T D J)^-1 = L^-T (1 - W (D^-1 + W^T W)^-1 W^T) L^-1.
 ///
-/// Rows that are soft beside H, as those of what slides, are left to the conjugate gradients. Of many stiff ones, whose
-/// W would be costly, the factor has the majorant on H's pattern.
+/// Of many, whose W would be costly, the factor has the majorant on H's pattern.
 class SparseSolver {
  public:
   /// Solves (H + the points' J^T diag(d) J) x = b. Returns false when that is not positive definite.
@@ -36,14 +35,8 @@ class SparseSolver {
   void forget() { fit_ = false; }
 
  private:
-  struct Row {
-    const SparsePoints* points;
-    Eigen::Index number;
-  };
-  /// Those that are stiff beside H.
-  static std::vector<Row> stiff_rows(const SparseMatrix& H, const std::vector<const SparsePoints*>& points);
-  /// Makes the preconditioner know these rows beside its factor. size: 3n.
-  void set_apart(const std::vector<Row>& apart, Eigen::Index size);
+  /// Makes the preconditioner know the points beside its factor. size: 3n; rows: their number; 0: it does not.
+  void set_apart(const std::vector<const SparsePoints*>& points, Eigen::Index size, Eigen::Index rows);
   void precondition();  ///< what is left, as far as the factor and those points know
   /// Whether x meets the accuracy after at most `most` iterations. Also returns false at negative curvature.
   bool iterate(const SparseMatrix& H, const std::vector<const SparsePoints*>& points, const VectorXd& b, VectorXd& x,

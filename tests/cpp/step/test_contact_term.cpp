@@ -38,6 +38,22 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
   constexpr double kWidth = 0.01;
   std::vector<Contact> contacts;
   std::vector<Pressure> pressures;
+  for (int p = 1; p + 7 < int(samples.size()); p += 9) {  // skin on skin: the mean of two on the other side
+    const int q = p + 4, r = p + 7;
+    const Vector3d normal = random_vector(3, 1, unsigned(p)).normalized();
+    const Vector3d x = before.segment<3>(3 * p) - 0.3 * before.segment<3>(3 * q) - 0.7 * before.segment<3>(3 * r);
+    const double depth = kWidth * (p % 4 - 0.5);
+    contacts.push_back({p,
+                        kOwnSkin,
+                        x + depth * normal,
+                        normal,
+                        x,
+                        0.004 * normal.unitOrthogonal(),
+                        0.7,
+                        -1,
+                        {{q, r, 0, 0}, {0.3, 0.7, 0, 0}}});
+    pressures.push_back({p, kOwnSkin, normal, 0.1 * (p % 7)});
+  }
   for (int c = 0; c < 2; ++c)
     for (int p = 3 * c; p < int(samples.size()); p += 6) {
       const Vector3d normal = random_vector(3, 1, unsigned(p)).normalized(), x = before.segment<3>(3 * p);

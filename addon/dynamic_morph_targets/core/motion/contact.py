@@ -30,6 +30,7 @@ SAMPLES = 20000  # points of the skin that can touch something, at most
 REDUCED_SAMPLES = 10000  # the same in Reduced Quality, where patches that are coarser than that give way
 PROBED_SAMPLES = 4000  # the same where Blender poses the nodes, which have a matrix of weights
 OWN_SAMPLES = 2000  # of them that can touch the body itself, at most
+SHARED = 0.2  # of the weights: a vertex that two bones move by more than that is skin that they share
 COVERED = 0.08  # of the tissue's thickness: how near the balls that stand for the body come to its skin
 EXCLUDED = 0.5  # smallest weight of `Character.excluded` with which a point touches nothing
 BITS = 52  # of a float, which are exact: so many colliders are told apart where they are unusable
@@ -80,9 +81,7 @@ class Collision:
         )
         if with_own and full:  # patches of the skin of a reduced model would jitter between its limbs
             own = spread(points.rest, points.normals, OWN_SAMPLES)
-            balls = _balls(model, character, points.rest[own])
-            touching_itself: Callable[..., Any] = dynamorph.FullSelfContact
-            self.own = touching_itself(self.skin, *balls, own)
+            self.own = _self_contact(self.skin, model, character, points[own], own)
 
     def begin(self, first: RigSamples) -> None:
         """Take the colliders of the first sample. Raises SceneError for one that the engine refuses."""
@@ -140,23 +139,31 @@ def _moving_weights(model: Model, character: Character, vertices: np.ndarray) ->
     return out[:, model.free]
 
 
-def _balls(model: Model, character: Character, places: np.ndarray) -> tuple[Any, ...]:
-    """Balls that fill the body near these places (P, 3) of the skin, as `dynamorph.FullSelfContact` takes them. It
-    takes a while, so it is kept with the model.
+def _self_contact(contact: Any, model: Model, character: Character, points: ContactPoints, numbers: np.ndarray) -> Any:
+    """The engine's, for those points of a contact that have these numbers. Parts are what a bone moves most."""
+    centers, radii = _balls(model, character, points.rest)
+    embedding = dynamorph.embed(dynamorph.TetMesh(model.nodes, model.tets), centers)
+    carried_by = np.zeros((len(centers), len(model.nodes)))
+    np.add.at(carried_by, (np.arange(len(centers))[:, None], embedding.nodes), embedding.weights.clip(0.0))
+    of_bones = carried_by @ model.node_weights
+    weights = carried_by[:, model.free] if character.probed else of_bones
+    shared = (character.weights > SHARED).astype(np.float32)
+    joints = np.argwhere(np.triu(shared.T @ shared, 1) > 0.0)
+    parts = of_bones.argmax(axis=1), points.of(character.weights).argmax(axis=1)
+    kind: Callable[..., Any] = dynamorph.FullSelfContact
+    return kind(contact, centers, radii, embedding, weights, numbers, *parts, joints)
+
+
+def _balls(model: Model, character: Character, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centers (K, 3) and radii (K,) of balls that fill the body near these places (P, 3) of the skin. They take a
+    while, so they are kept with the model.
     """
     known = _known_balls.get(id(model))
     if not known or not np.array_equal(known[0], places):
         body = dynamorph.Thickness(character.bind_points, character.soft_triangles)
-        _known_balls[id(model)] = known = places, body.covering(places, COVERED)
+        known = _known_balls[id(model)] = places, body.covering(places, COVERED)
         weakref.finalize(model, _known_balls.pop, id(model), None)
-    centers, radii = known[1]
-    embedding = dynamorph.embed(dynamorph.TetMesh(model.nodes, model.tets), centers)
-    weights = embedding.weights.clip(0.0)
-    if not character.probed:
-        return centers, radii, embedding, np.einsum("kn,kn...->k...", weights, model.node_weights[embedding.nodes])
-    nodes = np.zeros((len(centers), len(model.nodes)))
-    np.add.at(nodes, (np.arange(len(centers))[:, None], embedding.nodes), weights)
-    return centers, radii, embedding, nodes[:, model.free]
+    return known[1]
 
 
 _known_balls: dict[int, tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]] = {}  # by id(model): places, and balls
