@@ -73,7 +73,8 @@ Quality and without friction. *Inside*: of {points:,} points, those of thigh and
 from the joint, by the winding number; asked: at most 3 of the first character's, and {left:.0%} of the others'. *Worst
 step*: the farthest that Self Collision alone moves a point in one step, in percent of size; asked: {snap}. *Still*: the
 largest second difference of a point in the frames after it has stopped; asked: {still}. *Step*: milliseconds, the
-median; *its part*: of a step with it, asked: {share:.0%}. Knees that are folded so far are told, not forced.
+median; *its part*: of a step with it, asked: {share:.0%}. Knees that are folded this far are crushed by
+skinning itself: they are reported, not pushed apart.
 
 {folded}
 ![Characters, folded]({folded_picture})
