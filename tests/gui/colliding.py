@@ -78,6 +78,8 @@ def collide():
 def section():
     collision = settings().collision
     yield from properties.look_into("collision.collection")
+    yield from properties.press("collision.use_self")
+    yield from until(lambda: collision.use_self, "Self Collision to be on")
     yield from properties.enter("collision.distance", "0.004")
     collision.use_friction = True
     yield from driver.drawn()
@@ -100,7 +102,8 @@ def without():
     assert keys() == before
     for name in ("Ball", "Floor"):
         bpy.data.objects.remove(bpy.data.objects[name])
-    settings().collision.use = settings().collision.use_friction = False
+    for name in ("use", "use_self", "use_friction"):
+        setattr(settings().collision, name, False)
     settings().collision.property_unset("distance")
     yield from frames.click(limb.FIRST)
     yield from close("collision")
