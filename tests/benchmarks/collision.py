@@ -38,11 +38,12 @@ OURS = ("full", "full_0", "reduced", "off")
 PEERS = ("soft_body", "cloth", "cloth_dynamics")
 PEERS_BODY = "mh_chubby_53bones.blend"
 FOLDED = (ASSETS / "mh_chubby_53bones.blend", ASSETS / "mh_male_53bones.blend", ROOT / "sample_blends/herbert.blend")
-WAYS_TO_FOLD = {"none": "as the bones say", "self": "Self Collision"}
+WAYS_TO_FOLD = {"full_none": "as the bones say", "full_self": "Self Collision", "reduced_self": "Reduced"}
 LONGEST = 600  # seconds that one may take
 MOVING, RESTING = 0.0015, 0.0011  # of size, with Distance 0: asked of the penetration
 ITERATIONS = 10  # a step, asked with both rounds of friction
-LEFT, SNAP, STILL, SHARE = 0.05, 0.005, 0.002, 0.46  # asked: of the points inside; of size, of size; of a step
+LEFT, SNAP, SHARE = 0.05, 0.005, 0.46  # asked: of the points inside, of size, of a step
+STILL = {"full": 0.002, "reduced": 0.005}  # asked, of size
 DENT = 0.001  # of size: what is shallower is none
 NONE = "-"
 
@@ -68,13 +69,13 @@ coarse bodies, as low-poly heads, dent too deep. It is about 100 % where a body 
 
 ## Self Collision
 
-The same characters fold up, with hips by 95 degrees, knees by 125 and elbows by 95, in {folds} steps of 1/96 s, in Full
-Quality and without friction. *Inside*: of {points:,} points, those of thigh and torso that are inside each other, away
-from the joint, by the winding number; asked: at most 3 of the first character's, and {left:.0%} of the others'. *Worst
-step*: the farthest that Self Collision alone moves a point in one step, in percent of size; asked: {snap}. *Still*: the
-largest second difference of a point in the frames after it has stopped; asked: {still}. *Step*: milliseconds, the
-median; *its part*: of a step with it, asked: {share:.0%}. Knees that are folded this far are crushed by
-skinning itself: they are reported, not pushed apart.
+The same characters fold up, with hips by 95 degrees, knees by 125 and elbows by 95, in {folds} steps of 1/96 s, without
+friction. *Inside*: of {points:,} points, those of thigh and torso that are inside each other, away from the joint, by
+the winding number; asked: at most 3 of the first character's, and {left:.0%} of the others'. *Worst step*: the farthest
+that Self Collision alone moves a point in one step, in percent of size; asked: {snap}. *Still*: the largest second
+difference of a point in the frames after it has stopped; asked: {still} in Full and in Reduced Quality.
+*Step*: milliseconds, the median; *its part*: of a step with it, asked: {share:.0%} in Full Quality. Knees that are
+folded this far are crushed by skinning itself: they are reported, not pushed apart.
 
 {folded}
 ![Characters, folded]({folded_picture})
@@ -99,7 +100,8 @@ def main() -> int:
             shutil.rmtree(CACHE, ignore_errors=True)
         with ThreadPoolExecutor(2) as pool:
             list(pool.map(lambda each: measure(*each), peers + ours))
-            list(pool.map(measure_fold, [] if "--peers" in sys.argv else FOLDED))
+            folds = [] if "--peers" in sys.argv else [(path, quality) for path in FOLDED for quality in STILL]
+            list(pool.map(lambda each: measure_fold(*each), folds))
     write_page()
     print(f"written to {PAGE.relative_to(ROOT)}")
     return 0
@@ -111,8 +113,9 @@ def measure(body: str, way: str) -> None:
     run(body, way, [python, collision_press.__file__, ASSETS / body, CACHE / name_of(body), way])
 
 
-def measure_fold(path: Path) -> None:
-    run(path.name, "fold", [sys.executable, collision_fold.__file__, path, CACHE / name_of(path.name)])
+def measure_fold(path: Path, quality: str) -> None:
+    command = [sys.executable, collision_fold.__file__, path, CACHE / name_of(path.name), quality]
+    run(path.name, f"fold_{quality}", command)
 
 
 def run(body: str, way: str, command: list) -> None:
@@ -172,7 +175,8 @@ def write_page() -> None:
             dragged=collision_press.DRAGGED, friction=collision_press.FRICTION, moving=MOVING, resting=RESTING,
             iterations=ITERATIONS, figures=grid(titles, rows), pressed=PICTURES.format("pressed"),
             folds=collision_fold.FOLDS, points=collision_fold.POINTS, left=LEFT, snap=f"{SNAP:.1%}",
-            still=f"{STILL:.1%}", share=SHARE, folded=folded(), folded_picture=PICTURES.format("folded"),
+            still=" and ".join(f"{each:.1%}" for each in STILL.values()), share=SHARE,
+            folded=folded(), folded_picture=PICTURES.format("folded"),
             peer_body=name_of(PEERS_BODY).replace("_", " "), vertices=found(PEERS_BODY, "full")["vertices"],
             held=collision_press.HELD, last=LAST, peers=peers(),
         ).rstrip() + "\n",
@@ -184,18 +188,9 @@ def folded() -> str:
     """The table of those that fold up; it makes their picture."""
     rows, pictures = [], []
     for path in FOLDED:
-        each, title = found(path.name, "fold"), name_of(path.name).replace("_", " ")
-        if not each:
-            rows.append([title, *["did not end"] * 5])
-            continue
-        bare, own = each["none"], each["self"]
-        part = 1.0 - bare["milliseconds"] / own["milliseconds"]
-        most = 3 if path == FOLDED[0] else LEFT * bare["inside"]
-        rows.append([
-            title, f"{bare['inside']} / {bold(str(own['inside']), own['inside'] > most)}",
-            percent(each["alone"], SNAP), percent(own["still"], STILL),
-            f"{bare['milliseconds']:.1f} / {own['milliseconds']:.1f}", bold(f"{part:.0%}", part > SHARE),
-        ])  # fmt: skip
+        title = name_of(path.name).replace("_", " ")
+        for quality in STILL:
+            rows.append([f"{title}, {quality.title()}", *folded_figures(path, quality)])
         images = [Image.open(CACHE / name_of(path.name) / f"fold_{way}.png").convert("RGB") for way in WAYS_TO_FOLD]
         pictures.append(Row(title, "", images, [""] * len(images)))
     sheet = compose("Self Collision", "Hips folded by 95 degrees", tuple(WAYS_TO_FOLD.values()), pictures)
@@ -203,6 +198,21 @@ def folded() -> str:
     return grid(
         ["", "inside, without / with", "worst step, %", "still, %", "step, ms, without / with", "its part"], rows
     )
+
+
+def folded_figures(path: Path, quality: str) -> list[str]:
+    each = found(path.name, f"fold_{quality}")
+    if not each:
+        return ["did not end"] * 5
+    bare, own = each["none"], each["self"]
+    part = 1.0 - bare["milliseconds"] / own["milliseconds"]
+    most = 3 if path == FOLDED[0] else LEFT * bare["inside"]
+    return [
+        f"{bare['inside']} / {bold(str(own['inside']), own['inside'] > most)}",
+        percent(each["alone"], SNAP), percent(own["still"], STILL[quality]),
+        f"{bare['milliseconds']:.1f} / {own['milliseconds']:.1f}",
+        bold(f"{part:.0%}", quality == "full" and part > SHARE),
+    ]  # fmt: skip
 
 
 def reduced(body: str) -> str:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A character folds up, so that its belly meets its thighs, with and without self-collision, for collision.py.
 
-    python tests/benchmarks/collision_fold.py ASSET FOLDER
+    python tests/benchmarks/collision_fold.py ASSET FOLDER full|reduced
 
-FOLDER gets fold.json, and a picture of each way, fold_none.png and fold_self.png. The pose is as prescribed: hips by 95
-degrees, knees by 125 and elbows by 95 in 30 steps of 1/96 s, then still for 8. What is inside is known by the winding
-number of the other limb's skin, for 3,000 points away from the joint.
+FOLDER gets e.g. fold_full.json, and a picture of each way, fold_full_none.png and fold_full_self.png. The pose is as
+prescribed: hips by 95 degrees, knees by 125 and elbows by 95 in 30 steps of 1/96 s, then still for 8. What is inside is
+known by the winding number of the other limb's skin, for 3,000 points away from the joint.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ CELL = (640, 640)
 
 
 def main() -> int:
-    asset, folder = Path(sys.argv[1]), Path(sys.argv[2])
+    asset, folder, quality = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
     folder.mkdir(parents=True, exist_ok=True)
     dynamic_morph_targets.register()
     with quiet():
@@ -59,7 +59,7 @@ def main() -> int:
         body.select_set(True)
         if not body.dynamorph.targets:
             bpy.ops.dynamorph.add_soft_skin()
-        body.dynamorph.model.solver = "FULL"
+        body.dynamorph.model.solver = quality.upper()
         body.dynamorph.collision.use = False
         batch.run(Job(body, goal="BUILD"))
         model = load_model(body).with_settings(body.dynamorph.model.settings())
@@ -71,7 +71,7 @@ def main() -> int:
         shots[way], found[way] = simulated(model, character, rig, replace(settings, self_collision=way == "self"))
         inside = Inside(model, character, shots[way])
         found[way] |= inside.between("thigh", "torso") | {"all": inside.all()}
-        photograph(body, shots[way].skin[-1], folder / f"fold_{way}.png")
+        photograph(body, shots[way].skin[-1], folder / f"fold_{quality}_{way}.png")
     size = np.linalg.norm(np.ptp(character.bind_points, axis=0))
     moved = shots["self"].points - shots["none"].points
     found["alone"] = float(np.linalg.norm(np.diff(moved, axis=0), axis=2).max() / size)
@@ -79,7 +79,7 @@ def main() -> int:
         jumps = np.linalg.norm(np.diff(shot.points, 2, axis=0), axis=2) / size
         found[way]["still"] = float(jumps[-STILL + 2 :].max())
         found[way]["second"] = float(jumps.max())
-    (folder / "fold.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    (folder / f"fold_{quality}.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     return 0
 
 

@@ -55,8 +55,6 @@ def apply(args: argparse.Namespace, obj: bpy.types.Object) -> None:
     settings.use_friction |= chosen.get("friction") is not None
     if chosen.get("solver") == "reduced" and chosen.get("bake_full") is None:
         settings.bake_full = False
-    if settings.use and settings.use_self and run_settings.bake_solver(obj) != "FULL":
-        print(f"{obj.name}: self-collision is left out, which is for Full Quality: add --bake-full", flush=True)
     if args.goal == "BAKE" and args.clips != "actions" and settings.use and run_settings.bake_solver(obj) == "FULL":
         time = bake_time.expected(obj, args.frames, args.substeps)
         print(f"{obj.name}: what collides is baked in Full Quality: {time}", flush=True)

@@ -107,8 +107,7 @@ class SimulationSettings:
     modes' motion about the targets' shapes, 1 for further modes; amount: on all of it. max_displacement,
     max_thickness: how far the skin may move away from its targets' shapes, as fractions of the body's size and of its
     thickness there; 0 for no limit. collision: whether colliders stop the skin; distance: how far from them, as a
-    fraction of the body's size. self_collision: whether the body does, too, in Full Quality; self_friction: of its skin
-    on itself.
+    fraction of the body's size. self_collision: whether the body does, too; self_friction: of its skin on itself.
     """
 
     frame_start: int = 1

@@ -278,30 +278,27 @@ struct ContactTerm {
   void begin_dents(const ContactSamples<Model>& samples, const ContactStep& step) {
     std::vector<int> patches, sample_of(std::size_t(samples.local()->size()), -1);
     for (const Touch& touch : touching_)
-      touch.contact.each_sample([&](int sample, double) {
-        for (const int patch : samples.patches(sample)) {
+      if (touch.presses_patches())
+        for (const int patch : samples.patches(touch.contact.sample)) {
           if (sample_of[std::size_t(patch)] < 0) patches.push_back(patch);
-          sample_of[std::size_t(patch)] = sample;
+          sample_of[std::size_t(patch)] = touch.contact.sample;
         }
-      });
+    if (patches.empty()) return;
     std::sort(patches.begin(), patches.end());
     const Eigen::Index m = Eigen::Index(patches.size());
     VectorXd shape, at_shape, stiffer(m), deepest = VectorXd::Constant(m, width_);
     blended_shape(samples.model(), step.weights, shape);
     multiply(rows_, shape, at_shape);
-    MatrixXd rows(Eigen::Index(touching_.size()), m), stiffness(m, m);
+    MatrixXd rows = MatrixXd::Zero(Eigen::Index(touching_.size()), m), stiffness(m, m);
     for (std::size_t i = 0; i < touching_.size(); ++i) {
       const Touch& touch = touching_[i];
-      const int last = touch.friction > 0 ? touch.row + 2 : touch.row;
-      const double depth = -offsets_(touch.row) - at_shape(touch.row);
-      double taken = 1;
-      touch.contact.each_sample([&](int sample, double) {
-        taken = std::min(taken, samples.taken(sample));
-        for (const int patch : samples.patches(sample)) {
-          const auto at = std::lower_bound(patches.begin(), patches.end(), patch) - patches.begin();
-          deepest(at) = std::max(deepest(at), depth);
-        }
-      });
+      if (!touch.presses_patches()) continue;
+      const int sample = touch.contact.sample, last = touch.friction > 0 ? touch.row + 2 : touch.row;
+      const double depth = -offsets_(touch.row) - at_shape(touch.row), taken = samples.taken(sample);
+      for (const int patch : samples.patches(sample)) {
+        const auto at = std::lower_bound(patches.begin(), patches.end(), patch) - patches.begin();
+        deepest(at) = std::max(deepest(at), depth);
+      }
       for (int row = touch.row; row <= last; ++row) {
         contact_rows::scale(rows_, row, taken);
         offsets_(row) += (1 - taken) * at_shape(row);
@@ -340,6 +337,8 @@ struct ContactTerm {
     ContactRamp normal;
     SlipForce slip_force;
     double pressure() const { return stiffness * normal.force; }
+    /// Skin meets skin so widely that the modes give way by themselves. Patches would jitter between limbs.
+    bool presses_patches() const { return contact.collider != kOwnSkin; }
   };
 
   /// Of the one at the same place whose normal is nearest: a sample may touch several sides of a collider.

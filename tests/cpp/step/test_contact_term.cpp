@@ -91,6 +91,16 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
   CHECK(term.next_round());
   check_term<typename Model::Matrix>(around, scales, 1e-5);  // with the pressures that it has itself
 
+  if (local) {  // skin on skin leaves the patches alone
+    const auto on_skin = [](const Contact& contact) { return contact.collider == kOwnSkin; };
+    contacts.erase(std::partition(contacts.begin(), contacts.end(), on_skin), contacts.end());
+    term.begin(samples, contacts, step, pressures);
+    term.at(shape);
+    VectorXd dents(local->size());
+    term.dents(dents);
+    CHECK(dents.isZero(0));
+    CHECK(term.count() > 0);
+  }
   contacts.resize(0);
   term.begin(samples, contacts, step, pressures);
   CHECK(term.empty());

@@ -41,9 +41,8 @@ class Collision:
     engine's colliders in a shot: those of its first sample, whose faces they keep.
 
     skin: the engine's points of an engine model, or None where no skin is soft; vertices (P,): nearest to those. own:
-    where they touch the body itself, None without self-collision, which is for Full Quality. dents (3 free, K):
-    displacement of the free nodes by each patch of the skin that gives way by itself in Reduced Quality; none
-    otherwise.
+    where they touch the body itself, None without self-collision. dents (3 free, K): displacement of the free nodes by
+    each patch of the skin that gives way by itself in Reduced Quality; none otherwise.
     """
 
     def __init__(self, model: Model, engine: EngineModel, character: Character, with_own: bool = False):
@@ -79,7 +78,7 @@ class Collision:
             corners.reshape(points.vertices.shape),
             points.weights,
         )
-        if with_own and full:  # patches of the skin of a reduced model would jitter between its limbs
+        if with_own:
             own = spread(points.rest, points.normals, OWN_SAMPLES)
             self.own = _self_contact(self.skin, model, character, points[own], own)
 
@@ -150,7 +149,8 @@ def _self_contact(contact: Any, model: Model, character: Character, points: Cont
     shared = (character.weights > SHARED).astype(np.float32)
     joints = np.argwhere(np.triu(shared.T @ shared, 1) > 0.0)
     parts = of_bones.argmax(axis=1), points.of(character.weights).argmax(axis=1)
-    kind: Callable[..., Any] = dynamorph.FullSelfContact
+    full = model.settings.solver == "FULL"
+    kind: Callable[..., Any] = dynamorph.FullSelfContact if full else dynamorph.ReducedSelfContact
     return kind(contact, centers, radii, embedding, weights, numbers, *parts, joints)
 
 

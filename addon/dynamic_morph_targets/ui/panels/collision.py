@@ -24,8 +24,6 @@ def draw_collision(layout, context, obj):
     column.active = settings.use
     draw_setting(column, settings, "collection")
     column.prop(settings, "use_self")
-    if settings.use_self and obj.dynamorph.model.solver == "REDUCED":
-        draw_message(column, "Only in Full Quality: bakes show it, Live does not", icon="INFO")
     column.prop(settings, "distance")
     column.prop_search(obj.dynamorph, "excluded_group", obj, "vertex_groups")
     draw_setting(column, settings, "use_friction")
