@@ -2,46 +2,14 @@
 #include <chrono>
 #include <cmath>
 #include <memory>
-#include <mutex>
-#include <set>
 #include <tuple>
 
-#include "collider_motion.hpp"
-#include "dynamorph/step/simulation.hpp"
-#include "model_interface.hpp"
+#include "dynamorph/step/coupled_simulation.hpp"
+#include "stepping.hpp"
 
 using namespace dynamorph;
 
 namespace {
-
-/// A Simulation for Python. The engine works without the GIL, so threads take turns, each for a whole call.
-template <class Stepper>
-struct InTurn : Stepper {
-  explicit InTurn(Stepper&& stepper) : Stepper(std::move(stepper)) {}
-  mutable std::recursive_mutex turn;  ///< recursive, because keep_going may read the simulation that calls it
-  bool changes = false;               ///< whether a call that changes it is under way
-};
-
-template <class Stepper, class Function>
-auto in_turn(const InTurn<Stepper>& stepper, const Function& function) {
-  py::gil_scoped_release release;
-  const std::lock_guard<std::recursive_mutex> lock(stepper.turn);
-  return function();
-}
-
-/// The same for a call that changes it. Throws std::invalid_argument when keep_going makes such a call in another one.
-template <class Stepper, class Function>
-auto changing(InTurn<Stepper>& stepper, const Function& function) {
-  struct Reset {
-    bool& flag;
-    ~Reset() { flag = false; }
-  };
-  return in_turn(stepper, [&] {
-    if (stepper.changes) throw std::invalid_argument("keep_going: must not change the simulation that calls it");
-    const Reset at_the_end{stepper.changes = true};
-    return function();
-  });
-}
 
 /// bones (J, B, 3, 4).
 template <class Stepper>
@@ -52,45 +20,6 @@ void balance_targets_in(InTurn<Stepper>& stepper, const FloatArray& bones) {
   const py::ssize_t count = bones.shape(1);
   for (py::ssize_t j = 0; j < bones.shape(0); ++j) frames.push_back(transforms(bones.data() + 12 * count * j, count));
   changing(stepper, [&] { stepper.balance_targets(frames); });
-}
-
-/// Adds the report of a step to that of those before it.
-void add(const StepReport& step, StepReport& all) {
-  all.iterations += step.iterations;
-  all.converged &= step.converged;
-  all.residual = std::max(all.residual, step.residual);
-  all.energy = step.energy;
-  all.teleported |= step.teleported;
-  all.farthest = std::max(all.farthest, step.farthest);
-  all.pulled += step.pulled;
-  if (step.excess_bone >= 0 && step.excess >= all.excess) {
-    all.excess = step.excess;
-    all.excess_bone = step.excess_bone;
-  }
-  all.contacts = std::max(all.contacts, step.contacts);
-  all.penetration = std::max(all.penetration, step.penetration);
-  if (step.too_deep > all.too_deep) {
-    all.too_deep = step.too_deep;
-    all.too_deep_sample = step.too_deep_sample;
-    all.too_deep_collider = step.too_deep_collider;
-  }
-  all.contact_forces = step.contact_forces;
-  all.unusable_colliders.insert(all.unusable_colliders.end(), step.unusable_colliders.begin(),
-                                step.unusable_colliders.end());
-}
-
-py::dict summary(const StepReport& worst, int steps, double seconds) {
-  Points forces(Eigen::Index(worst.contact_forces.size()), 3);
-  for (Eigen::Index c = 0; c < forces.rows(); ++c) forces.row(c) = worst.contact_forces[std::size_t(c)];
-  const std::set<int> unusable(worst.unusable_colliders.begin(), worst.unusable_colliders.end());
-  return py::dict("steps"_a = steps, "iterations"_a = worst.iterations, "converged"_a = worst.converged,
-                  "residual"_a = worst.residual, "energy"_a = worst.energy, "teleported"_a = worst.teleported,
-                  "seconds"_a = seconds, "excess"_a = worst.excess, "excess_bone"_a = worst.excess_bone,
-                  "farthest"_a = worst.farthest, "pulled"_a = worst.pulled, "contacts"_a = worst.contacts,
-                  "penetration"_a = worst.penetration, "too_deep"_a = worst.too_deep,
-                  "too_deep_sample"_a = worst.too_deep_sample, "too_deep_collider"_a = worst.too_deep_collider,
-                  "contact_forces"_a = forces,
-                  "unusable_colliders"_a = std::vector<int>(unusable.begin(), unusable.end()));
 }
 
 /// What a state remembers of contact, as numbers: how many planes and colliders there are, then the planes (sample,
@@ -149,20 +78,6 @@ void read_contact(const VectorXd& numbers, State& state) {
   }
 }
 
-/// Springs between points of the skin and goals (S, K, 3), one row of goals for each step.
-struct Grabs {
-  VectorXd stiffness;  ///< (K)
-  std::vector<int> points;
-  FloatArray goals;
-
-  void at(py::ssize_t step, std::vector<Grab>& out) const {
-    out.clear();
-    const double* goal = goals.data() + step * goals.shape(1) * 3;
-    for (size_t k = 0; k < points.size(); ++k, goal += 3)
-      out.push_back({points[k], Vector3d(goal[0], goal[1], goal[2]), stiffness(Eigen::Index(k))});
-  }
-};
-
 void bind_grabs(py::module_& m) {
   py::class_<Grabs>(m, "Grabs", "Springs that pull points of the skin to places in the world.")
       .def(py::init([](const IndexArray& points, const FloatArray& goals, const VectorXd& stiffness) {
@@ -179,39 +94,6 @@ void bind_grabs(py::module_& m) {
            "points (K): of the simulation's skin. goals (S, K, 3): meters, world space, at the end of each step. "
            "stiffness (K): N/m.");
 }
-
-/// Forces on the nodes (n, 3), the same at all steps, or (S, n, 3), newtons in world space; empty for none.
-class External {
- public:
-  External(const SoftBody& body, const std::optional<FloatArray>& forces, py::ssize_t steps) : body_(body) {
-    if (!forces) return;
-    const py::ssize_t nodes = body.mesh.nodes.rows();
-    if (forces->ndim() == 2)
-      check_shape("external", *forces, {nodes, 3});
-    else
-      check_shape("external", *forces, {steps, nodes, 3});
-    check_finite("external", Eigen::Map<const VectorXd>(forces->data(), forces->size()));
-    forces_ = *forces;
-    every_step_ = forces->ndim() == 3;
-  }
-
-  /// On the free nodes at a step; null for none.
-  const VectorXd* at(py::ssize_t step) {
-    if (forces_.size() == 0) return nullptr;
-    if (every_step_ || free_.size() == 0) {
-      const Eigen::Index size = 3 * body_.mesh.nodes.rows();
-      free_ =
-          body_.restrict_to_free(Eigen::Map<const VectorXd>(forces_.data() + (every_step_ ? step * size : 0), size));
-    }
-    return &free_;
-  }
-
- private:
-  const SoftBody& body_;
-  FloatArray forces_;
-  bool every_step_ = false;
-  VectorXd free_;
-};
 
 template <class Model>
 void bind_limit(py::module_& m, const char* name) {
@@ -257,7 +139,7 @@ void bind_limit(py::module_& m, const char* name) {
 template <class Model>
 void bind_simulation_of(py::module_& m, const char* name) {
   using Sim = InTurn<Simulation<Model>>;
-  py::class_<Sim>(m, name, "Steps a model through time, in world space and SI units.")
+  py::class_<Sim, std::shared_ptr<Sim>>(m, name, "Steps a model through time, in world space and SI units.")
       .def(py::init([](std::shared_ptr<Model> model, double h, Integrator integrator, const Vector3d& gravity,
                        double tolerance, int max_iterations, double teleport, const py::object& keep_going) {
              std::function<bool()> asked;
@@ -266,7 +148,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
                  py::gil_scoped_acquire gil;
                  return answer("keep_going", (*callable)());
                };
-             return std::make_unique<Sim>(
+             return std::make_shared<Sim>(
                  Simulation<Model>(model, {h, integrator, gravity, tolerance, max_iterations, teleport, asked}));
            }),
            "model"_a.none(false), "h"_a, py::kw_only(), "integrator"_a = Integrator::bdf2,
@@ -291,35 +173,15 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "advance",
           [](Sim& s, const FloatArray& bones, const FloatArray& weights, const std::optional<FloatArray>& external,
              const std::optional<Grabs>& grabs, const std::optional<std::vector<ColliderMotion>>& colliders) {
-            check_shape("bones", bones, {-1, -1, 3, 4});
-            check_shape("weights", weights, {bones.shape(0), py::ssize_t(s.model().targets().size())});
-            const py::ssize_t steps = bones.shape(0), count = bones.shape(1);
-            if (grabs) check_shape("grabs: goals", grabs->goals, {steps, -1, 3});
-            const std::vector<ColliderMotion> moving = colliders.value_or(std::vector<ColliderMotion>());
-            for (const ColliderMotion& collider : moving)
-              if (collider.steps() != steps)
-                throw std::invalid_argument("colliders: expected the motion of " + std::to_string(steps) +
-                                            " steps, got " + std::to_string(collider.steps()));
-            External forces(s.model().body(), external, steps);
+            Moving moving(s.model().body(), s.model().targets().size(), bones, weights, external, grabs, colliders);
             StepReport worst;
             const auto begin = std::chrono::steady_clock::now();
             changing(s, [&] {
-              Transforms frame;
-              VectorXd w;
-              std::vector<Grab> grabbed;
-              std::vector<ColliderStep> met;
               s.forget();  // so that a state resumes bit for bit, between any two calls
-              for (py::ssize_t i = 0; i < steps; ++i) {
-                frame = Eigen::Map<const Transforms>(bones.data() + i * count * 12, count, 12);
-                w = Eigen::Map<const VectorXd>(weights.data() + i * weights.shape(1), weights.shape(1));
-                if (grabs) grabs->at(i, grabbed);
-                met.clear();
-                for (const ColliderMotion& collider : moving) met.push_back(collider.at(i));
-                add(s.step({frame, w, forces.at(i), &grabbed, &met}), worst);
-              }
+              for (py::ssize_t i = 0; i < moving.steps(); ++i) add(s.step(moving.at(i)), worst);
             });
             const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
-            return summary(worst, int(steps), elapsed.count());
+            return summary(worst, int(moving.steps()), elapsed.count());
           },
           "bones"_a, "weights"_a, "external"_a = py::none(), "grabs"_a = py::none(), "colliders"_a = py::none(),
           "Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, "
@@ -333,7 +195,9 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point "
           "into a collider, or into the body itself, than it can give way, so that contact does (0: nowhere), and the "
           "sample "
-          "(-1: none) and collider (-1: the body) where that is; contact_forces, newtons on each collider (C, 3) at "
+          "(-1: none) and collider (-1: the body; below that, of a coupling, -2 less the number of another body) where "
+          "that is; body_force (3), newtons that the others of a coupling push it with at the end; contact_forces, "
+          "newtons on each collider (C, 3) at "
           "the last step; "
           "unusable_colliders, the "
           "numbers of those that were active but not finite or without extent.")
@@ -412,6 +276,80 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "colliders. Set it to resume a simulation; raises Error for what is not finite.");
 }
 
+/// Simulations for Python that take their steps together.
+template <class Model>
+struct Coupling {
+  using Sim = InTurn<Simulation<Model>>;
+  using Body = std::pair<std::shared_ptr<Sim>, std::shared_ptr<SelfContact<Model>>>;
+
+  Coupling(std::vector<Body> bodies, double friction) : bodies(std::move(bodies)), coupled(own(), friction) {}
+
+  /// Throws std::invalid_argument where one is missing or there twice.
+  std::vector<Sim*> steppers() const {
+    std::vector<Sim*> out;
+    for (const auto& [simulation, skin] : bodies) {
+      if (!simulation || std::count(out.begin(), out.end(), simulation.get()) > 0)
+        throw std::invalid_argument("coupling: each body must be there once");
+      out.push_back(simulation.get());
+    }
+    return out;
+  }
+  std::vector<CoupledBody<Model>> own() const {
+    std::vector<CoupledBody<Model>> out;
+    for (Sim* stepper : steppers()) out.push_back({stepper, bodies[out.size()].second});
+    return out;
+  }
+
+  std::vector<Body> bodies;
+  CoupledSimulation<Model> coupled;
+};
+
+template <class Model>
+void bind_coupling_of(py::module_& m, const char* name) {
+  using Body = typename Coupling<Model>::Body;
+  using Motion = std::tuple<FloatArray, FloatArray, std::optional<FloatArray>, std::optional<Grabs>,
+                            std::optional<std::vector<ColliderMotion>>>;
+  py::class_<Coupling<Model>>(
+      m, name, "Soft bodies that press on each other and take their steps together: both sides give way.")
+      .def(py::init<std::vector<Body>, double>(), "bodies"_a, "friction"_a = 0.0,
+           "bodies: two simulations at least, each with its skin, that of its contact. friction: of skin on skin. "
+           "Raises ValueError for others, or if their time steps or integrators differ.")
+      .def(
+          "advance",
+          [](Coupling<Model>& c, const std::vector<Motion>& motions) {
+            if (motions.size() != c.bodies.size())
+              throw std::invalid_argument("motions: expected those of " + std::to_string(c.bodies.size()) +
+                                          " bodies, got " + std::to_string(motions.size()));
+            std::vector<Moving> moving;
+            for (std::size_t body = 0; body < motions.size(); ++body) {
+              const auto& [bones, weights, external, grabs, colliders] = motions[body];
+              const Model& model = c.bodies[body].first->model();
+              moving.emplace_back(model.body(), model.targets().size(), bones, weights, external, grabs, colliders);
+              if (moving.back().steps() != moving.front().steps())
+                throw std::invalid_argument("motions: expected as many steps of each body");
+            }
+            std::vector<StepReport> worst(motions.size());
+            const auto begin = std::chrono::steady_clock::now();
+            changing(c.steppers(), [&] {
+              c.coupled.forget();
+              for (py::ssize_t i = 0; i < moving.front().steps(); ++i) {
+                std::vector<StepInput> inputs;
+                for (Moving& each : moving) inputs.push_back(each.at(i));
+                const std::vector<StepReport> reports = c.coupled.step(inputs);
+                for (std::size_t body = 0; body < reports.size(); ++body) add(reports[body], worst[body]);
+              }
+            });
+            const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
+            std::vector<py::dict> out;
+            for (const StepReport& each : worst)
+              out.push_back(summary(each, int(moving.front().steps()), elapsed.count() / double(worst.size())));
+            return out;
+          },
+          "motions"_a,
+          "As `advance` of one simulation, for all bodies: motions has, for each, (bones, weights, external, grabs, "
+          "colliders). Returns a report for each; iterations are those of all, seconds an equal share.");
+}
+
 }  // namespace
 
 void bind_step(py::module_& m) {
@@ -421,4 +359,6 @@ void bind_step(py::module_& m) {
   bind_limit<ReducedModel>(m, "ReducedMotionLimit");
   bind_simulation_of<FullModel>(m, "FullSimulation");
   bind_simulation_of<ReducedModel>(m, "ReducedSimulation");
+  bind_coupling_of<FullModel>(m, "FullCoupling");
+  bind_coupling_of<ReducedModel>(m, "ReducedCoupling");
 }

@@ -113,6 +113,13 @@ def started(kind: str):
     return simulation
 
 
+def coupled_bodies(kind: str):
+    """Two such simulations, each with its skin."""
+    s = scene()
+    skin = s.full_self if kind == "FullSimulation" else s.reduced_self
+    return [(started(kind), skin), (started(kind), skin)]
+
+
 def touched(motion, kind="FullSimulation"):
     """A simulation that such a collider touches, if it moves for one step."""
     simulation, s = started(kind), scene()
@@ -292,6 +299,15 @@ def calls() -> dict[str, tuple[object, dict]]:
             f"{kind}.start": (new, {"now": s.bones, "next": s.next, "weights": s.weights}),
             f"{kind}.state": (new, {"value": touched(s.collider_motion, kind)[1].state}),
         }
+        coupling = kind.replace("Simulation", "Coupling")
+        moving = (s.next[None], s.weights[None], push["external"], s.grabs, [s.collider_motion])
+        found |= {
+            coupling: (lib, {"bodies": coupled_bodies(kind), "friction": 0.5}),
+            f"{coupling}.advance": (
+                lambda kind=kind, coupling=coupling: getattr(dynamorph, coupling)(coupled_bodies(kind)),
+                {"motions": [moving, moving]},
+            ),
+        }
     return found
 
 
@@ -395,16 +411,19 @@ def bad_sequences(kind: str, good: list) -> Iterator[tuple[str, object]]:
     yield from (("nothing", []), ("one less", good[:-1]), ("one more", [*good, good[-1]]), ("many", good * 500), *BAD)
     whole = kind.startswith("tuple[")
     inner = kind.partition("[")[2][:-1]
-    if whole:  # (coordinates, bones' transforms, excess), the first two each of four
+    if whole:  # of a state (coordinates, bones' transforms, ...), the first two each of four; of a body; of a motion
         for at, part in enumerate(good):
             if isinstance(part, np.ndarray):
                 for name, value in bad_arrays(part):
                     yield f"{at} {name}", (*good[:at], value, *good[at + 1 :])
-                continue
-            one = "typing.Annotated[numpy, collections.abc.Sequence]"
-            for name, value in bad_values(one, part[-1]):
-                yield f"{at} last {name}", (*good[:at], [*part[:-1], value], *good[at + 1 :])
-            yield f"{at} shorter", (*good[:at], part[:-1], *good[at + 1 :])
+            elif isinstance(part, list) and isinstance(part[0], np.ndarray):
+                one = "typing.Annotated[numpy, collections.abc.Sequence]"
+                for name, value in bad_values(one, part[-1]):
+                    yield f"{at} last {name}", (*good[:at], [*part[:-1], value], *good[at + 1 :])
+                yield f"{at} shorter", (*good[:at], part[:-1], *good[at + 1 :])
+            else:
+                for name, value in BAD:
+                    yield f"{at} {name}", (*good[:at], value, *good[at + 1 :])
         return
     for name, value in bad_values(inner, good[-1]):
         yield f"last {name}", [*good[:-1], value]

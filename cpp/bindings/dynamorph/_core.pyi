@@ -8,7 +8,7 @@ import numpy.typing
 import scipy.sparse
 import typing
 import typing_extensions
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Embedding', 'Error', 'FullContact', 'FullModel', 'FullMotionLimit', 'FullSelfContact', 'FullSimulation', 'FullSkin', 'Grabs', 'Integrator', 'LocalResponses', 'MaterialModel', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedContact', 'ReducedModel', 'ReducedMotionLimit', 'ReducedSelfContact', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'tetrahedralize', 'unpack_model']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Embedding', 'Error', 'FullContact', 'FullCoupling', 'FullModel', 'FullMotionLimit', 'FullSelfContact', 'FullSimulation', 'FullSkin', 'Grabs', 'Integrator', 'LocalResponses', 'MaterialModel', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedContact', 'ReducedCoupling', 'ReducedModel', 'ReducedMotionLimit', 'ReducedSelfContact', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -642,7 +642,7 @@ class FullSimulation:
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None, colliders: collections.abc.Sequence[ColliderMotion] | None = None) -> dict:
         """
-        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. colliders: what pushes the points of `set_contact`. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back. With colliders: the largest number of contacts in a step; penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point into a collider, or into the body itself, than it can give way, so that contact does (0: nowhere), and the sample (-1: none) and collider (-1: the body) where that is; contact_forces, newtons on each collider (C, 3) at the last step; unusable_colliders, the numbers of those that were active but not finite or without extent.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. colliders: what pushes the points of `set_contact`. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back. With colliders: the largest number of contacts in a step; penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point into a collider, or into the body itself, than it can give way, so that contact does (0: nowhere), and the sample (-1: none) and collider (-1: the body; below that, of a coupling, -2 less the number of another body) where that is; body_force (3), newtons that the others of a coupling push it with at the end; contact_forces, newtons on each collider (C, 3) at the last step; unusable_colliders, the numbers of those that were active but not finite or without extent.
         """
     def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
@@ -713,7 +713,7 @@ class ReducedSimulation:
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None, colliders: collections.abc.Sequence[ColliderMotion] | None = None) -> dict:
         """
-        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. colliders: what pushes the points of `set_contact`. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back. With colliders: the largest number of contacts in a step; penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point into a collider, or into the body itself, than it can give way, so that contact does (0: nowhere), and the sample (-1: none) and collider (-1: the body) where that is; contact_forces, newtons on each collider (C, 3) at the last step; unusable_colliders, the numbers of those that were active but not finite or without extent.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. colliders: what pushes the points of `set_contact`. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back. With colliders: the largest number of contacts in a step; penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point into a collider, or into the body itself, than it can give way, so that contact does (0: nowhere), and the sample (-1: none) and collider (-1: the body; below that, of a coupling, -2 less the number of another body) where that is; body_force (3), newtons that the others of a coupling push it with at the end; contact_forces, newtons on each collider (C, 3) at the last step; unusable_colliders, the numbers of those that were active but not finite or without extent.
         """
     def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
@@ -774,6 +774,30 @@ class ReducedSimulation:
     @state.setter
     def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]]) -> None:
         ...
+class FullCoupling:
+    """
+    Soft bodies that press on each other and take their steps together: both sides give way.
+    """
+    def __init__(self, bodies: collections.abc.Sequence[tuple[FullSimulation, FullSelfContact]], friction: typing.SupportsFloat | typing.SupportsIndex = 0.0) -> None:
+        """
+        bodies: two simulations at least, each with its skin, that of its contact. friction: of skin on skin. Raises ValueError for others, or if their time steps or integrators differ.
+        """
+    def advance(self, motions: collections.abc.Sequence[tuple[typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None, Grabs | None, collections.abc.Sequence[ColliderMotion] | None]]) -> list[dict]:
+        """
+        As `advance` of one simulation, for all bodies: motions has, for each, (bones, weights, external, grabs, colliders). Returns a report for each; iterations are those of all, seconds an equal share.
+        """
+class ReducedCoupling:
+    """
+    Soft bodies that press on each other and take their steps together: both sides give way.
+    """
+    def __init__(self, bodies: collections.abc.Sequence[tuple[ReducedSimulation, ReducedSelfContact]], friction: typing.SupportsFloat | typing.SupportsIndex = 0.0) -> None:
+        """
+        bodies: two simulations at least, each with its skin, that of its contact. friction: of skin on skin. Raises ValueError for others, or if their time steps or integrators differ.
+        """
+    def advance(self, motions: collections.abc.Sequence[tuple[typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None, Grabs | None, collections.abc.Sequence[ColliderMotion] | None]]) -> list[dict]:
+        """
+        As `advance` of one simulation, for all bodies: motions has, for each, (bones, weights, external, grabs, colliders). Returns a report for each; iterations are those of all, seconds an equal share.
+        """
 def adapt_response_basis(model: FullModel, U: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], W: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]) -> ResponseBasis:
     """
     The same modes U (3 free, r), and responses of the span of W (3 free, h) that decouple with the model's stiffness, which may be another one than they were made for.

@@ -7,13 +7,13 @@
 
 namespace dynamorph {
 
-/// In place of a collider's number: the skin itself.
+/// In place of a collider's number: skin, of the same body or of another one.
 constexpr int kOwnSkin = -1;
 
-/// Samples of the same skin on the other side of a contact.
+/// Samples of the skin on the other side of a contact.
 struct OtherSide {
   std::array<int, 4> samples{};
-  std::array<double, 4> weights{};  ///< zero: none; they sum to one but for what nothing can move
+  std::array<double, 4> weights{};  ///< zero: none; they sum to one
 };
 
 /// A sample of the skin against a collider, or against the other side, for the length of a step: a plane. Its gap is

@@ -42,6 +42,11 @@ void check(const BodyParts& body, Index samples) {
       throw std::invalid_argument("of_balls, of_points: must be numbers of parts, from 0 on");
 }
 
+void sort(std::vector<Contact>& contacts) {
+  std::stable_sort(contacts.begin(), contacts.end(),
+                   [](const Contact& a, const Contact& b) { return a.sample < b.sample; });
+}
+
 }  // namespace
 
 // --- What stays the same ---------------------------------------------------------------------------------------------
@@ -126,186 +131,237 @@ double SelfContact<Model>::fade(int point, int ball) const {
 
 template <class Model>
 void SelfContact<Model>::find(const PosedSkin& skin, Scratch& scratch, std::vector<Contact>& contacts) const {
-  scratch.found.clear();
-  scratch.places.clear();
-  scratch.place_of.assign(body_.points.size(), -1);
-  const std::vector<Box> boxes = pose_balls(skin, scratch);
-  const double farthest = samples_->farthest(skin.weights, skin.shape);
-  std::vector<int> others, around;
-  for (std::size_t own = 0; own < parts_.size(); ++own) {
-    const auto& points = parts_[own].points;
-    const Box region = ContactSamples<Model>::region(points, skin.now, farthest);
-    others.clear();
-    for (std::size_t part = 0; part < parts_.size(); ++part)
-      if (part != own && region.intersects(boxes[part])) others.push_back(int(part));
-    if (others.empty()) continue;
-    for (const int point : points.samples) {
-      if (!(samples_->stiffness()(body_.points[std::size_t(point)]) > 0)) continue;
-      const Vector3d x = place(point, skin, scratch);
-      around.clear();
-      for (const int part : others)
-        if (boxes[std::size_t(part)].contains(x)) around.push_back(part);
-      const Nearest found = nearest(x, point, around, skin.margin, scratch);
-      if (found.ball >= 0) touch(point, found, skin, scratch);
-    }
-  }
-  weigh(scratch);
+  const Body body{*this, skin, scratch, 0};
+  std::vector<Found> found;
+  begin(body);
+  search(body, body, found);
+  for (Found& each : found)
+    if (each.parts.first > each.parts.second) std::swap(each.parts.first, each.parts.second);
   contacts.clear();
-  for (const auto& found : scratch.found) contacts.push_back(found.contact);
-  std::sort(contacts.begin(), contacts.end(), [](const Contact& a, const Contact& b) { return a.sample < b.sample; });
+  weigh(body, body, found, contacts);
+  sort(contacts);
 }
 
 template <class Model>
-std::vector<Box> SelfContact<Model>::pose_balls(const PosedSkin& skin, Scratch& scratch) const {
-  std::vector<Box> boxes(parts_.size());
-  scratch.centers.resize(balls_.size(), 3);
-  scratch.turns.resize(parts_.size());
-  scratch.scales.resize(parts_.size());
-  for (std::size_t p = 0; p < parts_.size(); ++p) {
-    scratch.turns[p] = transform(skin.now, parts_[p].bone).template leftCols<3>();
+void SelfContact<Model>::find_between(const std::vector<Body>& bodies, std::vector<Contact>& contacts) {
+  contacts.clear();
+  for (const Body& body : bodies) begin(body);
+  std::vector<Found> found, back;
+  for (std::size_t a = 0; a < bodies.size(); ++a)
+    for (std::size_t b = a + 1; b < bodies.size(); ++b) {
+      found.clear();
+      back.clear();
+      search(bodies[a], bodies[b], found);
+      search(bodies[b], bodies[a], back);
+      for (Found& each : back) {
+        std::swap(each.parts.first, each.parts.second);
+        found.push_back(each);
+      }
+      weigh(bodies[a], bodies[b], found, contacts);
+    }
+  sort(contacts);
+}
+
+template <class Model>
+void SelfContact<Model>::begin(const Body& body) {
+  const SelfContact& of = body.of;
+  const PosedSkin& skin = body.skin;
+  Scratch& scratch = body.scratch;
+  const std::size_t parts = of.parts_.size();
+  scratch.places.clear();
+  scratch.place_of.assign(of.body_.points.size(), -1);
+  scratch.boxes.assign(parts, Box());
+  scratch.centers.resize(of.balls_.size(), 3);
+  scratch.turns.resize(parts);
+  scratch.scales.resize(parts);
+  for (std::size_t p = 0; p < parts; ++p) {
+    scratch.turns[p] = transform(skin.now, of.parts_[p].bone).template leftCols<3>();
     scratch.scales[p] = std::cbrt(std::abs(scratch.turns[p].determinant()));
-    for (const int ball : parts_[p].balls) {
-      const Vector3d shape = ball_shapes_.middleRows<3>(3 * ball) * skin.weights;
-      const Vector3d center = balls_.posed(balls_.skin().transform(skin.now, ball), ball, shape);
-      const Vector3d reach = Vector3d::Constant(scratch.scales[p] * body_.radius(ball) + skin.margin);
+    for (const int ball : of.parts_[p].balls) {
+      const Vector3d shape = of.ball_shapes_.middleRows<3>(3 * ball) * skin.weights;
+      const Vector3d center = of.balls_.posed(of.balls_.skin().transform(skin.now, ball), ball, shape);
+      const Vector3d reach = Vector3d::Constant(scratch.scales[p] * of.body_.radius(ball) + skin.margin);
       scratch.centers.row(ball) = center;
-      boxes[p].extend(center - reach).extend(center + reach);
+      scratch.boxes[p].extend(center - reach).extend(center + reach);
     }
   }
-  return boxes;
 }
 
 template <class Model>
-Vector3d SelfContact<Model>::place(int point, const PosedSkin& skin, Scratch& scratch) const {
-  int& at = scratch.place_of[std::size_t(point)];
-  if (at < 0) {
-    at = int(scratch.places.size());
-    const SkinMap<Model>& map = samples_->map();
-    Vector3d x = Vector3d::Zero();
-    samples_->points().each_corner(body_.points[std::size_t(point)], [&](int v, double weight) {
-      x += weight * map.posed(map.skin().transform(skin.now, v), v, samples_->shape(skin.weights, v));
-    });
-    scratch.places.push_back(x);
+void SelfContact<Model>::search(const Body& body, const Body& other, std::vector<Found>& found) {
+  const SelfContact& of = body.of;
+  const std::vector<Box>& boxes = other.scratch.boxes;
+  const double farthest = of.samples_->farthest(body.skin.weights, body.skin.shape);
+  std::vector<int> near, around;
+  for (std::size_t own = 0; own < of.parts_.size(); ++own) {
+    const auto& points = of.parts_[own].points;
+    const Box region = ContactSamples<Model>::region(points, body.skin.now, farthest);
+    near.clear();
+    for (std::size_t part = 0; part < boxes.size(); ++part)
+      if ((part != own || &other != &body) && region.intersects(boxes[part])) near.push_back(int(part));
+    if (near.empty()) continue;
+    for (const int point : points.samples) {
+      if (!(of.samples_->stiffness()(of.body_.points[std::size_t(point)]) > 0)) continue;
+      const Vector3d x = place(body, point);
+      around.clear();
+      for (const int part : near)
+        if (boxes[std::size_t(part)].contains(x)) around.push_back(part);
+      const Nearest nearest_ball = nearest(body, point, other, around);
+      if (nearest_ball.ball >= 0) touch(body, point, other, nearest_ball, found);
+    }
   }
-  return scratch.places[std::size_t(at)];
 }
 
 template <class Model>
-typename SelfContact<Model>::Nearest SelfContact<Model>::nearest(const Vector3d& x, int point,
-                                                                 const std::vector<int>& parts, double margin,
-                                                                 Scratch& scratch) const {
-  scratch.near.clear();
+Vector3d SelfContact<Model>::place(const Body& body, int point) {
+  const ContactSamples<Model>& samples = *body.of.samples_;
+  const PosedSkin& skin = body.skin;
+  std::vector<Vector3d>& places = body.scratch.places;
+  int& at = body.scratch.place_of[std::size_t(point)];
+  if (at < 0) {
+    at = int(places.size());
+    const SkinMap<Model>& map = samples.map();
+    Vector3d x = Vector3d::Zero();
+    samples.points().each_corner(body.of.body_.points[std::size_t(point)], [&](int v, double weight) {
+      x += weight * map.posed(map.skin().transform(skin.now, v), v, samples.shape(skin.weights, v));
+    });
+    places.push_back(x);
+  }
+  return places[std::size_t(at)];
+}
+
+template <class Model>
+typename SelfContact<Model>::Nearest SelfContact<Model>::nearest(const Body& body, int point, const Body& other,
+                                                                 const std::vector<int>& parts) {
+  const SelfContact& of = other.of;
+  const bool itself = &other == &body;
+  const double margin = other.skin.margin;
+  const Vector3d x = place(body, point);
+  auto& near = body.scratch.near;
+  near.clear();
   for (const int part : parts)
-    for (const int ball : parts_[std::size_t(part)].balls) {
-      const double radius = scratch.scales[std::size_t(part)] * body_.radius(ball), reach = radius + margin;
-      const double square = (x.transpose() - scratch.centers.row(ball)).squaredNorm();
+    for (const int ball : of.parts_[std::size_t(part)].balls) {
+      const double radius = other.scratch.scales[std::size_t(part)] * of.body_.radius(ball), reach = radius + margin;
+      const double square = (x.transpose() - other.scratch.centers.row(ball)).squaredNorm();
       if (square > reach * reach) continue;
-      const double touched = fade(point, ball), distance = std::sqrt(square) - touched * radius;
-      if (touched > 0 && distance < margin) scratch.near.emplace_back(distance, ball);
+      const double touched = itself ? of.fade(point, ball) : 1, distance = std::sqrt(square) - touched * radius;
+      if (touched > 0 && distance < margin) near.emplace_back(distance, ball);
     }
   Nearest out{0, Vector3d::Zero(), -1};
-  if (scratch.near.empty()) return out;
-  const auto [least, ball] = *std::min_element(scratch.near.begin(), scratch.near.end());
+  if (near.empty()) return out;
+  const auto [least, ball] = *std::min_element(near.begin(), near.end());
   double sum = 0;
-  for (const auto& [distance, other] : scratch.near) {
-    const double weight = std::exp((least - distance) / sharpness_);
+  for (const auto& [distance, each] : near) {
+    const double weight = std::exp((least - distance) / of.sharpness_);
     sum += weight;
-    out.normal += weight * (x - scratch.centers.row(other).transpose()).normalized();
+    out.normal += weight * (x - other.scratch.centers.row(each).transpose()).normalized();
   }
   if (!(out.normal.norm() > kAgree * sum)) return out;  // in the middle of all of them
-  out.gap = least - sharpness_ * std::log(sum);
+  out.gap = least - of.sharpness_ * std::log(sum);
   out.normal.normalize();
   out.ball = ball;
   return out;
 }
 
 template <class Model>
-void SelfContact<Model>::touch(int point, const Nearest& nearest, const PosedSkin& skin, Scratch& scratch) const {
-  const int part = body_.of_points[std::size_t(point)];
+void SelfContact<Model>::touch(const Body& body, int point, const Body& other, const Nearest& nearest,
+                               std::vector<Found>& found) {
   const Vector3d& normal = nearest.normal;
-  Contact contact{body_.points[std::size_t(point)], kOwnSkin, {}, normal, {}, {}, 1, 0};
-  contact.others = other_side(point, nearest, skin, scratch);
+  const int sample = body.first_sample + body.of.body_.points[std::size_t(point)];
+  Contact contact{sample, kOwnSkin, {}, normal, {}, {}, 1, 0};
+  contact.others = other_side(body, point, other, nearest);
   // Of all samples of both sides: their places, the first with the tissue where it was, and where it is predicted.
-  const SkinMap<Model>& map = samples_->map();
   Vector3d unmoved = Vector3d::Zero(), kept = unmoved, predicted = unmoved, before = unmoved;
   Matrix3d turned_before = Matrix3d::Zero(), turned = turned_before;
+  const int own = body.of.body_.of_points[std::size_t(point)];
+  const int others = other.of.body_.of_balls[std::size_t(nearest.ball)];
   double room = 0;
-  contact.each_sample([&](int sample, double share) {
-    room += std::abs(share) * scratch.scales[std::size_t(part)] * samples_->thickness()(sample);
-    samples_->points().each_corner(sample, [&](int v, double weight) {
+  contact.each_sample([&](int numbered, double share) {
+    const bool first = numbered == sample;
+    const Body& side = first ? body : other;
+    const ContactSamples<Model>& samples = *side.of.samples_;
+    const SkinMap<Model>& map = samples.map();
+    const PosedSkin& skin = side.skin;
+    const int at = numbered - side.first_sample, part = first ? own : others;
+    if (samples.stiffness()(at) > 0)
+      room += std::abs(share) * side.scratch.scales[std::size_t(part)] * samples.thickness()(at);
+    samples.points().each_corner(at, [&](int v, double weight) {
       const PointTransform now = map.skin().transform(skin.now, v), then = map.skin().transform(skin.before, v);
       const Vector3d was = map.displacement(skin.weights, skin.was, v);
-      unmoved += share * weight * map.posed(now, v, samples_->shape(skin.weights, v));
+      unmoved += share * weight * map.posed(now, v, samples.shape(skin.weights, v));
       kept += share * weight * map.posed(now, v, was);
       predicted += share * weight * map.posed(now, v, map.displacement(skin.weights, skin.predicted, v));
       before += share * weight * map.posed(then, v, was);
-      if (sample != contact.sample) return;
+      if (!first) return;
       turned_before += weight * then.leftCols<3>();
       turned += weight * now.leftCols<3>();
     });
   });
   const double at_first = nearest.gap + normal.dot(kept - unmoved);
   const double at_last = nearest.gap + normal.dot(predicted - unmoved);
-  if (std::min(at_first, at_last) > skin.near) return;
+  if (std::min(at_first, at_last) > body.skin.near) return;
   // What is deep already comes out slowly.
-  const double push = -std::max(at_first, at_last), most = kEach * samples_->model().body().size;
+  const double push = -std::max(at_first, at_last), most = kEach * body.of.samples_->model().body().size;
   contact.point = unmoved - (nearest.gap + std::max(0.0, push - most)) * normal;
   contact.before = before;
   const Vector3d carried = turned * turned_before.inverse() * before;  // as the bones turn it
   contact.motion = carried.allFinite() ? Vector3d(carried - before) : Vector3d(Vector3d::Zero());
-  scratch.found.push_back(
-      {contact, std::minmax({part, body_.of_balls[std::size_t(nearest.ball)]}), -nearest.gap, room});
+  found.push_back({contact, {own, others}, -nearest.gap, room});
 }
 
 /// Those of the ball's points that are nearest to the place that is touched. Their weights fade out where another one
 /// comes nearer.
 template <class Model>
-OtherSide SelfContact<Model>::other_side(int point, const Nearest& nearest, const PosedSkin& skin,
-                                         Scratch& scratch) const {
-  const Vector3d touched = place(point, skin, scratch) - nearest.gap * nearest.normal;
-  auto& others = scratch.others;
+OtherSide SelfContact<Model>::other_side(const Body& body, int point, const Body& other, const Nearest& nearest) {
+  const Vector3d touched = place(body, point) - nearest.gap * nearest.normal;
+  auto& others = body.scratch.others;
   others.clear();
-  for (const int other : covers_[std::size_t(nearest.ball)])
-    if (other != point) others.emplace_back((place(other, skin, scratch) - touched).norm(), other);
+  for (const int each : other.of.covers_[std::size_t(nearest.ball)])
+    if (each != point || &other != &body) others.emplace_back((place(other, each) - touched).norm(), each);
   OtherSide out;
   if (others.size() < 2) return out;
   const std::size_t count = std::min(out.samples.size(), others.size() - 1);
   std::partial_sort(others.begin(), others.begin() + std::ptrdiff_t(count) + 1, others.end());
   double sum = 0;
   for (std::size_t k = 0; k < count; ++k) {
-    out.samples[k] = body_.points[std::size_t(others[k].second)];
     out.weights[k] = std::pow(1 - others[k].first / std::max(others[count].first, 1e-300), 2);
     sum += out.weights[k];
   }
   for (std::size_t k = 0; k < count; ++k) {
-    const bool moves = samples_->stiffness()(out.samples[k]) > 0;
-    out.weights[k] = !moves ? 0 : sum > 0 ? out.weights[k] / sum : 1.0 / double(count);
+    out.samples[k] = other.first_sample + other.of.body_.points[std::size_t(others[k].second)];
+    out.weights[k] = sum > 0 ? out.weights[k] / sum : 1.0 / double(count);
   }
   return out;
 }
 
 template <class Model>
-void SelfContact<Model>::weigh(Scratch& scratch) const {
+double SelfContact<Model>::folded(const Body& body, const Body& other, const std::pair<int, int>& parts) {
+  if (&other != &body || !body.of.joints_.count(parts)) return 1;
+  const auto [a, b] = parts;
+  const Scratch& scratch = body.scratch;
+  const Matrix3d mean = 0.5 * (scratch.turns[std::size_t(a)] + scratch.turns[std::size_t(b)]);
+  const double whole = std::pow(scratch.scales[std::size_t(a)] * scratch.scales[std::size_t(b)], 1.5);
+  const double left = std::abs(mean.determinant()) / std::max(whole, 1e-300);
+  return smooth_step((left - kCrushed) / (kFolded - kCrushed));
+}
+
+template <class Model>
+void SelfContact<Model>::weigh(const Body& body, const Body& other, const std::vector<Found>& found,
+                               std::vector<Contact>& contacts) {
   struct Between {
     double deepest = 0, folded = 1;
   };
   std::map<std::pair<int, int>, Between> all;
-  for (const auto& found : scratch.found) {
-    Between& between = all[found.parts];
-    between.deepest = std::max(between.deepest, found.depth / found.room);
+  for (const Found& each : found) {
+    Between& between = all[each.parts];
+    between.deepest = std::max(between.deepest, each.depth / each.room);
   }
-  for (auto& [parts, between] : all) {
-    if (!joints_.count(parts)) continue;
-    const auto [a, b] = parts;
-    const Matrix3d mean = 0.5 * (scratch.turns[std::size_t(a)] + scratch.turns[std::size_t(b)]);
-    const double whole = std::pow(scratch.scales[std::size_t(a)] * scratch.scales[std::size_t(b)], 1.5);
-    const double left = std::abs(mean.determinant()) / std::max(whole, 1e-300);
-    between.folded = smooth_step((left - kCrushed) / (kFolded - kCrushed));
-  }
-  for (auto& found : scratch.found) {
-    const auto& [deepest, folded] = all[found.parts];
-    found.contact.weight = folded * (1 - smooth_step((deepest - kFadeBegins) / (kFadeEnds - kFadeBegins)));
-    found.contact.too_deep = found.depth - folded * kFadeBegins * found.room;
+  for (auto& [parts, between] : all) between.folded = folded(body, other, parts);
+  for (const Found& each : found) {
+    const auto& [deepest, folded] = all[each.parts];
+    contacts.push_back(each.contact);
+    contacts.back().weight = folded * (1 - smooth_step((deepest - kFadeBegins) / (kFadeEnds - kFadeBegins)));
+    contacts.back().too_deep = each.depth - folded * kFadeBegins * each.room;
   }
 }
 

@@ -24,6 +24,9 @@
 // if they share skin: linear blend skinning crushes that to det (A + B) / 2 of its volume, which is 0.46 in a joint
 // that is folded by 95 degrees, and 0.21 by 125. If each contact had its own weight, skin would tear where some give
 // up.
+//
+// Two bodies touch each other in the same way: the samples of one meet the balls of the other, all of them, whatever is
+// near at rest.
 #pragma once
 
 #include <array>
@@ -72,17 +75,23 @@ class SelfContact {
     std::vector<Vector3d> places;                      ///< x of the points that are known
     std::vector<int> place_of;                         ///< of each point, in places; -1: not known
     std::vector<std::pair<double, int>> near, others;  ///< distances, and balls or points
-    struct Found {
-      Contact contact;
-      std::pair<int, int> parts;  ///< the lower number first
-      double depth, room;         ///< D and T, meters
-    };
-    std::vector<Found> found;
+    std::vector<Eigen::AlignedBox3d> boxes;            ///< where the balls of each part reach
+  };
+
+  /// One of the bodies in a step.
+  struct Body {
+    const SelfContact& of;
+    PosedSkin skin;
+    Scratch& scratch;
+    int first_sample;  ///< of it among those of all bodies
   };
 
   /// Sets `contacts` to those of all points whose gap is less than `near` at the beginning of the step or at its
   /// predicted end, by sample.
   void find(const PosedSkin& skin, Scratch& scratch, std::vector<Contact>& contacts) const;
+
+  /// The same where several bodies touch each other; none touches itself. Samples are numbered over all bodies.
+  static void find_between(const std::vector<Body>& bodies, std::vector<Contact>& contacts);
 
  private:
   struct Part {
@@ -96,20 +105,32 @@ class SelfContact {
     int ball;
   };
 
+  struct Found {
+    Contact contact;
+    std::pair<int, int> parts;  ///< that touch
+    double depth, room;         ///< D and T, meters
+  };
+
   void find_parts();
   void find_covers();
-  /// Poses the balls, and returns where those of each part reach.
-  std::vector<Eigen::AlignedBox3d> pose_balls(const PosedSkin& skin, Scratch& scratch) const;
+  /// Poses the balls of a body, and forgets what was known of its points.
+  static void begin(const Body& body);
   double fade(int point, int ball) const;
-  /// The place of a point in the targets' shapes, world space.
-  Vector3d place(int point, const PosedSkin& skin, Scratch& scratch) const;
-  /// What is nearer to it than the margin of the balls of these parts; without a ball (-1) if nothing is.
-  Nearest nearest(const Vector3d& x, int point, const std::vector<int>& parts, double margin, Scratch& scratch) const;
-  /// Adds the contact of a point.
-  void touch(int point, const Nearest& nearest, const PosedSkin& skin, Scratch& scratch) const;
-  OtherSide other_side(int point, const Nearest& nearest, const PosedSkin& skin, Scratch& scratch) const;
-  /// Sets what the weights of the contacts found are.
-  void weigh(Scratch& scratch) const;
+  /// The place of a point of a body in the targets' shapes, world space.
+  static Vector3d place(const Body& body, int point);
+  /// Adds the contacts of a body's points with the balls of another one, or of itself.
+  static void search(const Body& body, const Body& other, std::vector<Found>& found);
+  /// What is nearer to a point of the body than the margin of the balls of these parts of the other; without a ball
+  /// (-1) if nothing is.
+  static Nearest nearest(const Body& body, int point, const Body& other, const std::vector<int>& parts);
+  /// Adds the contact of a point of the body.
+  static void touch(const Body& body, int point, const Body& other, const Nearest& nearest, std::vector<Found>& found);
+  static OtherSide other_side(const Body& body, int point, const Body& other, const Nearest& nearest);
+  /// What skinning leaves of a joint: 1 where two parts share no skin.
+  static double folded(const Body& body, const Body& other, const std::pair<int, int>& parts);
+  /// Sets the weights of contacts between a body and another one, or itself, and adds them.
+  static void weigh(const Body& body, const Body& other, const std::vector<Found>& found,
+                    std::vector<Contact>& contacts);
 
   std::shared_ptr<const ContactSamples<Model>> samples_;
   SkinMap<Model> balls_;

@@ -63,12 +63,6 @@ void PointRows::add(int point, const Vector3d& direction) {
   ends_.back() = int(points_.size());
 }
 
-Vector3d PointRows::total(int row) const {
-  Vector3d sum = Vector3d::Zero();
-  for (int k = first(row); k < first(row + 1); ++k) sum += directions_[k];
-  return sum;
-}
-
 NodalPoints::NodalPoints(const SoftBody& body, const Embedding& embedding)
     : free_(Index(body.free_nodes.size())), nodes_(embedding.nodes), weights_(embedding.weights) {
   for (std::int32_t& node : nodes_.reshaped()) node = body.free_of_node[std::size_t(node)];

@@ -74,8 +74,6 @@ class PointRows {
   int point(int k) const { return points_[k]; }
   const Vector3d& direction(int k) const { return directions_[k]; }
   Vector3d& direction(int k) { return directions_[k]; }
-  /// The sum of a row's directions.
-  Vector3d total(int row) const;
 
  private:
   std::vector<int> points_, ends_;

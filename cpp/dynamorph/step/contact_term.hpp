@@ -35,8 +35,6 @@ struct Pressure {
 
 /// The same for all contacts of a step. It owns nothing.
 struct ContactStep {
-  const Transforms& bones;              ///< at the end of the step
-  const VectorXd& weights;              ///< of the targets (J)
   const std::vector<double>& friction;  ///< mu of the colliders
   double own_friction;                  ///< mu of skin on skin
   double square;                        ///< (c h)^2, s^2
@@ -93,8 +91,28 @@ inline void soften(const Dents&, const std::vector<int>&, SparsePoints&) {}
 
 }  // namespace contact_rows
 
-/// Contacts that begin where the samples' stiffness is above zero.
+/// The samples of a body at the end of a step. It owns nothing.
 template <class Model>
+struct PosedSamples {
+  const ContactSamples<Model>& of;
+  const Transforms& bones;
+  const VectorXd& weights;  ///< of the targets (J)
+
+  /// k of a sample; square: (c h)^2, s^2.
+  double stiffness(int sample, double square) const { return of.stiffness(sample, weights, square); }
+  /// Where it is at q = 0, world space.
+  Vector3d unmoved(int sample) const { return of.unmoved(bones, weights, sample); }
+  /// Adds how far it moves along a direction to the last row of numbers.
+  void add(int sample, const Vector3d& direction, PointRows& numbers) const { of.add(sample, direction, numbers); }
+  /// What numbers are for the coordinates. scratch: the numbers in bind space.
+  void rows(const PointRows& numbers, PointRows& scratch, typename Model::SkinPoints::Rows& out) const {
+    of.map().rows(bones, numbers, scratch, out);
+  }
+};
+
+/// Contacts that begin where the samples' stiffness is above zero. Samples: those of one body, or of several that press
+/// on each other (coupled_simulation.cpp).
+template <class Model, class Samples = PosedSamples<Model>>
 struct ContactTerm {
   using Points = PointStiffness<typename Model::Matrix>;
 
@@ -106,7 +124,7 @@ struct ContactTerm {
   }
 
   /// contacts: by collider, and those of a collider by sample. pressures: of the step before, likewise.
-  void begin(const ContactSamples<Model>& samples, const std::vector<Contact>& contacts, const ContactStep& step,
+  void begin(const Samples& samples, const std::vector<Contact>& contacts, const ContactStep& step,
              const std::vector<Pressure>& pressures) {
     clear();
     distance_ = step.distance;
@@ -122,7 +140,7 @@ struct ContactTerm {
       Vector3d unmoved = Vector3d::Zero();
       double far = contact.point.norm();
       contact.each_sample([&](int sample, double part) {
-        const Vector3d place = samples.unmoved(step.bones, step.weights, sample);
+        const Vector3d place = samples.unmoved(sample);
         unmoved += part * place;
         far += std::abs(part) * place.norm();
       });
@@ -148,8 +166,9 @@ struct ContactTerm {
     }
     offsets_.conservativeResize(numbers_.size());
     if (touching_.empty()) return;
-    samples.map().rows(step.bones, numbers_, scratch_, rows_);
-    if (samples.local()) begin_dents(samples, step);
+    samples.rows(numbers_, scratch_, rows_);
+    if constexpr (std::is_same_v<Samples, PosedSamples<Model>>)
+      if (samples.of.local()) begin_dents(samples.of, samples.weights);
   }
 
   /// Samples that are pushed, where it is.
@@ -248,20 +267,31 @@ struct ContactTerm {
     return deepest;
   }
 
+  /// Calls f(contact, newtons on its sample) for all that push, where it is.
+  template <class F>
+  void each_push(F&& f) const {
+    for (const Touch& touch : touching_) {
+      const Vector3d& normal = touch.contact.normal;
+      Vector3d force = -forces_(touch.row) * normal;
+      if (touch.friction > 0) {
+        const Vector3d across = normal.unitOrthogonal();
+        force -= forces_(touch.row + 1) * across + forces_(touch.row + 2) * normal.cross(across);
+      }
+      if (!force.isZero(0)) f(touch.contact, force);
+    }
+  }
+
   /// Newtons on each collider (C), where it is.
   void forces(std::vector<Vector3d>& on_colliders) const {
-    for (const Touch& touch : touching_) {
-      if (touch.contact.collider == kOwnSkin) continue;  // those sum to zero
-      Vector3d& sum = on_colliders[std::size_t(touch.contact.collider)];
-      const int rows = touch.friction > 0 ? 3 : 1;
-      for (int k = 0; k < rows; ++k) sum += forces_(touch.row + k) * numbers_.total(touch.row + k);
-    }
+    each_push([&](const Contact& contact, const Vector3d& force) {
+      if (contact.collider != kOwnSkin) on_colliders[std::size_t(contact.collider)] -= force;
+    });
   }
 
  private:
   /// k of a contact, N/m. Both sides are pushed by each other's contacts, so that each has half of it.
-  static double firmness(const ContactSamples<Model>& samples, const Contact& contact, const ContactStep& step) {
-    const auto of = [&](int sample) { return samples.stiffness(sample, step.weights, step.square); };
+  static double firmness(const Samples& samples, const Contact& contact, const ContactStep& step) {
+    const auto of = [&](int sample) { return samples.stiffness(sample, step.square); };
     double compliance = 0, others = 0;
     contact.each_sample([&](int sample, double part) {
       if (part > 0) return;
@@ -275,7 +305,7 @@ struct ContactTerm {
   }
 
   /// Lets the skin give way by the patches that the contacts press.
-  void begin_dents(const ContactSamples<Model>& samples, const ContactStep& step) {
+  void begin_dents(const ContactSamples<Model>& samples, const VectorXd& weights) {
     std::vector<int> patches, sample_of(std::size_t(samples.local()->size()), -1);
     for (const Touch& touch : touching_)
       if (touch.presses_patches())
@@ -287,7 +317,7 @@ struct ContactTerm {
     std::sort(patches.begin(), patches.end());
     const Eigen::Index m = Eigen::Index(patches.size());
     VectorXd shape, at_shape, stiffer(m), deepest = VectorXd::Constant(m, width_);
-    blended_shape(samples.model(), step.weights, shape);
+    blended_shape(samples.model(), weights, shape);
     multiply(rows_, shape, at_shape);
     MatrixXd rows = MatrixXd::Zero(Eigen::Index(touching_.size()), m), stiffness(m, m);
     for (std::size_t i = 0; i < touching_.size(); ++i) {
@@ -306,7 +336,7 @@ struct ContactTerm {
       rows.row(Eigen::Index(i)) = samples.local_row(scratch_, touch.row, patches);
     }
     for (Eigen::Index j = 0; j < m; ++j)
-      stiffer(j) = std::sqrt(samples.local_stiffer(sample_of[std::size_t(patches[std::size_t(j)])], step.weights));
+      stiffer(j) = std::sqrt(samples.local_stiffer(sample_of[std::size_t(patches[std::size_t(j)])], weights));
     for (Eigen::Index j = 0; j < m; ++j)
       for (Eigen::Index k = 0; k < m; ++k)
         stiffness(j, k) =

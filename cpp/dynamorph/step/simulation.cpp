@@ -227,26 +227,40 @@ void Simulation<Model>::set_self_contact(std::shared_ptr<const SelfContact<Model
 }
 
 template <class Model>
-void Simulation<Model>::find_contacts(const StepInput& input, const StepRule& rule) {
+PosedSkin Simulation<Model>::posed_skin(const StepInput& input) {
+  const double size = model_->body().size;
+  blended_shape(*model_, input.weights, shape_);
+  return {state_.bones[0],
+          input.bones,
+          input.weights,
+          shape_,
+          state_.q[0],
+          next_,
+          distance_ + kContactNear * size,
+          distance_ + kContactMargin * size};
+}
+
+template <class Model>
+ContactStep Simulation<Model>::contact_step() const {
+  const double size = model_->body().size;
+  return {friction_, own_friction_,        StepRule(options_).square,
+          distance_, kContactWidth * size, kSticks * size * options_.h};
+}
+
+template <class Model>
+void Simulation<Model>::find_contacts(const StepInput& input) {
   contacts_.clear();
   found_.clear();
   unusable_.clear();
   friction_.clear();
   memory_ = state_.contact;
-  const double size = model_->body().size;
   find_at_colliders(input);
   if (self_) {
-    blended_shape(*model_, input.weights, shape_);
-    self_->find({state_.bones[0], input.bones, input.weights, shape_, state_.q[0], next_,
-                 distance_ + kContactNear * size, distance_ + kContactMargin * size},
-                self_scratch_, found_on_self_);
+    self_->find(posed_skin(input), self_scratch_, found_on_self_);
     found_.insert(found_.begin(), found_on_self_.begin(), found_on_self_.end());
   }
   if (found_.empty()) return;
-  contacts_.begin(*samples_, found_,
-                  {input.bones, input.weights, friction_, own_friction_, rule.square, distance_, kContactWidth * size,
-                   kSticks * size * options_.h},
-                  state_.pressures);
+  contacts_.begin({*samples_, input.bones, input.weights}, found_, contact_step(), state_.pressures);
 }
 
 template <class Model>
@@ -411,27 +425,55 @@ double Simulation<Model>::farthest(const Transforms& bones) const {
 
 template <class Model>
 StepReport Simulation<Model>::step(const StepInput& input) {
-  if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
-  check_weights(model_->targets(), model_->body().sets(), input.weights);
-  pose(input.bones, input.weights);
-  const bool teleported = jumps(model_->body(), options_.teleport, input.bones, state_.bones);
-  if (!teleported) return advance(input);
-  before_ = state_;
-  carry_past(model_->body(), input.bones, state_.bones);
-  state_.contact.clear();
-  state_.pressures.clear();
+  begin_step(input);
   try {
-    StepReport report = advance(input);
-    report.teleported = true;
+    StepReport report = solve_step();
+    end_step(input, report);
     return report;
   } catch (...) {
-    state_ = before_;
+    give_up();
     throw;
   }
 }
 
 template <class Model>
-StepReport Simulation<Model>::advance(const StepInput& input) {
+void Simulation<Model>::begin_step(const StepInput& input) {
+  if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
+  check_weights(model_->targets(), model_->body().sets(), input.weights);
+  pose(input.bones, input.weights);
+  teleported_ = jumps(model_->body(), options_.teleport, input.bones, state_.bones);
+  if (teleported_) {
+    before_ = state_;
+    carry_past(model_->body(), input.bones, state_.bones);
+    state_.contact.clear();
+    state_.pressures.clear();
+  }
+  try {
+    prepare(input);
+  } catch (...) {
+    give_up();
+    throw;
+  }
+}
+
+template <class Model>
+StepReport Simulation<Model>::solve_step() {
+  StepReport report = minimize(next_, options_.max_iterations);
+  if (!contacts_.next_round()) return report;
+  const int iterations = report.iterations;  // friction with the pressures that the first round found
+  report = minimize(next_, options_.max_iterations);
+  report.iterations += iterations;
+  return report;
+}
+
+template <class Model>
+void Simulation<Model>::give_up() {
+  if (teleported_) state_ = before_;
+  teleported_ = false;
+}
+
+template <class Model>
+void Simulation<Model>::prepare(const StepInput& input) {
   const Transforms& bones = input.bones;
   const StepRule rule(options_);
   const double h = options_.h;
@@ -454,7 +496,7 @@ StepReport Simulation<Model>::advance(const StepInput& input) {
   }
   grabs_.begin(skin_.get(), input);
   pulls_.begin(limit_.get(), input.weights, next_, kWatched);
-  find_contacts(input, rule);
+  find_contacts(input);
 
   // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h and a constant, symmetric, positive C.
   values(damped_) = values(inertia_.damped) + values(blend_.damping);
@@ -467,24 +509,21 @@ StepReport Simulation<Model>::advance(const StepInput& input) {
   quadratic_.round_off_of_g =
       1e-14 / rule.square * farthest(bones) *
       std::sqrt(model_->body().volume * blend_.mass.density.maxCoeff() * values(inertia_.mass).cwiseAbs().maxCoeff());
+}
 
-  StepReport report = minimize(next_, options_.max_iterations);
-  if (contacts_.next_round()) {  // friction with the pressures that the first one found
-    const int iterations = report.iterations;
-    report = minimize(next_, options_.max_iterations);
-    report.iterations += iterations;
-  }
+template <class Model>
+void Simulation<Model>::end_step(const StepInput& input, StepReport& report) {
+  report.teleported = teleported_;
   report_contacts(input, report);
   contacts_.dents(dents_);
   std::rotate(state_.q.rbegin(), state_.q.rbegin() + 1, state_.q.rend());
   std::rotate(state_.bones.rbegin(), state_.bones.rbegin() + 1, state_.bones.rend());
   state_.q[0] = next_;
-  state_.bones[0] = bones;
+  state_.bones[0] = input.bones;
   state_.excess = excess_;
   state_.contact = memory_;
   contacts_.pressures(state_.pressures);
   weights_ = input.weights;
-  return report;
 }
 
 template <class Model>
@@ -494,16 +533,24 @@ void Simulation<Model>::require_pose() const {
 }
 
 template <class Model>
-StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
+typename Simulation<Model>::Sum Simulation<Model>::sum() {
   elastic_.begin(*model_, blend_, quadratic_.origin.norm(), options_.tolerance);
-  Potential<Matrix, decltype(quadratic_), decltype(elastic_), decltype(grabs_), decltype(pulls_), decltype(contacts_)>
-      potential(quadratic_, elastic_, grabs_, pulls_, contacts_);
+  return Sum(quadratic_, elastic_, grabs_, pulls_, contacts_);
+}
+
+template <class Model>
+StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
+  Sum potential = sum();
   const auto ask = [&] {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();
   };
   const double negligible = options_.tolerance * model_->body().size * model_->meter();
-  const NewtonReport found = dynamorph::minimize(
-      potential, newton_, q, {options_.tolerance, negligible, max_iterations, contacts_.empty()}, ask);
+  return report(dynamorph::minimize(potential, newton_, q,
+                                    {options_.tolerance, negligible, max_iterations, contacts_.empty()}, ask));
+}
+
+template <class Model>
+StepReport Simulation<Model>::report(const NewtonReport& found) {
   if (found.broken)
     throw Error("A step failed because a force is not finite. Check the rig and the materials at this frame.");
   StepReport report;

@@ -40,6 +40,9 @@ struct State {
 /// Throws std::invalid_argument unless the weights of every target set are >= 0 and sum to one.
 void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eigen::Ref<const VectorXd>& weights);
 
+template <class Model>
+class CoupledSimulation;
+
 struct StepReport {
   int iterations = 0;  ///< of Newton's method
   /// Whether the gradient was within the tolerance of the forces, or Newton's last step within the tolerance of the
@@ -48,11 +51,12 @@ struct StepReport {
   double residual = 0;  ///< gradient relative to the largest force term
   double energy = 0;    ///< elastic energy, J
   bool teleported = false;
-  double excess = 0;       ///< the largest of the state's; above 1/2 the load of that bone was held back
-  int excess_bone = -1;    ///< whose it is; -1 without a motion limit
-  double farthest = 0;     ///< of a point from its targets' shape, relative to its limit, before Newton's method
-  int pulled = 0;          ///< 1 where anything was so far that a motion limit pulled it back
-  int contacts = 0;        ///< samples that are pushed
+  double excess = 0;     ///< the largest of the state's; above 1/2 the load of that bone was held back
+  int excess_bone = -1;  ///< whose it is; -1 without a motion limit
+  double farthest = 0;   ///< of a point from its targets' shape, relative to its limit, before Newton's method
+  int pulled = 0;        ///< 1 where anything was so far that a motion limit pulled it back
+  Vector3d body_force = Vector3d::Zero();  ///< newtons that other soft bodies push it with
+  int contacts = 0;                        ///< samples that are pushed
   double penetration = 0;  ///< the largest depth of a sample under a surface, meters, where the bones leave it room
   double too_deep = 0;     ///< how much deeper the bones take a sample into a collider than it can give way, meters
   int too_deep_sample = -1, too_deep_collider = -1;  ///< which ones; -1 where nothing is too deep
@@ -118,11 +122,24 @@ class Simulation {
   const typename Model::Blend& blend() const { return blend_; }
 
  private:
+  friend class CoupledSimulation<Model>;
   using Matrix = typename Model::Matrix;
+  using Sum = Potential<Matrix, QuadraticTerm<Matrix>, ElasticTerm<Model>, GrabTerm<Model>, PullTerm<Model>,
+                        ContactTerm<Model>>;
 
   void pose(const Transforms& bones, const VectorXd& weights);
-  /// Takes a step that is posed and checked, and in which the rig does not jump.
-  StepReport advance(const StepInput& input);
+  /// Its skin in that step, for contacts of skin with skin.
+  PosedSkin posed_skin(const StepInput& input);
+  ContactStep contact_step() const;
+  /// The first part of a step: all that its potential is made of. If this, or what comes after it, fails, `give_up`
+  /// makes it as if the step had not begun.
+  void begin_step(const StepInput& input);
+  void give_up();
+  /// Moves next_ to the minimum.
+  StepReport solve_step();
+  /// The last part, at the minimum.
+  void end_step(const StepInput& input, StepReport& report);
+  void prepare(const StepInput& input);
   /// Sets g of the quadratic term to the forces at its origin: inertia's toward `inertial` divided by `square` s^2,
   /// external forces on the nodes if there are any, and gravity in the targets' own poses.
   /// scales: of the transforms' loads (T), for external forces.
@@ -138,12 +155,16 @@ class Simulation {
   /// contact. Returns whether there are any.
   bool place_samples(const StepInput& input, double margin);
   /// Decides what can touch what in that step.
-  void find_contacts(const StepInput& input, const StepRule& rule);
+  void find_contacts(const StepInput& input);
   void find_at_colliders(const StepInput& input);
   /// Adds what the contacts do at next_.
   void report_contacts(const StepInput& input, StepReport& report);
-  /// Moves q to the minimum of the sum of the terms.
+  /// The sum of the terms, for a Newton's method that begins.
+  Sum sum();
+  /// Moves q to the minimum of that.
   StepReport minimize(VectorXd& q, int max_iterations);
+  /// What Newton's method found; throws Error where that broke.
+  StepReport report(const NewtonReport& found);
   void require_pose() const;
   double farthest(const Transforms& bones) const;
 
@@ -152,6 +173,7 @@ class Simulation {
   State state_;
   VectorXd weights_;  ///< of the last start() or step()
   State before_;      ///< before a jump, in case the step fails
+  bool teleported_ = false;
   typename Model::Blend blend_;
   typename Model::Inertia inertia_;
   Matrix damped_;

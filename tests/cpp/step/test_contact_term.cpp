@@ -61,9 +61,10 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
       contacts.push_back({p, c, x + depth * normal, normal, x, 0.004 * normal.unitOrthogonal() * (1 + p % 5), 0.7, -1});
       if (c == 0) pressures.push_back({p, 0, normal, 0.1 * (p % 7)});
     }
-  const ContactStep step{bones, kBetween, friction, 0.5, 1e-4, 0, kWidth, 0.01};
+  const ContactStep step{friction, 0.5, 1e-4, 0, kWidth, 0.01};
+  const PosedSamples<Model> posed{samples, bones, kBetween};
   AtFirst<Model> term;
-  term.begin(samples, contacts, step, pressures);
+  term.begin(posed, contacts, step, pressures);
   typename Model::Blend blend;
   model->blend(kBetween, blend);
   typename Model::Matrix K = model->zero();
@@ -94,7 +95,7 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
   if (local) {  // skin on skin leaves the patches alone
     const auto on_skin = [](const Contact& contact) { return contact.collider == kOwnSkin; };
     contacts.erase(std::partition(contacts.begin(), contacts.end(), on_skin), contacts.end());
-    term.begin(samples, contacts, step, pressures);
+    term.begin(posed, contacts, step, pressures);
     term.at(shape);
     VectorXd dents(local->size());
     term.dents(dents);
@@ -102,7 +103,7 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
     CHECK(term.count() > 0);
   }
   contacts.resize(0);
-  term.begin(samples, contacts, step, pressures);
+  term.begin(posed, contacts, step, pressures);
   CHECK(term.empty());
   CHECK_FALSE(term.next_round());
   term.at(shape);

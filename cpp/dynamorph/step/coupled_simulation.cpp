@@ -1,0 +1,280 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/step/coupled_simulation.hpp"
+
+#include <algorithm>
+
+#include "dynamorph/core/progress.hpp"
+
+namespace dynamorph {
+
+/// `PosedSamples` of several bodies: their samples, and the vertices of their skins, follow each other in their
+/// numbers.
+template <class Model>
+class JointSamples {
+ public:
+  using Matrix = typename Model::Matrix;
+  using Rows = typename Model::SkinPoints::Rows;
+
+  JointSamples(std::vector<PosedSamples<Model>> bodies, const JointLayout<Matrix>& layout)
+      : bodies_(std::move(bodies)), layout_(layout) {}
+
+  double stiffness(int sample, double square) const {
+    const auto [body, own] = find(sample);
+    return bodies_[body].stiffness(own, square);
+  }
+  Vector3d unmoved(int sample) const {
+    const auto [body, own] = find(sample);
+    return bodies_[body].unmoved(own);
+  }
+  void add(int sample, const Vector3d& direction, PointRows& numbers) const {
+    auto [body, own] = find(sample);
+    int first = 0;
+    for (std::size_t before = 0; before < body; ++before) first += int(bodies_[before].of.map().size());
+    bodies_[body].of.points().each_corner(own,
+                                          [&](int v, double weight) { numbers.add(first + v, weight * direction); });
+  }
+  void rows(const PointRows& numbers, PointRows& scratch, Rows& out) const {
+    std::vector<Rows> own(bodies_.size());
+    std::vector<const Rows*> all;
+    int first = 0;
+    for (std::size_t body = 0; body < bodies_.size(); ++body) {
+      const int end = first + int(bodies_[body].of.map().size());
+      PointRows part;
+      for (int row = 0; row < numbers.size(); ++row) {
+        part.add_row();
+        for (int k = numbers.first(row); k < numbers.first(row + 1); ++k)
+          if (numbers.point(k) >= first && numbers.point(k) < end)
+            part.add(numbers.point(k) - first, numbers.direction(k));
+      }
+      bodies_[body].rows(part, scratch, own[body]);
+      all.push_back(&own[body]);
+      first = end;
+    }
+    layout_.join(all, out);
+  }
+
+ private:
+  /// The body of a sample, and its number there.
+  std::pair<std::size_t, int> find(int sample) const {
+    std::size_t body = 0;
+    for (; sample >= int(bodies_[body].of.size()); ++body) sample -= int(bodies_[body].of.size());
+    return {body, sample};
+  }
+
+  std::vector<PosedSamples<Model>> bodies_;
+  const JointLayout<Matrix>& layout_;
+};
+
+/// The potentials of all bodies and their contacts, for Newton's method: a `Potential` over the coordinates of all.
+template <class Model>
+class CoupledSimulation<Model>::Sum {
+ public:
+  using Rows = typename Model::SkinPoints::Rows;
+
+  explicit Sum(CoupledSimulation& of) : of_(of) {
+    for (const auto& body : of.bodies_) sums_.push_back(body.simulation->sum());
+  }
+
+  double value(const VectorXd& all) {
+    of_.contacts_.at(all);
+    double out = of_.contacts_.value();
+    for (std::size_t body = 0; body < sums_.size(); ++body) {
+      of_.layout_.take(all, body, own_);
+      out += sums_[body].value(own_);
+    }
+    return out;
+  }
+
+  void linearize(const VectorXd& all, Linearization& out) {
+    of_.contacts_.at(all);
+    out.gradient = of_.contacts_.gradient();
+    out.value = out.magnitude = of_.contacts_.value();
+    out.round_off = of_.contacts_.round_off();
+    VectorXd gradient = VectorXd::Zero(all.size());
+    for (std::size_t body = 0; body < sums_.size(); ++body) {
+      of_.layout_.take(all, body, own_);
+      sums_[body].linearize(own_, part_);
+      of_.layout_.put(part_.gradient, body, gradient);
+      out.value += part_.value;
+      out.magnitude += part_.magnitude;
+      out.round_off = out.round_off + part_.round_off;
+    }
+    out.gradient += gradient;
+  }
+
+  void hessian(Hessian<Matrix>& out) {
+    points_.clear();
+    for (std::size_t body = 0; body < sums_.size(); ++body) {
+      Hessian<Matrix>& own = of_.bodies_[body].simulation->newton_.hessian;
+      sums_[body].hessian(own);
+      of_.layout_.put(own.base, body, out.base);
+      std::vector<const Rows*> rows(sums_.size());
+      for (const auto* each : own.points) {
+        rows[body] = &each->rows;
+        points_.emplace_back();
+        points_.back().stiffness = each->stiffness;
+        of_.layout_.join(rows, points_.back().rows);
+      }
+    }
+    out.points.clear();
+    for (const auto& each : points_) out.points.push_back(&each);
+    if (const auto& contacts = of_.contacts_.hessian(); contacts.stiffness.size() > 0) out.points.push_back(&contacts);
+  }
+
+ private:
+  CoupledSimulation& of_;
+  std::vector<typename Simulation<Model>::Sum> sums_;
+  VectorXd own_;
+  Linearization part_;
+  std::vector<PointStiffness<Matrix>> points_;  ///< that bodies have of their own
+};
+
+template <class Model>
+std::vector<typename Model::Matrix> patterns(const std::vector<CoupledBody<Model>>& bodies) {
+  if (bodies.size() < 2) throw std::invalid_argument("coupling: expected two bodies at least");
+  std::vector<typename Model::Matrix> out;
+  for (const auto& body : bodies) out.push_back(body.simulation->model().zero());
+  return out;
+}
+
+template <class Model>
+CoupledSimulation<Model>::CoupledSimulation(std::vector<CoupledBody<Model>> bodies, double friction)
+    : bodies_(std::move(bodies)), friction_(friction), layout_(patterns(bodies_)), scratch_(bodies_.size()) {
+  if (!(friction >= 0) || !std::isfinite(friction))
+    throw std::invalid_argument("friction: must be finite and not negative");
+  const StepOptions& first = bodies_[0].simulation->options();
+  for (const auto& [simulation, skin] : bodies_) {
+    const StepOptions& options = simulation->options();
+    if (options.h != first.h || options.integrator != first.integrator)
+      throw std::invalid_argument("coupling: the bodies must have the same time step and integrator");
+    if (!skin || &skin->samples() != simulation->samples_.get())
+      throw std::invalid_argument("coupling: the skin of a body must be that of its simulation's contact");
+  }
+  newton_.hessian.base = layout_.zero();
+}
+
+template <class Model>
+void CoupledSimulation<Model>::forget() {
+  newton_.solver.forget();
+  for (const auto& body : bodies_) body.simulation->forget();
+}
+
+template <class Model>
+std::vector<StepReport> CoupledSimulation<Model>::step(const std::vector<StepInput>& inputs) {
+  if (inputs.size() != bodies_.size())
+    throw std::invalid_argument("coupling: expected the input of " + std::to_string(bodies_.size()) + " bodies, got " +
+                                std::to_string(inputs.size()));
+  std::vector<StepReport> reports;
+  std::size_t begun = 0;
+  try {
+    for (; begun < bodies_.size(); ++begun) bodies_[begun].simulation->begin_step(inputs[begun]);
+    find_contacts(inputs);
+    reports = solve();
+  } catch (...) {
+    for (std::size_t body = 0; body < begun; ++body) bodies_[body].simulation->give_up();
+    throw;
+  }
+  for (std::size_t body = 0; body < bodies_.size(); ++body)
+    bodies_[body].simulation->end_step(inputs[body], reports[body]);
+  report_contacts(reports);
+  return reports;
+}
+
+template <class Model>
+void CoupledSimulation<Model>::find_contacts(const std::vector<StepInput>& inputs) {
+  std::vector<typename SelfContact<Model>::Body> skins;
+  std::vector<PosedSamples<Model>> samples;
+  std::vector<double> none;
+  ContactStep step = bodies_[0].simulation->contact_step();
+  int first = 0;
+  for (std::size_t body = 0; body < bodies_.size(); ++body) {
+    const auto& [simulation, skin] = bodies_[body];
+    skins.push_back({*skin, simulation->posed_skin(inputs[body]), scratch_[body], first});
+    samples.push_back({skin->samples(), inputs[body].bones, inputs[body].weights});
+    first += int(skin->samples().size());
+    const ContactStep own = simulation->contact_step();
+    step.distance = std::max(step.distance, own.distance);
+    step.width = std::min(step.width, own.width);
+    step.sticks = std::min(step.sticks, own.sticks);
+  }
+  step.own_friction = friction_;
+  SelfContact<Model>::find_between(skins, found_);
+  contacts_.clear();
+  if (!found_.empty()) contacts_.begin(JointSamples<Model>(std::move(samples), layout_), found_, step, {});
+}
+
+template <class Model>
+std::vector<StepReport> CoupledSimulation<Model>::solve() {
+  std::vector<StepReport> reports;
+  if (contacts_.empty()) {
+    for (const auto& body : bodies_) reports.push_back(body.simulation->solve_step());
+    return reports;
+  }
+  NewtonLimits limits{kInfinity, kInfinity, 0, false};
+  all_.resize(layout_.dofs());
+  for (std::size_t body = 0; body < bodies_.size(); ++body) {
+    const Simulation<Model>& simulation = *bodies_[body].simulation;
+    const StepOptions& options = simulation.options();
+    layout_.put(simulation.next_, body, all_);
+    limits.tolerance = std::min(limits.tolerance, options.tolerance);
+    limits.step =
+        std::min(limits.step, options.tolerance * simulation.model().body().size * simulation.model().meter());
+    limits.iterations = std::max(limits.iterations, options.max_iterations);
+  }
+  const auto ask = [&] {
+    for (const auto& body : bodies_)
+      if (const auto& keep_going = body.simulation->options().keep_going; keep_going && !keep_going())
+        throw Cancelled();
+  };
+  const auto minimize = [&] {
+    Sum sum(*this);
+    return dynamorph::minimize(sum, newton_, all_, limits, ask);
+  };
+  NewtonReport found = minimize();
+  bool again = contacts_.next_round();
+  for (const auto& body : bodies_) again |= body.simulation->contacts_.next_round();
+  if (again) {
+    const int iterations = found.iterations;
+    found = minimize();
+    found.iterations += iterations;
+  }
+  for (std::size_t body = 0; body < bodies_.size(); ++body) {
+    Simulation<Model>& simulation = *bodies_[body].simulation;
+    reports.push_back(simulation.report(found));
+    layout_.take(all_, body, simulation.next_);
+  }
+  return reports;
+}
+
+template <class Model>
+void CoupledSimulation<Model>::report_contacts(std::vector<StepReport>& reports) const {
+  contacts_.each_push([&](const Contact& contact, const Vector3d& force) {
+    const std::size_t body = owner(contact.sample), other = owner(contact.others.samples[0]);
+    reports[body].body_force += force;
+    reports[other].body_force -= force;
+    ++reports[body].contacts;
+  });
+  for (const Contact& contact : found_) {
+    const std::size_t body = owner(contact.sample);
+    StepReport& report = reports[body];
+    if (!(contact.too_deep > report.too_deep)) continue;
+    report.too_deep = contact.too_deep;
+    report.too_deep_sample = contact.sample;
+    for (std::size_t before = 0; before < body; ++before)
+      report.too_deep_sample -= int(bodies_[before].skin->samples().size());
+    report.too_deep_collider = kOwnSkin - 1 - int(owner(contact.others.samples[0]));
+  }
+}
+
+template <class Model>
+std::size_t CoupledSimulation<Model>::owner(int sample) const {
+  std::size_t body = 0;
+  for (; sample >= int(bodies_[body].skin->samples().size()); ++body)
+    sample -= int(bodies_[body].skin->samples().size());
+  return body;
+}
+
+template class CoupledSimulation<FullModel>;
+template class CoupledSimulation<ReducedModel>;
+
+}  // namespace dynamorph

@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Soft bodies that press on each other take their steps together. A step minimizes the sum of their potentials and of
+// the contacts between them,
+//
+//   Phi(q_1, ..., q_n) = sum_i Phi_i(q_i) + sum of contacts,
+//
+// by one Newton's method over the coordinates of all, so that each gives way by its own compliance and the forces
+// between them sum to zero. Contacts are found as those of a body with itself (self_contact.hpp), from the poses alone,
+// with both bodies in either part: the order of the bodies does not matter.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "dynamorph/step/joint_layout.hpp"
+#include "dynamorph/step/simulation.hpp"
+
+namespace dynamorph {
+
+/// A soft body among others.
+template <class Model>
+struct CoupledBody {
+  Simulation<Model>* simulation;                   ///< must outlive the coupling
+  std::shared_ptr<const SelfContact<Model>> skin;  ///< of the samples of its contact
+};
+
+template <class Model>
+class JointSamples;
+
+template <class Model>
+class CoupledSimulation {
+ public:
+  /// Throws std::invalid_argument unless there are two bodies at least, with the same time step and integrator, and
+  /// each skin is that of its simulation's contact. friction: of skin on skin.
+  CoupledSimulation(std::vector<CoupledBody<Model>> bodies, double friction);
+
+  /// Takes one step of all to where their bones and weights are at its end. If it fails, none has moved. In the
+  /// reports, the collider of what is too deep in body b is -2 - b.
+  std::vector<StepReport> step(const std::vector<StepInput>& inputs);
+
+  /// As of `Simulation`, of all.
+  void forget();
+
+ private:
+  using Matrix = typename Model::Matrix;
+  class Sum;
+
+  /// The potentials of all are there: finds their minimum.
+  std::vector<StepReport> solve();
+  void find_contacts(const std::vector<StepInput>& inputs);
+  void report_contacts(std::vector<StepReport>& reports) const;
+  /// Which body a sample of all belongs to.
+  std::size_t owner(int sample) const;
+
+  std::vector<CoupledBody<Model>> bodies_;
+  double friction_;
+  JointLayout<Matrix> layout_;
+  std::vector<typename SelfContact<Model>::Scratch> scratch_;
+  std::vector<Contact> found_;
+  ContactTerm<Model, JointSamples<Model>> contacts_;
+  NewtonScratch<Matrix> newton_;
+  VectorXd all_;
+};
+
+extern template class CoupledSimulation<FullModel>;
+extern template class CoupledSimulation<ReducedModel>;
+
+}  // namespace dynamorph

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Two soft blocks, each a body of its own, that run into each other."""
+
+from types import SimpleNamespace
+
+import dynamorph
+import numpy as np
+import pytest
+from scenes import bar
+from test_contact import surface
+
+H = 1 / 96
+SIDES, HIGH, GAP = 0.3, 0.15, 0.1
+
+
+def block(solver, upper, held=False, stiff=1.0):
+    """The lower or the upper one. held: the far side is."""
+    nodes, tets = bar((6, 6, 3), (SIDES, SIDES, HIGH))
+    nodes = nodes - [SIDES / 2, SIDES / 2, HIGH]
+    z = -HIGH / 2
+    if upper:
+        nodes = nodes * [1.0, 1.0, -1.0] + [0.0, 0.0, GAP]
+        tets, z = tets[:, [0, 2, 1, 3]].astype(np.int32), GAP + HIGH / 2
+    held_nodes = (np.abs(nodes[:, 2] - GAP / 2) > HIGH + GAP / 2 - 1e-6) & held
+    s = SimpleNamespace(mesh=dynamorph.TetMesh(nodes, tets), upper=upper)
+    ones = np.ones(len(tets))
+    weights = np.ones((len(nodes), 1))
+    s.body = dynamorph.SoftBody(s.mesh, ones, ones, ones[:, None], held_nodes, weights)
+    target = dynamorph.MorphTarget("rest", 0 * nodes, lame_lambda=stiff * 4e4, lame_mu=stiff * 1e4,
+                                   density=1000.0, stiffness_damping=0.004)  # fmt: skip
+    law = dynamorph.MaterialModel.LINEAR
+    s.model = full = dynamorph.FullModel(s.body, [target], law, dynamorph.Blending.EVEN)
+    if solver == "REDUCED":
+        basis = dynamorph.make_response_basis(full, 10, 20)
+        s.model = dynamorph.ReducedModel(s.body, [target], dynamorph.reduce(full, basis), dynamorph.Blending.EVEN)
+    faces = surface(tets)
+    normals = np.zeros_like(nodes)
+    across = np.cross(nodes[faces[:, 1]] - nodes[faces[:, 0]], nodes[faces[:, 2]] - nodes[faces[:, 0]])
+    np.add.at(normals, faces.ravel(), np.repeat(across, 3, axis=0))
+    skin = np.unique(faces)
+    prefix = "Full" if solver == "FULL" else "Reduced"
+    s.kind = {name: getattr(dynamorph, prefix + name) for name in ("Contact", "SelfContact", "Simulation", "Coupling")}
+    points = nodes[skin]
+    s.contact = s.kind["Contact"](s.model, points, dynamorph.embed(s.mesh, points), weights[skin], normals[skin],
+                                  np.full(len(points), HIGH / 2))  # fmt: skip
+    centers = np.array([[x, y, z] for x in np.linspace(-0.09, 0.09, 10) for y in np.linspace(-0.09, 0.09, 10)])
+    s.skin = s.kind["SelfContact"](s.contact, centers, np.full(100, HIGH / 2), dynamorph.embed(s.mesh, centers),
+                                   np.ones((100, 1)), np.arange(len(points)), np.zeros(100, int),
+                                   np.zeros(len(points), int))  # fmt: skip
+    s.nodes = nodes
+    facing = GAP if upper else 0.0
+    s.facing = np.flatnonzero((np.abs(nodes[:, :2]) < 0.06).all(axis=1) & (np.abs(nodes[:, 2] - facing) < 1e-6))
+    return s
+
+
+def posed(down=0.0, aside=0.0):
+    bones = np.eye(4)[None, :3].copy()
+    bones[0, :2, 3], bones[0, 2, 3] = aside, -down
+    return bones
+
+
+def simulation_of(s, now=None, then=None):
+    made = s.kind["Simulation"](s.model, H)
+    made.set_contact(s.contact)
+    now = posed() if now is None else now
+    made.start(now, now if then is None else then, np.ones(1))
+    return made
+
+
+def motion(bones):
+    return bones[None], np.ones((1, 1)), None, None, None
+
+
+def pressed(lower, upper, down, steps=60, order=1, friction=0.0, aside=0.0):
+    """The upper block comes down in 20 steps, and to the side in 20 more. Returns displacements, and reports."""
+    bodies = [lower, upper][::order]
+    simulations = {id(s): simulation_of(s) for s in bodies}
+    coupling = lower.kind["Coupling"]([(simulations[id(s)], s.skin) for s in bodies], friction)
+    reports = []
+    for k in range(1, steps + 1):
+        now = posed(down * min(1.0, k / 20), aside * min(1.0, max(0.0, k / 20 - 1)))
+        reports.append(coupling.advance([motion(now if s.upper else posed()) for s in bodies])[::order])
+    moved = [s.model.displacement(simulations[id(s)].coordinates) for s in (lower, upper)]
+    return moved, reports, simulations
+
+
+@pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
+def test_both_bodies_give_way_by_their_compliance(solver):
+    """A tenth of the overlap is left at most, and of two blocks, the softer one takes more of it."""
+    lower, upper = block(solver, False, held=True, stiff=3.0), block(solver, True, held=True)
+    overlap = 0.02
+    moved, reports, _ = pressed(lower, upper, GAP + overlap)
+    assert all(report["converged"] for pair in reports for report in pair)
+    down, up = -moved[0][lower.facing, 2].mean(), moved[1][upper.facing, 2].mean()
+    assert 0.9 * overlap < down + up < 1.1 * overlap
+    assert up / down == pytest.approx(3.0, rel=0.05)
+    assert reports[-1][0]["contacts"] > 0 and reports[-1][1]["contacts"] > 0
+
+
+@pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
+def test_it_does_not_depend_on_the_order(solver):
+    lower, upper = block(solver, False, held=True, stiff=3.0), block(solver, True, held=True)
+    first, _, _ = pressed(lower, upper, GAP + 0.02, friction=0.5, aside=0.02)
+    second, _, _ = pressed(lower, upper, GAP + 0.02, order=-1, friction=0.5, aside=0.02)
+    for one, other in zip(first, second, strict=True):
+        assert np.abs(one - other).max() < 1e-5 * np.abs(one).max()
+
+
+def test_the_forces_between_them_sum_to_zero():
+    """Free blocks that begin within each other fly apart, and their common center of mass stays."""
+    bodies, nothing = [block("FULL", False, stiff=2.0), block("FULL", True)], np.zeros(0)
+    simulations, places = [simulation_of(s) for s in bodies], [posed((GAP + 0.02) * s.upper) for s in bodies]
+    for s, made, place in zip(bodies, simulations, places, strict=True):
+        made.state = [np.zeros(s.model.dofs)] * 4, [place.reshape(-1, 12)] * 4, nothing, nothing
+    coupling = bodies[0].kind["Coupling"]([(made, s.skin) for s, made in zip(bodies, simulations, strict=True)])
+    largest = 0.0
+    for _ in range(30):
+        pair = coupling.advance([motion(place) for place in places])
+        forces = np.array([report["body_force"] for report in pair])
+        largest = max(largest, np.abs(forces).max())
+        assert np.abs(forces.sum(axis=0)).max() <= 1e-6 * np.abs(forces).max()
+    pushed = [s.body.volumes.sum(axis=1) @ s.model.displacement(made.coordinates)[s.body.free_nodes]
+              for s, made in zip(bodies, simulations, strict=True)]  # fmt: skip
+    assert largest > 10.0 and pushed[0][2] < -0.01 * bodies[0].body.volumes.sum() / 2
+    assert np.abs(pushed[0] + pushed[1]).max() < 1e-6 * np.abs(pushed[0]).max()
+
+
+def test_bodies_that_do_not_meet_move_as_they_do_alone():
+    lower, upper = block("FULL", False, held=True), block("FULL", True, held=True)
+    moved, _, simulations = pressed(lower, upper, 0.05, steps=20)
+    alone = simulation_of(upper)
+    for k in range(1, 21):
+        alone.advance(posed(0.05 * (k / 20))[None], np.ones((1, 1)))
+    assert np.array_equal(alone.coordinates, simulations[id(upper)].coordinates)
+    assert not moved[0].any()
+
+
+def test_it_goes_on_from_kept_states():
+    lower, upper = block("REDUCED", False, held=True), block("REDUCED", True, held=True)
+    bodies = lower, upper
+    _, _, simulations = pressed(lower, upper, GAP + 0.02, steps=15)
+    others = {id(s): simulation_of(s) for s in bodies}
+    for s in bodies:
+        others[id(s)].state = simulations[id(s)].state
+    down = posed(GAP + 0.02)
+    for each in (simulations, others):
+        coupling = lower.kind["Coupling"]([(each[id(s)], s.skin) for s in bodies])
+        coupling.advance([motion(down if s.upper else posed()) for s in bodies])
+    for s in bodies:
+        assert np.array_equal(simulations[id(s)].coordinates, others[id(s)].coordinates)
+
+
+def test_what_does_not_fit_is_refused():
+    lower, upper = block("FULL", False), block("FULL", True)
+    one, other = simulation_of(lower), simulation_of(upper)
+    kind = lower.kind["Coupling"]
+    for bodies, text in (
+        ([(one, lower.skin)], "two bodies"),
+        ([(one, lower.skin), (one, lower.skin)], "each body must be there once"),
+        ([(one, lower.skin), (other, lower.skin)], "that of its simulation's contact"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            kind(bodies)
+    slower = dynamorph.FullSimulation(upper.model, 2 * H)
+    slower.set_contact(upper.contact)
+    with pytest.raises(ValueError, match="time step"):
+        kind([(one, lower.skin), (slower, upper.skin)])
+    with pytest.raises(ValueError, match="friction"):
+        kind([(one, lower.skin), (other, upper.skin)], -1.0)
+    coupling, before = kind([(one, lower.skin), (other, upper.skin)]), one.coordinates
+    with pytest.raises(ValueError, match="of 2 bodies"):
+        coupling.advance([motion(posed())])
+    with pytest.raises(ValueError, match="weights"):  # the second one: the first has not moved
+        coupling.advance([motion(posed(0.01)), (posed()[None], np.full((1, 1), 2.0), None, None, None)])
+    assert np.array_equal(one.coordinates, before)
