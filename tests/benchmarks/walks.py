@@ -147,7 +147,7 @@ def repeat(job) -> tuple[np.ndarray, list[float]]:
         frames = [first, *player.play(job.computation.rig[1:], settings.simulated[1:])]
         cycles.append([frame.coordinates for frame in frames])
         gaps.append(player.gap(frames[0], frames[-1]) / player.size)
-        first = player.begin_again(job.computation.rig, frames[-1])
+        first = loops.begin_again(player, job.computation.rig, frames[-1])
     return np.array(cycles), gaps
 
 

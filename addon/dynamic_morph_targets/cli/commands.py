@@ -7,7 +7,7 @@ import argparse
 import json
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, fields
 from itertools import combinations
 from pathlib import Path
@@ -22,9 +22,9 @@ from ..core.material import fit, oscillation
 from ..core.result import compare
 from ..core.settings import MOST_SUBSTEPS, VARIANTS, Material, ModelSettings
 from ..io import cache_dir, disk, outputs, paths, report_page
-from ..run import batch, expected_error, export_actions, full_comparison
+from ..run import batch, export_actions, full_comparison
 from ..run.job import Job
-from ..scene import checks, extract, mesh_data, model_store, run_settings, skin, staleness
+from ..scene import checks, colliders, extract, mesh_data, model_store, run_settings, skin
 from ..scene.skinning import Skinning
 from ..scene.source import Source
 from ..write.bake import writer
@@ -67,10 +67,11 @@ def run_job(args: argparse.Namespace) -> None:
         apply_settings(args, obj)
     beside: dict[Path, Path] = {}  # point caches, and where they are until the .blend is saved
     try:
-        for obj in objects:
-            done = work_on(args, obj, folder, files, beside)
-            say(done)
-            args.done.append(done)
+        together = args.goal == "BAKE" and args.clips != "actions"
+        for group in colliders.pressing(objects) if together else [[obj] for obj in objects]:
+            for done in work_on(args, group, folder, files, beside):
+                say(done)
+                args.done.append(done)
         seconds = save(args, beside) if args.output or args.in_place else 0.0
     finally:
         for written in beside.values():
@@ -82,20 +83,33 @@ def run_job(args: argparse.Namespace) -> None:
 
 
 def work_on(
-    args: argparse.Namespace, obj: bpy.types.Object, folder: Path, files: dict[str, Path], beside: dict[Path, Path]
-) -> Done:
-    """Build or bake one object, and write its file for other programs if that is asked for; folder, files: where what
-    is written goes; beside: gets the point caches that wait for the .blend.
+    args: argparse.Namespace,
+    objects: list[bpy.types.Object],
+    folder: Path,
+    files: dict[str, Path],
+    beside: dict[Path, Path],
+) -> Iterator[Done]:
+    """Build or bake an object, or all that press on each other, and write their files for other programs if that is
+    asked for; folder, files: where what is written goes; beside: gets the point caches that wait for the .blend.
     """
     caches = cache_dir.CacheDir(args.cache_dir.absolute()) if args.cache_dir else None
     rebuild = args.goal == "BUILD" and caches is None
     goal = "BUILD" if args.clips == "actions" else args.goal  # clips are simulated while they are written
     frames = tuple(args.frames) if args.frames else None
-    job = Job(obj, goal, frames, args.substeps, folder, rebuild=rebuild, cache_dir=caches, cache_files=files)
+    options = {"rebuild": rebuild, "cache_dir": caches, "cache_files": files}
+    jobs = [Job(obj, goal, frames, args.substeps, folder, **options) for obj in objects]
     tick = ProgressPrinter(args.progress == "openjd")
-    batch.run_all(batch.Batch([job], goal), tick)
-    beside |= job.outcome.beside
-    warnings = list(job.warnings)
+    batch.run_all(batch.Batch(jobs, goal), tick)
+    for obj, job in zip(objects, jobs, strict=True):
+        beside |= job.outcome.beside
+        yield Done(job, [*job.warnings, *_worked(args, obj, job, tick, files)])
+
+
+def _worked(
+    args: argparse.Namespace, obj: bpy.types.Object, job: Job, tick: ProgressPrinter, files: dict[str, Path]
+) -> list[str]:
+    """What is to be done with a result; returns warnings."""
+    warnings: list[str] = []
     if process.leaves_python_out():
         option = "--enable-autoexec" if hasattr(args, "enable_autoexec") else "-y before -c"
         text = "The file has Python, such as drivers, that did not run, so the motion may be another one"
@@ -106,7 +120,7 @@ def work_on(
     if format_of(args) in exports.FORMATS:
         first, last = job.outcome.bake.frames[[0, -1]] if job.input.is_bake else (0, 0)
         warnings += export(args, obj, files[obj.name], (math.ceil(first), math.floor(last)))
-    return Done(job, warnings)
+    return warnings
 
 
 def say(done: Done) -> None:
@@ -351,40 +365,6 @@ def run_delete_bake(args: argparse.Namespace) -> None:
             print(f"{obj.name}: warning: {text}")
         print(f"{obj.name}: {removed} removed")
     save(args)
-
-
-def run_info(args: argparse.Namespace) -> None:
-    for obj in chosen_objects(args):
-        settings = obj.dynamorph
-        print(f"{obj.name}: {', '.join(target.name for target in settings.targets)}")
-        print(f"  model: {settings.model.summary or 'none'}")
-        expected = expected_error.known(obj)
-        if expected is not None:
-            print(f"  expected error: {100 * expected:.0f} % of the motion")
-        try:
-            reasons = "; ".join(model_store.stale_reasons(obj, extract.character(obj))) or "up to date"
-        except engine.expected_errors() as error:
-            reasons = errors.sentence(error)
-        print(f"  state: {reasons}")
-        print(f"  files beside the .blend: {', '.join(_files(obj)) or 'none'}")
-        if not settings.bake.exists:
-            print("  bake: none")
-            continue
-        print(f"  bake: {len(settings.bake.keys)} keys, {settings.bake.summary}")
-        print(f"  bake made from {settings.bake.content_id[:12]}, result {settings.bake.digest[:12]}")
-        staleness.look_at_animation(obj)
-        staleness.look_at_colliders(obj)
-        staleness.look_for_caches(obj)
-        print(f"  bake state: {'; '.join(staleness.outdated(obj)) or 'up to date'}")
-
-
-def _files(obj: bpy.types.Object) -> list[str]:
-    """The names of the files that a soft skin needs, and what follows it: of its model and of its point caches."""
-    content_id = obj.dynamorph.model.content_id
-    model = [f"{content_id}.dynamorph"] if content_id and model_store.PACKED not in obj else []
-    return model + [
-        each.dynamorph.bake.cache for each in (obj, *skin.shown_attachments(obj)) if each.dynamorph.bake.cache
-    ]
 
 
 def chosen_objects(args: argparse.Namespace) -> list[bpy.types.Object]:

@@ -47,10 +47,10 @@ from .commands import (
     run_collect,
     run_delete_bake,
     run_fit,
-    run_info,
     run_job,
     run_report,
 )
+from .info import run_info
 from .record import record
 
 COLLECT = "make one page from many reports; fails if one of them is missing or reports a failure"

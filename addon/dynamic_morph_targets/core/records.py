@@ -45,11 +45,12 @@ def build_inputs(record: str) -> dict:
 @lru_cache(maxsize=64)
 def bake_inputs(record: str) -> dict:
     """The settings that a bake was made with, as `staleness.bake_inputs` gives them, with the `animation`, the
-    model's `content_id`, what was `painted`, and the `colliders`. Not to be changed.
+    model's `content_id`, what was `painted`, the `colliders`, and which of them were baked `together` with it. Not to
+    be changed.
     """
     needed = {"targets": _are_groups, "animation": _is_animation, "content_id": _is_text}
     known = {"simulation": _is_group, "output": _is_group, "collision": _is_group, "painted": _is_text}
-    return _read(record, BAKE, needed, {**SETTINGS, **known, "colliders": _are_colliders})
+    return _read(record, BAKE, needed, {**SETTINGS, **known, "colliders": _are_colliders, "together": _are_texts})
 
 
 @lru_cache(maxsize=64)
@@ -177,9 +178,11 @@ def _is_animation(value: object) -> TypeGuard[list[list[str]]]:
 
 
 def _are_colliders(value: object) -> TypeGuard[list[list[str]]]:
-    return isinstance(value, list) and all(
-        isinstance(each, list) and len(each) == 3 and all(map(_is_text, each)) for each in value
-    )
+    return isinstance(value, list) and all(_are_texts(each) and len(each) == 3 for each in value)
+
+
+def _are_texts(value: object) -> TypeGuard[list[str]]:
+    return isinstance(value, list) and all(map(_is_text, value))
 
 
 LIMITS = {"displacement", "thickness"}

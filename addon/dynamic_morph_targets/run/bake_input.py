@@ -106,15 +106,15 @@ def _check_memory(given: BakeInput) -> None:
         memory.check(given.name, memory.build_bytes(size, replace(settings, **changes), os.cpu_count() or 1))
     if given.has_shot:
         settings = given.simulated.settings
-        memory.check(given.name, memory.bake_bytes(size, settings, given.settings, given.output, _chunk(given)))
+        chunk = given.frames_per_chunk
+        memory.check(given.name, memory.bake_bytes(size, settings, given.settings, given.output, chunk))
 
 
-def _chunk(given: BakeInput) -> int:
-    """How many frames of the rig are read at once."""
+def _frames_per_chunk(given: BakeInput, obj: bpy.types.Object) -> int:
     if given.whole:
         return given.settings.frame_end - given.settings.first
     frames = SHORT_CHUNK_FRAMES if given.kept or given.character.probed else CHUNK_FRAMES
-    bytes_per_frame = 12 * given.deforming_vertices * given.settings.substeps
+    bytes_per_frame = 12 * colliders.deforming_vertices(obj) * given.settings.substeps
     return min(frames, max(COLLIDER_BYTES // max(bytes_per_frame, 1), 1))
 
 
@@ -189,7 +189,6 @@ def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: boo
     settings = run_settings.simulation_settings(obj, bpy.context.scene, request.frames, request.substeps)
     given.has_shot, given.settings = True, replace(settings, **request.changes)
     given.solver = request.solver or run_settings.bake_solver(obj)
-    given.deforming_vertices = colliders.deforming_vertices(obj)
     given.inputs = staleness.bake_inputs(skinning, given.settings)
     given.inputs |= {"animation": animation.animation(skinning), "painted": staleness.map_hash(given.character)}
     given.inputs |= {"colliders": collider_state.states(obj)} if given.settings.collision else {}
@@ -198,13 +197,15 @@ def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: boo
     if given.output and is_part and obj.dynamorph.bake.exists:
         _read_kept(given, obj)
     given.whole = request.whole or given.settings.loop or fits
-    if given.cache_dir and given.is_bake and not (given.whole or given.before or given.character.probed):
+    alone = not colliders.pressed(obj)
+    if given.cache_dir and alone and given.is_bake and not (given.whole or given.before or given.character.probed):
         files = animation.source_files()
         given.kept = given.cache_dir.bake_path(given.name, given.inputs, given.simulated, files, bpy.app.version)
         model = given.model or given.cached_model
         if model:
             model = model.with_settings(given.simulated.settings)
             given.resumed = given.cache_dir.unfinished(given.kept, model, len(given.settings.times))
+    given.frames_per_chunk = _frames_per_chunk(given, obj)
     if given.resumed:
         first = given.settings.first
         given.first = rig_motion.sample_rig(obj, first, first, 1)
@@ -256,7 +257,7 @@ class RigReader:
             return
         settings = given.settings
         first = settings.reached(done)
-        end = min(first + _chunk(given), settings.frame_end)
+        end = min(first + given.frames_per_chunk, settings.frame_end)
         self.sampling = rig_motion.RigSampling(self._object.find(), first, end, settings.substeps)
         self.sampling.probe = self._probe
 

@@ -46,6 +46,8 @@ def write_all(writers: Sequence[Writer]) -> None:
             writer.show_keys()
         for writer in writers:
             writer.store()
+        for writer in writers:
+            writer.look_at_colliders()  # which those before may have changed
         undo.pop_all()
     for writer in writers:
         writer.remove_old()
@@ -189,6 +191,12 @@ class Writer:
             if self.given.is_bake:
                 self._record(obj)
 
+    def look_at_colliders(self) -> None:
+        """Note what stops a soft skin that was baked, when all that is baked with it is stored."""
+        if self.given.is_bake:
+            with self.request.scene.as_context():
+                staleness.look_at_colliders(self.request.target.find())
+
     def forget_point_caches(self) -> None:
         """Remove the files of point caches that nothing plays."""
         for file in self.outcome.new_files:
@@ -252,7 +260,6 @@ class Writer:
         record.lost = ""
         bake_time.learn(obj, given, self.progress.seconds["simulate"])
         staleness.look_at_animation(obj)
-        staleness.look_at_colliders(obj)
         staleness.look_at_map(obj, outcome.character)
 
 

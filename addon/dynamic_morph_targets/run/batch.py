@@ -18,6 +18,7 @@ from ..core.errors import Cancelled, SceneError
 from ..core.message import joined
 from ..core.motion.rig_samples import RigSamples
 from ..core.time_left import TimeLeft
+from . import together
 from .bake_input import handles
 from .bake_result import write_all
 from .job import Job
@@ -63,6 +64,7 @@ class Batch:
         self.undone = False  # by the user, since it began
         self.time_left = TimeLeft()
         self._at = jobs[0]
+        self._groups: list[list[Job]] = []  # when they are read: those in one are simulated together
 
     @property
     def name(self) -> str:
@@ -96,6 +98,8 @@ class Batch:
             job.read()
             self._check_shared(job)
             yield from self._turn(reading=True)
+        bakes = all(job.input.is_bake for job in self.jobs)
+        self._groups = together.groups(self.jobs) if bakes else [[job] for job in self.jobs]
         for job in self.jobs:
             if job.computation.needs_cage:
                 self._at = job
@@ -121,18 +125,22 @@ class Batch:
 
     def compute(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
         """The second part, for which the rest of the rigs is read. Nothing is written."""
-        for job in self.jobs:
-            yield from self._computed(job, pause)
-            while job.next_chunk():
-                yield from self._turn(reading=True)
-                yield from self._sampled(job, seconds)
-                yield from self._computed(job, pause)
+        for group in self._groups:
+            yield from self._computed(group, pause)
+            while sum(job.next_chunk() for job in group):  # all of a group, or none
+                for job in group:
+                    yield from self._turn(reading=True)
+                    yield from self._sampled(job, seconds)
+                yield from self._computed(group, pause)
 
     def write(self) -> Iterator[None]:
         """The last part, when all can be written: all of it, or nothing."""
         while waiting := next((job for job in self.jobs if job.must_wait()), None):
             self._at = waiting
             yield from self._turn()
+        for group in self._groups:
+            if len(group) > 1:
+                together.note_inputs(group)
         writers = [job.writer() for job in self.jobs]
         write_all([writer for writer in writers if writer.request.stored])
 
@@ -141,11 +149,13 @@ class Batch:
         while not job.sample(seconds):
             yield from self._turn(reading=True)
 
-    def _computed(self, job: Job, pause: float) -> Iterator[None]:
-        self._at = job
-        job.start()
-        while not job.wait(pause):
-            yield from self._turn()
+    def _computed(self, group: Sequence[Job], pause: float) -> Iterator[None]:
+        for job in group:
+            job.start()
+        for job in group:
+            self._at = job
+            while not job.wait(pause):
+                yield from self._turn()
 
     def _turn(self, reading: bool = False) -> Iterator[None]:
         """The window's turn, and what came of it."""
@@ -159,13 +169,20 @@ class Batch:
     def abandon(self) -> None:
         """Cancel, and leave the thread to end when the engine notices; its result is dropped."""
         self.cancel()
+        self._part()
         winding_down[:] = [thread for thread in (*winding_down, *self._threads()) if thread.is_alive()]
 
     def stop(self) -> None:
         """Cancel, and wait until the thread has left the engine."""
         self.cancel()
+        self._part()
         for thread in self._threads():
             thread.join()
+
+    def _part(self) -> None:
+        """Let no thread wait for another one."""
+        for group in self._groups:
+            group[0].leave()
 
     def _threads(self) -> list[threading.Thread]:
         return [job.thread for job in self.jobs if job.thread.is_alive()]

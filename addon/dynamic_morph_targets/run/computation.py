@@ -36,6 +36,13 @@ READ = 0.2  # fraction of a job after which the rig is read
 FADE = 5  # frames over which a part that is baked again blends into the rest
 
 
+class Together(Protocol):
+    """Shots that are simulated as one: `together.Together`."""
+
+    def play(self, shot: Shot, rig: RigSamples) -> None: ...
+    def leave(self) -> None: ...
+
+
 class Sampling(Protocol):
     """A chunk of the rig that was read of Blender: `rig_motion.RigSampling`."""
 
@@ -57,6 +64,7 @@ class Computation:
         self.rig: RigSamples | None = None
         self.shot: Shot | None = None
         self.previous = given.previous  # a model whose cage may be used again
+        self.together: Together | None = None  # with the computations of others, whose bodies press on this one
         self.read_from = 0.0  # of the job, the part that is done before the rig is read
         self._shot_from = READ  # of the job, the part that is done before the shot is simulated
         self.wanted: int | None = len(given.resumed.get("coordinates", ()))
@@ -168,7 +176,10 @@ class Computation:
         given, rig = self.given, self.rig
         assert rig is not None  # a shot has one
         with self.progress.stage("simulate"):
-            shot.play(rig)
+            if self.together:
+                self.together.play(shot, rig)
+            else:
+                shot.play(rig)
         if given.cache_dir and given.kept and len(rig):  # otherwise nothing was left to do
             given.cache_dir.keep(given.kept, shot, rig.pose[-1])
 

@@ -123,7 +123,7 @@ class Job:
             return False
         if self.progress.canceled:
             raise Cancelled
-        if self._error:
+        if self._error and not isinstance(self._error, threading.BrokenBarrierError):  # another one has the reason
             raise self._error
         return True
 
@@ -140,6 +140,13 @@ class Job:
             self._error = error if named else type(error)(f"'{self.name}': {error}")
         except BaseException as error:  # raised again in the main thread, by wait
             self._error = error
+        if self._error or self.progress.canceled:
+            self.leave()
+
+    def leave(self) -> None:
+        """Let nobody wait for it any more."""
+        if self.computation.together:
+            self.computation.together.leave()
 
     # Writing: main thread --------------------------------------------------------------------------------------------
 

@@ -7,18 +7,24 @@ loading move everything there; it asks for what it needs again at each frame.
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import bpy
 from bpy.app.handlers import persistent
 
 from ..core import engine, errors, logger
 from ..core.message import Message, joined
+from ..core.motion.coupling import refusal
+from ..core.settings import SimulationSettings
 from ..scene import colliders, events, references, staleness
 from ..scene.skin import shown_attachments, soft_skins
 from ..write import reconcile, storage
 from ..write.authoring import regions, targets
 from ..write.bake import muting, writer
 from ..write.display import live_key
-from .session import Session, painted, simulation_settings, way_to_skin
+from .live_group import LiveGroup
+from .session import Session, painted, way_to_skin
+from .tissue import simulation_settings
 
 STROKE = 0.2  # seconds without an edit after which a stroke of paint shows
 SCRUBBED = 0.02  # seconds between two checks whether the artist still drags through the timeline
@@ -96,15 +102,14 @@ def _stated(obj: bpy.types.Object) -> tuple[str, ...]:
 
 def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) -> None:
     """Show the state of the soft skin at the scene's time. Problems are recorded, see `problem`."""
-    uid = obj.session_uid
     if problem(obj) or is_away(obj):
         return
     try:
         settings = simulation_settings(obj, scene)
-        session = sessions.get(uid)
-        if session is None or not session.fits(obj, settings):
-            session = sessions[uid] = Session(obj, scene)
-            muting.show_target(obj, "")  # a target of another build, which Live now shows
+        session = _session(obj, scene)
+        group = _group(obj, scene)
+        for each in group.sessions:
+            each.join(group)
         if live_key.find(obj, session.tissue.skin.written) is None:
             turn_off(obj)
             return
@@ -116,6 +121,37 @@ def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) 
     except Exception as bug:  # raised in a handler, it would be printed at every frame
         logger.log_once(bug)
         stop(obj, logger.bug_sentence(bug))
+
+
+def _session(obj: bpy.types.Object, scene: bpy.types.Scene) -> Session:
+    """That of a live object, a new one where it does not fit any more. Raises what prevents it from playing."""
+    session = sessions.get(obj.session_uid)
+    if session is None or not session.fits(obj, simulation_settings(obj, scene)):
+        session = sessions[obj.session_uid] = Session(obj, scene)
+        muting.show_target(obj, "")  # a target of another build, which Live now shows
+    return session
+
+
+def _group(obj: bpy.types.Object, scene: bpy.types.Scene) -> LiveGroup:
+    """The sessions of a live object, and of those that it presses on, and so on."""
+    found, waiting = {obj.name: _session(obj, scene)}, [obj]
+    while waiting:
+        one = waiting.pop()
+        for other in colliders.pressed(one):
+            if other.name in found or not is_on(other) or problem(other) or is_away(other):
+                continue
+            with suppress(*engine.expected_errors()):  # which it is told itself
+                session = _session(other, scene)
+                if not refusal(_way(found[one.name]), _way(session)):
+                    found[other.name] = session
+                    waiting.append(other)
+    sessions = [found[name] for name in sorted(found)]
+    known = sessions[0].group
+    return known if list(known.sessions) == sessions else LiveGroup(sessions)
+
+
+def _way(session: Session) -> tuple[str, SimulationSettings]:
+    return session.tissue.model.settings.solver, session.tissue.player.settings
 
 
 def is_away(obj: bpy.types.Object) -> bool:

@@ -19,7 +19,8 @@ from ..core.motion.rig_samples import RigSamples
 from ..scene import events, references, rig_motion, skin
 from ..write.bake import muting
 from ..write.display import live_key
-from . import live, session
+from . import live
+from .tissue import Tissue
 
 SECONDS = 2.5  # a shake test
 REST = 0.1  # seconds of it before it moves
@@ -38,7 +39,7 @@ class Preview:
         self.name, self.label = operator.bl_idname, operator.bl_label
         self.seconds_left: float | None = None  # None: until it is stopped
         self.object = skin.ObjectHandle.of(obj)
-        self.tissue = session.Tissue(obj, bpy.context.scene)
+        self.tissue = Tissue(obj, bpy.context.scene)
         self._movers: list[_Mover] = []
         self._was_live = live.is_on(obj)
         self._sculpt = obj.dynamorph.sculpt.shown.name
@@ -177,9 +178,7 @@ def shake(kind: str, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return HOP * 4.0 * airborne * (1.0 - airborne), none
 
 
-def shaken(
-    obj: bpy.types.Object, tissue: session.Tissue, kind: str, seconds: float = SECONDS
-) -> tuple[RigSamples, np.ndarray]:
+def shaken(obj: bpy.types.Object, tissue: Tissue, kind: str, seconds: float = SECONDS) -> tuple[RigSamples, np.ndarray]:
     """The rig in its present pose, shaken: samples at substeps, and the transforms (S, 4, 4) that move it in Blender's
     world, Blender units."""
     still = rig_motion.sample_present(obj, tissue.probe)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 from dataclasses import replace
 
 import bpy
@@ -14,10 +13,11 @@ from ..core import errors
 from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
 from ..core.message import joined
-from ..core.motion import rig_samples, simulate
+from ..core.motion import rig_samples
 from ..core.motion.contact import Touched, touched
 from ..core.motion.grab import Grab
-from ..core.motion.player import Frame, Player, State, statistics
+from ..core.motion.loops import begin_again
+from ..core.motion.player import Frame, State, statistics
 from ..core.motion.rig_samples import RigSamples
 from ..core.painted_map import MAPS
 from ..core.settings import Material, SimulationSettings
@@ -28,14 +28,12 @@ from ..scene import (
     probe,
     references,
     rig_motion,
-    run_settings,
     skin,
     skinning,
     staleness,
 )
-from ..write.display import comparison, live_key
-from ..write.reconcile import reconcile
-from .live_surface import LiveMesh, Move, by_modes, by_nodes, still
+from .live_group import LiveGroup
+from .tissue import Tissue
 
 # Frames whose rig is read at once; the setup costs as much as five frames, and more frames would be noticed as a
 # stutter.
@@ -45,96 +43,6 @@ RIG_BYTES = 2**28  # bytes of the rig's matrices that are kept, because reading 
 KEPT = 250  # latest frames from which it can resume after a change of settings
 STATE_BYTES = 2**28  # bytes that those may take, if they have the transforms or the displacements of nodes
 FRAME_BYTES = 2**28  # bytes of the coordinates of the latest frames, which show again without a simulation
-
-
-class Tissue:
-    """A built soft skin that can be stepped and shown. Raises SceneError when its model is not up to date."""
-
-    def __init__(self, obj: bpy.types.Object, scene: bpy.types.Scene):
-        reconcile(obj)
-        self.model, self.character = model_store.live_model(obj)
-        self.player = Player(self.model, self.character, simulation_settings(obj, scene))
-        self.probe = probe.Probe(obj, self.model, self.character) if self.player.probed else None
-        self.modes = self.model.modes.shape[1] if self.model.settings.solver == "REDUCED" else 0  # shown one by one
-        self.target_names = [target.name for target in self.character.targets]
-        character, own_vertices = self.character, self.character.own_vertices
-        self.dofs = len(self.player.amounts.gains)
-        self.skin = self._mesh(skin.ObjectHandle.of(obj), character.vertices[own_vertices], own_vertices, np.eye(3))
-        self.attachments = [
-            self._mesh(skin.ObjectHandle(each.session_uid, each.name), each.points, each.members, each.from_body)
-            for each in character.attachments
-        ]
-
-    def exchange(self, character: Character, settings: SimulationSettings) -> None:
-        """Go on with the materials, poses and blending of `character`; settings: others with the same time step."""
-        self.character = character
-        self.player = self.player.exchange(character, settings)
-        if self.dofs != len(self.player.amounts.gains):  # with collision, patches of the skin move too
-            self.dofs = len(self.player.amounts.gains)
-            self.skin.move = self._move(character.own_vertices, np.eye(3))
-            for surface, each in zip(self.attachments, character.attachments, strict=True):
-                surface.move = self._move(each.members, each.from_body)
-
-    def _mesh(self, handle: skin.ObjectHandle, points: np.ndarray, members: slice, from_body: np.ndarray) -> LiveMesh:
-        """A mesh of the body. points (P, 3): its local space; from_body (3, 3): from the body's local space to it."""
-        residual_shapes = self.player.skin.residual_shapes[:, members] @ from_body.T
-        return LiveMesh(handle, points, self._move(members, from_body), residual_shapes)
-
-    def _move(self, members: slice, from_body: np.ndarray) -> Move:
-        """What displaces these vertices of the character; from_body: as for `_mesh`."""
-        model = self.model
-        if not len(model.tets):  # static morph targets
-            return still(members.stop - members.start)
-        nodes, weights = model.embedding_nodes[members], self.player.skin.weights[members]
-        turn = from_body @ np.linalg.inv(model.to_bind)
-        if model.settings.solver == "FULL":
-            return by_nodes(model.free, nodes, weights, turn)
-        return by_modes(simulate.node_modes(model, self.player.modes.T) @ turn.T, nodes, weights)
-
-    @property
-    def vertices(self) -> dict[skin.ObjectHandle, int]:
-        """The number of vertices of each mesh that shares the cage, by session_uid."""
-        counts = {self.skin.object: self.character.own_vertices.stop}
-        for each in self.character.attachments:
-            counts[skin.ObjectHandle(each.session_uid, each.name)] = len(each.points)
-        return counts
-
-    def values(self, frame: Frame) -> np.ndarray:
-        """What `points` asks for: (dofs + J,) coordinates as shown, and target weights."""
-        more = max(0, self.dofs - len(frame.coordinates))  # it may be from before collision was turned on, or off
-        frame = replace(frame, coordinates=np.pad(frame.coordinates, (0, more))[: self.dofs])
-        return np.concatenate([self.player.shown(frame), frame.weights])
-
-    def points(self, values: np.ndarray) -> np.ndarray:
-        """Points (3 V,) of the skin, float32, local space."""
-        return self.skin.points(values)
-
-    def add_keys(self, obj: bpy.types.Object) -> None:
-        """The live keys of the soft skin `obj` and of its attachments. Raises WriteError."""
-        if comparison.is_plain(obj):  # which muted nothing that Live may count on
-            comparison.show(obj, False)
-        live_key.add(obj, self.target_names, [surface.object.find() for surface in self.attachments])
-
-    def show(self, values: np.ndarray) -> bool:
-        """Write the live keys; False when that of the skin is gone."""
-        shown = self.skin.show(values)
-        for surface in self.attachments:
-            with suppress(SceneError):  # it was deleted
-                surface.show(values)
-        return shown
-
-    def moved(self, values: np.ndarray) -> float:
-        """The largest distance of a point from where the targets' shapes alone would have it: meters."""
-        to_bind, pairs = self.character.to_bind, zip(self.attachments, self.character.attachments, strict=True)
-        others = ((surface, to_bind @ np.linalg.inv(each.from_body)) for surface, each in pairs)
-        return max(
-            float(np.linalg.norm(self.motion(values, surface) @ to_meters.T, axis=1).max(initial=0.0))
-            for surface, to_meters in ((self.skin, to_bind), *others)
-        )
-
-    def motion(self, values: np.ndarray, surface: LiveMesh) -> np.ndarray:
-        """How far the points (V, 3) of the skin, or of an attachment, are from there: local space."""
-        return surface.move(values[: self.dofs] - self.player.static(values[self.dofs :])).reshape(-1, 3)
 
 
 class Rig:
@@ -171,6 +79,7 @@ class Session:
         self.first = self.last = 0  # frames simulated from and to, while there are any
         self.now: int | None = None  # the one that shows, or just before
         self.grabs: tuple[Grab, ...] = ()  # by which the artist pulls the skin
+        self.group = LiveGroup([self])
         self.rig_changes = 0  # how often the rig's motion was edited
         self._frames: dict[int, Frame] = {}
         self._states: dict[int, tuple[int, State]] = {}
@@ -221,13 +130,7 @@ class Session:
         """How far the points (V, 3) of each mesh are, at the frame that shows, from where the targets' shapes alone
         would have them: local space, by session_uid. Empty before the first frame.
         """
-        tissue = self.tissue
-        if self.now not in self._frames:
-            return {}
-        values = tissue.values(self._frames[self.now])
-        return {
-            surface.object.session_uid: tissue.motion(values, surface) for surface in (tissue.skin, *tissue.attachments)
-        }
+        return self.tissue.motions(self._frames[self.now]) if self.now in self._frames else {}
 
     def touched(self) -> Touched | None:
         """How deep the simulated frames went into colliders; None without Collision."""
@@ -309,24 +212,43 @@ class Session:
         settings = self.tissue.player.settings
         first, last = (self.rig.after(obj, frame)[:1] for frame in (settings.frame_start, settings.frame_end))
         cycle = first.concatenate(last)
-        self._start(settings.frame_start, self.tissue.player.begin_again(cycle, self._frames[settings.frame_end]))
+        self._start(settings.frame_start, begin_again(self.tissue.player, cycle, self._frames[settings.frame_end]))
 
     def _start(self, number: int, frame: Frame) -> None:
         self._frames, self._states = {}, {}
         self.first = number
-        self._keep(number, frame)
+        self.keep(number, frame)
+
+    def join(self, group: LiveGroup) -> None:
+        """From now on this body presses on the others of the group. Where that is new, the motion begins again at the
+        frame that shows.
+        """
+        before, self.group = self.group, group
+        if before.names == group.names:
+            return
+        if self.tissue.player.collision:
+            self.tissue.player.collision.others = group.names
+        if self.now is not None:
+            self._begin(self.tissue.skin.object.find(), self.now)
 
     def _advance(self, obj: bpy.types.Object) -> None:
-        number, samples = self.last + 1, self.rig.after(obj, self.last)[1:]
-        collision = self.tissue.player.collision
-        if collision is None or collision.fits(samples):
-            if self.tissue.player.hand:
-                self.tissue.player.hand.pull(self.grabs)
-            self._keep(number, self.tissue.player.advance(samples, number))
-        else:  # other colliders are there: it begins again
-            self._begin(obj, number)
+        if self.fits_colliders(self.rig.after(obj, self.last)[1:]):
+            self.group.advance(self.last)
+        else:  # others are there: it begins again
+            self._begin(obj, self.last + 1)
 
-    def _keep(self, number: int, frame: Frame) -> None:
+    def fits_colliders(self, samples: RigSamples) -> bool:
+        """Whether these samples have the same colliders."""
+        collision = self.tissue.player.collision
+        return collision is None or collision.fits(samples)
+
+    @property
+    def last_simulated(self) -> int | None:
+        """The last frame that was simulated."""
+        return self.last if self._frames else None
+
+    def keep(self, number: int, frame: Frame) -> None:
+        """Take the next frame, with the state after it."""
         self._frames[number], self.last = frame, number
         if len(self._frames) > self._shown:
             del self._frames[self.first]
@@ -339,7 +261,14 @@ class Session:
         return kept[1] if kept and kept[0] == number else None
 
     def rewind(self) -> None:
-        """Drop the frames after the one that shows; if its state is no longer stored, all of them."""
+        """Drop the frames after the one that shows, with those of the group; if its state is no longer stored, all of
+        them.
+        """
+        for each in self.group.sessions:
+            each.rewind_alone()
+
+    def rewind_alone(self) -> None:
+        """As `rewind`, of this one."""
         now = self.now
         if now == self.last:
             return
@@ -352,11 +281,6 @@ class Session:
         self.last = now
 
 
-def simulation_settings(obj: bpy.types.Object, scene: bpy.types.Scene) -> SimulationSettings:
-    """`run_settings.simulation_settings` without samples between frames, and with the solo modes alone."""
-    return replace(run_settings.simulation_settings(obj, scene), samples=1, gains=_gains(obj))
-
-
 def _sampling(obj: bpy.types.Object) -> tuple:
     """What the rig's samples depend on besides its animation."""
     render, collision = bpy.context.scene.render, obj.dynamorph.collision
@@ -367,13 +291,6 @@ def _sampling(obj: bpy.types.Object) -> tuple:
 def _physics(settings: SimulationSettings) -> SimulationSettings:
     """What a step depends on."""
     return replace(settings, frame_start=0, frame_end=0, gains=(), amount=1.0)
-
-
-def _gains(obj: bpy.types.Object) -> tuple[float, ...]:
-    """Factors on the modes' motion; of solo modes, if there are any, only theirs is not zero."""
-    modes = obj.dynamorph.modes
-    solo = any(mode.solo for mode in modes)
-    return tuple(mode.gain * (mode.solo or not solo) for mode in modes)
 
 
 def _motion_amounts(obj: bpy.types.Object, character: Character) -> np.ndarray:

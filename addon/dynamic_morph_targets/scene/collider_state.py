@@ -6,10 +6,14 @@ meshes, so not at every draw.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 
 import numpy as np
 
+from ..core import records
+from ..core.errors import RecordError
 from . import animation
 from .colliders import colliders
 from .mesh_data import mesh_topology
@@ -22,14 +26,30 @@ PLACE = (
     "parent_type", "parent_bone",
 )  # fmt: skip
 SETTINGS = ("use", "cloth_friction", "use_culling")  # of Blender's Collision, that count
+OF_OTHERS = {"colliders", "together", "content_id", "version"}  # of a bake's inputs; the last two are of its record
 SHOWN = ("name", "show_expanded", "is_active")  # of modifiers and constraints, that do not
 
 
-def states(obj) -> list[list[str]]:
+def states(obj, together: Sequence[str] = ()) -> list[list[str]]:
     """[name, hash of what moves it, hash of what shapes it] of each collider of `obj`. Values that are animated are not
-    in it, because they change with the frame, but their animation is.
+    in it, because they change with the frame, but their animation is. together: names of those that were baked with it,
+    which what their bakes were made from shapes.
     """
-    return [[other.name, _hash(_placed(other)), _hash(_shaped(other))] for other in colliders(obj)]
+    shapes = (_recorded(other) if other.name in together else _hash(_shaped(other)) for other in colliders(obj))
+    return [[other.name, _hash(_placed(other)), shape] for other, shape in zip(colliders(obj), shapes, strict=True)]
+
+
+def _recorded(other) -> str:
+    """`input_hash` of its bake, '' without one."""
+    with suppress(RecordError):
+        return input_hash(records.bake_inputs(other.dynamorph.bake.inputs))
+    return ""
+
+
+def input_hash(inputs: dict) -> str:
+    """Of the inputs of a bake, but for those that are of other bodies."""
+    own = {name: inputs[name] for name in sorted(inputs) if name not in OF_OTHERS}
+    return _hash(iter([json.dumps(own, sort_keys=True)]))
 
 
 def _hash(parts: Iterator) -> str:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 
 import bpy
 import numpy as np
@@ -41,6 +42,27 @@ def colliders(obj) -> list:
     )
     mine = of_body(obj)
     return sorted((other for other in found if not mine(other)), key=lambda other: other.name)
+
+
+def pressed(obj) -> list:
+    """Those of them that are soft bodies which it stops in turn: baked together, or Live together, they press on each
+    other, and both give way.
+    """
+    return [other for other in colliders(obj) if _moves(obj) and _moves(other) and obj in colliders(other)]
+
+
+def pressing(objects) -> list[list]:
+    """Soft skins, with those in one list that press on each other."""
+    out: list[list] = []
+    for obj in objects:
+        on = pressed(obj)
+        mine = [group for group in out if any(other in on for other in group)]
+        out = [group for group in out if group not in mine] + [[*chain.from_iterable(mine), obj]]
+    return out
+
+
+def _moves(obj) -> bool:
+    return bool(obj.dynamorph.targets) and obj.dynamorph.model.method != "STATIC"
 
 
 def of_body(obj):

@@ -59,8 +59,11 @@ def look_at_map(obj, character: Character):
 
 def look_at_colliders(obj):
     """Examine the colliders of `obj`, so that `outdated` knows whether they are what the bake met."""
-    record = obj.dynamorph.bake
-    seen = records.colliders_text(collider_state.states(obj)) if record.exists and obj.dynamorph.collision.use else ""
+    record, together = obj.dynamorph.bake, list[str]()
+    with suppress(RecordError):
+        together = records.bake_inputs(record.inputs).get("together", []) if record.inputs else []
+    states = collider_state.states(obj, together) if record.exists and obj.dynamorph.collision.use else []
+    seen = records.colliders_text(states) if states else ""
     if record.colliders != seen:
         record.colliders = seen
 

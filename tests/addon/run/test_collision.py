@@ -13,9 +13,10 @@ import real_character
 from bl_ext.user_default.dynamic_morph_targets.core.errors import SceneError
 from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
 from bl_ext.user_default.dynamic_morph_targets.io.cache_dir import CacheDir
-from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch, full_comparison, preview, session
+from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch, full_comparison, preview
 from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run.tissue import Tissue
 from bl_ext.user_default.dynamic_morph_targets.scene import animation, model_store, staleness
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport as overlays
 from bl_ext.user_default.dynamic_morph_targets.write import reconcile, storage
@@ -581,7 +582,7 @@ def test_local_responses_do_not_depend_on_when_live_began(arm):
     for poisson in (0.4, 0.3):
         storage.keep_model(arm, copy.copy(built.model))  # which has none yet
         arm.dynamorph.targets[0].poisson = poisson
-        found.append(session.Tissue(arm, bpy.context.scene).player.collision.dents)
+        found.append(Tissue(arm, bpy.context.scene).player.collision.dents)
     assert found[0].size
     np.testing.assert_array_equal(*found)
 
@@ -597,7 +598,7 @@ def test_a_shake_test_meets_what_stands_there(arm, hangs):
     moved = []
     for use in (False, True):
         arm.dynamorph.collision.use = use
-        tissue = session.Tissue(arm, bpy.context.scene)
+        tissue = Tissue(arm, bpy.context.scene)
         samples, _ = preview.shaken(arm, tissue, "TWIST", seconds=0.3)
         tissue.player.begin(samples)
         substeps = tissue.player.settings.substeps

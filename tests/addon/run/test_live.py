@@ -15,6 +15,7 @@ from bl_ext.user_default.dynamic_morph_targets.run import batch
 from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
 from bl_ext.user_default.dynamic_morph_targets.run import preview as run_preview
 from bl_ext.user_default.dynamic_morph_targets.run import session as run_session
+from bl_ext.user_default.dynamic_morph_targets.run import tissue as run_tissue
 from bl_ext.user_default.dynamic_morph_targets.run.heat import displacements
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import (
@@ -95,7 +96,7 @@ def begun_at(obj, frame, **settings):
 
 def values_at(obj, frame):
     """What Live shows at a frame: coordinates (r,) and target weights (J,)."""
-    now, settings = session(obj), run_session.simulation_settings(obj, bpy.context.scene)
+    now, settings = session(obj), run_tissue.simulation_settings(obj, bpy.context.scene)
     return np.split(now.values(obj, settings, frame, arrives=False), [now.tissue.modes])
 
 
@@ -379,7 +380,7 @@ def test_amount_shows_at_once_and_as_in_the_bake(playing, monkeypatch):
     assert heat.max() > 0.05
     for amount in (0.5, 0.0, 2.0):
         with monkeypatch.context() as patch:
-            for step in ("begin", "begin_again", "advance"):
+            for step in ("begin", "steps", "advance"):
                 patch.setattr(player, step, lambda *args: simulated.append(args))
             playing.dynamorph.simulation.amount = amount
         assert not simulated
@@ -888,7 +889,7 @@ def test_a_twist_turns_a_tilted_rig_about_the_vertical(live_arm):
     live_arm.parent = rig
     rig.rotation_euler = (1.5, 0.2, 0.0)
     bpy.context.view_layer.update()
-    tissue = run_session.Tissue(live_arm, bpy.context.scene)
+    tissue = run_tissue.Tissue(live_arm, bpy.context.scene)
     _, transforms = run_preview.shaken(live_arm, tissue, "TWIST")
     assert transforms[:, 2, :] == pytest.approx(np.broadcast_to((0.0, 0.0, 1.0, 0.0), (len(transforms), 4)), abs=1e-9)
     assert transforms[:, 0, 0].min() == pytest.approx(0.5, abs=1e-6)
@@ -1026,7 +1027,7 @@ def test_a_mode_plays_alone(live_arm, shown):
     sculpted = references.key_points(live_arm.data.shape_keys.key_blocks["flexed"])
     assert apart(points[0], sculpted) < 1e-5  # in its pose
     swings = np.linalg.norm(points - points[0], axis=2).max(axis=1)
-    size = run_session.Tissue(live_arm, bpy.context.scene).player.size
+    size = run_tissue.Tissue(live_arm, bpy.context.scene).player.size
     assert swings.max() == pytest.approx(2.0 * 0.05 * size, rel=0.01)
     assert apart(points[6] - points[0], points[0] - points[18]) < 1e-6  # a sine
 

@@ -12,7 +12,8 @@ import real_character
 from bl_ext.user_default.dynamic_morph_targets.core.model import build
 from bl_ext.user_default.dynamic_morph_targets.core.model.cage import Stages, make_cage
 from bl_ext.user_default.dynamic_morph_targets.core.motion import simulate
-from bl_ext.user_default.dynamic_morph_targets.run import batch, job, preview, session
+from bl_ext.user_default.dynamic_morph_targets.run import batch, job, preview
+from bl_ext.user_default.dynamic_morph_targets.run.tissue import Tissue
 from bl_ext.user_default.dynamic_morph_targets.scene import (
     animation,
     extract,
@@ -356,7 +357,7 @@ def test_what_is_drawn_is_in_blender_units(in_centimeters):
 
 def test_a_shake_moves_the_rig_in_blender_units(in_centimeters):
     batch.run(job.Job(in_centimeters, goal="BUILD"))
-    tissue = session.Tissue(in_centimeters, bpy.context.scene)
+    tissue = Tissue(in_centimeters, bpy.context.scene)
     samples, transforms = preview.shaken(in_centimeters, tissue, "HOP")
     assert np.ptp(samples.rig_world[:, 2, 3]) == pytest.approx(0.12 * 2.17, rel=0.05)
     np.testing.assert_allclose(transforms[:, 2, 3], 100.0 * samples.rig_world[:, 2, 3], rtol=1e-5, atol=1e-6)

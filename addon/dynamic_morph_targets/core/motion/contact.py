@@ -8,6 +8,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -40,22 +41,22 @@ class Collision:
     """What a player with collision has of it: the points of the skin that can touch something, P of them, and the
     engine's colliders in a shot: those of its first sample, whose faces they keep.
 
-    skin: the engine's points of an engine model, or None where no skin is soft; vertices (P,): nearest to those. own:
-    where they touch the body itself, None without self-collision. dents (3 free, K): displacement of the free nodes by
-    each patch of the skin that gives way by itself in Reduced Quality; none otherwise.
+    skin: the engine's points of an engine model, or None where no skin is soft; vertices (P,): nearest to those. dents
+    (3 free, K): displacement of the free nodes by each patch of the skin that gives way by itself in Reduced Quality;
+    none otherwise. others: names of the soft bodies that it presses on (`coupling.Coupling`), which are no colliders.
     """
 
-    def __init__(self, model: Model, engine: EngineModel, character: Character, with_own: bool = False):
+    def __init__(self, model: Model, engine: EngineModel, character: Character):
         surface = contact_points(model, character)
         touchable = surface[surface.of(character.excluded) < EXCLUDED]
         full = model.settings.solver == "FULL"
         most = SAMPLES if full else REDUCED_SAMPLES
         points = touchable.at_most(PROBED_SAMPLES if character.probed else most)
         self.skin: Any = None
-        self.own: Any = None
         self.dents = np.zeros((3 * int(model.free.sum()), 0))
         self.vertices = points.vertices[:, 0]
-        self._name = character.name
+        self.others: tuple[str, ...] = ()
+        self._model, self._character, self._points = model, character, points
         self._bones = character.weights[self.vertices].argmax(axis=1)
         self._known: list[tuple[str, int]] = []  # names and topologies of the colliders
         self._shapes: list[np.ndarray] = []
@@ -78,20 +79,28 @@ class Collision:
             corners.reshape(points.vertices.shape),
             points.weights,
         )
-        if with_own:
-            own = spread(points.rest, points.normals, OWN_SAMPLES)
-            self.own = _self_contact(self.skin, model, character, points[own], own)
+
+    @cached_property
+    def own(self) -> Any:
+        """Where those points meet skin, of the body itself or of others: the engine's, None where no skin is soft."""
+        if self.skin is None:
+            return None
+        chosen = spread(self._points.rest, self._points.normals, OWN_SAMPLES)
+        return _self_contact(self.skin, self._model, self._character, self._points[chosen], chosen)
 
     def begin(self, first: RigSamples) -> None:
         """Take the colliders of the first sample. Raises SceneError for one that the engine refuses."""
-        tracks = colliders_of(first)
+        tracks = self._tracks(first)
         self._known = [(track.name, track.topology) for track in tracks]
         self._shapes = [track.shapes[track.shape[0, 1]].copy() for track in tracks]
         self._colliders = [collider_of(track, shape) for track, shape in zip(tracks, self._shapes, strict=True)]
 
     def fits(self, rig: RigSamples) -> bool:
         """Whether these samples have the same colliders."""
-        return self._known == [(track.name, track.topology) for track in colliders_of(rig)]
+        return self._known == [(track.name, track.topology) for track in self._tracks(rig)]
+
+    def _tracks(self, rig: RigSamples) -> tuple[ColliderTrack, ...]:
+        return tuple(track for track in colliders_of(rig) if track.name not in self.others)
 
     def motions(self, rig: RigSamples) -> list[Any]:
         """For the engine: how each collider moves in the steps to these samples. What keeps its shape moves as a
@@ -101,7 +110,7 @@ class Collision:
             raise ValueError("the colliders are others than at the first sample: begin again")
         return [
             _motion(collider, shape, track)
-            for collider, shape, track in zip(self._colliders, self._shapes, colliders_of(rig), strict=True)
+            for collider, shape, track in zip(self._colliders, self._shapes, self._tracks(rig), strict=True)
         ]
 
     def names(self, sample: int, collider: int, bones: Sequence[str]) -> tuple[str, str]:
@@ -110,8 +119,8 @@ class Collision:
         return bones[bone] if bone < len(bones) else "", self.collider(collider)
 
     def collider(self, number: int) -> str:
-        """Its name; of a number below zero the body's own."""
-        return self._known[number][0] if number >= 0 else self._name
+        """Its name; of -1 the body's own, and below that of `others`."""
+        return self._known[number][0] if number >= 0 else (self._character.name, *self.others)[-1 - number]
 
 
 def carried(model: Model, character: Character, vertices: np.ndarray) -> tuple[Any, ...]:

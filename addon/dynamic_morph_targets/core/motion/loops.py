@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .player import Frame, Player
+from .player import NO_STEPS, Frame, Player
 from .rig_samples import RigSamples
 
 CLOSED = 1e-6  # body sizes; a loop whose gap is smaller is closed
@@ -26,7 +26,7 @@ def cycle(player: Player, rig: RigSamples) -> tuple[list[Frame], float]:
     Passes over its range are repeated until one ends as it began: in position and, by the frame after, in velocity.
     """
     loop = Loop(player, rig)
-    if not repeat_accelerated(loop) and player.pose_gap(rig) <= SAME_POSE * player.size:  # otherwise it cannot close
+    if not repeat_accelerated(loop) and pose_gap(player, rig) <= SAME_POSE * player.size:  # otherwise it cannot close
         solve_by_newton(loop)
     return loop.frames, loop.gap
 
@@ -63,7 +63,7 @@ class Loop:
             first = replace(first, coordinates=np.append(began[0], dents))
         frames = [first, *player.play(rig[1:], numbers)]
         ended = np.array(player.state[0])
-        self._first = player.begin_again(rig, frames[-1])
+        self._first = begin_again(player, rig, frames[-1])
         self._start = player.state
         next_frame = rig[1 : 1 + settings.substeps], numbers[:1]  # a range of one frame has none
         again = [frames[-1], *player.play(*next_frame)]
@@ -158,7 +158,7 @@ def _newton_step(loop: Loop, began: np.ndarray, ended: np.ndarray) -> np.ndarray
 
 def loop_warnings(player: Player, rig: RigSamples, gap: float) -> list[str]:
     first, last = player.settings.frame_start, player.settings.frame_end
-    off = player.pose_gap(rig)
+    off = pose_gap(player, rig)
     if off > SAME_POSE * player.size:
         return [
             f"The rig at frame {last} is {1000 * off:.3g} mm off its pose at frame {first}: end the loop where that "
@@ -167,3 +167,40 @@ def loop_warnings(player: Player, rig: RigSamples, gap: float) -> list[str]:
     if gap > CLOSED * player.size:
         return [f"The loop is not closed after {player.passes} passes: raise the targets' damping, or make it longer"]
     return []
+
+
+def begin_again(player: Player, rig: RigSamples, frame: Frame) -> Frame:
+    """Lets it go back from `frame`, the last of a cycle, to the first, with the soft skin in its present motion. The
+    distance that the rig has traveled is removed from its past.
+    """
+    first, last = _ends(player, rig)
+    turn, shift = _rigid_fit(last, first)
+    coordinates, bones, excess, _ = player.state  # what is touched in the first frame is found again
+    moved = [turn @ past.reshape(-1, 3, 4) for past in bones]
+    for past in moved:
+        past[:, :, 3] += shift
+    player.state = coordinates, [past.reshape(-1, 12) for past in moved], excess, np.zeros(0)
+    player.number, player.passes = player.settings.frame_start, player.passes + 1
+    return Frame(player.number, frame.coordinates, player.posing.posed(rig[:1])[1][0], NO_STEPS)
+
+
+def pose_gap(player: Player, rig: RigSamples) -> float:
+    """The largest distance, in meters, of the skin of the last pose from that of the first, after a rigid motion."""
+    first, last = _ends(player, rig)
+    turn, shift = _rigid_fit(last, first)
+    return float(np.linalg.norm(last @ turn.T + shift - first, axis=1).max(initial=0.0))
+
+
+def _ends(player: Player, rig: RigSamples) -> np.ndarray:
+    """The skin at rest, posed by the first sample and by the last: (2, V, 3), world space."""
+    return player.posing.skinned(rig[:: max(1, len(rig) - 1)])[[0, -1]]
+
+
+def _rigid_fit(points: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rotation (3, 3) and translation (3,) that bring points (V, 3) nearest to others."""
+    if not len(points):
+        return np.eye(3), np.zeros(3)
+    center, goal = points.mean(axis=0), onto.mean(axis=0)
+    u, _, vt = np.linalg.svd((onto - goal).T @ (points - center))
+    turn = (u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return turn, goal - turn @ center

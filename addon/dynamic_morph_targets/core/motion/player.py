@@ -58,6 +58,14 @@ class Frame:
     steps: dict
 
 
+@dataclass(frozen=True)
+class Steps:
+    """Some steps to a time. motion: what the engine's `advance` takes; bones (S, B, 3, 4), weights (S, J), and more."""
+
+    time: float
+    motion: tuple
+
+
 def statistics(frames: Sequence[Frame], names: Sequence[str] = STEP) -> np.ndarray:
     """Those of the steps to each of the frames as numbers: (F, len(names))."""
     kinds = {"unusable_colliders": as_bits}
@@ -100,15 +108,22 @@ class Player:
             self.hand = Hand(model, self.engine, character, self._simulation)
             self._simulation.set_limit(motion_limit(model, self.engine, self.character, settings))
             if settings.collision:
-                self.collision = Collision(model, self.engine, character, settings.self_collision)
+                self.collision = Collision(model, self.engine, character)
                 self._simulation.set_contact(self.collision.skin, settings.distance * self.size)
-                self._simulation.set_self_contact(self.collision.own, settings.self_friction)
+                if settings.self_collision:
+                    self._simulation.set_self_contact(self.collision.own, settings.self_friction)
                 if dents := self.collision.dents.shape[1]:
                     self.modes = np.hstack([model.modes, self.collision.dents])
                     self._shapes = np.pad(self._shapes, ((0, 0), (0, dents)))
         self.posing = Posing(model, self.character, self.probed)
         self.skin = ShownSkin(model, self.character)
         self.amounts = Amounts(model, self.character, self._shapes, self.modes, settings)
+
+    @property
+    def simulation(self) -> EngineSimulation:
+        """The engine's, of a model that moves."""
+        assert not isinstance(self._simulation, _NothingMoves)
+        return self._simulation
 
     @property
     def state(self) -> State:
@@ -167,28 +182,6 @@ class Player:
         self._begin_with(first)
         self.state = state
 
-    def begin_again(self, rig: RigSamples, frame: Frame) -> Frame:
-        """Goes from `frame`, the last of a cycle, back to the first, with the soft skin in its present motion. The
-        distance that the rig has traveled is removed from its past.
-        """
-        first, last = self._ends(rig)
-        turn, shift = _rigid_fit(last, first)
-        coordinates, bones, excess, _ = self.state  # what is touched in the first frame is found again
-        moved = [turn @ past.reshape(-1, 3, 4) for past in bones]
-        for past in moved:
-            past[:, :, 3] += shift
-        self.state = coordinates, [past.reshape(-1, 12) for past in moved], excess, np.zeros(0)
-        self.number, self.passes = self.settings.frame_start, self.passes + 1
-        return Frame(self.number, frame.coordinates, self.posing.posed(rig[:1])[1][0], NO_STEPS)
-
-    def pose_gap(self, rig: RigSamples) -> float:
-        """The largest distance, in meters, of the skin of the last pose from that of the first, after a rigid
-        motion.
-        """
-        first, last = self._ends(rig)
-        turn, shift = _rigid_fit(last, first)
-        return float(np.linalg.norm(last @ turn.T + shift - first, axis=1).max(initial=0.0))
-
     def gap(self, first: Frame, second: Frame) -> float:
         """The largest distance, in meters, between the soft skins of two frames in one pose, as `shown` with the full
         motion of the targets: what a lower motion amount hides at the seam of a loop is visible elsewhere.
@@ -208,6 +201,11 @@ class Player:
         """The frames `numbers`, which follow the last one, and the samples between; rig: settings.substeps samples
         each.
         """
+        for steps in self.steps(rig, numbers):
+            yield self.taken(steps, self._simulation.advance(*steps.motion))
+
+    def steps(self, rig: RigSamples, numbers: Sequence[int] | np.ndarray) -> Iterator[Steps]:
+        """The steps to each of the frames of `play`, to be taken before the next are asked for."""
         substeps, samples = self.settings.substeps, self.settings.samples
         stride = substeps // samples
         if len(rig) != len(numbers) * substeps:
@@ -227,9 +225,12 @@ class Player:
                     push = self._push(moving[steps], bones[steps])
                     stops = self.collision.motions(moving[steps]) if self.collision else None
                     grabs = self.hand.springs(steps, substeps) if self.hand else None
-                    report = self._simulation.advance(bones[steps], weights[steps], push, grabs, stops)
-                    time = self.number - left / samples
-                    yield Frame(time, self.coordinates, weights[end - 1], report)
+                    motion = bones[steps], weights[steps], push, grabs, stops
+                    yield Steps(self.number - left / samples, motion)
+
+    def taken(self, steps: Steps, report: dict) -> Frame:
+        """The frame after steps, with the engine's report on them."""
+        return Frame(steps.time, self.coordinates, steps.motion[1][-1], report)
 
     def exchange(self, character: Character, settings: SimulationSettings | None = None) -> Player:
         """A player that continues from here with the materials, poses and blending of `character`. settings: others
@@ -237,6 +238,8 @@ class Player:
         """
         other = Player(self.model, character, settings or self.settings, keep_going=self._keep_going)
         other.number, other.passes = self.number, self.passes
+        if self.collision and other.collision:
+            other.collision.others = self.collision.others
         if self._first is not None:
             other._begin_with(self._first)
             other.state = self.state
@@ -254,10 +257,6 @@ class Player:
     def shown(self, frame: Frame) -> np.ndarray:
         """The frame's coordinates with `amounts`."""
         return self.amounts.shown(frame.coordinates, frame.weights)
-
-    def _ends(self, rig: RigSamples) -> np.ndarray:
-        """The skin at rest, posed by the first sample and by the last: (2, V, 3), world space."""
-        return self.posing.skinned(rig[:: max(1, len(rig) - 1)])[[0, -1]]
 
     def _begin_with(self, first: RigSamples) -> None:
         """What the first sample says: which colliders there are, and how the targets' shapes are balanced. These are
@@ -304,13 +303,3 @@ class _NothingMoves:
 
     def balance_targets(self, _bones: np.ndarray) -> None:
         pass
-
-
-def _rigid_fit(points: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The rotation (3, 3) and translation (3,) that bring points (V, 3) nearest to others."""
-    if not len(points):
-        return np.eye(3), np.zeros(3)
-    center, goal = points.mean(axis=0), onto.mean(axis=0)
-    u, _, vt = np.linalg.svd((onto - goal).T @ (points - center))
-    turn = (u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-    return turn, goal - turn @ center

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from ..model.model import Model
 from ..settings import ModelSettings, SimulationSettings
 from .baked import Bake
 from .contact import Touched, touched
+from .coupling import Coupling, press
 from .limits import Held, held
 from .loops import cycle, loop_warnings
 from .player import STEP, Frame, Player, statistics
@@ -111,19 +112,27 @@ class Shot:
         if self.is_complete:
             return
         began, player = time.perf_counter(), self.player
-        settings = player.settings
-        if settings.loop:
+        if player.settings.loop:
             frames, gap = cycle(player, rig)
             self._loop, self._warnings = {"gap": gap}, loop_warnings(player, rig, gap)
         else:
-            frames = [] if self.done else [player.begin(rig)]
-            rig, reached = rig[len(frames) :], settings.reached(self.done)
-            frames += player.play(rig, range(reached + 1, reached + 1 + len(rig) // settings.substeps))
+            frames, rig, numbers = self.begun(rig)
+            frames += player.play(rig, numbers)
+        self.take(frames, time.perf_counter() - began)
+
+    def begun(self, rig: RigSamples) -> tuple[list[Frame], RigSamples, range]:
+        """The first frame, unless that is done, and what is left of the chunk: its rig, and the frames' numbers."""
+        frames = [] if self.done else [self.player.begin(rig)]
+        rig, reached = rig[len(frames) :], self.player.settings.reached(self.done)
+        return frames, rig, range(reached + 1, reached + 1 + len(rig) // self.player.settings.substeps)
+
+    def take(self, frames: Sequence[Frame], seconds: float) -> None:
+        """Add frames that were simulated in so many seconds."""
         self.done += len(frames)
         self._coordinates.append(np.array([frame.coordinates for frame in frames]))
         self._weights.append(np.array([frame.weights for frame in frames]))
         self._steps.append(statistics(frames))
-        self._seconds += time.perf_counter() - began
+        self._seconds += seconds
 
     def kept(self) -> dict[str, np.ndarray]:
         """Everything that `resume` needs."""
@@ -190,6 +199,19 @@ class Shot:
         report["seconds"] = self._seconds + time.perf_counter() - began
         names = tuple(target.name for target in character.targets)
         return Bake(settings.frames, coordinates, weights, surface, skin.residual_shapes, names, static, modes), report
+
+
+def play_together(shots: Sequence[Shot], rigs: Sequence[RigSamples]) -> None:
+    """Simulates the next chunk of shots, with the same frames, whose bodies press on each other. None is a loop."""
+    began = time.perf_counter()
+    players = [shot.player for shot in shots]
+    press(players)
+    coupling = Coupling(players)
+    firsts, rests, numbers = zip(*map(Shot.begun, shots, rigs), strict=True)
+    played = list(coupling.play(rests, numbers[0]))
+    seconds = (time.perf_counter() - began) / len(shots)
+    for k, shot in enumerate(shots):
+        shot.take([*firsts[k], *(frames[k] for frames in played)], seconds)
 
 
 def bake(

@@ -20,6 +20,10 @@ def draw_collision(layout, context, obj):
         draw_message(layout, Message("Collides with: {names}", names=listed(found)), icon="CHECKMARK")
     elif settings.use and not settings.use_self:
         draw_message(layout, "No object has Collision yet", icon="INFO")
+    pressed = [other.name for other in colliders.pressed(obj)]
+    if pressed:
+        text = Message("Presses on: {names}. Bake All bakes them together", names=listed(pressed))
+        draw_message(layout, text, icon="MOD_SOFT")
     column = layout.column()
     column.active = settings.use
     draw_setting(column, settings, "collection")

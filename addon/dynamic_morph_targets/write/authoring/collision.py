@@ -13,10 +13,9 @@ FLOOR = 10.0  # sides of a floor over the longest side of the body
 
 
 def add_collision(obj, others) -> list[str]:
-    """Let the mesh objects `others` stop the soft skin `obj`. Returns their names. Raises SceneError, and then nothing
-    is changed.
+    """Let the mesh objects `others` stop the soft skin `obj`, and soft skins among them be stopped by it too, so that
+    they press on each other. Returns their names. Raises SceneError, and then nothing is changed.
     """
-    settings = obj.dynamorph.collision
     belongs = colliders.of_body(obj)
     for other in others:
         if belongs(other):
@@ -25,17 +24,25 @@ def add_collision(obj, others) -> list[str]:
         if not other.is_editable:
             raise SceneError("'{name}' is linked, so the change would be lost: make it local", name=other.name)
     for other in others:
-        if not colliders.is_collider(other):
-            hidden = next((modifier for modifier in other.modifiers if modifier.type == "COLLISION"), None)
-            modifier = hidden or other.modifiers.new("Collision", "COLLISION")
-            modifier.show_viewport = True
-        if other.collision:
-            other.collision.use = True
-        if settings.collection and other.name not in settings.collection.all_objects:
-            settings.collection.objects.link(other)
-    settings.use = True
+        _let_stop(other, obj)
+        if other.dynamorph.targets:
+            _let_stop(obj, other)
     bpy.context.view_layer.update()
     return [other.name for other in others]
+
+
+def _let_stop(other, obj):
+    """Let the mesh object `other` stop the soft skin `obj`."""
+    settings = obj.dynamorph.collision
+    if not colliders.is_collider(other):
+        hidden = next((modifier for modifier in other.modifiers if modifier.type == "COLLISION"), None)
+        modifier = hidden or other.modifiers.new("Collision", "COLLISION")
+        modifier.show_viewport = True
+    if other.collision:
+        other.collision.use = True
+    if settings.collection and other.name not in settings.collection.all_objects:
+        settings.collection.objects.link(other)
+    settings.use = True
 
 
 def add_floor(obj):

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Soft bodies that press on each other: their players take their steps together. Never touches bpy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..engine import dynamorph
+from ..errors import SceneError
+from ..settings import SimulationSettings
+from .player import Frame, Player
+from .rig_samples import RigSamples
+
+
+def refusal(first: tuple[str, SimulationSettings], other: tuple[str, SimulationSettings]) -> str:
+    """Why bodies with such a quality, REDUCED or FULL, and settings cannot take their steps together, or ''."""
+    (quality, mine), (its_quality, its) = first, other
+    if quality != its_quality:
+        return "their Quality differs"
+    if (mine.step, mine.substeps, mine.samples) != (its.step, its.substeps, its.samples):
+        return "their Substeps Per Frame differ"
+    if mine.integrator != its.integrator:
+        return "their Integrator differs"
+    return ""
+
+
+def press(players: Sequence[Player]) -> None:
+    """Let the bodies of players that have not begun press on each other, instead of being colliders. Raises SceneError
+    for one that cannot.
+    """
+    for player in players:
+        assert player.collision is not None
+        if player.collision.skin is None:
+            raise SceneError("'{name}' touches nothing, because all of it is in Exclude", name=player.character.name)
+        player.collision.others = tuple(each.character.name for each in players)
+
+
+class Coupling:
+    """Players of bodies with collision, after `press`; no two have a `refusal`. Where one has friction of skin on skin,
+    all have.
+    """
+
+    def __init__(self, players: Sequence[Player]):
+        self.players = players
+        full = players[0].model.settings.solver == "FULL"
+        kind: Any = dynamorph.FullCoupling if full else dynamorph.ReducedCoupling
+        bodies = [(player.simulation, player.collision.own) for player in players if player.collision]
+        self._engine = kind(bodies, max(player.settings.self_friction for player in players))
+
+    def play(self, rigs: Sequence[RigSamples], numbers: Sequence[int] | np.ndarray) -> Iterator[list[Frame]]:
+        """As `Player.play`, a frame of each player at a time."""
+        for steps in zip(*map(Player.steps, self.players, rigs, [numbers] * len(rigs)), strict=True):
+            reports = self._engine.advance([each.motion for each in steps])
+            yield [player.taken(*each) for player, *each in zip(self.players, steps, reports, strict=True)]
