@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`make collision`: docs/collision.md and its pictures: a ball is pressed into characters of ../shared, and characters
-fold up.
+"""`make collision`: docs/collision.md and its pictures: a ball is pressed into characters of ../shared, characters
+fold up, and two press on each other.
 
     python tests/benchmarks/collision.py --page   the page from what was measured before
     python tests/benchmarks/collision.py --ours   measures all but Blender's own ways again
@@ -20,6 +20,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import collision_fold
+import collision_pair
 import collision_press
 import numpy as np
 from characters import ASSETS
@@ -39,6 +40,8 @@ PEERS = ("soft_body", "cloth", "cloth_dynamics")
 PEERS_BODY = "mh_chubby_53bones.blend"
 FOLDED = (ASSETS / "mh_chubby_53bones.blend", ASSETS / "mh_male_53bones.blend", ROOT / "sample_blends/herbert.blend")
 WAYS_TO_FOLD = {"full_none": "as the bones say", "full_self": "Self Collision", "reduced_self": "Reduced"}
+PAIR = (ASSETS / "mh_chubby_53bones.blend", ASSETS / "mh_male_53bones.blend")
+WAYS_TO_MEET = {"full_alone": "each alone", "full_together": "together", "reduced_together": "Reduced"}
 LONGEST = 600  # seconds that one may take
 MOVING, RESTING = 0.0015, 0.0011  # of size, with Distance 0: asked of the penetration
 ITERATIONS = 10  # a step, asked with both rounds of friction
@@ -80,6 +83,17 @@ folded this far are crushed by skinning itself: they are reported, not pushed ap
 {folded}
 ![Characters, folded]({folded_picture})
 
+## Two bodies
+
+The first two characters meet in {comes} steps of 1/96 s, until their torsos would be in each other by {overlap:.0%} of
+the first one's size, and stand for {stands}. *Inside*: of {points:,} points of each, those of the torso that are inside
+the other. *Deepest*: in percent of size. *Force*: between them at the end, and the sum of both over it; asked: 1e-6.
+*Order*: the largest distance of a point if the other one comes first, over size. *Step*: milliseconds of both bodies,
+each alone and together, the median.
+
+{pair}
+![Two characters, pressed on each other, cut in the middle]({pair_picture})
+
 ## Beside what Blender has
 
 The same ball and the same body ({peer_body}, {vertices:,} vertices). Soft Body, Cloth and Cloth Dynamics (of Blender
@@ -102,6 +116,7 @@ def main() -> int:
             list(pool.map(lambda each: measure(*each), peers + ours))
             folds = [] if "--peers" in sys.argv else [(path, quality) for path in FOLDED for quality in STILL]
             list(pool.map(lambda each: measure_fold(*each), folds))
+            list(pool.map(measure_pair, [] if "--peers" in sys.argv else STILL))
     write_page()
     print(f"written to {PAGE.relative_to(ROOT)}")
     return 0
@@ -116,6 +131,10 @@ def measure(body: str, way: str) -> None:
 def measure_fold(path: Path, quality: str) -> None:
     command = [sys.executable, collision_fold.__file__, path, CACHE / name_of(path.name), quality]
     run(path.name, f"fold_{quality}", command)
+
+
+def measure_pair(quality: str) -> None:
+    run("pair", f"pair_{quality}", [sys.executable, collision_pair.__file__, *PAIR, CACHE / "pair", quality])
 
 
 def run(body: str, way: str, command: list) -> None:
@@ -177,6 +196,8 @@ def write_page() -> None:
             folds=collision_fold.FOLDS, points=collision_fold.POINTS, left=LEFT, snap=f"{SNAP:.1%}",
             still=" and ".join(f"{each:.1%}" for each in STILL.values()), share=SHARE,
             folded=folded(), folded_picture=PICTURES.format("folded"),
+            overlap=collision_pair.OVERLAP, comes=collision_pair.COMES, stands=collision_pair.STANDS,
+            pair=pair(), pair_picture=PICTURES.format("pair"),
             peer_body=name_of(PEERS_BODY).replace("_", " "), vertices=found(PEERS_BODY, "full")["vertices"],
             held=collision_press.HELD, last=LAST, peers=peers(),
         ).rstrip() + "\n",
@@ -213,6 +234,40 @@ def folded_figures(path: Path, quality: str) -> list[str]:
         f"{bare['milliseconds']:.1f} / {own['milliseconds']:.1f}",
         bold(f"{part:.0%}", quality == "full" and part > SHARE),
     ]  # fmt: skip
+
+
+def pair() -> str:
+    """The table of the two that press on each other; it makes their picture."""
+    rows = []
+    for quality in STILL:
+        each = found("pair", f"pair_{quality}")
+        if not each:
+            rows.append([quality.title(), *["did not end"] * 6])
+            continue
+        alone, both = each["alone"], each["together"]
+        rows.append([
+            quality.title(), f"{alone['inside']} / {both['inside']}",
+            f"{100 * alone['deepest']:.2f} / {100 * both['deepest']:.2f}",
+            f"{each['force']:.0f} N, {bold(format(each['sum'], '.0e'), each['sum'] > 1e-6)}",
+            f"{each['order']:.0e}", f"{both['iterations']:.1f}",
+            f"{alone['milliseconds']:.1f} / {both['milliseconds']:.1f}",
+        ])  # fmt: skip
+    images = [Image.open(CACHE / "pair" / f"pair_{way}.png").convert("RGB") for way in WAYS_TO_MEET]
+    row = Row("", "", images, [""] * len(images))
+    sheet = compose("Two bodies", "Belly on belly, cut in the middle", tuple(WAYS_TO_MEET.values()), [row])
+    save(sheet, PAGE.parent / PICTURES.format("pair"), small=True)
+    return grid(
+        [
+            "",
+            "inside, alone / together",
+            "deepest, %",
+            "force, sum",
+            "order",
+            "iterations",
+            "step, ms, alone / together",
+        ],
+        rows,
+    )
 
 
 def reduced(body: str) -> str:

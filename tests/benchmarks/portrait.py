@@ -8,10 +8,10 @@ from mathutils import Vector
 FROM = Vector((0.65, -1.0, 0.3)).normalized()  # where the camera stands
 
 
-def aim(points: np.ndarray, cell: tuple[int, int]) -> None:
+def aim(points: np.ndarray, cell: tuple[int, int], seen_from: Vector = FROM) -> None:
     """Give the scene a camera that has these points (N, 3), world, in a picture of so many pixels across and up."""
     scene = bpy.context.scene
-    turn = FROM.to_track_quat("Z", "Y").to_matrix().to_4x4()
+    turn = seen_from.to_track_quat("Z", "Y").to_matrix().to_4x4()
     seen = points @ np.array(turn.to_3x3())
     low, high = seen.min(axis=0), seen.max(axis=0)
     width, height, depth = high - low
