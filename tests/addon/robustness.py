@@ -6,14 +6,16 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from bl_ext.user_default.dynamic_morph_targets.core.motion.grab import Grab, as_text
 from bl_ext.user_default.dynamic_morph_targets.core.result.judge import Limits, Verdict
-from bl_ext.user_default.dynamic_morph_targets.run import batch
+from bl_ext.user_default.dynamic_morph_targets.run import batch, live
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import model_store, target_properties
 from builders import activate, evaluated_points, fingerprint, keys_of, make_box, rig_of
 from test_targets import drive
 
 OPS = bpy.ops.dynamorph
+DRAGS = {3: Grab(np.array([5]), np.array([[0.4, 0.0, 1.0]]), np.array([100.0]))}
 
 
 def coarse(obj):
@@ -161,6 +163,18 @@ def built(obj):
     OPS.build()
 
 
+def recording(obj):
+    """Live, with a drag that was recorded."""
+    built(obj)
+    OPS.live()
+    OPS.record_drags()
+    live.sessions[obj.session_uid].recorded = dict(DRAGS)
+
+
+def dragged(obj):
+    obj.dynamorph.simulation.drags = as_text(DRAGS)
+
+
 def baked(obj):
     OPS.bake()
 
@@ -240,6 +254,7 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "build_cage": (target_selected, {}),
     "capture_pose": (posed, {}),
     "check_targets": (built, {}),
+    "clear_drags": (dragged, {}),
     "collide": (box_selected, {}),
     "compare_beside": (baked, {}),
     "compare_full": (baked, {}),
@@ -270,6 +285,7 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "remove_attachment": (piece_listed, {}),
     "remove_soft_skin": (target_selected, {}),
     "remove_target": (target_selected, {}),
+    "record_drags": (recording, {}),
     "reset_gains": (gained, {}),
     "sculpt_target": (target_selected, {}),
     "select_key": (target_selected, {}),

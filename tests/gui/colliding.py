@@ -21,6 +21,7 @@ from editors import (
     shown_at,
     sidebar,
     skin,
+    view,
 )
 
 task: Task
@@ -92,6 +93,44 @@ def add_floor():
     yield from properties.press("dynamorph.add_floor")
     yield from until(lambda: "Floor" in bpy.data.objects, "a floor")
     assert abs(bpy.data.objects["Floor"].location.z - shown()[:, 2].min()) < 1e-3
+
+
+@step("Two bodies press on each other")
+def two_bodies():
+    settings().collision.property_unset("distance")
+    yield from sidebar.press("dynamorph.live")
+    yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
+    bpy.data.objects["Floor"].hide_viewport = bpy.data.objects["Ball"].hide_viewport = True
+    other = limb.make_other(skin())
+    for obj in (other, skin()):
+        obj.select_set(True)
+    bpy.context.view_layer.objects.active = skin()
+    yield from frames.click(1)
+    yield from properties.press("dynamorph.collide")
+    yield from until(lambda: other.dynamorph.collision.use, "the other arm to collide too")
+    yield from driver.drawn()
+    driver.photograph("pair_panel", properties.box)
+    yield from sidebar.press("dynamorph.live")
+    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on", 60)
+    bpy.context.view_layer.objects.active = other
+    yield from driver.drawn()
+    yield from sidebar.press("dynamorph.live")
+    yield from until(lambda: addon("run.live").is_on(other), "Live of the other one to be on", 60)
+    yield from frames.click(1)
+    with frames.Playback() as playback:
+        yield from frames.start()
+        yield from until(lambda: len(playback.evaluated) > limb.PRESSES + 5, "the arms to meet", 60)
+    yield from frames.stop()
+    driver.photograph("pair_live", view.box)
+    sessions = addon("run.live").sessions
+    measure("Two bodies in Live", f"{len(sessions[skin().session_uid].group.names)} simulated together")
+    assert len(sessions[skin().session_uid].group.names) == 2
+    yield from sidebar.press("dynamorph.live")
+    yield from until(lambda: not addon("run.live").is_on(other), "Live of the other one to be off")
+    bpy.data.objects.remove(other)
+    skin().modifiers.remove(skin().modifiers["Collision"])
+    bpy.context.view_layer.objects.active = skin()
+    yield from driver.drawn()
 
 
 @step("Without them")

@@ -9,7 +9,7 @@ import frames
 import limb
 import numpy as np
 from driver import measure, step, until
-from editors import addon, keys, on_screen, shown, sidebar, skin, view, viewport
+from editors import addon, close, keys, on_screen, physics, properties, settings, shown, sidebar, skin, view, viewport
 
 PULLED = 70  # pixels
 before: list[str]  # shape keys
@@ -53,6 +53,7 @@ def hands() -> dict:
 def choose():
     global before
     before = keys()
+    yield from physics("solver")
     yield from frames.click(limb.FIRST)
     yield from sidebar.press("dynamorph.live")
     yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on")
@@ -119,6 +120,25 @@ def playing():
     yield from until(lambda: not hands(), "the hand to let go")
     yield from frames.stop()
     assert not addon("run.live").problem(skin())
+
+
+@step("Record Drags, and see them again")
+def record():
+    yield from frames.click(limb.FIRST)
+    yield from properties.press("dynamorph.record_drags")
+    yield from frames.start()
+    yield from press_and_pull(PULLED)
+    yield 1.0
+    yield from release(PULLED)
+    yield from until(lambda: not hands(), "the hand to let go")
+    yield from frames.stop()
+    yield from properties.press("dynamorph.record_drags")
+    yield from until(lambda: settings().simulation.drags, "the drags to be kept")
+    yield from driver.drawn()
+    driver.photograph("grab_recorded", properties.box)
+    yield from properties.press("dynamorph.clear_drags")
+    yield from until(lambda: not settings().simulation.drags, "the drags to be removed")
+    yield from close("solver")
 
 
 @step("Without it")

@@ -93,3 +93,18 @@ def make_ball():
     for frame, deep in ((1, -0.03), (PRESSES, PRESSED)):
         ball.location = (BALL_AT, deep - touches, 0.0)
         ball.keyframe_insert("location", frame=frame)
+
+
+def make_other(arm):
+    """A copy of the arm on a rig of its own, which comes down on it from above."""
+    other, rig = arm.copy(), arm.modifiers["Armature"].object.copy()
+    other.name, other.data, rig.data = "Other Arm", arm.data.copy(), rig.data.copy()
+    for obj in (rig, other):
+        bpy.context.scene.collection.objects.link(obj)
+    other.modifiers["Armature"].object = rig
+    rig.animation_data_clear()
+    thick = 2.0 * float(np.interp(BALL_AT / LENGTH, *np.transpose(OUTLINE)))
+    for frame, deep in ((1, -0.01), (PRESSES, PRESSED)):
+        rig.location = (0.0, 0.0, thick - deep)
+        rig.keyframe_insert("location", frame=frame)
+    return other

@@ -21,6 +21,7 @@ VERSION = 1
 BUILD = "The record of the last build cannot be read: press Build Model"
 BAKE = "The record of the last bake cannot be read: bake again"
 VERDICT = "The verdict on this bake cannot be read: bake again"
+DRAGS = "The recorded drags cannot be read: clear them"
 SLOT = "The other set of settings cannot be read: press Copy to replace it"
 LAST_FRAME = 1_048_574  # that Blender can show
 MATERIAL = {field.name for field in fields(Material)}
@@ -69,6 +70,17 @@ def colliders_text(seen: list[list[str]]) -> str:
 def colliders(record: str) -> list[list[str]]:
     """What `colliders_text` noted; empty without a record. Not to be changed."""
     return _read(record, BAKE, {"colliders": _are_colliders}, {})["colliders"] if record else []
+
+
+def drags_text(drags: list[dict]) -> str:
+    """A record of how the skin was dragged: `frame`, `vertices` (K), `goals` (K, 3), `stiffness` (K) of each."""
+    return text({"drags": drags})
+
+
+@lru_cache(maxsize=16)
+def drags(record: str) -> list[dict]:
+    """What `drags_text` noted. Not to be changed."""
+    return _read(record, DRAGS, {"drags": _are_drags}, {})["drags"]
 
 
 def verdict(record: str) -> dict:
@@ -181,10 +193,30 @@ def _are_colliders(value: object) -> TypeGuard[list[list[str]]]:
     return isinstance(value, list) and all(_are_texts(each) and len(each) == 3 for each in value)
 
 
+def _are_drags(value: object) -> TypeGuard[list[dict]]:
+    return isinstance(value, list) and all(map(_is_drag, value))
+
+
+def _is_drag(value: object) -> bool:
+    if not (isinstance(value, dict) and value.keys() == DRAG and is_number(value["frame"])):
+        return False
+    vertices, goals, stiffness = value["vertices"], value["goals"], value["stiffness"]
+    return (
+        abs(value["frame"]) <= LAST_FRAME
+        and _are_indices(vertices)
+        and _are_numbers(stiffness)
+        and isinstance(goals, list)
+        and len(vertices) == len(stiffness) == len(goals) > 0
+        and min(stiffness) >= 0
+        and all(_are_numbers(goal) and len(goal) == 3 for goal in goals)
+    )
+
+
 def _are_texts(value: object) -> TypeGuard[list[str]]:
     return isinstance(value, list) and all(map(_is_text, value))
 
 
+DRAG = {"frame", "vertices", "goals", "stiffness"}
 LIMITS = {"displacement", "thickness"}
 HELD: dict[str, Callable[[object], bool]] = {
     "bone": _is_text,

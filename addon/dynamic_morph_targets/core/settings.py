@@ -108,6 +108,7 @@ class SimulationSettings:
     max_thickness: how far the skin may move away from its targets' shapes, as fractions of the body's size and of its
     thickness there; 0 for no limit. collision: whether colliders stop the skin; distance: how far from them, as a
     fraction of the body's size. self_collision: whether the body does, too; self_friction: of its skin on itself.
+    drags: that were recorded, `grab.as_text`.
     """
 
     frame_start: int = 1
@@ -128,6 +129,7 @@ class SimulationSettings:
     distance: float = 0.002
     self_collision: bool = False
     self_friction: float = 0.0
+    drags: str = ""
 
     def __post_init__(self) -> None:
         if self.substeps % self.samples:

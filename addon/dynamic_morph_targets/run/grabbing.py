@@ -17,7 +17,7 @@ from ..core import engine, errors, logger
 from ..core.errors import SceneError
 from ..core.message import Message
 from ..core.model.model import Model
-from ..core.motion.grab import FIRM, Grab, pinch
+from ..core.motion.grab import FIRM, Grab, as_text, from_text, pinch, together
 from ..core.motion.player import Frame, Player, State
 from ..scene import events, rig_motion, skin
 from . import live
@@ -72,13 +72,14 @@ class Copy:
         """The next frame; the player is left as it was."""
         assert player.hand is not None
         state, number = player.state, player.number
-        player.state = self._state
+        track = player.hand.track
+        player.state, player.hand.track = self._state, {}
         player.hand.pull(grabs)
         try:
             frame = player.advance(self._rig, self.now)
             self._state = player.state
         finally:
-            player.state, player.number = state, number
+            player.state, player.number, player.hand.track = state, number, track
         self.frames += 1
         return frame
 
@@ -225,6 +226,34 @@ def _moving(model: Model) -> np.ndarray:
 
 def _aged(hold: Hold) -> Hold:
     return hold if hold.frames is None else replace(hold, frames=hold.frames - 1)
+
+
+def record(obj: bpy.types.Object) -> None:
+    """From now on Live keeps what hands do to the soft skin `obj`, frame by frame. Raises SceneError."""
+    session = live.sessions.get(obj.session_uid)
+    if session is None:
+        raise SceneError(
+            live.problem(obj) or Message("'{name}' is not live: press Live Soft Skin first", name=obj.name)
+        )
+    session.recorded = {}
+
+
+def is_recording(obj: bpy.types.Object) -> bool:
+    session = live.sessions.get(obj.session_uid)
+    return session is not None and session.recorded is not None
+
+
+def recorded(obj: bpy.types.Object) -> tuple[str, int]:
+    """Ends the recording. Returns all drags of the shot, as text, with those from before, and in how many frames they
+    are new. Raises RecordError.
+    """
+    session = live.sessions[obj.session_uid]
+    new = {frame: grab for frame, grab in (session.recorded or {}).items() if len(grab.vertices)}
+    session.recorded = None
+    track = from_text(obj.dynamorph.simulation.drags, len(session.tissue.character.vertices))
+    for frame, grab in new.items():
+        track[frame] = together([each for each in (track.get(frame), grab) if each])
+    return as_text(track), len(new)
 
 
 current: Grabbing | None = None

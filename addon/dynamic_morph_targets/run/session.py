@@ -15,7 +15,7 @@ from ..core.errors import SceneError
 from ..core.message import joined
 from ..core.motion import rig_samples
 from ..core.motion.contact import Touched, touched
-from ..core.motion.grab import Grab
+from ..core.motion.grab import Grab, together
 from ..core.motion.loops import begin_again
 from ..core.motion.player import Frame, State, statistics
 from ..core.motion.rig_samples import RigSamples
@@ -79,6 +79,7 @@ class Session:
         self.first = self.last = 0  # frames simulated from and to, while there are any
         self.now: int | None = None  # the one that shows, or just before
         self.grabs: tuple[Grab, ...] = ()  # by which the artist pulls the skin
+        self.recorded: dict[int, Grab] | None = None  # those to each frame, while they are recorded
         self.group = LiveGroup([self])
         self.rig_changes = 0  # how often the rig's motion was edited
         self._frames: dict[int, Frame] = {}
@@ -250,6 +251,8 @@ class Session:
     def keep(self, number: int, frame: Frame) -> None:
         """Take the next frame, with the state after it."""
         self._frames[number], self.last = frame, number
+        if self.recorded is not None:
+            self.recorded[number] = together(self.grabs)
         if len(self._frames) > self._shown:
             del self._frames[self.first]
             self.first += 1
@@ -261,9 +264,7 @@ class Session:
         return kept[1] if kept and kept[0] == number else None
 
     def rewind(self) -> None:
-        """Drop the frames after the one that shows, with those of the group; if its state is no longer stored, all of
-        them.
-        """
+        """Drop the group's frames after the one that shows; if its state is no longer stored, all of them."""
         for each in self.group.sessions:
             each.rewind_alone()
 

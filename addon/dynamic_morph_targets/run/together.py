@@ -24,6 +24,8 @@ def groups(jobs: Sequence[Job]) -> list[list[Job]]:
     shots together. Raises SceneError where that cannot be.
     """
     of = {job.request.target.find(): job for job in jobs}
+    if len(of) < len(jobs):  # one body in several ways
+        return [[job] for job in jobs]
     out = [[of[obj] for obj in group] for group in colliders.pressing(of)]
     for group in out:
         if len(group) > 1:

@@ -93,4 +93,5 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
         distance=collision.distance,
         self_collision=collision.use and collision.use_self,
         self_friction=collision.friction if collision.use_friction else SimulationSettings.self_friction,
+        drags=chosen.drags if chosen.use_drags else "",
     )

@@ -202,6 +202,7 @@ def bake_inputs(skinned: Skinning, simulation: SimulationSettings) -> dict:
     inputs["groups"] |= {"excluded_group": settings.excluded_group} if settings.collision.use else {}
     inputs["groups"]["armature_modifiers"] = skinned.settings()
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
+    inputs["simulation"]["drags"] = crc32(simulation.drags.encode())
     for name in ("distance", "self_collision", "self_friction"):  # as the artist set them, below
         del inputs["simulation"][name]
     names = ["distance", "use_self", "use_friction", *(["friction"] if settings.collision.use_friction else [])]

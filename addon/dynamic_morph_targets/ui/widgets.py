@@ -10,7 +10,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.message import translated
 from ..core.time_left import clock
-from ..run import batch
+from ..run import batch, grabbing
 
 FRAME = 76  # pixels at a UI scale of 1 beside a text: the sidebar's tabs, margins and an icon
 CHARACTER = 6.2  # such pixels that a character takes in a line of many wide ones
@@ -76,3 +76,12 @@ def line_length() -> int:
 def characters(width: float, scale: float) -> int:
     """width: of a region, pixels; scale: of the interface."""
     return max(int((width / scale - FRAME) / CHARACTER), SHORTEST)
+
+
+def draw_drags(layout, obj):
+    """What records drags of the skin, and plays them."""
+    simulation, row = obj.dynamorph.simulation, layout.row(align=True)
+    row.operator("dynamorph.record_drags", icon="REC", depress=grabbing.is_recording(obj))
+    if simulation.drags:
+        row.operator("dynamorph.clear_drags", text="", icon="X")
+        layout.prop(simulation, "use_drags")

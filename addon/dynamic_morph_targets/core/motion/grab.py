@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
+from .. import records
 from ..character import Character
 from ..engine import dynamorph
+from ..errors import RecordError
 from ..model.model import EngineModel, EngineSimulation, Model
 from .contact import carried
 
@@ -39,6 +41,29 @@ def together(grabs: Sequence[Grab]) -> Grab:
     return Grab(*(np.concatenate([getattr(each, field.name) for each in grabs]) for field in fields(Grab)))
 
 
+def as_text(track: Mapping[int, Grab]) -> str:
+    """A track of drags as it is kept in a file: '' for none."""
+    drags = [
+        {"frame": frame, **{each.name: getattr(grab, each.name).tolist() for each in fields(Grab)}}
+        for frame, grab in sorted(track.items())
+        if len(grab.vertices)
+    ]
+    return records.drags_text(drags) if drags else ""
+
+
+def from_text(text: str, vertices: int) -> dict[int, Grab]:
+    """The track of a skin of so many vertices: what leads it to each frame. Raises RecordError."""
+    track = {
+        int(each["frame"]): Grab(
+            np.array(each["vertices"]), np.array(each["goals"], float), np.array(each["stiffness"])
+        )
+        for each in (records.drags(text) if text else ())
+    }
+    if any(grab.vertices.max() >= vertices for grab in track.values()):
+        raise RecordError("The recorded drags are of a mesh with more vertices: clear them")
+    return track
+
+
 def pinch(points: np.ndarray, place: np.ndarray, radius: float, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The vertices (K,) that a hand at `place` (3,) takes hold of, and how firmly each, summing to 1. points (V, 3):
     the skin as it shows; moves (V,): which of them can move by themselves. Nothing where none is near.
@@ -52,32 +77,42 @@ def pinch(points: np.ndarray, place: np.ndarray, radius: float, moves: np.ndarra
 
 
 class Hand:
-    """What pulls the skin of a simulation, frame by frame."""
+    """What pulls the skin of a simulation, frame by frame: the artist, and a track of recorded drags."""
 
     def __init__(self, model: Model, engine: EngineModel, character: Character, simulation: EngineSimulation):
         self._model, self._engine, self._character, self._simulation = model, engine, character, simulation
-        self._before = NOTHING  # at the end of the last frame
-        self.grab = NOTHING  # at the end of the next one
+        self.track: Mapping[int, Grab] = {}  # at the ends of the frames to which these lead
+        self._pulled: Sequence[Grab] = ()  # by the artist
+        self._last: Sequence[Grab] = ()  # the same in the last frame
+        self._before = NOTHING  # all of it, at the end of the last frame
+        self._grab = NOTHING  # and of this one
 
     def pull(self, grabs: Sequence[Grab]) -> None:
-        """From now on. Where the same vertices are pulled, they are led to their new goals during the next frame."""
-        grab = together(grabs)
-        if not np.array_equal(grab.vertices, self.grab.vertices):
+        """What the artist does, from the next frame on."""
+        self._pulled = grabs
+
+    def begin(self, frame: int) -> None:
+        """The steps to this frame begin. Where the same vertices are pulled as before, they are led to their new
+        goals.
+        """
+        before, grab = (
+            together([*grabs, *filter(None, [self.track.get(number)])])
+            for grabs, number in ((self._last, frame - 1), (self._pulled, frame))
+        )
+        if not np.array_equal(grab.vertices, self._grab.vertices):
             skin: Any = self._skin(grab.vertices) if len(grab.vertices) else None
             self._simulation.set_skin(skin)
-            self._before = grab
-        self.grab = grab
+        self._before = before if np.array_equal(before.vertices, grab.vertices) else grab
+        self._last, self._grab = self._pulled, grab
 
     def springs(self, steps: slice, substeps: int) -> Any:
         """For the engine, in these steps of a frame of `substeps`; None where nothing is pulled."""
-        if not len(self.grab.vertices):
+        if not len(self._grab.vertices):
             return None
         parts = (np.arange(steps.start, steps.stop) % substeps + 1.0) / substeps
-        way = self.grab.goals - self._before.goals
+        way = self._grab.goals - self._before.goals
         goals = self._before.goals + parts[:, None, None] * way
-        if steps.stop % substeps == 0:  # the frame is over
-            self._before = self.grab
-        return dynamorph.Grabs(np.arange(len(way)), goals, self.grab.stiffness)
+        return dynamorph.Grabs(np.arange(len(way)), goals, self._grab.stiffness)
 
     def _skin(self, vertices: np.ndarray) -> Any:
         kind: Any = dynamorph.FullSkin if self._model.settings.solver == "FULL" else dynamorph.ReducedSkin

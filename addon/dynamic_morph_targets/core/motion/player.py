@@ -16,7 +16,7 @@ from ..model.model import EngineModel, EngineSimulation, Model
 from ..settings import SimulationSettings
 from .amounts import Amounts
 from .contact import Collision, as_bits
-from .grab import Hand
+from .grab import Hand, from_text
 from .limits import motion_limit
 from .posing import Posing
 from .rig_samples import RigSamples
@@ -106,6 +106,7 @@ class Player:
             self._shapes = model.target_coordinates(self.engine)
             self._simulation = _stepper(model, self.engine, settings, keep_going)
             self.hand = Hand(model, self.engine, character, self._simulation)
+            self.hand.track = from_text(settings.drags, len(character.vertices))
             self._simulation.set_limit(motion_limit(model, self.engine, self.character, settings))
             if settings.collision:
                 self.collision = Collision(model, self.engine, character)
@@ -217,6 +218,8 @@ class Player:
             bones, weights = self.posing.posed(moving)
             for k, number in enumerate(chunk):
                 self.number = int(number)
+                if self.hand:
+                    self.hand.begin(self.number)
                 if self._keep_going and not self._keep_going():
                     raise dynamorph.Cancelled("canceled")
                 for left in reversed(range(samples)):

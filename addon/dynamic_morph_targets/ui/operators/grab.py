@@ -17,6 +17,7 @@ from ...run import grabbing
 from ...scene import events, mesh_data, skin
 from ...scene.registration import of_classes
 from ..base import report_errors
+from ..widgets import draw_drags
 
 TAP, TAP_PIXELS = 0.4, 4  # a press that is shorter in seconds, and moves less, slaps
 NOTCH = 0.01  # of the body's size: by which the wheel moves the hand away from the viewer, or nearer
@@ -121,6 +122,13 @@ class GrabTool(WorkSpaceTool):
         "A tap slaps it. The wheel moves the hand in depth; Shift at the release leaves it there; Esc lets go of all"
     )
     bl_icon = "brush.uv_sculpt.grab"
+
+    @staticmethod
+    def draw_settings(context, layout, _tool):
+        obj = skin.mesh_in(context)
+        if obj is not None and obj.dynamorph.targets:
+            draw_drags(layout, obj)
+
     bl_keymap = tuple(
         (DYNAMORPH_OT_grab.bl_idname, {"type": "LEFTMOUSE", "value": "PRESS", "shift": shift}, None)
         for shift in (False, True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from bpy.types import UIList
 
 from ...run import batch, expected_error, preview
-from ..widgets import draw_message, draw_setting, pair
+from ..widgets import draw_drags, draw_message, draw_setting, pair
 
 
 class DYNAMORPH_UL_modes(UIList):
@@ -69,6 +69,7 @@ def draw_solver(layout, _context, obj):
     layout.enabled = batch.running is None
     for name in ("substeps", "samples", "gravity", "fields", "initial_state"):
         draw_setting(layout, obj.dynamorph.simulation, name)
+    draw_drags(layout, obj)
 
 
 def draw_rare(layout, _context, obj):
