@@ -53,7 +53,7 @@ def hands() -> dict:
 def choose():
     global before
     before = keys()
-    yield from physics("solver")
+    yield from physics("advanced", "solver")
     yield from frames.click(limb.FIRST)
     yield from sidebar.press("dynamorph.live")
     yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on")
@@ -138,7 +138,7 @@ def record():
     driver.photograph("grab_recorded", properties.box)
     yield from properties.press("dynamorph.clear_drags")
     yield from until(lambda: not settings().simulation.drags, "the drags to be removed")
-    yield from close("solver")
+    yield from close("advanced")
 
 
 @step("Without it")

@@ -103,6 +103,8 @@ def make_other(arm):
         bpy.context.scene.collection.objects.link(obj)
     other.modifiers["Armature"].object = rig
     rig.animation_data_clear()
+    rig.pose.bones["forearm"].rotation_euler = (0.0, 0.0, 0.0)
+    other.parent = rig
     thick = 2.0 * float(np.interp(BALL_AT / LENGTH, *np.transpose(OUTLINE)))
     for frame, deep in ((1, -0.01), (PRESSES, PRESSED)):
         rig.location = (0.0, 0.0, thick - deep)
