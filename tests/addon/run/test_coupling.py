@@ -4,6 +4,8 @@
 import bpy
 import numpy as np
 import pytest
+from bl_ext.user_default.dynamic_morph_targets.cli import main
+from bl_ext.user_default.dynamic_morph_targets.core import records
 from bl_ext.user_default.dynamic_morph_targets.core.errors import Cancelled, SceneError
 from bl_ext.user_default.dynamic_morph_targets.run import batch
 from bl_ext.user_default.dynamic_morph_targets.run import live as live_module
@@ -96,6 +98,16 @@ def test_the_order_does_not_matter(arms):
         found.append([evaluated_points(obj) for obj in arms])
     for first, second in zip(*found, strict=True):
         assert np.abs(first - second).max() < 1e-6 * SIZE
+
+
+def test_the_command_line_bakes_them_together(arms, tmp_path):
+    shot, baked = tmp_path / "shot.blend", tmp_path / "baked.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(shot))
+    assert main.main(["bake", str(shot), "--all", "-o", str(baked)], opens_file=True) == 0
+    bpy.ops.wm.open_mainfile(filepath=str(baked))
+    for name, other in (("Left", "Right"), ("Right", "Left")):
+        record = bpy.data.objects[name].dynamorph.bake
+        assert records.bake_inputs(record.inputs)["together"] == [other]
 
 
 def test_a_change_of_one_makes_both_out_of_date(arms):
