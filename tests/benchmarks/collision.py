@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """`make collision`: docs/collision.md and its pictures: a ball is pressed into characters of ../shared, characters
-fold up, and two press on each other.
+fold up, two press on each other, and a hand holds one.
 
     python tests/benchmarks/collision.py --page   the page from what was measured before
     python tests/benchmarks/collision.py --ours   measures all but Blender's own ways again
@@ -20,6 +20,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import collision_fold
+import collision_grab
 import collision_pair
 import collision_press
 import numpy as np
@@ -47,6 +48,7 @@ MOVING, RESTING = 0.0015, 0.0011  # of size, with Distance 0: asked of the penet
 ITERATIONS = 10  # a step, asked with both rounds of friction
 LEFT, SNAP, SHARE = 0.05, 0.005, 0.46  # asked: of the points inside, of size, of a step
 STILL = {"full": 0.002, "reduced": 0.005}  # asked, of size
+MORE = 10.0  # microseconds, asked
 DENT = 0.001  # of size: what is shallower is none
 NONE = "-"
 
@@ -94,6 +96,13 @@ each alone and together, the median.
 {pair}
 ![Two characters, pressed on each other, cut in the middle]({pair_picture})
 
+## A hand
+
+The second character stands still in Live. Microseconds of a step, medians of {rounds} frames each, in turns: without a
+hand, with one that holds nothing, and with one that holds the softest place of the skin; asked: 10 more.
+
+{grab}
+
 ## Beside what Blender has
 
 The same ball and the same body ({peer_body}, {vertices:,} vertices). Soft Body, Cloth and Cloth Dynamics (of Blender
@@ -117,6 +126,8 @@ def main() -> int:
             folds = [] if "--peers" in sys.argv else [(path, quality) for path in FOLDED for quality in STILL]
             list(pool.map(lambda each: measure_fold(*each), folds))
             list(pool.map(measure_pair, [] if "--peers" in sys.argv else STILL))
+        for quality in [] if "--peers" in sys.argv else STILL:  # one at a time: these are microseconds
+            measure_grab(quality)
     write_page()
     print(f"written to {PAGE.relative_to(ROOT)}")
     return 0
@@ -135,6 +146,10 @@ def measure_fold(path: Path, quality: str) -> None:
 
 def measure_pair(quality: str) -> None:
     run("pair", f"pair_{quality}", [sys.executable, collision_pair.__file__, *PAIR, CACHE / "pair", quality])
+
+
+def measure_grab(quality: str) -> None:
+    run("grab", f"grab_{quality}", [sys.executable, collision_grab.__file__, PAIR[0], CACHE / "grab", quality])
 
 
 def run(body: str, way: str, command: list) -> None:
@@ -197,7 +212,7 @@ def write_page() -> None:
             still=" and ".join(f"{each:.1%}" for each in STILL.values()), share=SHARE,
             folded=folded(), folded_picture=PICTURES.format("folded"),
             overlap=collision_pair.OVERLAP, comes=collision_pair.COMES, stands=collision_pair.STANDS,
-            pair=pair(), pair_picture=PICTURES.format("pair"),
+            pair=pair(), pair_picture=PICTURES.format("pair"), rounds=collision_grab.ROUNDS, grab=grab(),
             peer_body=name_of(PEERS_BODY).replace("_", " "), vertices=found(PEERS_BODY, "full")["vertices"],
             held=collision_press.HELD, last=LAST, peers=peers(),
         ).rstrip() + "\n",
@@ -268,6 +283,18 @@ def pair() -> str:
         ],
         rows,
     )
+
+
+def grab() -> str:
+    rows = []
+    for quality in STILL:
+        each = found("grab", f"grab_{quality}")
+        if not each:
+            rows.append([quality.title(), *["did not end"] * 3])
+            continue
+        more = [each[way] - each["none"] for way in ("idle", "holds")]
+        rows.append([quality.title(), f"{each['none']:.0f}", *(bold(f"{extra:+.0f}", extra > MORE) for extra in more)])
+    return grid(["", "none", "holds nothing", "holds"], rows)
 
 
 def reduced(body: str) -> str:
