@@ -55,16 +55,8 @@ def main() -> int:
         characters.open_file(asset)
         body = characters.largest_skinned()
         fold(characters.armature_of(body))
-        bpy.context.view_layer.objects.active = body
-        body.select_set(True)
-        if not body.dynamorph.targets:
-            bpy.ops.dynamorph.add_soft_skin()
-        body.dynamorph.model.solver = quality.upper()
         body.dynamorph.collision.use = False
-        batch.run(Job(body, goal="BUILD"))
-        model = load_model(body).with_settings(body.dynamorph.model.settings())
-        character = extract.read(Source.of(Skinning.of(body)))
-        rig = rig_motion.sample_rig(body, 1, 1 + FOLDS + STILL, 1)
+        model, character, rig = built(body, quality, 1 + FOLDS + STILL)
     settings = SimulationSettings(1, 1 + FOLDS + STILL, RATE, 1, collision=True)
     found, shots = {"name": asset.stem}, {}
     for way in ("none", "self"):
@@ -81,6 +73,19 @@ def main() -> int:
         found[way]["second"] = float(jumps.max())
     (folder / f"fold_{quality}.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     return 0
+
+
+def built(body, quality: str, last: int, substeps: int = 1):
+    """Model and character of a body as Add Soft Skin makes it, and its rig up to a frame."""
+    bpy.context.view_layer.objects.active = body
+    body.select_set(True)
+    if not body.dynamorph.targets:
+        bpy.ops.dynamorph.add_soft_skin()
+    body.dynamorph.model.solver = quality.upper()
+    batch.run(Job(body, goal="BUILD"))
+    model = load_model(body).with_settings(body.dynamorph.model.settings())
+    character = extract.read(Source.of(Skinning.of(body)))
+    return model, character, rig_motion.sample_rig(body, 1, last, substeps)
 
 
 def fold(rig) -> None:

@@ -13,24 +13,16 @@ import json
 import sys
 from pathlib import Path
 
-import collision_fold  # sets up what is imported next
-
-import bpy  # isort: skip
-import characters  # isort: skip
-import dynamic_morph_targets  # isort: skip
+from collision_fold import built  # isort: skip  (it sets up what is imported next)
+import characters
+import dynamic_morph_targets
 import numpy as np
 from contact_sheet import quiet
 from dynamic_morph_targets.__main__ import leave
 from dynamic_morph_targets.core.motion.grab import FIRM, Grab, pinch
 from dynamic_morph_targets.core.motion.player import Player
 from dynamic_morph_targets.core.settings import SimulationSettings
-from dynamic_morph_targets.run import batch
 from dynamic_morph_targets.run.grabbing import RADIUS
-from dynamic_morph_targets.run.job import Job
-from dynamic_morph_targets.scene import extract, rig_motion
-from dynamic_morph_targets.scene.model_store import load_model
-from dynamic_morph_targets.scene.skinning import Skinning
-from dynamic_morph_targets.scene.source import Source
 
 ROUNDS, SUBSTEPS, FPS = 40, 5, 24.0
 WAYS = ("none", "idle", "holds")
@@ -44,14 +36,7 @@ def main() -> int:
         characters.open_file(asset)
         body = characters.largest_skinned()
         characters.armature_of(body).animation_data_clear()
-        bpy.context.view_layer.objects.active = body
-        if not body.dynamorph.targets:
-            bpy.ops.dynamorph.add_soft_skin()
-        body.dynamorph.model.solver = quality.upper()
-        batch.run(Job(body, goal="BUILD"))
-        model = load_model(body).with_settings(body.dynamorph.model.settings())
-        character = extract.read(Source.of(Skinning.of(body)))
-        rig = rig_motion.sample_rig(body, 1, 2, SUBSTEPS)
+        model, character, rig = built(body, quality, 2, SUBSTEPS)
     player = Player(model, character, SimulationSettings(1, 2, FPS, SUBSTEPS))
     player.begin(rig)
     hand, grab, seconds = player.hand, held(player, rig), {way: [] for way in WAYS}
@@ -81,5 +66,4 @@ def held(player: Player, rig) -> Grab:
 
 
 if __name__ == "__main__":
-    assert collision_fold.ROOT
     leave(main())

@@ -16,24 +16,16 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import collision_fold  # sets up what is imported next
-
-import bpy  # isort: skip
-import characters  # isort: skip
-import dynamic_morph_targets  # isort: skip
+from collision_fold import CELL, RATE, built, limb, looked_at, nearest, winding  # isort: skip  (it sets up what is imported next)
+import bpy
+import characters
+import dynamic_morph_targets
 import numpy as np
-from collision_fold import CELL, RATE, limb, looked_at, nearest, winding
 from contact_sheet import quiet, render
 from dynamic_morph_targets.__main__ import leave
 from dynamic_morph_targets.core.motion import simulate
 from dynamic_morph_targets.core.motion.player import STEP
 from dynamic_morph_targets.core.settings import SimulationSettings
-from dynamic_morph_targets.run import batch
-from dynamic_morph_targets.run.job import Job
-from dynamic_morph_targets.scene import extract, rig_motion
-from dynamic_morph_targets.scene.model_store import load_model
-from dynamic_morph_targets.scene.skinning import Skinning
-from dynamic_morph_targets.scene.source import Source
 from mathutils import Vector
 from portrait import aim
 
@@ -50,7 +42,7 @@ def main() -> int:
         bodies = [characters.largest_skinned()]
         bodies.append(appended(second))
         meet(*bodies)
-        made = [built(body, quality) for body in bodies]
+        made = [built(body, quality, 1 + COMES + STANDS) for body in bodies]
     settings = SimulationSettings(1, 1 + COMES + STANDS, RATE, 1, collision=True)
     ways = {"alone": shots(made, settings, False), "together": shots(made, settings, True)}
     again = shots(made[::-1], settings, True)[::-1]
@@ -123,19 +115,6 @@ def torso(body) -> np.ndarray:
         if vertex.groups and limb(names[max(vertex.groups, key=lambda each: each.weight).group]) == "torso"
     ]
     return np.array(points)
-
-
-def built(body, quality: str):
-    """Model, character and rig of a body as Add Soft Skin makes it."""
-    bpy.context.view_layer.objects.active = body
-    body.select_set(True)
-    if not body.dynamorph.targets:
-        bpy.ops.dynamorph.add_soft_skin()
-    body.dynamorph.model.solver = quality.upper()
-    batch.run(Job(body, goal="BUILD"))
-    model = load_model(body).with_settings(body.dynamorph.model.settings())
-    character = extract.read(Source.of(Skinning.of(body)))
-    return model, character, rig_motion.sample_rig(body, 1, 1 + COMES + STANDS, 1)
 
 
 def shots(made, settings, together: bool) -> list[simulate.Shot]:
@@ -211,5 +190,4 @@ def photograph(bodies, skins, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    assert collision_fold.ROOT
     leave(main())
