@@ -125,6 +125,22 @@ def test_the_forces_between_them_sum_to_zero():
     assert np.abs(pushed[0] + pushed[1]).max() < 1e-6 * np.abs(pushed[0]).max()
 
 
+def test_a_free_body_between_two_others_is_pressed_from_both_sides():
+    """It comes to rest where the forces of both are equal."""
+    below, between, above = block("FULL", False, held=True), block("FULL", True), block("FULL", True, held=True)
+    bodies, overlap = (below, between, above), 0.01
+    places = posed(), posed(GAP + overlap), posed(GAP + 2 * overlap - HIGH)
+    simulations = [simulation_of(s, place) for s, place in zip(bodies, places, strict=True)]
+    coupling = below.kind["Coupling"]([(made, s.skin) for s, made in zip(bodies, simulations, strict=True)])
+    for _ in range(150):
+        reports = coupling.advance([motion(place) for place in places])
+        forces = np.array([report["body_force"] for report in reports])
+        assert all(report["converged"] for report in reports)
+        assert np.abs(forces.sum(axis=0)).max() <= 1e-6 * np.abs(forces).max()
+    assert forces[0, 2] < 0.0 < forces[2, 2]
+    assert forces[2, 2] == pytest.approx(-forces[0, 2], rel=0.05)
+
+
 def test_bodies_that_do_not_meet_move_as_they_do_alone():
     lower, upper = block("FULL", False, held=True), block("FULL", True, held=True)
     moved, _, simulations = pressed(lower, upper, 0.05, steps=20)

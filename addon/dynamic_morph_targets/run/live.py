@@ -145,9 +145,10 @@ def _group(obj: bpy.types.Object, scene: bpy.types.Scene) -> LiveGroup:
                 if not refusal(_way(found[one.name]), _way(session)):
                     found[other.name] = session
                     waiting.append(other)
-    sessions = [found[name] for name in sorted(found)]
+    names = sorted(found)
+    sessions = [found[name] for name in names]
     known = sessions[0].group
-    return known if list(known.sessions) == sessions else LiveGroup(sessions)
+    return known if (list(known.sessions), list(known.names)) == (sessions, names) else LiveGroup(sessions, names)
 
 
 def _way(session: Session) -> tuple[str, SimulationSettings]:

@@ -29,11 +29,10 @@ class Member(Protocol):
 
 
 class LiveGroup:
-    """Sessions, by name: one alone, or those whose bodies press on each other."""
+    """Sessions: one alone, or those whose bodies press on each other. names: of their objects, ascending."""
 
-    def __init__(self, sessions: Sequence[Member]):
-        self.sessions = sessions
-        self.names = tuple(session.tissue.character.name for session in sessions)
+    def __init__(self, sessions: Sequence[Member], names: Sequence[str]):
+        self.sessions, self.names = sessions, tuple(names)
         self._coupling: Coupling | None = None  # of the players that took the last step together
 
     def advance(self, last: int) -> None:

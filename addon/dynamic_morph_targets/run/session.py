@@ -80,7 +80,7 @@ class Session:
         self.now: int | None = None  # the one that shows, or just before
         self.grabs: tuple[Grab, ...] = ()  # by which the artist pulls the skin
         self.recorded: dict[int, Grab] | None = None  # those to each frame, while they are recorded
-        self.group = LiveGroup([self])
+        self.group = LiveGroup([self], [obj.name])
         self.rig_changes = 0  # how often the rig's motion was edited
         self._frames: dict[int, Frame] = {}
         self._states: dict[int, tuple[int, State]] = {}
@@ -221,14 +221,13 @@ class Session:
         self.keep(number, frame)
 
     def join(self, group: LiveGroup) -> None:
-        """From now on this body presses on the others of the group. Where that is new, the motion begins again at the
-        frame that shows.
-        """
+        """From now on press on the others of the group; where they are new, begin again at the frame that shows."""
         before, self.group = self.group, group
         if before.names == group.names:
             return
         if self.tissue.player.collision:
             self.tissue.player.collision.others = group.names
+        self.rig.forget()  # its colliders have names
         if self.now is not None:
             self._begin(self.tissue.skin.object.find(), self.now)
 

@@ -244,6 +244,16 @@ def test_when_one_leaves_live_the_other_meets_it_as_it_stands(live_arms):
     assert live(left).group.names == ("Left", "Right")
 
 
+def test_a_new_name_changes_nothing_in_live(live_arms):
+    left, right = live_arms
+    shown = played(*live_arms)
+    right.name = "Another"
+    again = played(*live_arms)
+    assert live(left).group.names == ("Another", "Left")
+    for first, second in zip(shown, again, strict=True):
+        assert np.abs(first - second).max() < 1e-6 * SIZE
+
+
 def test_with_other_substeps_they_do_not_press_on_each_other_in_live(live_arms):
     left, right = live_arms
     right.dynamorph.simulation.substeps = 3
