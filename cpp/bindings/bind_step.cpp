@@ -71,7 +71,7 @@ void read_contact(const VectorXd& numbers, State& state) {
   }
   for (int k = 0; k < colliders; ++k) state.contact.active.push_back(whole() != 0);
   while (at < numbers.size()) {
-    const int sample = whole(), collider = whole(kOwnSkin);
+    const int sample = whole(), collider = whole(kSkin);
     const Vector3d normal = vector();
     fits(at < numbers.size());
     state.pressures.push_back({sample, collider, normal, numbers(at++)});

@@ -7,13 +7,10 @@ import dynamorph
 import numpy as np
 import pytest
 from scenes import bar
-from test_contact import surface
-
-H = 1 / 96
-SIDES, HIGH, GAP = 0.3, 0.15, 0.1
+from test_self_contact import GAP, HIGH, SIDES, H, blocks, outside, simulated, soft
 
 
-def block(solver, upper, held=False, stiff=1.0):
+def block(solver, upper, held=False, stiff=1.0, law=dynamorph.MaterialModel.LINEAR):
     """The lower or the upper one. held: the far side is."""
     nodes, tets = bar((6, 6, 3), (SIDES, SIDES, HIGH))
     nodes = nodes - [SIDES / 2, SIDES / 2, HIGH]
@@ -26,18 +23,8 @@ def block(solver, upper, held=False, stiff=1.0):
     ones = np.ones(len(tets))
     weights = np.ones((len(nodes), 1))
     s.body = dynamorph.SoftBody(s.mesh, ones, ones, ones[:, None], held_nodes, weights)
-    target = dynamorph.MorphTarget("rest", 0 * nodes, lame_lambda=stiff * 4e4, lame_mu=stiff * 1e4,
-                                   density=1000.0, stiffness_damping=0.004)  # fmt: skip
-    law = dynamorph.MaterialModel.LINEAR
-    s.model = full = dynamorph.FullModel(s.body, [target], law, dynamorph.Blending.EVEN)
-    if solver == "REDUCED":
-        basis = dynamorph.make_response_basis(full, 10, 20)
-        s.model = dynamorph.ReducedModel(s.body, [target], dynamorph.reduce(full, basis), dynamorph.Blending.EVEN)
-    faces = surface(tets)
-    normals = np.zeros_like(nodes)
-    across = np.cross(nodes[faces[:, 1]] - nodes[faces[:, 0]], nodes[faces[:, 2]] - nodes[faces[:, 0]])
-    np.add.at(normals, faces.ravel(), np.repeat(across, 3, axis=0))
-    skin = np.unique(faces)
+    s.model = soft(s.body, nodes, solver, law, stiff)
+    skin, normals = outside(nodes, tets)
     prefix = "Full" if solver == "FULL" else "Reduced"
     s.kind = {name: getattr(dynamorph, prefix + name) for name in ("Contact", "SelfContact", "Simulation", "Coupling")}
     points = nodes[skin]
@@ -104,6 +91,20 @@ def test_it_does_not_depend_on_the_order(solver):
     second, _, _ = pressed(lower, upper, GAP + 0.02, order=-1, friction=0.5, aside=0.02)
     for one, other in zip(first, second, strict=True):
         assert np.abs(one - other).max() < 1e-5 * np.abs(one).max()
+
+
+def test_two_bodies_are_as_two_parts_of_one():
+    """The same blocks as one mesh that touches itself, which is solved by another way through the engine."""
+    law, overlap = dynamorph.MaterialModel.STABLE_STVK, 0.02
+    lower, upper = (block("FULL", side, held=True, law=law) for side in (False, True))
+    moved, _, _ = pressed(lower, upper, GAP + overlap)
+    one = blocks("FULL", held=True)
+    expected, _, _ = simulated(one, GAP + overlap)
+    for part, own in ((expected[one.lower], moved[0]), (expected[~one.lower], moved[1])):
+        assert np.abs(own).max() > 0.4 * overlap
+        assert (
+            np.abs(own - part).max() < 0.02 * overlap
+        )  # what belongs to the size of a body is that of both, or of one
 
 
 def test_the_forces_between_them_sum_to_zero():

@@ -25,18 +25,8 @@ def blocks(solver, held=False, gap=GAP):
     pinned = (np.abs(nodes[:, 2] - gap / 2) > HIGH + gap / 2 - 1e-6) & held
     s = SimpleNamespace(nodes=nodes, lower=np.arange(2 * count) < count, pinned=pinned)
     s.body = dynamorph.SoftBody(mesh, ones, ones, ones[:, None], pinned, weights)
-    target = dynamorph.MorphTarget("rest", 0 * nodes, lame_lambda=4e4, lame_mu=1e4, density=1000.0,
-                                   stiffness_damping=0.004)  # fmt: skip
-    law = dynamorph.MaterialModel.STABLE_STVK
-    s.model = full = dynamorph.FullModel(s.body, [target], law, dynamorph.Blending.EVEN)
-    if solver == "REDUCED":
-        basis = dynamorph.make_response_basis(full, 10, 20)
-        s.model = dynamorph.ReducedModel(s.body, [target], dynamorph.reduce(full, basis), dynamorph.Blending.EVEN)
-    faces = surface(tets)
-    normals = np.zeros_like(nodes)
-    across = np.cross(nodes[faces[:, 1]] - nodes[faces[:, 0]], nodes[faces[:, 2]] - nodes[faces[:, 0]])
-    np.add.at(normals, faces.ravel(), np.repeat(across, 3, axis=0))
-    s.skin = np.unique(faces)
+    s.model = soft(s.body, nodes, solver)
+    s.skin, normals = outside(nodes, tets)
     kind, own = (
         (dynamorph.FullContact, dynamorph.FullSelfContact)
         if solver == "FULL"
@@ -55,6 +45,25 @@ def blocks(solver, held=False, gap=GAP):
                 for side, z in (("lower", 0.0), ("upper", gap))}  # fmt: skip
     s.size = s.body.size
     return s
+
+
+def soft(body, nodes, solver, law=dynamorph.MaterialModel.STABLE_STVK, stiff=1.0):
+    """The model of a body whose mesh has these nodes (n, 3)."""
+    target = dynamorph.MorphTarget("rest", 0 * nodes, lame_lambda=stiff * 4e4, lame_mu=stiff * 1e4,
+                                   density=1000.0, stiffness_damping=0.004)  # fmt: skip
+    full = dynamorph.FullModel(body, [target], law, dynamorph.Blending.EVEN)
+    if solver == "FULL":
+        return full
+    tables = dynamorph.reduce(full, dynamorph.make_response_basis(full, 10, 20))
+    return dynamorph.ReducedModel(body, [target], tables, dynamorph.Blending.EVEN)
+
+
+def outside(nodes, tets):
+    """The nodes of a mesh that are on its surface, and the normals (n, 3) there."""
+    faces, normals = surface(tets), np.zeros_like(nodes)
+    across = np.cross(nodes[faces[:, 1]] - nodes[faces[:, 0]], nodes[faces[:, 2]] - nodes[faces[:, 0]])
+    np.add.at(normals, faces.ravel(), np.repeat(across, 3, axis=0))
+    return np.unique(faces), normals
 
 
 def posed(down, turn=0.0, scale=1.0):

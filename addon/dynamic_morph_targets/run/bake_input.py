@@ -258,7 +258,8 @@ class RigReader:
         settings = given.settings
         first = settings.reached(done)
         end = min(first + given.frames_per_chunk, settings.frame_end)
-        self.sampling = rig_motion.RigSampling(self._object.find(), first, end, settings.substeps)
+        obj, together = self._object.find(), given.together
+        self.sampling = rig_motion.RigSampling(obj, first, end, settings.substeps, together)
         self.sampling.probe = self._probe
 
     def advance(self, seconds: float, model: Model | None) -> bool:

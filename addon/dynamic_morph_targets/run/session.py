@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import bpy
@@ -51,13 +52,19 @@ class Rig:
     def __init__(self, start: int, substeps: int, skeleton: Skeleton, probe: probe.Probe | None):
         self.start, self.substeps, self.skeleton, self.probe = start, substeps, skeleton, probe
         self._blocks: dict[int, RigSamples] = {}
+        self._without: Sequence[str] = ()  # as of `rig_motion.RigSampling`
+
+    def leave_out(self, names: Sequence[str]) -> None:
+        """From now on these are no colliders."""
+        self._without = names
+        self.forget()
 
     def after(self, obj: bpy.types.Object, frame: int) -> RigSamples:
         """1 + substeps samples, from `frame` to the next one. Raises SceneError."""
         index, offset = divmod(frame - self.start, BLOCK)
         if index not in self._blocks:
             first = self.start + index * BLOCK
-            samples = rig_motion.sample_rig(obj, first, first + BLOCK, self.substeps, self.probe)
+            samples = rig_motion.sample_rig(obj, first, first + BLOCK, self.substeps, self.probe, self._without)
             before = self._blocks.get(index - 1)
             self._blocks[index], _ = rig_samples.keep_collapsed(
                 samples, self.skeleton, before.pose[-1] if before else None
@@ -225,9 +232,7 @@ class Session:
         before, self.group = self.group, group
         if before.names == group.names:
             return
-        if self.tissue.player.collision:
-            self.tissue.player.collision.others = group.names
-        self.rig.forget()  # its colliders have names
+        self.rig.leave_out(group.names)
         if self.now is not None:
             self._begin(self.tissue.skin.object.find(), self.now)
 

@@ -49,7 +49,8 @@ def _join(jobs: Sequence[Job]) -> None:
     frames = min(job.input.frames_per_chunk for job in jobs)
     for job in jobs:
         job.input.frames_per_chunk, job.computation.together = frames, meet
-        job.outcome.inputs["together"] = [other.name for other in jobs if other != job]
+        job.input.together = tuple(other.name for other in jobs if other != job)
+        job.outcome.inputs["together"] = list(job.input.together)
         job.next_chunk()
     note_inputs(jobs)
 

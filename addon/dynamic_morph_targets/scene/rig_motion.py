@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -120,9 +121,9 @@ def _rows(matrix) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, matrix))
 
 
-def sample_rig(obj, start: int, end: int, substeps: int, probe=None) -> RigSamples:
-    """The rig at 1 + (end - start) * substeps times, at once; probe: as in `RigSampling`. Raises SceneError."""
-    sampling = RigSampling(obj, start, end, substeps)
+def sample_rig(obj, start: int, end: int, substeps: int, probe=None, without: Sequence[str] = ()) -> RigSamples:
+    """The rig at 1 + (end - start) * substeps times, at once; probe, without: of `RigSampling`. Raises SceneError."""
+    sampling = RigSampling(obj, start, end, substeps, without)
     sampling.probe = probe
     sampling.advance(obj)
     return sampling.samples()
@@ -161,10 +162,11 @@ class RigSampling:
     one that stayed in between would be seen, saved, and brought back by undo. The user's frame and pose stay as they
     are.
 
-    probe: the nodes that Blender is to pose too (`probe.Probe`), to be set before the first slice.
+    probe: the nodes that Blender is to pose too (`probe.Probe`), to be set before the first slice. without: names of
+    colliders that are not read, because they are soft bodies that press on this one.
     """
 
-    def __init__(self, obj, start: int, end: int, substeps: int):
+    def __init__(self, obj, start: int, end: int, substeps: int, without: Sequence[str] = ()):
         skinning = checks.skinned(obj)
         rig = skinning.rig
         self.start, self.substeps = start, substeps
@@ -181,7 +183,7 @@ class RigSampling:
         self._columns = np.empty((self.count, len(self._order), 4, 4), np.float32)
         self._rig_world, self._object_world = np.empty((2, self.count, 4, 4))
         self._fields = tuple(_empty_samples(source.field, self.count, self._unit) for source in sources)
-        self._colliders = colliders.readers(obj, self.count)
+        self._colliders = [each for each in colliders.readers(obj, self.count) if each.name not in without]
 
     @property
     def frame(self) -> int:

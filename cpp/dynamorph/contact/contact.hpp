@@ -8,7 +8,7 @@
 namespace dynamorph {
 
 /// In place of a collider's number: skin, of the same body or of another one.
-constexpr int kOwnSkin = -1;
+constexpr int kSkin = -1;
 
 /// Samples of the skin on the other side of a contact.
 struct OtherSide {
@@ -20,14 +20,14 @@ struct OtherSide {
 /// n . (x - point), with x the place of the sample, less the mean of those of the other side.
 struct Contact {
   int sample;          ///< of the contact samples
-  int collider;        ///< of the step's colliders, or kOwnSkin
+  int collider;        ///< of the step's colliders, or kSkin
   Vector3d point;      ///< on the plane at the end of the step, world space, meters
   Vector3d normal;     ///< unit, out of the collider
   Vector3d before;     ///< x at the beginning of the step, world space
   Vector3d motion;     ///< of the collider's surface there over the step, meters
   double weight;       ///< in [0, 1]: 0 where the bones themselves leave no room
   double too_deep;     ///< how much deeper the bones take the sample in than it can give way, meters; <= 0: not
-  OtherSide others{};  ///< of kOwnSkin
+  OtherSide others{};  ///< of kSkin
 
   /// Calls f(sample, weight) for all that it pushes.
   template <class F>

@@ -268,7 +268,7 @@ void SelfContact<Model>::touch(const Body& body, int point, const Body& other, c
                                std::vector<Found>& found) {
   const Vector3d& normal = nearest.normal;
   const int sample = body.first_sample + body.of.body_.points[std::size_t(point)];
-  Contact contact{sample, kOwnSkin, {}, normal, {}, {}, 1, 0};
+  Contact contact{sample, kSkin, {}, normal, {}, {}, 1, 0};
   contact.others = other_side(body, point, other, nearest);
   // Of all samples of both sides: their places, the first with the tissue where it was, and where it is predicted.
   Vector3d unmoved = Vector3d::Zero(), kept = unmoved, predicted = unmoved, before = unmoved;

@@ -135,7 +135,7 @@ struct ContactTerm {
     for (const Contact& contact : contacts) {
       const double stiffness = contact.weight * firmness(samples, contact, step);
       if (!(stiffness > 0)) continue;
-      const bool own = contact.collider == kOwnSkin;
+      const bool own = contact.collider == kSkin;
       const double friction = own ? step.own_friction : step.friction[std::size_t(contact.collider)];
       Vector3d unmoved = Vector3d::Zero();
       double far = contact.point.norm();
@@ -262,7 +262,7 @@ struct ContactTerm {
   double penetration() const {
     double deepest = 0;
     for (const Touch& touch : touching_)
-      if (touch.contact.weight >= 0.5 && touch.contact.collider != kOwnSkin)
+      if (touch.contact.weight >= 0.5 && touch.contact.collider != kSkin)
         deepest = std::max(deepest, -values_(touch.row) - distance_);
     return deepest;
   }
@@ -284,7 +284,7 @@ struct ContactTerm {
   /// Newtons on each collider (C), where it is.
   void forces(std::vector<Vector3d>& on_colliders) const {
     each_push([&](const Contact& contact, const Vector3d& force) {
-      if (contact.collider != kOwnSkin) on_colliders[std::size_t(contact.collider)] -= force;
+      if (contact.collider != kSkin) on_colliders[std::size_t(contact.collider)] -= force;
     });
   }
 
@@ -368,7 +368,7 @@ struct ContactTerm {
     SlipForce slip_force;
     double pressure() const { return stiffness * normal.force; }
     /// Skin meets skin so widely that the modes give way by themselves. Patches would jitter between limbs.
-    bool presses_patches() const { return contact.collider != kOwnSkin; }
+    bool presses_patches() const { return contact.collider != kSkin; }
   };
 
   /// Of the one at the same place whose normal is nearest: a sample may touch several sides of a collider.

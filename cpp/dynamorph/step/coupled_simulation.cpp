@@ -7,6 +7,17 @@
 
 namespace dynamorph {
 
+namespace {
+
+/// Where a thing belongs of which each body has some, and all are numbered one body after the other. first: the first
+/// number of each body. Returns the body, and the number among its own.
+std::pair<std::size_t, int> find_owner(const std::vector<int>& first, int number) {
+  const auto body = std::upper_bound(first.begin(), first.end(), number) - first.begin() - 1;
+  return {std::size_t(body), number - first[std::size_t(body)]};
+}
+
+}  // namespace
+
 /// `PosedSamples` of several bodies: their samples, and the vertices of their skins, follow each other in their
 /// numbers.
 template <class Model>
@@ -15,30 +26,33 @@ class JointSamples {
   using Matrix = typename Model::Matrix;
   using Rows = typename Model::SkinPoints::Rows;
 
-  JointSamples(std::vector<PosedSamples<Model>> bodies, const JointLayout<Matrix>& layout)
-      : bodies_(std::move(bodies)), layout_(layout) {}
+  /// first_sample: of each body.
+  JointSamples(std::vector<PosedSamples<Model>> bodies, const std::vector<int>& first_sample,
+               const JointLayout<Matrix>& layout)
+      : bodies_(std::move(bodies)), first_sample_(first_sample), layout_(layout) {
+    first_vertex_.push_back(0);
+    for (const auto& body : bodies_) first_vertex_.push_back(first_vertex_.back() + int(body.of.map().size()));
+  }
 
   double stiffness(int sample, double square) const {
-    const auto [body, own] = find(sample);
+    const auto [body, own] = find_owner(first_sample_, sample);
     return bodies_[body].stiffness(own, square);
   }
   Vector3d unmoved(int sample) const {
-    const auto [body, own] = find(sample);
+    const auto [body, own] = find_owner(first_sample_, sample);
     return bodies_[body].unmoved(own);
   }
   void add(int sample, const Vector3d& direction, PointRows& numbers) const {
-    auto [body, own] = find(sample);
-    int first = 0;
-    for (std::size_t before = 0; before < body; ++before) first += int(bodies_[before].of.map().size());
+    const auto [body, own] = find_owner(first_sample_, sample);
+    const int first = first_vertex_[body];
     bodies_[body].of.points().each_corner(own,
                                           [&](int v, double weight) { numbers.add(first + v, weight * direction); });
   }
   void rows(const PointRows& numbers, PointRows& scratch, Rows& out) const {
     std::vector<Rows> own(bodies_.size());
     std::vector<const Rows*> all;
-    int first = 0;
     for (std::size_t body = 0; body < bodies_.size(); ++body) {
-      const int end = first + int(bodies_[body].of.map().size());
+      const int first = first_vertex_[body], end = first_vertex_[body + 1];
       PointRows part;
       for (int row = 0; row < numbers.size(); ++row) {
         part.add_row();
@@ -48,20 +62,14 @@ class JointSamples {
       }
       bodies_[body].rows(part, scratch, own[body]);
       all.push_back(&own[body]);
-      first = end;
     }
     layout_.join(all, out);
   }
 
  private:
-  /// The body of a sample, and its number there.
-  std::pair<std::size_t, int> find(int sample) const {
-    std::size_t body = 0;
-    for (; sample >= int(bodies_[body].of.size()); ++body) sample -= int(bodies_[body].of.size());
-    return {body, sample};
-  }
-
   std::vector<PosedSamples<Model>> bodies_;
+  const std::vector<int>& first_sample_;
+  std::vector<int> first_vertex_;  ///< of each body, and how many there are
   const JointLayout<Matrix>& layout_;
 };
 
@@ -150,6 +158,11 @@ CoupledSimulation<Model>::CoupledSimulation(std::vector<CoupledBody<Model>> bodi
     if (!skin || &skin->samples() != simulation->samples_.get())
       throw std::invalid_argument("coupling: the skin of a body must be that of its simulation's contact");
   }
+  int samples = 0;
+  for (const auto& body : bodies_) {
+    first_sample_.push_back(samples);
+    samples += int(body.skin->samples().size());
+  }
   newton_.hessian.base = layout_.zero();
 }
 
@@ -186,12 +199,10 @@ void CoupledSimulation<Model>::find_contacts(const std::vector<StepInput>& input
   std::vector<PosedSamples<Model>> samples;
   std::vector<double> none;
   ContactStep step = bodies_[0].simulation->contact_step();
-  int first = 0;
   for (std::size_t body = 0; body < bodies_.size(); ++body) {
     const auto& [simulation, skin] = bodies_[body];
-    skins.push_back({*skin, simulation->posed_skin(inputs[body]), scratch_[body], first});
+    skins.push_back({*skin, simulation->posed_skin(inputs[body]), scratch_[body], first_sample_[body]});
     samples.push_back({skin->samples(), inputs[body].bones, inputs[body].weights});
-    first += int(skin->samples().size());
     const ContactStep own = simulation->contact_step();
     step.distance = std::max(step.distance, own.distance);
     step.width = std::min(step.width, own.width);
@@ -200,7 +211,7 @@ void CoupledSimulation<Model>::find_contacts(const std::vector<StepInput>& input
   step.own_friction = friction_;
   SelfContact<Model>::find_between(skins, found_);
   contacts_.clear();
-  if (!found_.empty()) contacts_.begin(JointSamples<Model>(std::move(samples), layout_), found_, step, {});
+  if (!found_.empty()) contacts_.begin({std::move(samples), first_sample_, layout_}, found_, step, {});
 }
 
 template <class Model>
@@ -249,29 +260,20 @@ std::vector<StepReport> CoupledSimulation<Model>::solve() {
 template <class Model>
 void CoupledSimulation<Model>::report_contacts(std::vector<StepReport>& reports) const {
   contacts_.each_push([&](const Contact& contact, const Vector3d& force) {
-    const std::size_t body = owner(contact.sample), other = owner(contact.others.samples[0]);
+    const std::size_t body = find_owner(first_sample_, contact.sample).first;
+    const std::size_t other = find_owner(first_sample_, contact.others.samples[0]).first;
     reports[body].body_force += force;
     reports[other].body_force -= force;
     ++reports[body].contacts;
   });
   for (const Contact& contact : found_) {
-    const std::size_t body = owner(contact.sample);
+    const auto [body, sample] = find_owner(first_sample_, contact.sample);
     StepReport& report = reports[body];
     if (!(contact.too_deep > report.too_deep)) continue;
     report.too_deep = contact.too_deep;
-    report.too_deep_sample = contact.sample;
-    for (std::size_t before = 0; before < body; ++before)
-      report.too_deep_sample -= int(bodies_[before].skin->samples().size());
-    report.too_deep_collider = kOwnSkin - 1 - int(owner(contact.others.samples[0]));
+    report.too_deep_sample = sample;
+    report.too_deep_collider = kSkin - 1 - int(find_owner(first_sample_, contact.others.samples[0]).first);
   }
-}
-
-template <class Model>
-std::size_t CoupledSimulation<Model>::owner(int sample) const {
-  std::size_t body = 0;
-  for (; sample >= int(bodies_[body].skin->samples().size()); ++body)
-    sample -= int(bodies_[body].skin->samples().size());
-  return body;
 }
 
 template class CoupledSimulation<FullModel>;

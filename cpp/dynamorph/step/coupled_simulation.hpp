@@ -49,11 +49,10 @@ class CoupledSimulation {
   std::vector<StepReport> solve();
   void find_contacts(const std::vector<StepInput>& inputs);
   void report_contacts(std::vector<StepReport>& reports) const;
-  /// Which body a sample of all belongs to.
-  std::size_t owner(int sample) const;
 
   std::vector<CoupledBody<Model>> bodies_;
   double friction_;
+  std::vector<int> first_sample_;  ///< of each body, among those of all
   JointLayout<Matrix> layout_;
   std::vector<typename SelfContact<Model>::Scratch> scratch_;
   std::vector<Contact> found_;

@@ -57,10 +57,10 @@ bool came(const ColliderStep& step) {
 /// Throws Error unless a state's contacts are of samples that there are (0: without contact).
 void check_contacts(const State& state, Eigen::Index samples) {
   const auto good = [&](int sample, int collider, const Vector3d& normal) {
-    return sample >= 0 && sample < samples && collider >= kOwnSkin && normal.allFinite();
+    return sample >= 0 && sample < samples && collider >= kSkin && normal.allFinite();
   };
   for (const ContactMemory::Plane& plane : state.contact.planes)
-    if (!good(plane.sample, plane.collider, plane.normal) || plane.collider == kOwnSkin || !plane.point.allFinite())
+    if (!good(plane.sample, plane.collider, plane.normal) || plane.collider == kSkin || !plane.point.allFinite())
       throw Error("The state has a contact that does not fit");
   for (const Pressure& pressure : state.pressures)
     if (!good(pressure.sample, pressure.collider, pressure.normal) || !(pressure.force >= 0) ||

@@ -160,6 +160,18 @@ def test_what_cannot_be_simulated_together_is_refused(arms, change, reason):
     assert not any(obj.dynamorph.bake.exists for obj in arms)
 
 
+def test_a_body_that_touches_nothing_is_told(arms):
+    right = arms[1]
+    right.vertex_groups.new(name="All").add(range(len(right.data.vertices)), 1.0, "REPLACE")
+    right.dynamorph.excluded_group = "All"
+    with pytest.raises(SceneError, match="'Right' touches nothing: take a part of it out of Exclude"):
+        bake_all(*arms)
+    live_module.turn_on(arms[0], bpy.context.scene)
+    live_module.turn_on(right, bpy.context.scene)
+    played(*arms, last=2)
+    assert "touches nothing" in live_module.problem(arms[0]) + live_module.problem(right)
+
+
 @pytest.mark.parametrize("fails", [0, 1])
 def test_where_one_fails_the_other_does_not_wait(arms, monkeypatch, fails):
     jobs = [Job(obj, "BAKE") for obj in arms]

@@ -44,7 +44,7 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
     const Vector3d x = before.segment<3>(3 * p) - 0.3 * before.segment<3>(3 * q) - 0.7 * before.segment<3>(3 * r);
     const double depth = kWidth * (p % 4 - 0.5);
     contacts.push_back({p,
-                        kOwnSkin,
+                        kSkin,
                         x + depth * normal,
                         normal,
                         x,
@@ -52,7 +52,7 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
                         0.7,
                         -1,
                         {{q, r, 0, 0}, {0.3, 0.7, 0, 0}}});
-    pressures.push_back({p, kOwnSkin, normal, 0.1 * (p % 7)});
+    pressures.push_back({p, kSkin, normal, 0.1 * (p % 7)});
   }
   for (int c = 0; c < 2; ++c)
     for (int p = 3 * c; p < int(samples.size()); p += 6) {
@@ -93,7 +93,7 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
   check_term<typename Model::Matrix>(around, scales, 1e-5);  // with the pressures that it has itself
 
   if (local) {  // skin on skin leaves the patches alone
-    const auto on_skin = [](const Contact& contact) { return contact.collider == kOwnSkin; };
+    const auto on_skin = [](const Contact& contact) { return contact.collider == kSkin; };
     contacts.erase(std::partition(contacts.begin(), contacts.end(), on_skin), contacts.end());
     term.begin(posed, contacts, step, pressures);
     term.at(shape);

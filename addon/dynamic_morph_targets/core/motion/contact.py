@@ -43,7 +43,7 @@ class Collision:
 
     skin: the engine's points of an engine model, or None where no skin is soft; vertices (P,): nearest to those. dents
     (3 free, K): displacement of the free nodes by each patch of the skin that gives way by itself in Reduced Quality;
-    none otherwise. others: names of the soft bodies that it presses on (`coupling.Coupling`), which are no colliders.
+    none otherwise. others: names of the bodies of its coupling, which the engine numbers below -1.
     """
 
     def __init__(self, model: Model, engine: EngineModel, character: Character):
@@ -90,17 +90,14 @@ class Collision:
 
     def begin(self, first: RigSamples) -> None:
         """Take the colliders of the first sample. Raises SceneError for one that the engine refuses."""
-        tracks = self._tracks(first)
+        tracks = colliders_of(first)
         self._known = [(track.name, track.topology) for track in tracks]
         self._shapes = [track.shapes[track.shape[0, 1]].copy() for track in tracks]
         self._colliders = [collider_of(track, shape) for track, shape in zip(tracks, self._shapes, strict=True)]
 
     def fits(self, rig: RigSamples) -> bool:
         """Whether these samples have the same colliders."""
-        return self._known == [(track.name, track.topology) for track in self._tracks(rig)]
-
-    def _tracks(self, rig: RigSamples) -> tuple[ColliderTrack, ...]:
-        return tuple(track for track in colliders_of(rig) if track.name not in self.others)
+        return self._known == [(track.name, track.topology) for track in colliders_of(rig)]
 
     def motions(self, rig: RigSamples) -> list[Any]:
         """For the engine: how each collider moves in the steps to these samples. What keeps its shape moves as a
@@ -110,7 +107,7 @@ class Collision:
             raise ValueError("the colliders are others than at the first sample: begin again")
         return [
             _motion(collider, shape, track)
-            for collider, shape, track in zip(self._colliders, self._shapes, self._tracks(rig), strict=True)
+            for collider, shape, track in zip(self._colliders, self._shapes, colliders_of(rig), strict=True)
         ]
 
     def names(self, sample: int, collider: int, bones: Sequence[str]) -> tuple[str, str]:

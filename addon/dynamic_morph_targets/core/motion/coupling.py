@@ -27,27 +27,24 @@ def refusal(first: tuple[str, SimulationSettings], other: tuple[str, SimulationS
     return ""
 
 
-def press(players: Sequence[Player]) -> None:
-    """Let the bodies of players that have not begun press on each other, instead of being colliders. Raises SceneError
-    for one that cannot.
-    """
-    for player in players:
-        assert player.collision is not None
-        if player.collision.skin is None:
-            raise SceneError("'{name}' touches nothing, because all of it is in Exclude", name=player.character.name)
-        player.collision.others = tuple(each.character.name for each in players)
-
-
 class Coupling:
-    """Players of bodies with collision, after `press`; no two have a `refusal`. Where one has friction of skin on skin,
-    all have.
+    """Players of bodies with collision, of which no two have a `refusal`; the others are no colliders of any. Where one
+    has friction of skin on skin, all have. Raises SceneError for a body that cannot touch anything.
     """
 
     def __init__(self, players: Sequence[Player]):
         self.players = players
         full = players[0].model.settings.solver == "FULL"
         kind: Any = dynamorph.FullCoupling if full else dynamorph.ReducedCoupling
-        bodies = [(player.simulation, player.collision.own) for player in players if player.collision]
+        bodies = []
+        for player in players:
+            assert player.collision is not None
+            if player.collision.own is None:
+                raise SceneError(
+                    "'{name}' touches nothing: take a part of it out of Exclude", name=player.character.name
+                )
+            player.collision.others = tuple(each.character.name for each in players)
+            bodies.append((player.simulation, player.collision.own))
         self._engine = kind(bodies, max(player.settings.self_friction for player in players))
 
     def play(self, rigs: Sequence[RigSamples], numbers: Sequence[int] | np.ndarray) -> Iterator[list[Frame]]:

@@ -241,8 +241,6 @@ class Player:
         """
         other = Player(self.model, character, settings or self.settings, keep_going=self._keep_going)
         other.number, other.passes = self.number, self.passes
-        if self.collision and other.collision:
-            other.collision.others = self.collision.others
         if self._first is not None:
             other._begin_with(self._first)
             other.state = self.state

@@ -18,7 +18,7 @@ from ..model.model import Model
 from ..settings import ModelSettings, SimulationSettings
 from .baked import Bake
 from .contact import Touched, touched
-from .coupling import Coupling, press
+from .coupling import Coupling
 from .limits import Held, held
 from .loops import cycle, loop_warnings
 from .player import STEP, Frame, Player, statistics
@@ -204,9 +204,7 @@ class Shot:
 def play_together(shots: Sequence[Shot], rigs: Sequence[RigSamples]) -> None:
     """Simulates the next chunk of shots, with the same frames, whose bodies press on each other. None is a loop."""
     began = time.perf_counter()
-    players = [shot.player for shot in shots]
-    press(players)
-    coupling = Coupling(players)
+    coupling = Coupling([shot.player for shot in shots])
     firsts, rests, numbers = zip(*map(Shot.begun, shots, rigs), strict=True)
     played = list(coupling.play(rests, numbers[0]))
     seconds = (time.perf_counter() - began) / len(shots)
