@@ -43,6 +43,7 @@ from portrait import aim  # noqa: E402
 FOLDS, STILL, RATE = 30, 8, 96.0  # steps, steps, steps per second
 HIPS, KNEES, ELBOWS = -95.0, 125.0, 95.0  # degrees
 POINTS = 3000
+APART = 5  # first steps, in which nothing touches yet
 CREASE = 0.75  # distance at rest, in thicknesses, below which a point belongs to the joint
 CELL = (640, 640)
 
@@ -130,6 +131,7 @@ def simulated(model, character, rig, settings) -> tuple[Shot, dict]:
     return Shot(np.array(skin), np.array([points.of(each) for each in skin])), {
         "milliseconds": 1000 * float(np.median([step["seconds"] for step in steps])),
         "folding": 1000 * float(np.mean([step["seconds"] for step in steps])),
+        "apart": 1000 * float(np.median([step["seconds"] for step in steps[:APART]])),
         "iterations": float(np.mean([step["iterations"] for step in steps])),
         "most": max(step["iterations"] for step in steps),
         "converged": all(step["converged"] for step in steps),

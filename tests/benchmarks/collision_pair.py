@@ -63,7 +63,7 @@ def main() -> int:
         float(np.abs(skin_of(one, rig) - skin_of(other, rig)).max()) / size
         for one, other, (*_, rig) in zip(ways["together"], again, made, strict=True)
     )
-    found |= forces(made, settings)
+    found["force"] = force(made, settings)
     (folder / f"pair_{quality}.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     return 0
 
@@ -151,16 +151,15 @@ def inside(made, skins) -> dict:
     return {"inside": sum(map(len, depths)), "deepest": float(np.concatenate(depths).max(initial=0.0) / size)}
 
 
-def forces(made, settings) -> dict:
-    """Of the bodies on each other at the end: newtons, and what their sum is of that."""
+def force(made, settings) -> float:
+    """Of the bodies on each other at the end, newtons."""
     shorter = replace(settings, frame_end=settings.frame_end - 1)
     played = shots([(model, character, rig[:-1]) for model, character, rig in made], shorter, True)
     players = [shot.player for shot in played]
     last = [rig[-1:] for *_, rig in made]
     coupling = simulate.Coupling(players)
     (frames,) = coupling.play(last, [settings.frame_end])
-    found = np.array([frame.steps["body_force"] for frame in frames])
-    return {"force": float(np.linalg.norm(found[0])), "sum": float(np.abs(found.sum(0)).max() / np.abs(found).max())}
+    return float(np.linalg.norm(frames[0].steps["body_force"]))
 
 
 def photograph(bodies, skins, path: Path) -> None:

@@ -9,8 +9,8 @@ namespace dynamorph {
 
 namespace {
 
-/// Where a thing belongs of which each body has some, and all are numbered one body after the other. first: the first
-/// number of each body. Returns the body, and the number among its own.
+/// Of things that are numbered one body after the other: the body that one belongs to, and its number there. first: the
+/// first number of each body.
 std::pair<std::size_t, int> find_owner(const std::vector<int>& first, int number) {
   const auto body = std::upper_bound(first.begin(), first.end(), number) - first.begin() - 1;
   return {std::size_t(body), number - first[std::size_t(body)]};

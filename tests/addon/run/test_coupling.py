@@ -160,7 +160,7 @@ def test_what_cannot_be_simulated_together_is_refused(arms, change, reason):
     assert not any(obj.dynamorph.bake.exists for obj in arms)
 
 
-def test_a_body_that_touches_nothing_is_told(arms):
+def test_a_body_that_touches_nothing_is_refused(arms):
     right = arms[1]
     right.vertex_groups.new(name="All").add(range(len(right.data.vertices)), 1.0, "REPLACE")
     right.dynamorph.excluded_group = "All"

@@ -28,8 +28,8 @@ def refusal(first: tuple[str, SimulationSettings], other: tuple[str, SimulationS
 
 
 class Coupling:
-    """Players of bodies with collision, of which no two have a `refusal`; the others are no colliders of any. Where one
-    has friction of skin on skin, all have. Raises SceneError for a body that cannot touch anything.
+    """Players of bodies with collision; no two have a `refusal`, and none has another one as a collider. Where one has
+    friction of skin on skin, all have. Raises SceneError for a body that cannot touch anything.
     """
 
     def __init__(self, players: Sequence[Player]):
