@@ -43,7 +43,7 @@ from portrait import aim  # noqa: E402
 FOLDS, STILL, RATE = 30, 8, 96.0  # steps, steps, steps per second
 HIPS, KNEES, ELBOWS = -95.0, 125.0, 95.0  # degrees
 POINTS = 3000
-APART = 5  # first steps, in which nothing touches yet
+APART = 5  # first steps, in which next to nothing touches
 CREASE = 0.75  # distance at rest, in thicknesses, below which a point belongs to the joint
 CELL = (640, 640)
 

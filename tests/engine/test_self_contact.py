@@ -137,6 +137,25 @@ def test_a_joint_that_is_folded_flat_is_told_not_forced():
     assert pressed[125.0][0] == 0 and pressed[125.0][1] == pytest.approx(0.02, rel=0.2)
 
 
+def test_skin_that_is_near_but_not_touched_moves_as_without_it():
+    """A block turns just above the other one."""
+    s = blocks("FULL", held=True)
+
+    def turned(gap, own):
+        simulation, down = dynamorph.FullSimulation(s.model, H), GAP - gap * s.size
+        simulation.set_contact(s.contact)
+        simulation.set_self_contact(own, 0.0)
+        simulation.start(posed(down), posed(down), np.ones(1))
+        reports = [simulation.advance(posed(down, 0.01 * k)[None], np.ones((1, 1))) for k in range(1, 20)]
+        return simulation.coordinates, *(sum(report[name] for report in reports) for name in ("iterations", "contacts"))
+
+    free, without, _ = turned(0.003, None)
+    moved, near, contacts = turned(0.003, s.own)
+    _, touched, pushed = turned(-0.003, s.own)
+    assert np.array_equal(moved, free) and near == without and contacts == 0
+    assert touched > without and pushed > 0
+
+
 def test_what_is_near_at_rest_is_left_alone():
     s = blocks("FULL", held=True, gap=0.01)  # less than a fifth of the thickness
     moved, reports, _ = simulated(s, 0.02)
