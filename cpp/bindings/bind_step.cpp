@@ -282,7 +282,8 @@ struct Coupling {
   using Sim = InTurn<Simulation<Model>>;
   using Body = std::pair<std::shared_ptr<Sim>, std::shared_ptr<SelfContact<Model>>>;
 
-  Coupling(std::vector<Body> bodies, double friction) : bodies(std::move(bodies)), coupled(own(), friction) {}
+  Coupling(std::vector<Body> bodies, double friction, const std::vector<Garment>& garments)
+      : bodies(std::move(bodies)), coupled(own(), friction, garments) {}
 
   /// Throws std::invalid_argument where one is missing or there twice.
   std::vector<Sim*> steppers() const {
@@ -311,8 +312,16 @@ void bind_coupling_of(py::module_& m, const char* name) {
                             std::optional<std::vector<ColliderMotion>>>;
   py::class_<Coupling<Model>>(
       m, name, "Soft bodies that press on each other and take their steps together: both sides give way.")
-      .def(py::init<std::vector<Body>, double>(), "bodies"_a, "friction"_a = 0.0,
+      .def(py::init([](std::vector<Body> bodies, double friction,
+                       const std::vector<std::tuple<int, int, PointTransform>>& worn) {
+             std::vector<Garment> garments;
+             for (const auto& [clothes, body, to_body] : worn) garments.push_back({clothes, body, to_body});
+             return std::make_unique<Coupling<Model>>(std::move(bodies), friction, garments);
+           }),
+           "bodies"_a, "friction"_a = 0.0, "garments"_a = std::vector<std::tuple<int, int, PointTransform>>(),
            "bodies: two simulations at least, each with its skin, that of its contact. friction: of skin on skin. "
+           "garments: (clothes, body, to_body), numbers of clothes that lie on a body at rest and of that, and the "
+           "transform (3, 4) of the bind space of the first to that of the second. "
            "Raises ValueError for others, or if their time steps or integrators differ.")
       .def(
           "advance",

@@ -302,7 +302,10 @@ def calls() -> dict[str, tuple[object, dict]]:
         coupling = kind.replace("Simulation", "Coupling")
         moving = (s.next[None], s.weights[None], push["external"], s.grabs, [s.collider_motion])
         found |= {
-            coupling: (lib, {"bodies": coupled_bodies(kind), "friction": 0.5}),
+            coupling: (
+                lib,
+                {"bodies": coupled_bodies(kind), "friction": 0.5, "garments": [(0, 1, np.eye(4)[:3])]},
+            ),
             f"{coupling}.advance": (
                 lambda kind=kind, coupling=coupling: getattr(dynamorph, coupling)(coupled_bodies(kind)),
                 {"motions": [moving, moving]},

@@ -58,11 +58,14 @@ def motion(bones):
     return bones[None], np.ones((1, 1)), None, None, None
 
 
-def pressed(lower, upper, down, steps=60, order=1, friction=0.0, aside=0.0):
-    """The upper block comes down in 20 steps, and to the side in 20 more. Returns displacements, and reports."""
+def pressed(lower, upper, down, steps=60, order=1, friction=0.0, aside=0.0, worn=None):
+    """The upper block comes down in 20 steps, and to the side in 20 more. worn: how deep it lies in the lower one at
+    rest. Returns displacements, and reports.
+    """
     bodies = [lower, upper][::order]
     simulations = {id(s): simulation_of(s) for s in bodies}
-    coupling = lower.kind["Coupling"]([(simulations[id(s)], s.skin) for s in bodies], friction)
+    garments = [] if worn is None else [(bodies.index(upper), bodies.index(lower), posed(GAP + worn)[0])]
+    coupling = lower.kind["Coupling"]([(simulations[id(s)], s.skin) for s in bodies], friction, garments)
     reports = []
     for k in range(1, steps + 1):
         now = posed(down * min(1.0, k / 20), aside * min(1.0, max(0.0, k / 20 - 1)))
@@ -126,6 +129,23 @@ def test_the_forces_between_them_sum_to_zero():
     assert np.abs(pushed[0] + pushed[1]).max() < 1e-6 * np.abs(pushed[0]).max()
 
 
+@pytest.mark.parametrize("order", [1, -1])
+@pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
+def test_clothes_lie_on_a_body_as_deep_as_at_rest(solver, order):
+    """They do not press on it there, and where they go deeper, both give way by what is deeper. Only the points of the
+    clothes touch the body: what is inside of clothes is not in them.
+    """
+    body, clothes, worn, deeper = block(solver, False, held=True), block(solver, True, held=True), 0.01, 0.01
+    moved, reports, _ = pressed(body, clothes, GAP + worn, order=order, worn=worn)
+    assert max(np.abs(each).max() for each in moved) < 0.03 * worn
+    moved, reports, _ = pressed(body, clothes, GAP + worn + deeper, order=order, worn=worn)
+    gave_way = moved[1][clothes.facing, 2].mean() - moved[0][body.facing, 2].mean()
+    assert gave_way == pytest.approx(deeper, rel=0.2)
+    assert reports[-1][0]["contacts"] == 0 < reports[-1][1]["contacts"]
+    moved, _, _ = pressed(body, clothes, GAP + worn + deeper, order=order)
+    assert moved[1][clothes.facing, 2].mean() - moved[0][body.facing, 2].mean() > 1.7 * gave_way
+
+
 def test_a_free_body_between_two_others_is_pressed_from_both_sides():
     """It comes to rest where the forces of both are equal."""
     below, between, above = block("FULL", False, held=True), block("FULL", True), block("FULL", True, held=True)
@@ -184,6 +204,9 @@ def test_what_does_not_fit_is_refused():
         kind([(one, lower.skin), (slower, upper.skin)])
     with pytest.raises(ValueError, match="friction"):
         kind([(one, lower.skin), (other, upper.skin)], -1.0)
+    for garment in ((0, 0, posed()[0]), (0, 2, posed()[0]), (-1, 0, posed()[0]), (1, 0, np.nan * posed()[0])):
+        with pytest.raises(ValueError, match="garments"):
+            kind([(one, lower.skin), (other, upper.skin)], garments=[garment])
     coupling, before = kind([(one, lower.skin), (other, upper.skin)]), one.coordinates
     with pytest.raises(ValueError, match="of 2 bodies"):
         coupling.advance([motion(posed())])

@@ -146,9 +146,10 @@ def _group(obj: bpy.types.Object, scene: bpy.types.Scene) -> LiveGroup:
                     found[other.name] = session
                     waiting.append(other)
     names = sorted(found)
-    sessions = [found[name] for name in names]
-    known = sessions[0].group
-    return known if (list(known.sessions), list(known.names)) == (sessions, names) else LiveGroup(sessions, names)
+    worn = colliders.garments([scene.objects[name] for name in names])
+    group = LiveGroup([found[name] for name in names], names, [(one.name, body.name) for one, body in worn])
+    known = found[names[0]].group
+    return known if known.is_as(group) else group
 
 
 def _way(session: Session) -> tuple[str, SimulationSettings]:

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from ..core.motion.coupling import Coupling
 from ..core.motion.grab import Grab
-from ..core.motion.player import Frame
+from ..core.motion.player import Frame, Player
 from ..core.motion.rig_samples import RigSamples
 from .tissue import Tissue
 
@@ -29,11 +29,18 @@ class Member(Protocol):
 
 
 class LiveGroup:
-    """Sessions: one alone, or those whose bodies press on each other. names: of their objects, ascending."""
+    """Sessions: one alone, or those whose bodies press on each other. names: of their objects, ascending. garments:
+    (clothes, body), names of those that lie on others.
+    """
 
-    def __init__(self, sessions: Sequence[Member], names: Sequence[str]):
-        self.sessions, self.names = sessions, tuple(names)
+    def __init__(self, sessions: Sequence[Member], names: Sequence[str], garments: Sequence[tuple[str, str]] = ()):
+        self.sessions, self.names, self.garments = sessions, tuple(names), tuple(garments)
         self._coupling: Coupling | None = None  # of the players that took the last step together
+
+    def is_as(self, other: LiveGroup) -> bool:
+        """Whether both have the same members."""
+        mine, its = ((each.sessions, each.names, each.garments) for each in (self, other))
+        return mine == its
 
     def advance(self, last: int) -> None:
         """One frame on, with those whose last simulated frame this is and whose colliders are still the same."""
@@ -52,7 +59,13 @@ class LiveGroup:
             sessions[0].keep(last + 1, players[0].advance(rigs[0], last + 1))
             return
         if self._coupling is None or self._coupling.players != players:
-            self._coupling = Coupling(players)
+            self._coupling = Coupling(players, self._worn(sessions))
         for frames in self._coupling.play(rigs, [last + 1]):
             for session, frame in zip(sessions, frames, strict=True):
                 session.keep(last + 1, frame)
+
+    def _worn(self, sessions: Sequence[Member]) -> list[tuple[Player, Player]]:
+        """The players of clothes and bodies among these sessions."""
+        by_name = dict(zip(self.names, self.sessions, strict=True))
+        pairs = [[by_name[name] for name in names] for names in self.garments]
+        return [(on.tissue.player, of.tissue.player) for on, of in pairs if on in sessions and of in sessions]

@@ -6,10 +6,11 @@ each chunk, and the last one there simulates the shots of all.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from typing import TYPE_CHECKING
 
 from ..core.errors import SceneError
+from ..core.message import Message
 from ..core.motion.coupling import refusal
 from ..core.motion.rig_samples import RigSamples
 from ..core.motion.simulate import Shot, play_together
@@ -24,16 +25,28 @@ def groups(jobs: Sequence[Job]) -> list[list[Job]]:
     shots together. Raises SceneError where that cannot be.
     """
     of = {job.request.target.find(): job for job in jobs}
+    for obj, job in of.items():
+        for _, body in colliders.garments([obj, *colliders.pressed(obj)]):
+            if body not in of:
+                job.outcome.warnings.append(
+                    Message(
+                        "'{name}' lies on '{body}' but is baked without it: Bake All lets them press on each other",
+                        name=obj.name,
+                        body=body.name,
+                    )
+                )
     if len(of) < len(jobs):  # one body in several ways
         return [[job] for job in jobs]
     out = [[of[obj] for obj in group] for group in colliders.pressing(of)]
     for group in out:
         if len(group) > 1:
-            _join(group)
+            _join({obj: job for obj, job in of.items() if job in group})
     return out
 
 
-def _join(jobs: Sequence[Job]) -> None:
+def _join(of: dict) -> None:
+    """of: jobs by object."""
+    jobs = list(of.values())
     for job in jobs:
         for other in jobs[: jobs.index(job)]:
             reason = _refusal(job, other)
@@ -45,12 +58,13 @@ def _join(jobs: Sequence[Job]) -> None:
                     other=job.name,
                     reason=reason,
                 )
-    meet = Together(len(jobs))
+    meet = Together(len(jobs), {(clothes.name, body.name) for clothes, body in colliders.garments(list(of))})
     frames = min(job.input.frames_per_chunk for job in jobs)
-    for job in jobs:
+    for obj, job in of.items():
         job.input.frames_per_chunk, job.computation.together = frames, meet
         job.input.together = tuple(other.name for other in jobs if other != job)
         job.outcome.inputs["together"] = list(job.input.together)
+        job.outcome.inputs["colliders"] = collider_state.states(obj, job.input.together)
         job.next_chunk()
     note_inputs(jobs)
 
@@ -74,10 +88,11 @@ def note_inputs(jobs: Sequence[Job]) -> None:
 
 
 class Together:
-    """Where the threads of so many jobs meet."""
+    """Where the threads of so many jobs meet. garments: (clothes, body), names of objects."""
 
-    def __init__(self, count: int):
+    def __init__(self, count: int, garments: Set[tuple[str, str]]):
         self._barrier = threading.Barrier(count, self._play)
+        self._garments = garments
         self._waiting: list[tuple[Shot, RigSamples]] = []
 
     def play(self, shot: Shot, rig: RigSamples) -> None:
@@ -91,4 +106,5 @@ class Together:
 
     def _play(self) -> None:
         waiting, self._waiting = sorted(self._waiting, key=lambda each: each[0].player.character.name), []
-        play_together(*zip(*waiting, strict=True))
+        shots, rigs = zip(*waiting, strict=True)
+        play_together(shots, rigs, self._garments)

@@ -15,7 +15,7 @@ import numpy as np
 from ..core import records
 from ..core.errors import RecordError
 from . import animation
-from .colliders import colliders
+from .colliders import met
 from .mesh_data import mesh_topology
 from .plain import plain
 from .references import key_points
@@ -31,12 +31,13 @@ SHOWN = ("name", "show_expanded", "is_active")  # of modifiers and constraints, 
 
 
 def states(obj, together: Sequence[str] = ()) -> list[list[str]]:
-    """[name, hash of what moves it, hash of what shapes it] of each collider of `obj`. Values that are animated are not
-    in it, because they change with the frame, but their animation is. together: names of those that were baked with it,
-    which what their bakes were made from shapes.
+    """[name, hash of what moves it, hash of what shapes it] of each of `colliders.met`. Values that are animated are
+    not in it, because they change with the frame, but their animation is. together: names of those that were baked with
+    it, which what their bakes were made from shapes.
     """
-    shapes = (_recorded(other) if other.name in together else _hash(_shaped(other)) for other in colliders(obj))
-    return [[other.name, _hash(_placed(other)), shape] for other, shape in zip(colliders(obj), shapes, strict=True)]
+    found = met(obj, together)
+    shapes = (_recorded(other) if other.name in together else _hash(_shaped(other)) for other in found)
+    return [[other.name, _hash(_placed(other)), shape] for other, shape in zip(found, shapes, strict=True)]
 
 
 def _recorded(other) -> str:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import chain
 
 import bpy
@@ -14,6 +14,7 @@ from ..core.message import Message
 from ..core.motion.colliders import ColliderTrack, with_before
 from .checks import Problem
 from .mesh_data import mesh_topology, mesh_triangles
+from .skin import soft_skins
 from .skinning import armature_modifiers
 
 ASSET = "Collider"  # the node group of Blender 5.2
@@ -45,10 +46,50 @@ def colliders(obj) -> list:
 
 
 def pressed(obj) -> list:
-    """Those of them that are soft bodies which it stops in turn: baked together, or Live together, they press on each
-    other, and both give way.
+    """Those of them that are soft bodies which it stops in turn, and those that it lies on or that lie on it: baked
+    together, or Live together, they press on each other, and both give way.
     """
-    return [other for other in colliders(obj) if _moves(obj) and _moves(other) and obj in colliders(other)]
+    if not _moves(obj) or not obj.dynamorph.collision.use:
+        return []
+    stopped = [other for other in colliders(obj) if _moves(other) and obj in colliders(other)]
+    worn = [other for other in (*_clothes(obj), *_wearers(obj)) if other.dynamorph.collision.use]
+    return [*stopped, *(other for other in dict.fromkeys(worn) if other not in stopped)]
+
+
+def met(obj, together: Sequence[str]) -> list:
+    """What stops `obj` in a bake: its colliders, and of what it presses on, these names, which are baked with it."""
+    others = [other for other in pressed(obj) if other.name in together]
+    return sorted({*colliders(obj), *others}, key=lambda other: other.name)
+
+
+def garments(objects) -> list[tuple]:
+    """(clothes, body) of these soft skins: what is attached to one of them in a cage of its own lies on it. Where each
+    is attached to the other, the smaller one does.
+    """
+    return [(other, obj) for obj in objects for other in _clothes(obj) if other in objects]
+
+
+def passing_through(obj) -> list:
+    """The soft skins that lie on `obj` and are not stopped by it."""
+    return [other for other in _clothes(obj) if other not in pressed(obj)]
+
+
+def _clothes(obj) -> list:
+    found = (other for other in _in_own_cages(obj) if other.users_scene and _moves(other))
+    return [other for other in found if obj not in _in_own_cages(other) or _length(other) < _length(obj)]
+
+
+def _in_own_cages(obj) -> list:
+    chosen = (each for each in obj.dynamorph.attachments if each.attached_by == "OWN_CAGE" and not each.group)
+    return [each.object for each in chosen if each.object]
+
+
+def _length(obj) -> float:
+    return obj.dimensions.length
+
+
+def _wearers(obj) -> list:
+    return [other for other in soft_skins(bpy.context.view_layer.objects) if obj in _clothes(other)]
 
 
 def pressing(objects) -> list[list]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.errors import SceneError
 from ..core.settings import MOST_SUBSTEPS, OutputSettings, SimulationSettings
-from .colliders import colliders
+from .colliders import colliders, pressed
 from .skin import unit_scale
 
 
@@ -19,7 +19,7 @@ def bake_solver(obj) -> str:
     """
     settings = obj.dynamorph
     collision = settings.collision
-    touches = collision.use and (collision.use_self or colliders(obj))
+    touches = collision.use and (collision.use_self or colliders(obj) or pressed(obj))
     if settings.model.method != "STATIC" and collision.bake_full and touches:
         return "FULL"
     return settings.model.solver

@@ -138,8 +138,9 @@ def outdated(obj) -> list[str]:
         return [sentence(error)]
     now["simulation"] |= _kept_range(then.get("simulation", {}), now["simulation"], settings.simulation.is_patch)
     touches_itself = [each.get("collision", {}).get("use_self") for each in (then, now)]
+    stops = colliders.met(obj, then.get("together", []))
     # Either decides on the quality, and is reported itself.
-    if bool(then.get("colliders")) != bool(colliders.colliders(obj)) or touches_itself[0] != touches_itself[1]:
+    if bool(then.get("colliders")) != bool(stops) or touches_itself[0] != touches_itself[1]:
         del now["model"]["solver"]
     found = _changes(obj, then, now)
     if obj.dynamorph.model.content_id != then["content_id"]:
@@ -149,7 +150,7 @@ def outdated(obj) -> list[str]:
     found += [text for text in _map_changes(obj, then.get("painted", ""), record.painted) if text not in found]
     found += _piece_changes(obj)
     if "colliders" in then and settings.collision.use:
-        found += _collider_changes(obj, then["colliders"], met)
+        found += _collider_changes(then["colliders"], met, stops)
     found += [
         Message('animation of "{name}" changed', name=name)
         for (name, digest), (_, before) in zip(seen, then["animation"], strict=False)
@@ -270,9 +271,9 @@ def _piece_changes(obj) -> list[str]:
     ]
 
 
-def _collider_changes(obj, then: list[list[str]], seen: list[list[str]]) -> list[str]:
-    """What happened to the colliders of `obj`, as `collider_state.states` has them. seen: the last time."""
-    before, names = {name: hashes for name, *hashes in then}, [other.name for other in colliders.colliders(obj)]
+def _collider_changes(then: list[list[str]], seen: list[list[str]], now: list) -> list[str]:
+    """What happened to colliders, as `collider_state.states` has them. seen: the last time; now: those objects."""
+    before, names = {name: hashes for name, *hashes in then}, [other.name for other in now]
     found: list[str] = [Message("'{name}' collides now", name=name) for name in names if name not in before]
     found += [Message("'{name}' does not collide any more", name=name) for name in before if name not in names]
     for name, *hashes in seen:

@@ -778,9 +778,9 @@ class FullCoupling:
     """
     Soft bodies that press on each other and take their steps together: both sides give way.
     """
-    def __init__(self, bodies: collections.abc.Sequence[tuple[FullSimulation, FullSelfContact]], friction: typing.SupportsFloat | typing.SupportsIndex = 0.0) -> None:
+    def __init__(self, bodies: collections.abc.Sequence[tuple[FullSimulation, FullSelfContact]], friction: typing.SupportsFloat | typing.SupportsIndex = 0.0, garments: collections.abc.Sequence[tuple[typing.SupportsInt | typing.SupportsIndex, typing.SupportsInt | typing.SupportsIndex, typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 4]"]]] = []) -> None:
         """
-        bodies: two simulations at least, each with its skin, that of its contact. friction: of skin on skin. Raises ValueError for others, or if their time steps or integrators differ.
+        bodies: two simulations at least, each with its skin, that of its contact. friction: of skin on skin. garments: (clothes, body, to_body), numbers of clothes that lie on a body at rest and of that, and the transform (3, 4) of the bind space of the first to that of the second. Raises ValueError for others, or if their time steps or integrators differ.
         """
     def advance(self, motions: collections.abc.Sequence[tuple[typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None, Grabs | None, collections.abc.Sequence[ColliderMotion] | None]]) -> list[dict]:
         """
@@ -790,9 +790,9 @@ class ReducedCoupling:
     """
     Soft bodies that press on each other and take their steps together: both sides give way.
     """
-    def __init__(self, bodies: collections.abc.Sequence[tuple[ReducedSimulation, ReducedSelfContact]], friction: typing.SupportsFloat | typing.SupportsIndex = 0.0) -> None:
+    def __init__(self, bodies: collections.abc.Sequence[tuple[ReducedSimulation, ReducedSelfContact]], friction: typing.SupportsFloat | typing.SupportsIndex = 0.0, garments: collections.abc.Sequence[tuple[typing.SupportsInt | typing.SupportsIndex, typing.SupportsInt | typing.SupportsIndex, typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 4]"]]] = []) -> None:
         """
-        bodies: two simulations at least, each with its skin, that of its contact. friction: of skin on skin. Raises ValueError for others, or if their time steps or integrators differ.
+        bodies: two simulations at least, each with its skin, that of its contact. friction: of skin on skin. garments: (clothes, body, to_body), numbers of clothes that lie on a body at rest and of that, and the transform (3, 4) of the bind space of the first to that of the second. Raises ValueError for others, or if their time steps or integrators differ.
         """
     def advance(self, motions: collections.abc.Sequence[tuple[typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None, Grabs | None, collections.abc.Sequence[ColliderMotion] | None]]) -> list[dict]:
         """

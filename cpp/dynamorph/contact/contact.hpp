@@ -28,6 +28,7 @@ struct Contact {
   double weight;       ///< in [0, 1]: 0 where the bones themselves leave no room
   double too_deep;     ///< how much deeper the bones take the sample in than it can give way, meters; <= 0: not
   OtherSide others{};  ///< of kSkin
+  bool alone = false;  ///< of kSkin: the other side has no contacts of its own with this one
 
   /// Calls f(sample, weight) for all that it pushes.
   template <class F>

@@ -42,6 +42,22 @@ void check(const BodyParts& body, Index samples) {
       throw std::invalid_argument("of_balls, of_points: must be numbers of parts, from 0 on");
 }
 
+/// Of samples with distances, those that are nearest. Their weights fade out where another one comes nearer.
+OtherSide nearest_of(std::vector<std::pair<double, int>>& all) {
+  OtherSide out;
+  if (all.size() < 2) return out;
+  const std::size_t count = std::min(out.samples.size(), all.size() - 1);
+  std::partial_sort(all.begin(), all.begin() + std::ptrdiff_t(count) + 1, all.end());
+  double sum = 0;
+  for (std::size_t k = 0; k < count; ++k) {
+    out.samples[k] = all[k].second;
+    out.weights[k] = std::pow(1 - all[k].first / std::max(all[count].first, 1e-300), 2);
+    sum += out.weights[k];
+  }
+  for (std::size_t k = 0; k < count; ++k) out.weights[k] = sum > 0 ? out.weights[k] / sum : 1.0 / double(count);
+  return out;
+}
+
 void sort(std::vector<Contact>& contacts) {
   std::stable_sort(contacts.begin(), contacts.end(),
                    [](const Contact& a, const Contact& b) { return a.sample < b.sample; });
@@ -122,9 +138,36 @@ void SelfContact<Model>::find_covers() {
 }
 
 template <class Model>
-double SelfContact<Model>::fade(int point, int ball) const {
-  const double gap = (rest_.row(point) - balls_.skin().rest.row(ball)).norm() - body_.radius(ball);
-  return smooth_step((gap / std::min(thickness_(point), body_.radius(ball)) - kIgnored) / (kWhole - kIgnored));
+double SelfContact<Model>::fade(const Vector3d& place, double thickness, int ball) const {
+  const double gap = (place.transpose() - balls_.skin().rest.row(ball)).norm() - body_.radius(ball);
+  return smooth_step((gap / std::min(thickness, body_.radius(ball)) - kIgnored) / (kWhole - kIgnored));
+}
+
+template <class Model>
+Worn SelfContact<Model>::wear(int clothes, int body, const SelfContact& other, const PointTransform& to_body) const {
+  const Points &skin = other.samples_->rest(), &centers = other.balls_.skin().rest;
+  const PointTransform still = PointTransform::Identity();
+  Worn out{clothes, body, rest_ * to_body.template leftCols<3>().transpose(), {}, {}, VectorXd::Zero(rest_.rows())};
+  out.rest.rowwise() += to_body.col(3).transpose();
+  std::vector<std::pair<double, int>> all;
+  for (Index i = 0; i < out.rest.rows(); ++i) {
+    const Eigen::RowVector3d place = out.rest.row(i);
+    all.clear();
+    for (Index s = 0; s < skin.rows(); ++s) all.emplace_back((skin.row(s) - place).norm(), int(s));
+    out.below.push_back(nearest_of(all));
+    Vector3d normal = Vector3d::Zero(), from = place.transpose();
+    for (std::size_t k = 0; k < out.below.back().samples.size(); ++k) {
+      const int sample = out.below.back().samples[k];
+      const double weight = out.below.back().weights[k];
+      normal += weight * other.samples_->normal(still, sample);
+      from -= weight * skin.row(sample).transpose();
+    }
+    out.deep(i) = std::min(0.0, normal.stableNormalized().dot(from));
+    Index ball;
+    ((centers.rowwise() - place).rowwise().norm() - other.body_.radius).minCoeff(&ball);
+    out.parts.push_back(other.body_.of_balls[std::size_t(ball)]);
+  }
+  return out;
 }
 
 // --- In a step -------------------------------------------------------------------------------------------------------
@@ -134,7 +177,7 @@ void SelfContact<Model>::find(const PosedSkin& skin, Scratch& scratch, std::vect
   const Body body{*this, skin, scratch, 0};
   std::vector<Found> found;
   begin(body);
-  search(body, body, found);
+  search(body, body, nullptr, found);
   for (Found& each : found)
     if (each.parts.first > each.parts.second) std::swap(each.parts.first, each.parts.second);
   contacts.clear();
@@ -143,16 +186,28 @@ void SelfContact<Model>::find(const PosedSkin& skin, Scratch& scratch, std::vect
 }
 
 template <class Model>
-void SelfContact<Model>::find_between(const std::vector<Body>& bodies, std::vector<Contact>& contacts) {
+void SelfContact<Model>::find_between(const std::vector<Body>& bodies, const std::vector<Worn>& worn,
+                                      std::vector<Contact>& contacts) {
   contacts.clear();
   for (const Body& body : bodies) begin(body);
   std::vector<Found> found, back;
+  const auto lies_on = [&](std::size_t clothes, std::size_t body) {
+    const auto it = std::find_if(worn.begin(), worn.end(), [&](const Worn& each) {
+      return each.clothes == int(clothes) && each.body == int(body);
+    });
+    return it == worn.end() ? nullptr : &*it;
+  };
   for (std::size_t a = 0; a < bodies.size(); ++a)
     for (std::size_t b = a + 1; b < bodies.size(); ++b) {
       found.clear();
       back.clear();
-      search(bodies[a], bodies[b], found);
-      search(bodies[b], bodies[a], back);
+      const Worn *on = lies_on(a, b), *under = lies_on(b, a);
+      if (!under) search(bodies[a], bodies[b], on, found);
+      if (!on) search(bodies[b], bodies[a], under, back);
+      if (on) lie(bodies[a], bodies[b], *on, found);
+      if (under) lie(bodies[b], bodies[a], *under, back);
+      for (std::vector<Found>* each : {&found, &back})
+        for (Found& one : *each) one.contact.alone = on || under;
       for (Found& each : back) {
         std::swap(each.parts.first, each.parts.second);
         found.push_back(each);
@@ -188,7 +243,7 @@ void SelfContact<Model>::begin(const Body& body) {
 }
 
 template <class Model>
-void SelfContact<Model>::search(const Body& body, const Body& other, std::vector<Found>& found) {
+void SelfContact<Model>::search(const Body& body, const Body& other, const Worn* worn, std::vector<Found>& found) {
   const SelfContact& of = body.of;
   const std::vector<Box>& boxes = other.scratch.boxes;
   const double farthest = of.samples_->farthest(body.skin.weights, body.skin.shape);
@@ -201,13 +256,15 @@ void SelfContact<Model>::search(const Body& body, const Body& other, std::vector
       if ((part != own || &other != &body) && region.intersects(boxes[part])) near.push_back(int(part));
     if (near.empty()) continue;
     for (const int point : points.samples) {
-      if (!(of.samples_->stiffness()(of.body_.points[std::size_t(point)]) > 0)) continue;
+      if (!worn && !(of.samples_->stiffness()(of.body_.points[std::size_t(point)]) > 0)) continue;
       const Vector3d x = place(body, point);
       around.clear();
       for (const int part : near)
         if (boxes[std::size_t(part)].contains(x)) around.push_back(part);
-      const Nearest nearest_ball = nearest(body, point, other, around);
-      if (nearest_ball.ball >= 0) touch(body, point, other, nearest_ball, found);
+      const Nearest nearest_ball = nearest(body, point, other, worn, around);
+      if (nearest_ball.ball < 0) continue;
+      const int part = other.of.body_.of_balls[std::size_t(nearest_ball.ball)];
+      touch(body, point, other, nearest_ball, other_side(body, point, other, nearest_ball), {int(own), part}, found);
     }
   }
 }
@@ -231,8 +288,34 @@ Vector3d SelfContact<Model>::place(const Body& body, int point) {
 }
 
 template <class Model>
+void SelfContact<Model>::lie(const Body& clothes, const Body& body, const Worn& worn, std::vector<Found>& found) {
+  const ContactSamples<Model>& samples = *body.of.samples_;
+  const SkinMap<Model>& map = samples.map();
+  for (std::size_t point = 0; point < worn.below.size(); ++point) {
+    OtherSide below = worn.below[point];
+    Nearest skin{0, Vector3d::Zero(), -1};
+    Vector3d from = place(clothes, int(point));
+    for (std::size_t k = 0; k < below.samples.size(); ++k) {
+      if (!(below.weights[k] > 0)) continue;
+      PointTransform carried = PointTransform::Zero();
+      samples.points().each_corner(below.samples[k], [&](int v, double weight) {
+        const PointTransform now = map.skin().transform(body.skin.now, v);
+        carried += weight * now;
+        from -= below.weights[k] * weight * map.posed(now, v, samples.shape(body.skin.weights, v));
+      });
+      skin.normal += below.weights[k] * samples.normal(carried, below.samples[k]);
+      below.samples[k] += body.first_sample;
+    }
+    if (!(skin.normal.norm() > kAgree)) continue;
+    skin.normal.normalize();
+    skin.gap = skin.normal.dot(from) - worn.deep(Index(point));
+    touch(clothes, int(point), body, skin, below, {clothes.of.body_.of_points[point], worn.parts[point]}, found);
+  }
+}
+
+template <class Model>
 typename SelfContact<Model>::Nearest SelfContact<Model>::nearest(const Body& body, int point, const Body& other,
-                                                                 const std::vector<int>& parts) {
+                                                                 const Worn* worn, const std::vector<int>& parts) {
   const SelfContact& of = other.of;
   const bool itself = &other == &body;
   const double margin = other.skin.margin;
@@ -244,7 +327,10 @@ typename SelfContact<Model>::Nearest SelfContact<Model>::nearest(const Body& bod
       const double radius = other.scratch.scales[std::size_t(part)] * of.body_.radius(ball), reach = radius + margin;
       const double square = (x.transpose() - other.scratch.centers.row(ball)).squaredNorm();
       if (square > reach * reach) continue;
-      const double touched = itself ? of.fade(point, ball) : 1, distance = std::sqrt(square) - touched * radius;
+      double touched = 1;
+      if (itself) touched = of.fade(of.rest_.row(point), of.thickness_(point), ball);
+      if (worn) touched = of.fade(worn->rest.row(point), kInfinity, ball);
+      const double distance = std::sqrt(square) - touched * radius;
       if (touched > 0 && distance < margin) near.emplace_back(distance, ball);
     }
   Nearest out{0, Vector3d::Zero(), -1};
@@ -265,16 +351,13 @@ typename SelfContact<Model>::Nearest SelfContact<Model>::nearest(const Body& bod
 
 template <class Model>
 void SelfContact<Model>::touch(const Body& body, int point, const Body& other, const Nearest& nearest,
-                               std::vector<Found>& found) {
+                               const OtherSide& others, const std::pair<int, int>& parts, std::vector<Found>& found) {
   const Vector3d& normal = nearest.normal;
   const int sample = body.first_sample + body.of.body_.points[std::size_t(point)];
-  Contact contact{sample, kSkin, {}, normal, {}, {}, 1, 0};
-  contact.others = other_side(body, point, other, nearest);
+  Contact contact{sample, kSkin, {}, normal, {}, {}, 1, 0, others};
   // Of all samples of both sides: their places, the first with the tissue where it was, and where it is predicted.
   Vector3d unmoved = Vector3d::Zero(), kept = unmoved, predicted = unmoved, before = unmoved;
   Matrix3d turned_before = Matrix3d::Zero(), turned = turned_before;
-  const int own = body.of.body_.of_points[std::size_t(point)];
-  const int others = other.of.body_.of_balls[std::size_t(nearest.ball)];
   double room = 0;
   contact.each_sample([&](int numbered, double share) {
     const bool first = numbered == sample;
@@ -282,7 +365,7 @@ void SelfContact<Model>::touch(const Body& body, int point, const Body& other, c
     const ContactSamples<Model>& samples = *side.of.samples_;
     const SkinMap<Model>& map = samples.map();
     const PosedSkin& skin = side.skin;
-    const int at = numbered - side.first_sample, part = first ? own : others;
+    const int at = numbered - side.first_sample, part = first ? parts.first : parts.second;
     if (samples.stiffness()(at) > 0)
       room += std::abs(share) * side.scratch.scales[std::size_t(part)] * samples.thickness()(at);
     samples.points().each_corner(at, [&](int v, double weight) {
@@ -306,32 +389,20 @@ void SelfContact<Model>::touch(const Body& body, int point, const Body& other, c
   contact.before = before;
   const Vector3d carried = turned * turned_before.inverse() * before;  // as the bones turn it
   contact.motion = carried.allFinite() ? Vector3d(carried - before) : Vector3d(Vector3d::Zero());
-  found.push_back({contact, {own, others}, -nearest.gap, room});
+  found.push_back({contact, parts, -nearest.gap, room});
 }
 
-/// Those of the ball's points that are nearest to the place that is touched. Their weights fade out where another one
-/// comes nearer.
+/// Those of the ball's points that are nearest to the place that is touched.
 template <class Model>
 OtherSide SelfContact<Model>::other_side(const Body& body, int point, const Body& other, const Nearest& nearest) {
   const Vector3d touched = place(body, point) - nearest.gap * nearest.normal;
   auto& others = body.scratch.others;
   others.clear();
   for (const int each : other.of.covers_[std::size_t(nearest.ball)])
-    if (each != point || &other != &body) others.emplace_back((place(other, each) - touched).norm(), each);
-  OtherSide out;
-  if (others.size() < 2) return out;
-  const std::size_t count = std::min(out.samples.size(), others.size() - 1);
-  std::partial_sort(others.begin(), others.begin() + std::ptrdiff_t(count) + 1, others.end());
-  double sum = 0;
-  for (std::size_t k = 0; k < count; ++k) {
-    out.weights[k] = std::pow(1 - others[k].first / std::max(others[count].first, 1e-300), 2);
-    sum += out.weights[k];
-  }
-  for (std::size_t k = 0; k < count; ++k) {
-    out.samples[k] = other.first_sample + other.of.body_.points[std::size_t(others[k].second)];
-    out.weights[k] = sum > 0 ? out.weights[k] / sum : 1.0 / double(count);
-  }
-  return out;
+    if (each != point || &other != &body)
+      others.emplace_back((place(other, each) - touched).norm(),
+                          other.first_sample + other.of.body_.points[std::size_t(each)]);
+  return nearest_of(others);
 }
 
 template <class Model>

@@ -26,7 +26,9 @@
 // up.
 //
 // Two bodies touch each other in the same way: the samples of one meet the balls of the other, all of them, whatever is
-// near at rest.
+// near at rest. Clothes lie on a body: what the samples of clothes meet is the skin below them at rest, since the bones
+// move both alike, and balls that were far away. Clothes that are in the body at rest stay as deep as they are. The
+// other way around nothing is searched for, since what clothes are around is not in them.
 #pragma once
 
 #include <array>
@@ -58,6 +60,16 @@ struct PosedSkin {
   double near, margin;                      ///< meters: of a contact's gap; of g
 };
 
+/// Of two bodies that touch each other: the first are clothes that lie on the second. For each of the points of the
+/// clothes (P):
+struct Worn {
+  int clothes, body;             ///< numbers of bodies
+  Points rest;                   ///< in the bind space of the body (P, 3)
+  std::vector<OtherSide> below;  ///< samples of the body at rest
+  std::vector<int> parts;        ///< of the body, that they lie on
+  VectorXd deep;                 ///< their gap at rest where that is below zero, otherwise zero, meters
+};
+
 /// Immutable: simulations may share it.
 template <class Model>
 class SelfContact {
@@ -66,6 +78,9 @@ class SelfContact {
   SelfContact(std::shared_ptr<const ContactSamples<Model>> samples, BodyParts body);
 
   const ContactSamples<Model>& samples() const { return *samples_; }
+
+  /// This skin as clothes on another one at rest. to_body: from its bind space to that of the body.
+  Worn wear(int clothes, int body, const SelfContact& other, const PointTransform& to_body) const;
 
   /// Buffers that are kept from step to step.
   struct Scratch {
@@ -91,7 +106,8 @@ class SelfContact {
   void find(const PosedSkin& skin, Scratch& scratch, std::vector<Contact>& contacts) const;
 
   /// The same where several bodies touch each other; none touches itself. Samples are numbered over all bodies.
-  static void find_between(const std::vector<Body>& bodies, std::vector<Contact>& contacts);
+  static void find_between(const std::vector<Body>& bodies, const std::vector<Worn>& worn,
+                           std::vector<Contact>& contacts);
 
  private:
   struct Part {
@@ -115,16 +131,21 @@ class SelfContact {
   void find_covers();
   /// Poses the balls of a body, and forgets what was known of its points.
   static void begin(const Body& body);
-  double fade(int point, int ball) const;
+  /// f. place: at rest, of something that has so much tissue, meters.
+  double fade(const Vector3d& place, double thickness, int ball) const;
   /// The place of a point of a body in the targets' shapes, world space.
   static Vector3d place(const Body& body, int point);
-  /// Adds the contacts of a body's points with the balls of another one, or of itself.
-  static void search(const Body& body, const Body& other, std::vector<Found>& found);
+  /// Adds the contacts of a body's points with the balls of another one, or of itself; worn: if it lies on that.
+  static void search(const Body& body, const Body& other, const Worn* worn, std::vector<Found>& found);
+  /// Adds those of clothes with the skin that they lie on.
+  static void lie(const Body& clothes, const Body& body, const Worn& worn, std::vector<Found>& found);
   /// What is nearer to a point of the body than the margin of the balls of these parts of the other; without a ball
   /// (-1) if nothing is.
-  static Nearest nearest(const Body& body, int point, const Body& other, const std::vector<int>& parts);
-  /// Adds the contact of a point of the body.
-  static void touch(const Body& body, int point, const Body& other, const Nearest& nearest, std::vector<Found>& found);
+  static Nearest nearest(const Body& body, int point, const Body& other, const Worn* worn,
+                         const std::vector<int>& parts);
+  /// Adds the contact of a point of the body with these samples of the other. parts: of both.
+  static void touch(const Body& body, int point, const Body& other, const Nearest& nearest, const OtherSide& others,
+                    const std::pair<int, int>& parts, std::vector<Found>& found);
   static OtherSide other_side(const Body& body, int point, const Body& other, const Nearest& nearest);
   /// What skinning leaves of a joint: 1 where two parts share no skin.
   static double folded(const Body& body, const Body& other, const std::pair<int, int>& parts);

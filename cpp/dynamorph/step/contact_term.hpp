@@ -289,7 +289,7 @@ struct ContactTerm {
   }
 
  private:
-  /// k of a contact, N/m. Both sides are pushed by each other's contacts, so that each has half of it.
+  /// k of a contact, N/m. Where both sides are pushed by each other's contacts, each has half of it.
   static double firmness(const Samples& samples, const Contact& contact, const ContactStep& step) {
     const auto of = [&](int sample) { return samples.stiffness(sample, step.square); };
     double compliance = 0, others = 0;
@@ -300,8 +300,9 @@ struct ContactTerm {
       compliance -= stiffness > 0 ? part / stiffness : 0;
     });
     const double own = of(contact.sample);
-    if (!(others > 0) || !(own > 0)) return own;
-    return 0.5 / (1 / own + compliance / others);
+    if (!(others > 0)) return own;
+    if (!(own > 0)) return contact.alone ? others / compliance : 0;
+    return (contact.alone ? 1.0 : 0.5) / (1 / own + compliance / others);
   }
 
   /// Lets the skin give way by the patches that the contacts press.

@@ -146,7 +146,8 @@ std::vector<typename Model::Matrix> patterns(const std::vector<CoupledBody<Model
 }
 
 template <class Model>
-CoupledSimulation<Model>::CoupledSimulation(std::vector<CoupledBody<Model>> bodies, double friction)
+CoupledSimulation<Model>::CoupledSimulation(std::vector<CoupledBody<Model>> bodies, double friction,
+                                            const std::vector<Garment>& garments)
     : bodies_(std::move(bodies)), friction_(friction), layout_(patterns(bodies_)), scratch_(bodies_.size()) {
   if (!(friction >= 0) || !std::isfinite(friction))
     throw std::invalid_argument("friction: must be finite and not negative");
@@ -162,6 +163,13 @@ CoupledSimulation<Model>::CoupledSimulation(std::vector<CoupledBody<Model>> bodi
   for (const auto& body : bodies_) {
     first_sample_.push_back(samples);
     samples += int(body.skin->samples().size());
+  }
+  const auto is_body = [&](int body) { return body >= 0 && std::size_t(body) < bodies_.size(); };
+  for (const auto& [clothes, body, to_body] : garments) {
+    if (!is_body(clothes) || !is_body(body) || clothes == body || !to_body.allFinite())
+      throw std::invalid_argument("garments: must be numbers of two bodies, and a finite transform");
+    const auto skin = [&](int number) -> const SelfContact<Model>& { return *bodies_[std::size_t(number)].skin; };
+    worn_.push_back(skin(clothes).wear(clothes, body, skin(body), to_body));
   }
   newton_.hessian.base = layout_.zero();
 }
@@ -209,7 +217,7 @@ void CoupledSimulation<Model>::find_contacts(const std::vector<StepInput>& input
     step.sticks = std::min(step.sticks, own.sticks);
   }
   step.own_friction = friction_;
-  SelfContact<Model>::find_between(skins, found_);
+  SelfContact<Model>::find_between(skins, worn_, found_);
   contacts_.clear();
   if (!found_.empty()) contacts_.begin({std::move(samples), first_sample_, layout_}, found_, step, {});
 }

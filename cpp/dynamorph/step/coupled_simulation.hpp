@@ -24,6 +24,12 @@ struct CoupledBody {
   std::shared_ptr<const SelfContact<Model>> skin;  ///< of the samples of its contact
 };
 
+/// Which body is clothes that lie on another one at rest.
+struct Garment {
+  int clothes, body;       ///< numbers of bodies
+  PointTransform to_body;  ///< of the clothes' bind space to that of the body
+};
+
 template <class Model>
 class JointSamples;
 
@@ -31,8 +37,8 @@ template <class Model>
 class CoupledSimulation {
  public:
   /// Throws std::invalid_argument unless there are two bodies at least, with the same time step and integrator, and
-  /// each skin is that of its simulation's contact. friction: of skin on skin.
-  CoupledSimulation(std::vector<CoupledBody<Model>> bodies, double friction);
+  /// each skin is that of its simulation's contact. friction: of skin on skin. garments: which of them are clothes.
+  CoupledSimulation(std::vector<CoupledBody<Model>> bodies, double friction, const std::vector<Garment>& garments = {});
 
   /// Takes one step of all to where their bones and weights are at its end. If it fails, none has moved. In the
   /// reports, the collider of what is too deep in body b is -2 - b.
@@ -52,6 +58,7 @@ class CoupledSimulation {
 
   std::vector<CoupledBody<Model>> bodies_;
   double friction_;
+  std::vector<Worn> worn_;
   std::vector<int> first_sample_;  ///< of each body, among those of all
   JointLayout<Matrix> layout_;
   std::vector<typename SelfContact<Model>::Scratch> scratch_;

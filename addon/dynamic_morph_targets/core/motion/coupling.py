@@ -10,6 +10,7 @@ import numpy as np
 
 from ..engine import dynamorph
 from ..errors import SceneError
+from ..geometry import inverse
 from ..settings import SimulationSettings
 from .player import Frame, Player
 from .rig_samples import RigSamples
@@ -28,11 +29,12 @@ def refusal(first: tuple[str, SimulationSettings], other: tuple[str, SimulationS
 
 
 class Coupling:
-    """Players of bodies with collision; no two have a `refusal`, and none has another one as a collider. Where one has
-    friction of skin on skin, all have. Raises SceneError for a body that cannot touch anything.
+    """Players of bodies with collision, which have begun; no two have a `refusal`, and none has another one as a
+    collider. Where one has friction of skin on skin, all have. garments: (clothes, body) of those that lie on others at
+    rest. Raises SceneError for a body that cannot touch anything.
     """
 
-    def __init__(self, players: Sequence[Player]):
+    def __init__(self, players: Sequence[Player], garments: Sequence[tuple[Player, Player]] = ()):
         self.players = players
         full = players[0].model.settings.solver == "FULL"
         kind: Any = dynamorph.FullCoupling if full else dynamorph.ReducedCoupling
@@ -45,10 +47,19 @@ class Coupling:
                 )
             player.collision.others = tuple(each.character.name for each in players)
             bodies.append((player.simulation, player.collision.own))
-        self._engine = kind(bodies, max(player.settings.self_friction for player in players))
+        worn = [(players.index(one), players.index(body), _to_body(one, body)) for one, body in garments]
+        self._engine = kind(bodies, max(player.settings.self_friction for player in players), worn)
 
     def play(self, rigs: Sequence[RigSamples], numbers: Sequence[int] | np.ndarray) -> Iterator[list[Frame]]:
         """As `Player.play`, a frame of each player at a time."""
         for steps in zip(*map(Player.steps, self.players, rigs, [numbers] * len(rigs)), strict=True):
             reports = self._engine.advance([each.motion for each in steps])
             yield [player.taken(*each) for player, *each in zip(self.players, steps, reports, strict=True)]
+
+
+def _to_body(clothes: Player, body: Player) -> np.ndarray:
+    """The bind space of the first to that of the other (3, 4), by the armature that both have."""
+    assert clothes.first and body.first
+    to_rig = clothes.first.rig_from_bind(clothes.model.to_bind)[0]
+    of_body = body.first.rig_from_bind(body.model.to_bind)[0]
+    return (inverse(of_body) @ to_rig)[:3]

@@ -76,10 +76,10 @@ class Player:
     """One character, stepped frame by frame, for bakes and playback.
 
     keep_going() -> bool is asked at every frame, for an unreduced model at every iteration; False raises
-    dynamorph.Cancelled. number: the current frame; passes: how often the motion has begun again. amounts:
-    applied by `shown`; skin: what the coordinates move. modes (3 free, dofs): displacement of the free nodes by each
-    coordinate of a reduced model. engine: model.engine(character), if it exists already;
-    afterward None for static targets.
+    dynamorph.Cancelled. number: the current frame; passes: how often the motion has begun again. amounts: applied by
+    `shown`; skin: what the coordinates move. first: the first sample. modes (3 free, dofs): displacement of the free
+    nodes by each coordinate of a reduced model. engine: model.engine(character), if it exists already; afterward None
+    for static targets.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class Player:
         self._keep_going = keep_going
         self.collision: Collision | None = None
         self.hand: Hand | None = None  # by which the artist pulls the skin
-        self._first: RigSamples | None = None  # the first sample
+        self.first: RigSamples | None = None
         self.modes = model.modes
         self._shapes = np.zeros((len(self.character.targets), 0))
         self._simulation: EngineSimulation | _NothingMoves = _NothingMoves()
@@ -241,8 +241,8 @@ class Player:
         """
         other = Player(self.model, character, settings or self.settings, keep_going=self._keep_going)
         other.number, other.passes = self.number, self.passes
-        if self._first is not None:
-            other._begin_with(self._first)
+        if self.first is not None:
+            other._begin_with(self.first)
             other.state = self.state
         return other
 
@@ -263,7 +263,7 @@ class Player:
         """What the first sample says: which colliders there are, and how the targets' shapes are balanced. These are
         what the artist saw under gravity, each in its own pose.
         """
-        self._first = first
+        self.first = first
         if self.collision:
             self.collision.begin(first)
         if any(self.settings.gravity):

@@ -184,11 +184,18 @@ class RigSamples(Track):
         Returns (S, B + 1, 3, 4). The last one moves vertices without weights, which Blender's Armature modifier leaves
         where the object puts them.
         """
-        from_bind = np.eye(4)
-        from_bind[:3, :3] = inverse(to_bind)
-        object_from_bind = self.object_world @ from_bind
-        rig_from_bind = inverse(self.rig_world) @ object_from_bind
+        object_from_bind, rig_from_bind = self.object_from_bind(to_bind), self.rig_from_bind(to_bind)
         out = np.empty((len(self), len(skeleton.rest) + 1, 3, 4))
         out[:, :-1] = (self.rig_world[:, None, :3] @ self.pose @ skeleton.rest_inverse) @ rig_from_bind[:, None]
         out[:, -1] = object_from_bind[:, :3]
         return out
+
+    def object_from_bind(self, to_bind: np.ndarray) -> np.ndarray:
+        """The transforms (S, 4, 4) from bind space to where the object puts it in the world."""
+        from_bind = np.eye(4)
+        from_bind[:3, :3] = inverse(to_bind)
+        return self.object_world @ from_bind
+
+    def rig_from_bind(self, to_bind: np.ndarray) -> np.ndarray:
+        """The same to the armature's space."""
+        return inverse(self.rig_world) @ self.object_from_bind(to_bind)

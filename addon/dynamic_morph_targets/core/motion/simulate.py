@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
@@ -201,11 +201,14 @@ class Shot:
         return Bake(settings.frames, coordinates, weights, surface, skin.residual_shapes, names, static, modes), report
 
 
-def play_together(shots: Sequence[Shot], rigs: Sequence[RigSamples]) -> None:
-    """Simulates the next chunk of shots, with the same frames, whose bodies press on each other. None is a loop."""
+def play_together(shots: Sequence[Shot], rigs: Sequence[RigSamples], garments: Set[tuple[str, str]]) -> None:
+    """Simulates the next chunk of shots, with the same frames, whose bodies press on each other. None is a loop.
+    garments: (clothes, body), names of those that lie on others.
+    """
     began = time.perf_counter()
-    coupling = Coupling([shot.player for shot in shots])
     firsts, rests, numbers = zip(*map(Shot.begun, shots, rigs), strict=True)
+    players = {shot.player.character.name: shot.player for shot in shots}
+    coupling = Coupling(list(players.values()), [(players[clothes], players[body]) for clothes, body in garments])
     played = list(coupling.play(rests, numbers[0]))
     seconds = (time.perf_counter() - began) / len(shots)
     for k, shot in enumerate(shots):

@@ -7,6 +7,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import UIList
 
 from ...run import batch
+from ...scene import colliders
 from ...write.authoring import attachments
 from ..widgets import draw_message
 
@@ -74,6 +75,9 @@ def draw_attachment(layout, obj, attachment):
         button = layout.row()
         button.context_pointer_set("object", attachment.object)
         button.operator("dynamorph.add_soft_skin", icon="ADD")
+    elif attachment.object in colliders.passing_through(obj):
+        text = iface_("'{name}' passes through this body: turn Collision of both on to stop it")
+        draw_message(layout, text.format(name=attachment.object.name), icon="INFO")
 
 
 def draw_head(layout, model):

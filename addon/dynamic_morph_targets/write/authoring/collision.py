@@ -14,16 +14,21 @@ FLOOR = 10.0  # sides of a floor over the longest side of the body
 
 def add_collision(obj, others) -> list[str]:
     """Let the mesh objects `others` stop the soft skin `obj`, and soft skins among them be stopped by it too, so that
-    they press on each other. Returns their names. Raises SceneError, and then nothing is changed.
+    they press on each other: also clothes in cages of their own and what wears them. Returns their names. Raises
+    SceneError, and then nothing is changed.
     """
     belongs = colliders.of_body(obj)
+    worn = {each for pair in colliders.garments([obj, *others]) if obj in pair for each in pair}
     for other in others:
-        if belongs(other):
+        if belongs(other) and other not in worn:
             text = "'{name}' belongs to '{body}', which it cannot collide with"
             raise SceneError(text, name=other.name, body=obj.name)
         if not other.is_editable:
             raise SceneError("'{name}' is linked, so the change would be lost: make it local", name=other.name)
     for other in others:
+        if other in worn:
+            obj.dynamorph.collision.use = other.dynamorph.collision.use = True
+            continue
         _let_stop(other, obj)
         if other.dynamorph.targets:
             _let_stop(obj, other)
