@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import measures
 import numpy as np
+from dynamic_morph_targets.core.engine import dynamorph
 from dynamic_morph_targets.core.geometry import vertex_areas
 from dynamic_morph_targets.core.motion.rig_samples import RigSamples
 from dynamic_morph_targets.core.result.compare import Run, Statics
@@ -25,6 +26,7 @@ SHOWN: dict[str, dict[str, str]] = {
     "DMT reduced": {"method": "DYNAMIC", "solver": "REDUCED"},
     "DMT full": {"method": "DYNAMIC", "solver": "FULL"},
 }
+ITSELF = ", Self Collision"  # the end of the name of a method that has it
 FAST = {name: changes for name, changes in SHOWN.items() if changes.get("solver") != "FULL"}
 
 
@@ -129,6 +131,8 @@ def between(vertices: np.ndarray, low: tuple[float, float], high: tuple[float, f
 UPRIGHT, TUCKED = "upright", "tucked"
 POSES = {UPRIGHT: 1, TUCKED: 91}
 IN_THE_TUCK, AFTER_THE_WALL = range(87, 96), range(176, 201)
+TRUNK_BONES, THIGHS = ("pelvis", "spine_01", "spine_02", "spine_03"), ("thigh_l", "thigh_r")
+CREASE = 0.75  # of the tissue's thickness: what is nearer to the other limb at rest belongs to the joint
 WAIST = (-0.08, 0.88), (0.08, 1.06)  # x and z
 FORWARD = np.array([0.0, -1.0, 0.0])
 PATCHES = {"belly": (-0.10, FORWARD), "back": (0.05, -FORWARD)}  # where it begins in y; outward
@@ -138,7 +142,8 @@ SHAKE, SHAKES, WATCHED = 0.01, 4.0, 36  # meters to and fro, Hz for half a secon
 
 def herbert(shot: Shot, runs: dict[str, Run]) -> dict:
     """out: mean displacement of belly and back, outward, by frame; swing: amplitude of the belly under one and the
-    same shake, upright and tucked."""
+    same shake, upright and tucked; inside: vertices of trunk and thighs in each other, at most in the tuck, by method,
+    with Self Collision too."""
     frames = [*IN_THE_TUCK, *AFTER_THE_WALL]
     rows = [shot.index(f) for f in frames]
     out = {
@@ -154,7 +159,38 @@ def herbert(shot: Shot, runs: dict[str, Run]) -> dict:
         for name, run in still.runs({name: SHOWN[name] for name in runs}).items():
             belly = measures.patch_displacement(run.motion - run.static, waist(shot.rest, "belly"), FORWARD)
             swings[name][pose] = measures.amplitude(belly)
-    return {"frames": frames, "out": out, "swing": swings}
+    return {"frames": frames, "out": out, "swing": swings, "inside": in_each_other(shot, runs)}
+
+
+def in_each_other(shot: Shot, runs: dict[str, Run]) -> dict[str, int]:
+    """How many vertices of trunk and thighs are in each other in the tuck, away from the joint, at most, by method."""
+    tuck = shot.part(IN_THE_TUCK[0] - round(shot.settings.fps), IN_THE_TUCK[-1])
+    alone = tuck.touching_itself().runs({name: SHOWN[name] for name in runs if SHOWN[name]["method"] == "DYNAMIC"})
+    skins = [(PLAIN, shot, None), *((name, shot, run) for name, run in runs.items())]
+    skins += [(name + ITSELF, tuck, run) for name, run in alone.items()]
+    limbs = list(against_each_other(shot))
+    return {name: max(buried(surface(part, run, frame), limbs) for frame in IN_THE_TUCK) for name, part, run in skins}
+
+
+def against_each_other(shot: Shot):
+    """Of thigh and trunk, and the other way around: vertices of the first away from the joint, triangles (T, 3) of the
+    second.
+    """
+    names, triangles = np.array(shot.character.skeleton.names), shot.character.soft_triangles
+    carried = shot.character.weights[:, : len(names)]
+    thickness = dynamorph.Thickness(shot.rest, triangles).at(shot.rest)[0]
+    trunk = carried[:, np.isin(names, TRUNK_BONES)].sum(axis=1) > 0.5
+    for thigh in (carried[:, names == bone].sum(axis=1) > 0.5 for bone in THIGHS):
+        for own, other in ((thigh, trunk), (trunk, thigh)):
+            others = triangles[other[triangles].any(axis=1)]
+            ways = shot.rest[own, None] - shot.rest[np.unique(others)]
+            apart = np.linalg.norm(ways, axis=2).min(axis=1) > CREASE * thickness[own]
+            yield np.flatnonzero(own)[apart], others
+
+
+def buried(skin: np.ndarray, limbs) -> int:
+    """How many vertices of a skin (V, 3) are inside of the others, of `against_each_other`."""
+    return sum(int((measures.winding_numbers(skin[own], skin, others) > 0.5).sum()) for own, others in limbs)
 
 
 def waist(vertices: np.ndarray, patch: str) -> np.ndarray:

@@ -40,6 +40,7 @@ MATERIAL_MODELS = {"linear": "LINEAR", "StVK": "STVK", "stable StVK": "STABLE_ST
 MODES = (4, 8, 12, 16, 20, 30, 40, 60)
 FITTED_MODES = (8, 16, 20, 30)  # and the scene's own number
 FULL = "DMT full"
+ITSELF = FULL + claims.ITSELF
 SHOWN_MODES = 40  # shape keys of a full bake that is rendered: what they lose is not seen
 TABLE = {
     name: changes for name, changes in VARIANTS.items() if changes.get("material_model") in MATERIAL_MODELS.values()
@@ -51,6 +52,7 @@ ABOUT = {
     "pose-dependent shape": "after Capell et al. 2005: the shape follows the pose, the softness does not",
     "DMT reduced": "dynamic morph targets: shape and softness follow the pose; simulated in modes",
     "DMT full": "dynamic morph targets, every node of the cage simulated; colors: how far it is from reduced",
+    ITSELF: "the same with Self Collision; colors: how far it is from the row above",
 }
 
 
@@ -81,13 +83,23 @@ class Work:
         return self.shot.runs(claims.FAST if self.subject.full else claims.SHOWN)
 
     @cached_property
+    def touching_itself(self) -> tuple[Shot, compare.Run]:
+        """The full model with Self Collision, over the whole shot."""
+        shot = self.shot.touching_itself()
+        return shot, shot.runs({ITSELF: claims.SHOWN[FULL]})[ITSELF]
+
+    @cached_property
     def rows(self) -> dict[str, list[tuple[Shot, compare.Run]]]:
         """What contact sheets show of each simulated method: shots and their runs."""
         rows = {name: [(self.shot, run)] for name, run in self.shown.items()}
         for first, last in self.subject.full:
             shot = self.shot.part(first, last)
             rows.setdefault(FULL, []).append((shot, shot.runs({FULL: claims.SHOWN[FULL]})[FULL]))
-        return rows
+        return rows if self.subject.full else {**rows, ITSELF: [self.touching_itself]}
+
+    def beside(self, name: str) -> compare.Run | None:
+        """The run over the whole shot from which the colors of a row are told, if they are told from one."""
+        return self.shown.get({FULL: "DMT reduced", ITSELF: FULL}.get(name, ""))
 
 
 # Numbers --------------------------------------------------------------------------------------------------------------
@@ -200,8 +212,10 @@ def sheets(work: Work, folder: Path) -> dict[str, str]:
                 seen = [
                     frame for frame in sheet.frames if shot.settings.frame_start <= frame <= shot.settings.frame_end
                 ]
-                pictures[name] |= {frame: colored(work, sheet, frame, far(work, sheet, shot, run, frame, name == FULL))
-                                   for frame in seen}  # fmt: skip
+                pictures[name] |= {
+                    frame: colored(work, sheet, frame, far(work, sheet, shot, run, frame, work.beside(name)))
+                    for frame in seen
+                }
     files = {}
     for sheet in work.subject.sheets:
         files[sheet.figure] = f"figure_{sheet.figure.replace('.', '_')}.png"
@@ -219,13 +233,15 @@ def wear(work: Work, run: compare.Run | None) -> None:
         write_keys(obj, replace(run.bake, coordinates=run.bake.coordinates[:, kept], modes=run.bake.modes[kept]))
 
 
-def far(work: Work, sheet: Sheet, shot: Shot, run: compare.Run | None, frame: int, full: bool) -> np.ndarray:
-    """What the colors of a frame tell (V,), meters; of the full model, how far it is from the reduced one."""
+def far(
+    work: Work, sheet: Sheet, shot: Shot, run: compare.Run | None, frame: int, beside: compare.Run | None
+) -> np.ndarray:
+    """What the colors of a frame tell (V,), meters; beside another run, how far it is from that."""
     if run is None:
         return np.zeros(len(work.shot.rest))
     k = shot.index(frame)
-    if full:
-        reference = work.shown["DMT reduced"].bake.displacement(work.shot.index(frame))
+    if beside:
+        reference = beside.bake.displacement(work.shot.index(frame))
     elif sheet.shows == SWING:
         reference = measures.static_shapes(run.character, run.bake.weights[k])
     else:
@@ -249,7 +265,7 @@ def lay_out(work: Work, sheet: Sheet, pictures: dict[str, dict]):
     """A sheet with one row for each method; under each picture of a simulated one, the targets that act there."""
     rows = [
         Row(name, ABOUT[name], [shots[frame] for frame in sheet.frames],
-            [acting(work.shot, work.shown.get(name), frame) for frame in sheet.frames])
+            [acting(work.shot, work.shown.get(name.removesuffix(claims.ITSELF)), frame) for frame in sheet.frames])
         for name, shots in pictures.items() if sheet.shows == SWING or name in SHOW_SHAPES
     ]  # fmt: skip
     columns = [f"{frame}: {event}" for frame, event in sheet.frames.items()]

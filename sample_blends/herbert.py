@@ -88,6 +88,7 @@ timeline's markers switch on. Press Play for both.
   frames   1-127  Dive   walk, hurdle, board, somersault, into the water
   frames 128-218  Wall   a run, a wall, and the impact
 To work on one of them set the scene's frame range to it.
+Self Collision is on: in the tuck (frame 91) the belly meets the thighs.
 
 Three dynamic morph targets, placed by the bend of the spine alone, so that walking and running leave the belly soft:
   Neutral    upright: skinny and flabby, swinging at about 3 Hz
@@ -374,4 +375,6 @@ def make(path: Path) -> None:
         soft_target.set_bones(SPINE)
     assign(body.dynamorph.model, MODEL)
     body.dynamorph.firmness_group = FIRMNESS
+    collision = body.dynamorph.collision
+    collision.use, collision.use_self, collision.bake_full = True, True, False  # in the tuck, belly and thighs meet
     save_scene(path)

@@ -256,6 +256,9 @@ def tell_herbert(found: dict) -> list[str]:
         "Half the way the belly swings about its shape when the body is shaken by the same centimeter at 4 Hz, in the "
         "first and in the tucked pose.\n",
         grid(head_swing, [(name, *pair(swing, UPRIGHT, TUCKED)) for name, swing in found["swing"].items()]),
+        "Vertices of trunk and thighs that are inside each other in the tuck, away from the joint, at most. The scene "
+        "has Self Collision on; all other rows of this page are without it, as the thesis.\n",
+        grid(("", "inside"), [(name, str(count)) for name, count in found["inside"].items()]),
     ]
 
 

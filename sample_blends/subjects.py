@@ -203,6 +203,10 @@ class Shot:
         rig = self.rig[self.index(first) * steps : self.index(last) * steps + 1]
         return Shot(self.subject, self.character, rig, replace(self.settings, frame_start=first, frame_end=last))
 
+    def touching_itself(self) -> Shot:
+        """The same with Self Collision."""
+        return replace(self, settings=replace(self.settings, collision=True, self_collision=True))
+
     def every_step(self) -> Shot:
         """The same with each step as a frame, so that a motion shows what happens between the frames."""
         rate = self.settings.fps * self.settings.substeps
@@ -214,10 +218,11 @@ class Shot:
 
 
 def open_shot(subject: Subject) -> Shot:
-    """Opens the subject's .blend, whose whole range it reads."""
+    """Opens the subject's .blend, whose whole range it reads. As in the thesis, nothing touches anything."""
     with quiet():
         bpy.ops.wm.open_mainfile(filepath=str(subject.path))
         obj = bpy.data.objects[subject.object]
         settings = run_settings.simulation_settings(obj, bpy.context.scene)
+        settings = replace(settings, collision=False, self_collision=False)
         rig = rig_motion.sample_rig(obj, settings.frame_start, settings.frame_end, settings.substeps)
         return Shot(subject, extract.character(obj), rig, settings)

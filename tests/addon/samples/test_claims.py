@@ -126,3 +126,8 @@ def test_the_same_shake_swings_the_belly_upright_and_not_tucked(herbert):
     assert ratio[DMT] > 4
     assert 0.5 < ratio["single material"] < 2
     assert max(swing["static morphs"].values()) < 1e-12
+
+
+def test_the_belly_meets_the_thighs_in_the_tuck(herbert):
+    inside = herbert["inside"]
+    assert min(inside[claims.PLAIN], inside[DMT]) > 100 and inside[DMT + claims.ITSELF] <= 0.05 * inside[DMT]
