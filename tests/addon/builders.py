@@ -5,9 +5,11 @@ Programs import it too, so what needs the extension under its installed name imp
 """
 
 import hashlib
+import importlib
 import threading
 from contextlib import contextmanager
 from math import pi
+from pathlib import Path
 
 import bmesh
 import bpy
@@ -15,6 +17,15 @@ import numpy as np
 import pytest
 import scenes
 from pins import with_pins
+
+EXTENSION = "bl_ext.user_default.dynamic_morph_targets"
+
+
+def part(name):
+    """The extension's module of this name, wherever it is."""
+    package = Path(importlib.import_module(EXTENSION).__file__).parent
+    (path,) = package.rglob(f"{name}.py")
+    return importlib.import_module(".".join([EXTENSION, *path.relative_to(package).with_suffix("").parts]))
 
 
 def make_rig(scene, name="Rig", bones=2):

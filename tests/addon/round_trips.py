@@ -58,14 +58,14 @@ def imported(load: Callable, path: Path, **options):
             block.slider_min, block.slider_max = -10.0, 10.0
 
 
-def by_import(load: str, **options) -> Callable:
-    """One of Blender's own readers; load: an operator of bpy.ops."""
+def by_import(load: str, from_0=False, **options) -> Callable:
+    """One of Blender's own readers; load: an operator of bpy.ops; from_0: whether it has the first frame at frame 0."""
     group, name = load.split(".")
 
     def read(path: Path, mesh: str, frames) -> np.ndarray:
         imported(getattr(getattr(bpy.ops, group), name), path, **options)
         (found,) = (obj.name for obj in bpy.data.objects if obj.type == "MESH" and obj.name.startswith(mesh))
-        return shown(found, frames)
+        return shown(found, [frame - frames[0] for frame in frames] if from_0 else frames)
 
     return read
 
@@ -192,6 +192,14 @@ class Gltf:
         view = self.file.bufferViews[at.bufferView]
         begin = (view.byteOffset or 0) + (at.byteOffset or 0)
         return np.frombuffer(self._data, kind, count * width, begin).reshape(count, width)
+
+    @property
+    def clips(self) -> list[str]:
+        return [each.name for each in self.file.animations]
+
+    def morph_names(self, mesh: str) -> list[str]:
+        (node,) = (node for node in self.file.nodes if node.name == mesh and node.mesh is not None)
+        return self.file.meshes[node.mesh].extras["targetNames"]
 
     def animation(self, name: str | None):
         found = [each for each in self.file.animations if name in (None, each.name)]

@@ -89,11 +89,11 @@ def problem(obj: bpy.types.Object) -> str:
     return text if text and model == _stated(obj) else ""
 
 
-def contact_texts(obj: bpy.types.Object) -> list[Message]:
-    """What went wrong where a live object met colliders in the frames that it has played."""
+def played_texts(obj: bpy.types.Object) -> list[Message]:
+    """What went wrong in the frames that a live object has played: with colliders, and by what playback dropped."""
     session = sessions.get(obj.session_uid)
     found = session.touched() if session else None
-    return found.texts if found else []
+    return [*(found.texts if found else []), *(session.dropped if session else [])]
 
 
 def _stated(obj: bpy.types.Object) -> tuple[str, ...]:

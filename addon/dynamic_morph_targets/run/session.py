@@ -13,7 +13,7 @@ import numpy as np
 from ..core import errors
 from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
-from ..core.message import joined
+from ..core.message import Message, joined
 from ..core.motion import rig_samples
 from ..core.motion.contact import Touched, touched
 from ..core.motion.grab import Grab, together
@@ -24,6 +24,7 @@ from ..core.painted_map import MAPS
 from ..core.settings import Material, SimulationSettings
 from ..scene import (
     colliders,
+    events,
     mesh_data,
     model_store,
     probe,
@@ -39,7 +40,9 @@ from .tissue import Tissue
 # Frames whose rig is read at once; the setup costs as much as five frames, and more frames would be noticed as a
 # stutter.
 BLOCK = 16
-CATCH_UP = 8  # frames that playback may drop; they are simulated nevertheless
+CATCH_UP = 24  # frames that playback may drop; they are simulated nevertheless,
+AT_THE_END = 8  # and so many before it goes on with a loop's first
+DROPPED = "Playback dropped {count} frames, so Live began again at {frame}: set Sync to Play Every Frame"
 RIG_BYTES = 2**28  # bytes of the rig's matrices that are kept, because reading them again takes a while
 KEPT = 250  # latest frames from which it can resume after a change of settings
 STATE_BYTES = 2**28  # bytes that those may take, if they have the transforms or the displacements of nodes
@@ -88,6 +91,7 @@ class Session:
         self.grabs: tuple[Grab, ...] = ()  # by which the artist pulls the skin
         self.recorded: dict[int, Grab] | None = None  # those to each frame, while they are recorded
         self.group = LiveGroup([self], [obj.name])
+        self.dropped: list[Message] = []  # what to say of frames that playback left out, more than are simulated
         self.rig_changes = 0  # how often the rig's motion was edited
         self._frames: dict[int, Frame] = {}
         self._states: dict[int, tuple[int, State]] = {}
@@ -201,12 +205,14 @@ class Session:
             starts
             and settings.loop
             and self._frames
-            and settings.frame_end - CATCH_UP <= self.last <= settings.frame_end
+            and settings.frame_end - AT_THE_END <= self.last <= settings.frame_end
         ):
             while self.last < settings.frame_end:
                 self._advance(obj)
             self._begin_again(obj)
         elif starts or not self._frames or not self.first <= number <= self.last + CATCH_UP:
+            lost = number - self.last - 1 if self._frames and not starts and events.is_playing() else 0
+            self.dropped = [Message(DROPPED, count=lost, frame=number)] if lost > CATCH_UP else []
             self._begin(obj, number)
         while self.last < number:
             self._advance(obj)

@@ -124,13 +124,32 @@ def is_animated(skinning: Skinning) -> bool:
 
 
 def _movers(skinning: Skinning) -> list:
-    """The objects that move the skin, including all their parents."""
-    moving = []
-    for mover in (skinning.rig, skinning.obj, *(modifier.object for modifier in skinning.modifiers)):
+    """The objects that move the skin, all their parents, and what their constraints and drivers follow, as a source
+    armature or the goal of IK.
+    """
+    moving: list = []
+    _add_with_parents((skinning.rig, skinning.obj, *(modifier.object for modifier in skinning.modifiers)), moving)
+    for mover in moving:  # grows
+        _add_with_parents(_followed(mover), moving)
+    return moving
+
+
+def _add_with_parents(movers, moving: list):
+    for mover in movers:
         while mover is not None and mover not in moving:
             moving.append(mover)
             mover = mover.parent
-    return moving
+
+
+def _followed(mover) -> list:
+    """The objects that the constraints and drivers of an object, and of its bones, follow."""
+    bones = mover.pose.bones if mover.pose else ()
+    constraints = [*mover.constraints, *(constraint for bone in bones for constraint in bone.constraints)]
+    found = [getattr(constraint, name, None) for constraint in constraints for name in ("target", "pole_target")]
+    found += [each.target for constraint in constraints for each in getattr(constraint, "targets", ())]
+    drivers = mover.animation_data.drivers if mover.animation_data else ()
+    found += [each.id for driver in drivers for variable in driver.driver.variables for each in variable.targets]
+    return [other for other in found if isinstance(other, bpy.types.Object)]
 
 
 def animation_hash(data) -> str:

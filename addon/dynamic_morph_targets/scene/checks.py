@@ -45,8 +45,11 @@ class Problem:
 # At every draw -----------------------------------------------------------------------------------------------------
 
 
-def problems(skinning: Skinning) -> Iterator[Problem]:
-    """What prevents a mesh object from being simulated, in the order in which an artist would fix it."""
+def problems(obj) -> Iterator[Problem]:
+    """What prevents a mesh object, or its `Skinning`, from being simulated, in the order in which an artist would fix
+    it.
+    """
+    skinning = Skinning.of(obj)
     yield from mesh(skinning.obj)
     missing = list(skinning_problems(skinning))
     yield from missing
@@ -88,8 +91,11 @@ def hints(obj) -> Iterator[str]:
         )
 
 
-def notes(skinning: Skinning) -> Iterator[Problem]:
-    """What does not prevent a simulation, but will be ignored or will hide its result."""
+def notes(obj) -> Iterator[Problem]:
+    """What does not prevent a simulation of a mesh object, or of its `Skinning`, but will be ignored or will hide its
+    result.
+    """
+    skinning = Skinning.of(obj)
     obj = skinning.obj
     for modifier in skinning.modifiers[-1:]:
         for before in _modifiers_before(obj, modifier):

@@ -14,8 +14,8 @@ from ..core.message import Message
 from ..core.motion.colliders import ColliderTrack, with_before
 from .checks import Problem
 from .mesh_data import mesh_topology, mesh_triangles
+from .references import armature_modifiers
 from .skin import soft_skins
-from .skinning import armature_modifiers
 
 ASSET = "Collider"  # the node group of Blender 5.2
 FRICTION = 0.5  # Coulomb's coefficient where the object does not say

@@ -17,7 +17,8 @@ from ..core.character import Character
 from ..core.geometry import diagonal
 from ..core.motion.rig_samples import PosedNodes
 from .mesh_data import NO_WEIGHT, VertexGroups
-from .skinning import Skinning, armature_modifiers
+from .references import armature_modifiers
+from .skinning import Skinning
 
 OFFSET = (
     0.01  # body sizes; the nodes' offsets. Bendy bones bend within a long one, and float32 loses digits of a short one

@@ -20,12 +20,25 @@ def rig_of(obj):
 
     That has a deforming bone with a vertex group; if none has, the first that has an armature.
     """
-    rigs = [m.object for m in obj.modifiers if m.type == "ARMATURE" and is_armature(m.object)]
+    return rig_among(obj, armature_modifiers(obj))
+
+
+def rig_among(obj, modifiers):
+    """`rig_of` with the `armature_modifiers` of `obj`."""
+    rigs = [modifier.object for modifier in modifiers]
     if len(rigs) < 2:
         return rigs[0] if rigs else None
     groups = set(obj.vertex_groups.keys())
     skins = (rig for rig in rigs if any(bone.use_deform and bone.name in groups for bone in rig.data.bones))
     return next(skins, rigs[0])
+
+
+def armature_modifiers(obj) -> list:
+    """The Armature modifiers of `obj` that have an armature and are on in the viewport or in renders; if all are off,
+    these.
+    """
+    found = [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE" and is_armature(modifier.object)]
+    return [modifier for modifier in found if modifier.show_viewport or modifier.show_render] or found
 
 
 def is_armature(obj) -> bool:

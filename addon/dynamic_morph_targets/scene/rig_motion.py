@@ -26,6 +26,8 @@ from .references import rest_skeleton, rig_of
 from .skin import unit_scale
 from .skinning import Skinning
 
+FLAT = 1e-6  # smallest scale over the largest, below which something has no size
+GROWN = 0.99  # of its largest size
 MOVED = np.radians(5.0)  # a bone turned further than this from the neutral pose places a target by default
 
 
@@ -333,19 +335,36 @@ def rig_scene(obj, rig, probe=None):
 
 def worlds_at_start(obj, rig) -> list[np.ndarray]:
     """World transforms of both, meters, when the scene starts: a model that depended on the current frame would become
-    outdated by playing. Raises SceneError.
+    outdated by playing. Where one is scaled to zero then, when they first are as large as they become. Raises
+    SceneError.
     """
+    user = bpy.context.scene
     with rig_scene(obj, rig) as (scene, _follower):
-        scene.frame_set(bpy.context.scene.frame_start)
-        depsgraph = scene.view_layers[0].depsgraph
-        worlds = [np.array(moving.evaluated_get(depsgraph).matrix_world) for moving in (obj, rig)]
+
+        def worlds_at(frame: int) -> list[np.ndarray]:
+            scene.frame_set(frame)
+            depsgraph = scene.view_layers[0].depsgraph
+            worlds = [np.array(moving.evaluated_get(depsgraph).matrix_world) for moving in (obj, rig)]
+            for moving, world in zip((obj, rig), worlds, strict=True):
+                if not np.isfinite(world).all():
+                    raise SceneError(not_a_number(moving.name, frame))
+            return worlds
+
+        worlds = worlds_at(user.frame_start)
+        if not all(map(_thickness, worlds)):
+            every = [worlds_at(frame) for frame in range(user.frame_start, user.frame_end + 1)]
+            sizes = [min(map(_thickness, each)) for each in every]
+            worlds = next(each for each, size in zip(every, sizes, strict=True) if size >= GROWN * max(sizes))
     for moving, world in zip((obj, rig), worlds, strict=True):
-        if not np.isfinite(world).all():
-            raise SceneError(not_a_number(moving.name, bpy.context.scene.frame_start))
-        sizes = np.linalg.svd(world[:3, :3], compute_uv=False)
-        if sizes[-1] <= 1e-6 * sizes[0]:
+        if not _thickness(world):
             raise SceneError("'{name}' is scaled to zero: give it a size", name=moving.name)
     return [in_meters(world, unit_scale()) for world in worlds]
+
+
+def _thickness(world: np.ndarray) -> float:
+    """The smallest scale of a transform (4, 4); 0 where that is next to nothing of the largest."""
+    sizes = np.linalg.svd(world[:3, :3], compute_uv=False)
+    return float(sizes[-1]) if sizes[-1] > FLAT * sizes[0] else 0.0
 
 
 def remove_scene(scene, *objects):

@@ -9,7 +9,7 @@ from typing import Any
 
 import bpy
 
-from .references import is_armature, rig_of
+from .references import armature_modifiers, rig_among
 
 SKINNING_FIELDS = ("use_deform_preserve_volume", "use_multi_modifier", "vertex_group", "invert_vertex_group")
 
@@ -28,7 +28,11 @@ class Skinning:
 
     @classmethod
     def of(cls, obj) -> Skinning:
-        return cls(obj, tuple(armature_modifiers(obj)), rig_of(obj))
+        """obj: the mesh object, or what has been read of it already."""
+        if isinstance(obj, Skinning):
+            return obj
+        modifiers = tuple(armature_modifiers(obj))
+        return cls(obj, modifiers, rig_among(obj, modifiers))
 
     @property
     def modifier(self):
@@ -62,11 +66,6 @@ class Skinning:
             segments = [bone.bbone_segments for bone in self.bones(modifier.object)]  # bones' names may change
             found.append([*(getattr(modifier, name) for name in SKINNING_FIELDS), segments])
         return found
-
-
-def armature_modifiers(obj) -> list:
-    """The Armature modifiers of `obj` that have an armature."""
-    return [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE" and is_armature(modifier.object)]
 
 
 def deforming_bones(obj, armature) -> list:

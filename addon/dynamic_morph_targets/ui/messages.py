@@ -103,7 +103,7 @@ def texts(obj, said: Set[str]) -> Iterator[str]:
     if live.is_on(obj) and live.problem(obj):
         yield live.problem(obj)
     if live.is_on(obj):
-        yield from live.contact_texts(obj)
+        yield from live.played_texts(obj)
     if comparison.is_plain(obj):
         yield "Plain skinning is shown: the soft skin stays hidden until you press Show Soft Skin or save"
     ages = dict.fromkeys((*staleness.model_age(obj), *staleness.outdated(obj)))

@@ -138,17 +138,23 @@ def _fill(track, clip: Clip, action, slot):
 
 def _slot(action, owner):
     """The slot of an Action that moves `owner`, for an armature object its bones; preferably the one that it plays,
-    or one with its name. Or None.
+    or one with its name. Or None. What another one plays, or is named after another one, belongs to that.
     """
     fitting = [slot for slot in action.slots if slot.target_id_type in {owner.id_type, "UNSPECIFIED"}]
-    fitting = [
-        slot for slot in fitting if not slot.users() or owner in slot.users()
-    ]  # otherwise it belongs to another character
+    fitting = [slot for slot in fitting if owner in (slot.users() or [_namesake(slot, owner)])]
     for slot in sorted(fitting, key=lambda slot: (owner not in slot.users(), slot.name_display != owner.name)):
         paths = (curve.data_path for curve in animation.curves(action, slot))
         if any(_has(owner, path) for path in paths if owner.id_type == "KEY" or path.startswith(POSE)):
             return slot
     return None
+
+
+def _namesake(slot, owner):
+    """What is named as a slot, if it is of the kind of `owner`; else `owner`."""
+    blocks = bpy.data.objects if owner.id_type == "OBJECT" else bpy.data.shape_keys
+    named = blocks.get(slot.name_display)
+    alike = named is not None and (owner.id_type != "OBJECT" or named.type == owner.type)
+    return named if alike else owner
 
 
 def _has(owner, path: str) -> bool:

@@ -223,6 +223,20 @@ def test_a_clip_whose_action_another_rig_plays_too(game_arm, tmp_path):
     assert farthest(file.surfaces("Arm", len(BEND), "Bend"), exact, same_order=False) < CLOSE
 
 
+def test_actions_that_are_named_after_another_rig_are_no_clips(game_arm, tmp_path):
+    """They fit its bones too, and nothing plays them; those that are named after nothing stay clips."""
+    pytest.importorskip("pygltflib")
+    other = rig_of(game_arm).copy()
+    other.name = "Other Rig"
+    bpy.context.scene.collection.objects.link(other)
+    for name, slot in (("Run", other.name), ("Jump", "Downloaded")):
+        action = new_action(rig_of(game_arm), name, "lower", 0, [(1, 0.0), (5, 0.4)])
+        action.slots[0].name_display, action.use_fake_user = slot, True
+    rig_of(game_arm).animation_data.action = bpy.data.actions["Bend"]
+    clips = round_trips.Gltf(exported(game_arm, tmp_path)).clips
+    assert "Jump" in clips and "Run" not in clips
+
+
 def test_actions_of_one_name_are_refused(game_arm, tmp_path):
     library = tmp_path / "clips.blend"
     bpy.data.libraries.write(str(library), {bpy.data.actions["Wave"]})

@@ -163,6 +163,20 @@ def test_dropped_frames_are_simulated_all_the_same(playing):
     assert apart(play(playing, [1, 4, 5, 12, 20]), whole[[0, 3, 4, 11, 19]]) < 1e-6
 
 
+def test_playback_that_drops_too_many_frames_says_so(playing, monkeypatch):
+    """Until it goes on from there without another gap."""
+    monkeypatch.setattr(scene_events, "is_playing", lambda: True)
+    play(playing, [1, 1 + run_session.CATCH_UP])
+    assert run_live.played_texts(playing) == []
+    play(playing, [80])
+    assert "Playback dropped 54 frames, so Live began again at 80: set Sync" in " ".join(drawn(playing))
+    play(playing, [1])
+    assert run_live.played_texts(playing) == []
+    monkeypatch.setattr(scene_events, "is_playing", lambda: False)
+    play(playing, [80])  # the artist has jumped there
+    assert run_live.played_texts(playing) == []
+
+
 def test_scrubbing_reads_no_rig_until_the_mouse_is_up(playing, monkeypatch):
     """Blender 5.2 crashes when a scene is removed from a handler while the artist drags through the timeline."""
     live, scene = run_live, bpy.context.scene

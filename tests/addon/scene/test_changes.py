@@ -9,7 +9,7 @@ from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
 from bl_ext.user_default.dynamic_morph_targets.run import preview
 from bl_ext.user_default.dynamic_morph_targets.scene import animation, events, staleness
 from bl_ext.user_default.dynamic_morph_targets.write import storage
-from builders import activate, refused, rig_of, soon
+from builders import activate, make_rig, refused, rig_of, soon
 from costs import cost
 from layout import drawn
 
@@ -187,6 +187,46 @@ def test_the_rig_s_animation_is_named_until_it_is_as_before(baked):
     assert looked(baked) == ['animation of "Arm Rig" changed']
     rig.keyframe_delete("location", frame=3)
     assert looked(baked) == []
+
+
+def copied_rotation(rig):
+    source = make_rig(bpy.context.scene, "Source")
+    source.pose.bones["lower"].keyframe_insert("rotation_euler", frame=1)
+    constraint = rig.pose.bones["lower"].constraints.new("COPY_ROTATION")
+    constraint.target, constraint.subtarget = source, "lower"
+    return source
+
+
+def goal_of_ik(rig):
+    goal = bpy.data.objects.new("Source", None)
+    bpy.context.scene.collection.objects.link(goal)
+    goal.keyframe_insert("location", frame=1)
+    rig.pose.bones["lower"].constraints.new("IK").target = goal
+    return goal
+
+
+def driver_of_a_bone(rig):
+    goal = goal_of_ik(rig)
+    rig.pose.bones["lower"].constraints.remove(rig.pose.bones["lower"].constraints[0])
+    driver = rig.pose.bones["upper"].driver_add("location", 0).driver
+    driver.variables.new().targets[0].id = goal
+    return goal
+
+
+@pytest.mark.parametrize("follow", [copied_rotation, goal_of_ik, driver_of_a_bone])
+def test_the_animation_of_what_the_rig_follows_counts(soft_arm, stand_in, follow):
+    source = follow(rig_of(soft_arm))
+    parent = bpy.data.objects.new("Above", None)
+    bpy.context.scene.collection.objects.link(parent)
+    source.parent = parent
+    activate(soft_arm)
+    bpy.ops.dynamorph.bake()
+    assert looked(soft_arm) == []
+    source.keyframe_insert("location", frame=7)
+    assert looked(soft_arm) == ['animation of "Source" changed']
+    source.keyframe_delete("location", frame=7)
+    parent.keyframe_insert("location", frame=7)
+    assert 'animation of "Above" changed' in looked(soft_arm)
 
 
 def posed_and_keyed(rig):

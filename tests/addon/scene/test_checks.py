@@ -230,6 +230,16 @@ def test_what_blender_skins_itself_is_no_problem_but_a_note(soft_arm, change, wo
     assert extract.character(soft_arm).probed
 
 
+def test_an_armature_modifier_that_is_off_does_not_count(soft_arm):
+    """As imports leave them. One that is off in the viewport alone would be seen in renders."""
+    left = soft_arm.modifiers.new("Left", "ARMATURE")
+    left.object = rig_of(soft_arm)
+    left.show_viewport = left.show_render = False
+    assert found(soft_arm) == [] and not extract.character(soft_arm).probed
+    left.show_render = True
+    assert fixes(soft_arm) == ["ENABLE_MODIFIER"]
+
+
 def test_all_armature_modifiers_are_put_right(soft_arm):
     two_armatures_disabled(soft_arm)
     assert fixes(soft_arm) == ["ENABLE_MODIFIER", "ENABLE_ARMATURE"]

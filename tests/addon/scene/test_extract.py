@@ -226,6 +226,20 @@ def test_an_armature_that_vanishes_is_refused_with_the_frame(soft_arm):
         rig_motion.sample_rig(soft_arm, 1, 12, 2)
 
 
+def test_an_armature_that_grows_from_nothing_has_the_size_it_grows_to(scene, soft_arm):
+    """Its own frames can be baked; those where it is nothing are refused with the frame."""
+    grown = extract.character(soft_arm).to_bind
+    soft_arm.parent = rig = rig_of(soft_arm)
+    for frame, size in ((1, 0.0), (6, 1.0)):
+        rig.scale = (size,) * 3
+        rig.keyframe_insert("scale", frame=frame)
+    scene.frame_set(1)
+    assert extract.character(soft_arm).to_bind == pytest.approx(grown, rel=0.02, abs=1e-9)
+    rig_motion.sample_rig(soft_arm, 3, 12, 2)
+    with pytest.raises(errors.SceneError, match="is scaled to zero at frame 1"):
+        rig_motion.sample_rig(soft_arm, 1, 12, 2)
+
+
 def test_to_bind_does_not_depend_on_rotation(soft_arm):
     soft_arm.scale = (2.0, 0.5, 0.01)
     found = []

@@ -14,8 +14,9 @@ from ...core.material.feel import FEELS
 from ...core.message import translated
 from ...run.live import remove_soft_skin
 from ...scene import body_checks, checks, cuts, extract, references, rig_motion, skin, target_properties
+from ...scene.references import armature_modifiers
 from ...scene.registration import of_classes
-from ...scene.skinning import Skinning, armature_modifiers
+from ...scene.skinning import Skinning
 from ...write.authoring import attachments
 from ...write.authoring.fixes import FIXES
 from ...write.bake import writer

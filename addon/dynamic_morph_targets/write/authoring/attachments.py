@@ -15,9 +15,9 @@ from ...core.geometry import diagonal, loose_parts, triangle_areas, vertex_areas
 from ...core.message import Message
 from ...core.model import rigid
 from ...scene import checks, mesh_data, references
-from ...scene.references import rig_of
+from ...scene.references import armature_modifiers, rig_of
 from ...scene.skin import attachments_of
-from ...scene.skinning import Skinning, armature_modifiers, meshes_on
+from ...scene.skinning import Skinning, meshes_on
 from ...scene.source import Source
 from ..bake import writer
 

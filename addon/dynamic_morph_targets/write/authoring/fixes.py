@@ -11,7 +11,7 @@ import numpy as np
 from mathutils.kdtree import KDTree
 
 from ...core.errors import SceneError
-from ...scene import body_checks, checks, cuts, skinning
+from ...scene import body_checks, checks, cuts, references, skinning
 from ...scene.skin import unit_scale
 from ...scene.source import Source
 from ..bake import writer
@@ -42,7 +42,7 @@ def _in_modifier(**values) -> Callable:
     """A fix that sets properties of the Armature modifiers."""
 
     def apply(obj):
-        for modifier in skinning.armature_modifiers(obj):
+        for modifier in references.armature_modifiers(obj):
             for name, value in values.items():
                 setattr(modifier, name, value)
 
@@ -63,7 +63,7 @@ def _in_bones(name: str, value) -> Callable:
 
 def _rigs(obj) -> list:
     """The armature objects that skin `obj`."""
-    return [modifier.object for modifier in skinning.armature_modifiers(obj)]
+    return [modifier.object for modifier in references.armature_modifiers(obj)]
 
 
 def _leave_edit_mode(obj):
@@ -97,7 +97,7 @@ def _parent_as_object(obj):
 
 
 def _move_below(obj):
-    *_, armature = skinning.armature_modifiers(obj)
+    *_, armature = references.armature_modifiers(obj)
     armature.use_pin_to_last = False  # nothing can be below one that is pinned
     for modifier in reversed(checks.generating_before(obj, armature)):  # each moves next to it, which keeps the order
         obj.modifiers.move(obj.modifiers.find(modifier.name), obj.modifiers.find(armature.name))

@@ -23,6 +23,7 @@ from ...scene.skin import shown_attachments
 from ...scene.skinning import meshes_on
 from .. import actions
 from ..bake import reading, writer
+from ..reconcile import reconcile
 from . import process
 
 
@@ -92,6 +93,7 @@ def write_file(obj, key: str, path: Path, frames: tuple[int, int], takes=(), wit
     with (
         frames_kept(),
         _collected(obj, without) as collection,
+        _morphs_named_apart(obj, without),
         outputs.replacing(path, chosen.has_parts) as partial,
     ):
         try:
@@ -171,6 +173,7 @@ def _write_gltf(obj, collection: str, path: Path, frames, takes):
             filepath=str(path), collection=collection, export_animation_mode="SCENE", export_force_sampling=True,
             export_anim_scene_split_object=False,
             export_optimize_animation_size=False, export_morph_normal=False, export_frame_range=True,
+            export_anim_slide_to_zero=True,
         )  # fmt: skip
     if takes:
         parts = {clip.name: (clip.first - frames[0], clip.last - frames[0]) for clip in takes}
@@ -287,6 +290,31 @@ def frames_kept():
     finally:
         scene.frame_start, scene.frame_end = ends
         scene.frame_set(frame[0], subframe=frame[1])
+
+
+@contextmanager
+def _morphs_named_apart(obj, without=()):
+    """Let the bake's keys of another soft skin of the character have its name before theirs: engines that merge the
+    meshes of one armature play morph targets of one name alike.
+    """
+    moved = {obj, *shown_attachments(obj), *without}
+    taken = {key.name for mesh in moved for key in animation.keys_of(mesh).values()}
+    owners = {mesh: mesh.dynamorph.follows or mesh for mesh in meshes_together(obj) if mesh not in moved}
+    named = [
+        (key, key.name, f"{owner.name} {key.name}")
+        for mesh, owner in owners.items()
+        for key in animation.keys_of(mesh).values()
+        if owner not in moved and key.name in taken and key.name in animation.baked_keys(mesh)
+    ]
+    try:
+        for key, _, apart in named:
+            key.name = apart
+        yield
+    finally:
+        for key, name, _ in named:
+            key.name = name
+        for mesh in owners if named else ():
+            reconcile(mesh)  # its references have followed the names
 
 
 @contextmanager

@@ -6,14 +6,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from ...core.message import Message
+from ...core.message import Message, listed
 from ...scene import animation
-from ...scene.references import rig_of
-from ...scene.skin import shown_attachments
-from ...scene.skinning import Skinning, armature_modifiers, deforming_bones
+from ...scene.references import armature_modifiers, rig_of
+from ...scene.skin import shown_attachments, unit_scale
+from ...scene.skinning import Skinning, deforming_bones
 from .exports import FORMATS, left_out, meshes_together, surface_formats
 
 MORPHS = 8  # morph targets that common engines and viewers blend at once
+METERS = {"GLTF", "USD"}  # formats that are read as meters, whatever the scene's unit is
+SAME_UNIT = 1e-6
+INHERITED = {"FULL", "FIX_SHEAR"}  # Inherit Scale of bones as files have it
 MOST_BONES = 4  # per vertex that glTF writes
 
 
@@ -27,6 +30,8 @@ def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
         for mesh in meshes_together(obj):
             if mesh in moved or armature_modifiers(mesh):
                 yield from _skinning_losses(mesh, key)
+            else:
+                yield from _modifier_losses(mesh, key, ())
             yield from _key_losses(mesh, key, planned if mesh in moved else None)
     if key == "USD":  # the others write no pictures, or those that are in memory
         for name in _unsaved_images(obj):
@@ -36,6 +41,7 @@ def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
                 format=FORMATS[key].label,
             )
     if key != "RAW":
+        yield from _unit_losses(key)
         for hidden in left_out(obj):
             yield Message("'{name}' is hidden, so Blender exports nothing of it: show it", name=hidden.name)
 
@@ -61,18 +67,8 @@ def _skinning_losses(obj, key: str) -> Iterator[str]:
     if not modifiers:
         yield Message("'{name}' has no Armature modifier: its bones are not written", name=obj.name)
         return
-    for modifier in obj.modifiers:
-        if modifier not in modifiers and modifier.show_viewport:
-            where = "after" if obj.modifiers.find(modifier.name) > obj.modifiers.find(modifiers[-1].name) else "before"
-            yield Message(
-                "'{name}': modifier '{modifier}' {where} the Armature is left out: {format} takes shape keys or "
-                "modifiers, not both. Use {others}",
-                name=obj.name,
-                modifier=modifier.name,
-                where=Message(where),
-                format=label,
-                others=surface_formats(),
-            )
+    yield from _modifier_losses(obj, key, modifiers)
+    yield from _scale_losses(skinning, key)
     if skinning.beyond_bones:
         yield Message(
             "'{name}' is skinned with {beyond}, {format} skins by plain bones: it will differ. Use {others}",
@@ -88,6 +84,73 @@ def _skinning_losses(obj, key: str) -> Iterator[str]:
             name=obj.name,
             count=crowded,
             most=MOST_BONES,
+        )
+
+
+def _modifier_losses(obj, key: str, skinning) -> Iterator[str]:
+    """skinning: those of the modifiers that the format has as bones."""
+    for modifier in obj.modifiers:
+        if modifier in skinning or not (modifier.show_viewport or modifier.show_render):
+            continue
+        if not skinning:
+            yield Message(
+                "'{name}': modifier '{modifier}' is left out of {format}: apply it, or use {others}",
+                name=obj.name,
+                modifier=modifier.name,
+                format=FORMATS[key].label,
+                others=surface_formats(),
+            )
+            continue
+        where = "after" if obj.modifiers.find(modifier.name) > obj.modifiers.find(skinning[-1].name) else "before"
+        yield Message(
+            "'{name}': modifier '{modifier}' {where} the Armature is left out: {format} takes shape keys or "
+            "modifiers, not both. Use {others}",
+            name=obj.name,
+            modifier=modifier.name,
+            where=Message(where),
+            format=FORMATS[key].label,
+            others=surface_formats(),
+        )
+
+
+def _scale_losses(skinning: Skinning, key: str) -> Iterator[str]:
+    """Files have each bone's transform within its parent's, so that it inherits all of that one's scale."""
+    scaled = _scaled_bones(skinning.rig)
+    alone = [
+        bone.name
+        for bone in skinning.rig.data.bones
+        if bone.inherit_scale not in INHERITED and any(above.name in scaled for above in bone.parent_recursive)
+    ]
+    if alone:
+        yield Message(
+            "'{rig}': bones below scaled ones do not inherit their scale, in {format} they do: {bones} will differ. "
+            "Set Inherit Scale to Full, or use {others}",
+            rig=skinning.rig.name,
+            format=FORMATS[key].label,
+            bones=listed(alone),
+            others=surface_formats(),
+        )
+
+
+def _scaled_bones(rig) -> set[str]:
+    """The bones of an armature object that have a scale now, or that curves or drivers scale."""
+    data = rig.animation_data
+    curves = [*animation.played(data), *data.drivers] if data else []
+    paths = {curve.data_path for curve in curves}
+    still = (1.0, 1.0, 1.0)
+    return {
+        bone.name for bone in rig.pose.bones if tuple(bone.scale) != still or f"{bone.path_from_id()}.scale" in paths
+    }
+
+
+def _unit_losses(key: str) -> Iterator[str]:
+    scale = unit_scale()
+    if key in METERS and abs(scale - 1.0) > SAME_UNIT:
+        yield Message(
+            "{format} is in meters: one Blender unit, {scale:g} m by the scene's Unit Scale, is written as 1 m. Scale "
+            "it by {scale:g} where you import it",
+            format=FORMATS[key].label,
+            scale=scale,
         )
 
 
