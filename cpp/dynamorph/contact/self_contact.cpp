@@ -24,6 +24,7 @@ constexpr double kFadeEnds = 0.46;      // and from which they have none
 constexpr double kCrushed = 0.25;       // of the volume of a joint: contacts at it have no weight,
 constexpr double kFolded = 0.4;         // and all of it
 constexpr double kEach = 3e-3;          // of the size: what a contact moves both sides apart in a step, at most
+constexpr int kCluster = 8;             // balls
 constexpr int kMostParts = 1 << 20;
 constexpr double kAgree = 0.1;  // length of the mean of the balls' directions, below which there is none
 
@@ -56,6 +57,23 @@ OtherSide nearest_of(std::vector<std::pair<double, int>>& all) {
   }
   for (std::size_t k = 0; k < count; ++k) out.weights[k] = sum > 0 ? out.weights[k] / sum : 1.0 / double(count);
   return out;
+}
+
+/// Adds clusters of at most kCluster of these numbers of points, which are halved along their longest side.
+void cluster(const Points& points, std::vector<int>::iterator begin, std::vector<int>::iterator end,
+             std::vector<std::vector<int>>& out) {
+  if (end - begin <= kCluster) {
+    if (begin != end) out.emplace_back(begin, end);
+    return;
+  }
+  Box box;
+  for (auto it = begin; it != end; ++it) box.extend(Vector3d(points.row(*it)));
+  Index side;
+  box.sizes().maxCoeff(&side);
+  const auto middle = begin + (end - begin) / 2;
+  std::nth_element(begin, middle, end, [&](int a, int b) { return points(a, side) < points(b, side); });
+  cluster(points, begin, middle, out);
+  cluster(points, middle, end, out);
 }
 
 void sort(std::vector<Contact>& contacts) {
@@ -97,8 +115,14 @@ void SelfContact<Model>::find_parts() {
   for (const std::vector<int>* parts : {&body_.of_balls, &body_.of_points})
     for (const int part : *parts) count = std::max(count, part + 1);
   parts_.resize(std::size_t(count));
-  for (std::size_t k = 0; k < body_.of_balls.size(); ++k)
-    parts_[std::size_t(body_.of_balls[k])].balls.push_back(int(k));
+  std::vector<std::vector<int>> balls(parts_.size());
+  for (std::size_t k = 0; k < body_.of_balls.size(); ++k) balls[std::size_t(body_.of_balls[k])].push_back(int(k));
+  std::size_t clusters = 0;
+  for (std::size_t p = 0; p < parts_.size(); ++p) {
+    cluster(balls_.skin().rest, balls[p].begin(), balls[p].end(), parts_[p].clusters);
+    parts_[p].first_cluster = clusters;
+    clusters += parts_[p].clusters.size();
+  }
   for (std::size_t i = 0; i < body_.of_points.size(); ++i)
     parts_[std::size_t(body_.of_points[i])].points.samples.push_back(int(i));
 
@@ -225,19 +249,26 @@ void SelfContact<Model>::begin(const Body& body) {
   const std::size_t parts = of.parts_.size();
   scratch.places.clear();
   scratch.place_of.assign(of.body_.points.size(), -1);
+  scratch.vertices.clear();
+  scratch.vertex_of.assign(std::size_t(of.samples_->map().size()), -1);
   scratch.boxes.assign(parts, Box());
+  scratch.clusters.clear();
   scratch.centers.resize(of.balls_.size(), 3);
   scratch.turns.resize(parts);
   scratch.scales.resize(parts);
   for (std::size_t p = 0; p < parts; ++p) {
     scratch.turns[p] = transform(skin.now, of.parts_[p].bone).template leftCols<3>();
     scratch.scales[p] = std::cbrt(std::abs(scratch.turns[p].determinant()));
-    for (const int ball : of.parts_[p].balls) {
-      const Vector3d shape = of.ball_shapes_.middleRows<3>(3 * ball) * skin.weights;
-      const Vector3d center = of.balls_.posed(of.balls_.skin().transform(skin.now, ball), ball, shape);
-      const Vector3d reach = Vector3d::Constant(scratch.scales[p] * of.body_.radius(ball) + skin.margin);
-      scratch.centers.row(ball) = center;
-      scratch.boxes[p].extend(center - reach).extend(center + reach);
+    for (const std::vector<int>& cluster : of.parts_[p].clusters) {
+      scratch.clusters.emplace_back();
+      for (const int ball : cluster) {
+        const Vector3d shape = of.ball_shapes_.middleRows<3>(3 * ball) * skin.weights;
+        const Vector3d center = of.balls_.posed(of.balls_.skin().transform(skin.now, ball), ball, shape);
+        const Vector3d reach = Vector3d::Constant(scratch.scales[p] * of.body_.radius(ball) + skin.margin);
+        scratch.centers.row(ball) = center;
+        scratch.clusters.back().extend(center - reach).extend(center + reach);
+      }
+      scratch.boxes[p].extend(scratch.clusters.back());
     }
   }
 }
@@ -267,6 +298,24 @@ void SelfContact<Model>::search(const Body& body, const Body& other, const Worn*
       touch(body, point, other, nearest_ball, other_side(body, point, other, nearest_ball), {int(own), part}, found);
     }
   }
+}
+
+template <class Model>
+const typename SelfContact<Model>::PosedVertex& SelfContact<Model>::vertex(const Body& body, int vertex) {
+  const ContactSamples<Model>& samples = *body.of.samples_;
+  const SkinMap<Model>& map = samples.map();
+  const PosedSkin& skin = body.skin;
+  std::vector<PosedVertex>& vertices = body.scratch.vertices;
+  int& at = body.scratch.vertex_of[std::size_t(vertex)];
+  if (at < 0) {
+    at = int(vertices.size());
+    const PointTransform now = map.skin().transform(skin.now, vertex), then = map.skin().transform(skin.before, vertex);
+    const Vector3d was = map.displacement(skin.weights, skin.was, vertex);
+    vertices.push_back({map.posed(now, vertex, samples.shape(skin.weights, vertex)), map.posed(now, vertex, was),
+                        map.posed(now, vertex, map.displacement(skin.weights, skin.predicted, vertex)),
+                        map.posed(then, vertex, was), then.leftCols<3>(), now.leftCols<3>()});
+  }
+  return vertices[std::size_t(at)];
 }
 
 template <class Model>
@@ -322,17 +371,23 @@ typename SelfContact<Model>::Nearest SelfContact<Model>::nearest(const Body& bod
   const Vector3d x = place(body, point);
   auto& near = body.scratch.near;
   near.clear();
-  for (const int part : parts)
-    for (const int ball : of.parts_[std::size_t(part)].balls) {
-      const double radius = other.scratch.scales[std::size_t(part)] * of.body_.radius(ball), reach = radius + margin;
-      const double square = (x.transpose() - other.scratch.centers.row(ball)).squaredNorm();
-      if (square > reach * reach) continue;
-      double touched = 1;
-      if (itself) touched = of.fade(of.rest_.row(point), of.thickness_(point), ball);
-      if (worn) touched = of.fade(worn->rest.row(point), kInfinity, ball);
-      const double distance = std::sqrt(square) - touched * radius;
-      if (touched > 0 && distance < margin) near.emplace_back(distance, ball);
+  for (const int part : parts) {
+    const auto& clusters = of.parts_[std::size_t(part)].clusters;
+    const double scale = other.scratch.scales[std::size_t(part)];
+    for (std::size_t c = 0; c < clusters.size(); ++c) {
+      if (!other.scratch.clusters[of.parts_[std::size_t(part)].first_cluster + c].contains(x)) continue;
+      for (const int ball : clusters[c]) {
+        const double radius = scale * of.body_.radius(ball), reach = radius + margin;
+        const double square = (x.transpose() - other.scratch.centers.row(ball)).squaredNorm();
+        if (square > reach * reach) continue;
+        double touched = 1;
+        if (itself) touched = of.fade(of.rest_.row(point), of.thickness_(point), ball);
+        if (worn) touched = of.fade(worn->rest.row(point), kInfinity, ball);
+        const double distance = std::sqrt(square) - touched * radius;
+        if (touched > 0 && distance < margin) near.emplace_back(distance, ball);
+      }
     }
+  }
   Nearest out{0, Vector3d::Zero(), -1};
   if (near.empty()) return out;
   const auto [least, ball] = *std::min_element(near.begin(), near.end());
@@ -363,21 +418,18 @@ void SelfContact<Model>::touch(const Body& body, int point, const Body& other, c
     const bool first = numbered == sample;
     const Body& side = first ? body : other;
     const ContactSamples<Model>& samples = *side.of.samples_;
-    const SkinMap<Model>& map = samples.map();
-    const PosedSkin& skin = side.skin;
     const int at = numbered - side.first_sample, part = first ? parts.first : parts.second;
     if (samples.stiffness()(at) > 0)
       room += std::abs(share) * side.scratch.scales[std::size_t(part)] * samples.thickness()(at);
     samples.points().each_corner(at, [&](int v, double weight) {
-      const PointTransform now = map.skin().transform(skin.now, v), then = map.skin().transform(skin.before, v);
-      const Vector3d was = map.displacement(skin.weights, skin.was, v);
-      unmoved += share * weight * map.posed(now, v, samples.shape(skin.weights, v));
-      kept += share * weight * map.posed(now, v, was);
-      predicted += share * weight * map.posed(now, v, map.displacement(skin.weights, skin.predicted, v));
-      before += share * weight * map.posed(then, v, was);
+      const PosedVertex& known = vertex(side, v);
+      unmoved += share * weight * known.unmoved;
+      kept += share * weight * known.kept;
+      predicted += share * weight * known.predicted;
+      before += share * weight * known.before;
       if (!first) return;
-      turned_before += weight * then.leftCols<3>();
-      turned += weight * now.leftCols<3>();
+      turned_before += weight * known.turned_before;
+      turned += weight * known.turned;
     });
   });
   const double at_first = nearest.gap + normal.dot(kept - unmoved);

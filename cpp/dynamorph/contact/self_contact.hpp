@@ -82,6 +82,13 @@ class SelfContact {
   /// This skin as clothes on another one at rest. to_body: from its bind space to that of the body.
   Worn wear(int clothes, int body, const SelfContact& other, const PointTransform& to_body) const;
 
+  /// A vertex of the skin, world space: x; with the tissue where it was, and where it is predicted, at the end of the
+  /// step; at its beginning; and how its transform turns then and now.
+  struct PosedVertex {
+    Vector3d unmoved, kept, predicted, before;
+    Matrix3d turned_before, turned;
+  };
+
   /// Buffers that are kept from step to step.
   struct Scratch {
     Points centers;                                    ///< of the balls, world space
@@ -90,7 +97,9 @@ class SelfContact {
     std::vector<Vector3d> places;                      ///< x of the points that are known
     std::vector<int> place_of;                         ///< of each point, in places; -1: not known
     std::vector<std::pair<double, int>> near, others;  ///< distances, and balls or points
-    std::vector<Eigen::AlignedBox3d> boxes;            ///< where the balls of each part reach
+    std::vector<Eigen::AlignedBox3d> boxes, clusters;  ///< where the balls of each part reach, and of each cluster
+    std::vector<PosedVertex> vertices;                 ///< of the skin, those that are known
+    std::vector<int> vertex_of;                        ///< of each vertex of the skin, in vertices; -1: not known
   };
 
   /// One of the bodies in a step.
@@ -112,8 +121,9 @@ class SelfContact {
  private:
   struct Part {
     typename ContactSamples<Model>::Group points;  ///< numbers of points
-    std::vector<int> balls;
-    Eigen::Index bone = 0;  ///< that moves its points most
+    std::vector<std::vector<int>> clusters;        ///< its balls, those that are near to each other together
+    std::size_t first_cluster = 0;                 ///< its first one among those of all parts
+    Eigen::Index bone = 0;                         ///< that moves its points most
   };
   struct Nearest {
     double gap;
@@ -133,6 +143,7 @@ class SelfContact {
   static void begin(const Body& body);
   /// f. place: at rest, of something that has so much tissue, meters.
   double fade(const Vector3d& place, double thickness, int ball) const;
+  static const PosedVertex& vertex(const Body& body, int vertex);
   /// The place of a point of a body in the targets' shapes, world space.
   static Vector3d place(const Body& body, int point);
   /// Adds the contacts of a body's points with the balls of another one, or of itself; worn: if it lies on that.
