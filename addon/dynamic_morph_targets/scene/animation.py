@@ -134,6 +134,12 @@ def _movers(skinning: Skinning) -> list:
     return moving
 
 
+def rigid_bodies(skinning: Skinning) -> list[str]:
+    """The names of those objects that Rigid Body moves, which it does in the artist's own scene alone."""
+    bodies = ((mover.name, mover.rigid_body) for mover in _movers(skinning))
+    return [name for name, body in bodies if body and body.type == "ACTIVE" and not body.kinematic]
+
+
 def _add_with_parents(movers, moving: list):
     for mover in movers:
         while mover is not None and mover not in moving:

@@ -13,6 +13,7 @@ from math import isfinite
 
 from ..core.errors import SceneError
 from ..core.message import Message
+from . import animation
 from .references import is_armature
 from .skin import cache_modifier, edited_elsewhere
 from .skinning import Skinning, armature_for
@@ -46,9 +47,7 @@ class Problem:
 
 
 def problems(obj) -> Iterator[Problem]:
-    """What prevents a mesh object, or its `Skinning`, from being simulated, in the order in which an artist would fix
-    it.
-    """
+    """What prevents a mesh, or its `Skinning`, from being simulated, in the order in which an artist would fix it."""
     skinning = Skinning.of(obj)
     yield from mesh(skinning.obj)
     missing = list(skinning_problems(skinning))
@@ -92,9 +91,7 @@ def hints(obj) -> Iterator[str]:
 
 
 def notes(obj) -> Iterator[Problem]:
-    """What does not prevent a simulation of a mesh object, or of its `Skinning`, but will be ignored or will hide its
-    result.
-    """
+    """What does not prevent a simulation of a mesh, or its `Skinning`, but will be ignored or will hide its result."""
     skinning = Skinning.of(obj)
     obj = skinning.obj
     for modifier in skinning.modifiers[-1:]:
@@ -112,6 +109,9 @@ def notes(obj) -> Iterator[Problem]:
             name=obj.name,
             reason=skinning.beyond_bones,
         )
+    for mover in animation.rigid_bodies(skinning):
+        text = "'{name}' moves with '{mover}', which Rigid Body moves: bake that to keyframes (Object > Rigid Body)"
+        yield Problem(text, name=obj.name, mover=mover)
     yield from shared_mesh(obj)
     keys = obj.data.shape_keys
     for block in keys.key_blocks if keys else ():

@@ -240,6 +240,23 @@ def test_an_armature_modifier_that_is_off_does_not_count(soft_arm):
     assert fixes(soft_arm) == ["ENABLE_MODIFIER"]
 
 
+@pytest.mark.parametrize("by_bone", [True, False])
+def test_what_moves_with_a_rigid_body_is_in_the_messages(scene, soft_arm, by_bone):
+    """The rig is read in a scene of its own, where no physics runs."""
+    rig, ball = rig_of(soft_arm), make_mesh(scene, "Ball", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+    if by_bone:
+        rig.pose.bones["upper"].constraints.new("CHILD_OF").target = ball
+    else:
+        rig.parent = ball
+    assert found(soft_arm) == []
+    with bpy.context.temp_override(object=ball, active_object=ball, selected_objects=[ball]):
+        bpy.ops.rigidbody.object_add(type="ACTIVE")
+    (note,) = found(soft_arm)
+    assert "'Arm' moves with 'Ball', which Rigid Body moves" in note.text and "bake that to keyframes" in note.text
+    ball.rigid_body.kinematic = True
+    assert found(soft_arm) == []
+
+
 def test_all_armature_modifiers_are_put_right(soft_arm):
     two_armatures_disabled(soft_arm)
     assert fixes(soft_arm) == ["ENABLE_MODIFIER", "ENABLE_ARMATURE"]

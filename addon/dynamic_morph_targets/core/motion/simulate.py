@@ -201,7 +201,9 @@ class Shot:
         return Bake(settings.frames, coordinates, weights, surface, skin.residual_shapes, names, static, modes), report
 
 
-def play_together(shots: Sequence[Shot], rigs: Sequence[RigSamples], garments: Set[tuple[str, str]]) -> None:
+def play_together(
+    shots: Sequence[Shot], rigs: Sequence[RigSamples], garments: Set[tuple[str, str]] = frozenset()
+) -> None:
     """Simulates the next chunk of shots, with the same frames, whose bodies press on each other. None is a loop.
     garments: (clothes, body), names of those that lie on others.
     """
