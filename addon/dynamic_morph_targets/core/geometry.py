@@ -115,6 +115,7 @@ def connected_parts(elements: np.ndarray, count: int) -> np.ndarray:
 
 # Fraction of a mesh's diagonal; points nearer than this are merged, because imported meshes are split at every seam.
 WELD = 1e-6
+CARD = 0.01  # of the area of the largest part, below which an open one is a card
 
 
 def welded(points: np.ndarray) -> np.ndarray:
@@ -127,6 +128,20 @@ def welded(points: np.ndarray) -> np.ndarray:
         :, 2
     ]  # one number each, because rows take ten times as long
     return np.unique(numbers, return_inverse=True)[1].ravel()
+
+
+def without_cards(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Those of triangles (T, 3) that may enclose a body: without open parts that are small beside the largest one, as
+    the cards of hair, fur, feathers and scales, whether they share points with it or not. Parts are what edges connect.
+    """
+    corners = np.sort(triangles, axis=1).astype(np.int64)
+    edges = corners[:, [0, 0, 1]] * (len(points) + 1) + corners[:, [1, 2, 2]]
+    _, number, count = np.unique(edges, return_inverse=True, return_counts=True)
+    number = number.reshape(-1, 3)
+    part = connected_parts(number, len(count))[number[:, 0]]
+    area = np.bincount(part, triangle_areas(points, triangles))
+    is_open = np.bincount(part, (count[number] != 2).any(axis=1)) > 0
+    return triangles[~(is_open & (area < CARD * area.max(initial=0.0)))[part]]
 
 
 def loose_parts(points: np.ndarray, elements: np.ndarray) -> np.ndarray:

@@ -77,7 +77,7 @@ def baked_keys(obj) -> set[str]:
 
 def moving_keys(obj) -> list[str]:
     """The keys with an effect: not muted, and with a curve, a driver or a value."""
-    animated = baked_keys(obj) | driven_keys(obj) | _played_keys(obj)
+    animated = baked_keys(obj) | driven_keys(obj) | played_keys(obj)
     return [name for name, key in list(keys_of(obj).items())[1:] if not key.mute and (key.value or name in animated)]
 
 
@@ -86,7 +86,7 @@ def driven_keys(obj) -> set[str]:
     return _keys_at(obj, {driver.data_path for driver in animation.drivers} if animation else ())
 
 
-def _played_keys(obj) -> set[str]:
+def played_keys(obj) -> set[str]:
     """The keys that Actions of the artist move, by the NLA too."""
     animation = obj.data.shape_keys and obj.data.shape_keys.animation_data
     if not animation:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether the size, the mass and the weights of a body look intended, before it is a soft skin and after. Reads only.
+"""Whether size, mass, shape and weights of a body look intended, before it is a soft skin and after. Reads only.
 
 Reading a mesh takes too long for a panel that draws. So `known` returns what `look` found last, and asks for another
 look (`run/watch`) when the body is another than it was then.
@@ -14,16 +14,19 @@ import numpy as np
 
 from ..core.errors import SceneError
 from ..core.geometry import signed_volume
+from ..core.message import listed
 from ..core.settings import Material
-from . import events
+from . import animation, events
 from .checks import Problem
 from .mesh_data import stretch
+from .references import key_points
 from .skin import unit_scale
 from .skinning import Skinning
 from .source import Source
 
 PLAUSIBLE = (0.05, 4.0)  # meters, the longest side; a body of another size is probably unintended
 HEAVIEST = 2000.0  # kg; a heavier body is probably unintended
+ANOTHER_BODY = 0.02  # of the longest side: shape keys that move a vertex farther make another body of it
 PERSON = 1.7  # meters; what a fix makes of an implausible size
 
 _looks: dict[int, tuple[tuple, list[Problem]]] = {}  # by Object.session_uid: the body's state then, what looked wrong
@@ -78,6 +81,29 @@ def unintended(source: Source, points: np.ndarray, to_bind: np.ndarray) -> Itera
             total=len(points),
             name=source.obj.name,
         )
+    always = [key for key in _always_on(source.obj) if _reach(key) > ANOTHER_BODY * longest_side(points)]
+    if always:
+        yield Problem(
+            "'{name}' shows shape keys that are always on, but the body of its Basis is simulated: make what shows the "
+            "Basis ({keys})",
+            name=source.obj.name,
+            keys=listed([key.name for key in always]),
+        )
+
+
+def _always_on(obj) -> list:
+    """The shape keys with a value that nothing moves, but for those that the add-on plays or that are targets."""
+    keys, settings = animation.keys_of(obj), obj.dynamorph
+    others = {target.name for target in settings.targets} | {settings.live.key.name}
+    others |= animation.baked_keys(obj) | animation.driven_keys(obj) | animation.played_keys(obj)
+    shown = [key for name, key in list(keys.items())[1:] if key.value and not key.mute and name not in others]
+    return [] if obj.mode != "OBJECT" or obj.show_only_shape_key else shown
+
+
+def _reach(key) -> float:
+    """How far a shape key moves a vertex at most, local space."""
+    shift = abs(key.value) * (key_points(key) - key_points(key.relative_key))
+    return float(np.linalg.norm(shift, axis=1).max(initial=0.0))
 
 
 def _size(source: Source, points: np.ndarray) -> Iterator[Problem]:
@@ -133,4 +159,5 @@ def _state(skinning: Skinning) -> tuple:
     scale = tuple(round(side, 5) for side in obj.matrix_world.to_scale())
     density = targets[0].density if targets else 0.0
     counts = len(obj.data.vertices), len(obj.vertex_groups)
-    return obj.data.session_uid, obj.name, *counts, rigs, scale, unit_scale(), density
+    shown = tuple((key.name, key.value) for key in _always_on(obj))
+    return obj.data.session_uid, obj.name, *counts, rigs, scale, unit_scale(), density, shown

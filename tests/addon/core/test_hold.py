@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 dynamorph = pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+from bl_ext.user_default.dynamic_morph_targets.core import geometry  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.core.model import hold  # noqa: E402
 
 SPACING, BUMP, ROD, HALF = 0.08, 0.2, 0.3, 0.8  # of the grid; radii of the bump and the rod; of the trunk
@@ -46,6 +47,24 @@ def test_a_blunt_bump_on_thick_tissue_is_soft(held):
 def test_a_rod_is_held_away_from_it(held):
     found, nodes = held
     assert found.phi[nodes[:, 0] < -2.5].min() > 0.9
+
+
+def test_cards_on_the_skin_are_not_its_thickness():
+    """Feathers, fur, scales: open, small, each with a corner on the skin. Clothes are as large as the body, and count;
+    so does what is closed.
+    """
+    mesh, nodes, surface = body()
+    roots = nodes[np.unique(surface)[::3]]
+    size = 0.05 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.3], [0.3, 1.0, 0.0]])
+    points = np.concatenate([nodes, (roots[:, None] + size).reshape(-1, 3)])
+    cards = len(nodes) + np.arange(3 * len(roots)).reshape(-1, 3)
+    both = np.concatenate([surface, cards])
+    assert np.array_equal(geometry.without_cards(points, both), surface)
+    shared = np.concatenate([surface, np.column_stack([np.unique(surface)[::3], cards[:, 1:]])])
+    assert np.array_equal(geometry.without_cards(points, shared), surface)
+    ball = cards[0, 0] + np.array([[0, 1, 2], [0, 2, 1]])
+    for whole in (surface, np.concatenate([surface, ball]), surface[: len(surface) // 2]):
+        assert np.array_equal(geometry.without_cards(points, whole), whole)
 
 
 def test_the_thickness_that_is_lent_falls_off_with_the_distance(held):

@@ -240,6 +240,22 @@ def test_an_armature_modifier_that_is_off_does_not_count(soft_arm):
     assert fixes(soft_arm) == ["ENABLE_MODIFIER"]
 
 
+def test_keys_that_are_always_on_are_in_the_messages(soft_arm):
+    """The identity of many characters: the body that shows is another than that of the Basis, which is simulated."""
+    key = soft_arm.data.shape_keys.key_blocks["smile"]
+    assert body_checks.look(soft_arm) == []
+    key.value = 0.05  # hardly another body
+    assert body_checks.look(soft_arm) == []
+    key.value = 1.0
+    (note,) = body_checks.look(soft_arm)
+    assert "the body of its Basis is simulated" in note.text and "(smile)" in note.text
+    key.keyframe_insert("value", frame=1)  # an expression
+    assert body_checks.look(soft_arm) == []
+    key.keyframe_delete("value", frame=1)
+    key.mute = True
+    assert body_checks.look(soft_arm) == []
+
+
 @pytest.mark.parametrize("by_bone", [True, False])
 def test_what_moves_with_a_rigid_body_is_in_the_messages(scene, soft_arm, by_bone):
     """The rig is read in a scene of its own, where no physics runs."""

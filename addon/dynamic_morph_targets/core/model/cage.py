@@ -15,7 +15,7 @@ import numpy as np
 from .. import firmness as paint
 from ..character import Character
 from ..engine import dynamorph
-from ..geometry import diagonal, triangle_areas
+from ..geometry import diagonal, triangle_areas, without_cards
 from . import pins
 from .hold import Depths, Hold, depths, hold
 from .summary import Summary
@@ -104,7 +104,7 @@ _depths: dict[bytes, Depths] = {}  # of the last bodies, by what they follow fro
 def held_by_thickness(character: Character, mesh: dynamorph.TetMesh, inherited: Inherited, fill: np.ndarray) -> Hold:
     """The hold of a character's cage. fill (m,)."""
     surface = character.bind_points[character.coincident]
-    triangles = character.soft_triangles
+    triangles = without_cards(surface, character.soft_triangles)
     made_from = (mesh.nodes, mesh.tets, inherited.weights, surface, triangles)
     key = b"".join(hashlib.sha256(array.tobytes()).digest() for array in made_from)
     if key not in _depths:
