@@ -330,6 +330,19 @@ def test_a_crash_is_known_by_its_exit_code(monkeypatch, children, code, name):
     assert len(children) == len(meshing.RESOLUTIONS)
 
 
+@pytest.mark.skipif(os.name == "nt", reason="POSIX")
+def test_a_mesher_that_the_system_kills_is_short_of_memory(monkeypatch):
+    """The mesh is not blamed, no other resolution is tried, and a farm may try again."""
+
+    class Killed(subprocess.Popen):
+        def __init__(self, command, **options):
+            super().__init__([command[0], "-c", "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"], **options)
+
+    monkeypatch.setattr(subprocess, "Popen", Killed)
+    with pytest.raises(MemoryError, match="killed by the system"):
+        dynamorph.mesh_body(*box(), 300)
+
+
 def test_reports_of_a_windows_child_are_understood(monkeypatch):
     """Their lines end otherwise, and a message from a library may have letters of any encoding."""
     code = f"import os; os.write(2, b'0.5\\r\\nThe cage \\x81 is \\xc3\\xbc\\r\\n'); os._exit({meshing.EXIT_ERROR})"

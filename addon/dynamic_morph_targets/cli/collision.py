@@ -10,6 +10,7 @@ import bpy
 from ..core.errors import InputError
 from ..run import bake_time
 from ..scene import run_settings
+from .parsers import name_of
 
 SETTINGS = ("distance", "friction", "bake_full")  # of the panel, that are options of the same name
 
@@ -20,8 +21,12 @@ def add_options(bake: argparse.ArgumentParser) -> None:
                       help="let the objects that have Blender's Collision stop the skin")  # fmt: skip
     bake.add_argument("--self-collision", action=argparse.BooleanOptionalAction,
                       help="let the skin stop itself too; turns --collision on")  # fmt: skip
-    bake.add_argument("--collection", metavar="NAME", help="only those in this collection; turns --collision on")
-    bake.add_argument("--exclude", metavar="GROUP", help="a vertex group in which objects pass through the skin")
+    bake.add_argument(
+        "--collection", type=name_of, metavar="NAME", help="only those in this collection; turns --collision on"
+    )
+    bake.add_argument(
+        "--exclude", type=name_of, metavar="GROUP", help="a vertex group in which objects pass through the skin"
+    )
 
 
 def apply(args: argparse.Namespace, obj: bpy.types.Object) -> None:

@@ -7,7 +7,7 @@ import argparse
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, fields
 from itertools import combinations
 from pathlib import Path
@@ -31,6 +31,7 @@ from ..write.bake import writer
 from ..write.export import blend_file, exports, losses, process
 from ..write.reconcile import reconcile
 from . import collision, signals
+from .parsers import number
 from .record import Done, ProgressPrinter, print_table
 
 SETTABLE = (*(field.name for field in fields(Material)), "fade_out_angle", "amount")  # properties of a target
@@ -38,18 +39,6 @@ MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
 SIMULATION_SETTINGS = ("samples", "integrator", "gravity", "fields", "initial_state", "loop", "keep_outside")
 OUTPUT_SETTINGS = ("keys", "frame_step", "tolerance")
 SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output": OUTPUT_SETTINGS}
-
-
-def number(setting: bpy.types.Property) -> Callable[[str], float]:
-    """A parser that refuses numbers which Blender would silently clamp to the setting's range."""
-
-    def parse(text: str) -> float:
-        value: float = {"INT": int, "FLOAT": float}[setting.type](text)
-        if not setting.hard_min <= value <= setting.hard_max:
-            raise argparse.ArgumentTypeError(f"{text} is not between {setting.hard_min:g} and {setting.hard_max:g}")
-        return value
-
-    return parse
 
 
 def check_substeps(args: argparse.Namespace) -> None:

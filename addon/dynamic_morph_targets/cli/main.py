@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 import io
 import json
-import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
@@ -41,7 +40,6 @@ from .commands import (
     check_folder,
     file_state,
     named_files,
-    number,
     refuse_shared,
     run_check,
     run_collect,
@@ -51,6 +49,7 @@ from .commands import (
     run_report,
 )
 from .info import run_info
+from .parsers import file_of, name_of, number, path_of
 from .record import record
 
 COLLECT = "make one page from many reports; fails if one of them is missing or reports a failure"
@@ -159,7 +158,7 @@ def add_command(
             "--enable-autoexec", action="store_true", help="let Python in the .blend, such as drivers, run"
         )
     chosen = sub.add_mutually_exclusive_group(required=writes)
-    chosen.add_argument("--object", action="append", metavar="NAME", help="a soft skin; may be repeated")
+    chosen.add_argument("--object", action="append", type=name_of, metavar="NAME", help="a soft skin; may be repeated")
     chosen.add_argument("--all", action="store_true", help="every soft skin of the file")
     if writes:
         target = sub.add_mutually_exclusive_group(required=name not in ("build", "bake"))
@@ -207,13 +206,13 @@ def add_report(command: Callable[..., argparse.ArgumentParser]) -> None:
 
 def add_fit(command: Callable[..., argparse.ArgumentParser]) -> None:
     fit = command("fit", run_fit, "fit a target's stiffness and damping to a measurement; its model must be up to date")
-    fit.add_argument("--target", required=True, metavar="NAME", help="the target's name")
+    fit.add_argument("--target", required=True, type=name_of, metavar="NAME", help="the target's name")
     measured = fit.add_mutually_exclusive_group(required=True)
     measured.add_argument("--oscillation", type=path_of, metavar="CSV",
                           help="a point that swings after its release: seconds, x, y, z")  # fmt: skip
     measured.add_argument("--force-displacement", type=path_of, metavar="CSV",
                           help="pushes: newtons x, y, z, meters x, y, z, in the mesh's axes")  # fmt: skip
-    fit.add_argument("--vertex-group", metavar="GROUP",
+    fit.add_argument("--vertex-group", type=name_of, metavar="GROUP",
                      help="vertices observed or pushed; default: the target's region")  # fmt: skip
 
 
@@ -230,8 +229,8 @@ def add_collect(commands: argparse._SubParsersAction) -> None:
 def add_model(sub: argparse.ArgumentParser) -> None:
     """Options of the commands that build models."""
     add_settings(sub, "model", MODEL_SETTINGS)
-    sub.add_argument("--set", action="append", default=[], metavar="TARGET.PROPERTY=VALUE", dest="changes",
-                     help="set a target's property first, for example Flexed.stiffness=5e4; may be "
+    sub.add_argument("--set", action="append", default=[], type=name_of, metavar="TARGET.PROPERTY=VALUE",
+                     dest="changes", help="set a target's property first, for example Flexed.stiffness=5e4; may be "
                      "repeated")  # fmt: skip
     sub.add_argument("--cache-dir", type=path_of, metavar="FOLDER",
                      help="keep models and unfinished bakes in this folder, and continue from those that it "
@@ -242,24 +241,6 @@ def add_model(sub: argparse.ArgumentParser) -> None:
 
 def add_report_file(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--report", type=file_of, metavar="FILE", help="write the outcome as JSON, even after a failure")
-
-
-def path_of(text: str) -> Path:
-    """A parser that refuses what no system takes as the name of a file."""
-    try:
-        if text and b"\0" not in os.fsencode(text):
-            return Path(text)
-    except UnicodeEncodeError:
-        pass
-    raise argparse.ArgumentTypeError(f"{text!r} cannot be the name of a file")
-
-
-def file_of(text: str) -> Path:
-    """A parser that refuses the root of a disk as well, which has no name."""
-    path = path_of(text)
-    if path.is_absolute() and not path.name:
-        raise argparse.ArgumentTypeError(f"{text!r} cannot be the name of a file")
-    return path
 
 
 def add_shot(sub: argparse.ArgumentParser) -> None:

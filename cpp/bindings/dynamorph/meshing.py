@@ -42,6 +42,7 @@ WINDOWS_CRASH, WINDOWS_ABORT = 0xC0000000, 3
 RESOLUTIONS = (1.0, 0.9, 1.12, 0.75)
 # For tests only: makes the child crash, hang or allocate without end. "crash once" crashes at the first resolution
 # only.
+KILLED = 9  # SIGKILL, which Windows does not have
 FAULT_VARIABLE = "DYNAMORPH_MESHER_FAULT"
 
 ProgressFn = Callable[[float], bool]  # called with 0..1, returns False to cancel
@@ -72,7 +73,8 @@ def mesh_body(
     None depends on the size of both. progress: called with 0..1 every 50 ms, returns False to cancel.
     Returns the cage's vertices (C, 3) and outward triangles (D, 3), and the TetMesh. Raises ValueError on wrong shapes
     or indices. Raises Error, which says what to do, when the mesh cannot be used, or when the mesher crashes, hangs or
-    needs too much memory at all resolutions near the requested one. Raises Cancelled when progress returns False.
+    needs too much memory at all resolutions near the requested one. Raises MemoryError when the system kills the
+    mesher, and Cancelled when progress returns False.
     """
     bones = np.zeros((0, 2, 3)) if bones is None else np.asarray(bones, np.float64)
     if bones.ndim != 3 or bones.shape[1:] != (2, 3):
@@ -220,6 +222,8 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
     if code == EXIT_DISK:
         number = getattr(errno, message)
         raise OSError(number, os.strerror(number), tempfile.gettempdir())
+    if code == -KILLED:
+        raise MemoryError("The mesher was killed by the system, as happens when memory is short.")
     if code < 0 or code == WINDOWS_ABORT or code >= WINDOWS_CRASH:
         name = signal.Signals(-code).name if code < 0 else f"{code:#x}"
         raise _MesherFailed(f"The mesher crashed on this mesh ({name}). {TRY_THIS}")

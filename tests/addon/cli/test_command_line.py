@@ -49,6 +49,16 @@ def bake_of(path, name):
     return [key.name for key in bpy.data.objects[name].dynamorph.bake.keys]
 
 
+@pytest.mark.parametrize(
+    "option",
+    [("--object", "caf\udce9"), ("--all", "--set", "fl\udcffexed.stiffness=5"), ("--all", "--exclude", "\udcff")],
+)
+def test_a_name_that_is_not_utf_8_is_refused(shot, run, option):
+    """As a shell of another encoding passes it."""
+    code, _, said = run("bake", shot, *option, "-o", shot.with_name("o.blend"))
+    assert code == 2 and "is not UTF-8, which all names in Blender are" in said
+
+
 def test_bake_writes_another_file(shot, run, stand_in):
     output = shot.parent / "baked.blend"
     before = shot.read_bytes()

@@ -56,6 +56,15 @@ def test_selected_bones_hold_their_skin(soft_arm):
     assert 2 <= border.sum() <= 8 and np.abs(np.diff(rings)).max() < 0.28
 
 
+def test_painting_ends_with_the_armature_active(soft_arm):
+    """Without Lock Object Modes, the artist may click it meanwhile; it stays active."""
+    bpy.ops.dynamorph.paint_firmness()
+    assert soft_arm.mode == "WEIGHT_PAINT"
+    activate(rig_of(soft_arm))
+    bpy.ops.dynamorph.paint_firmness()
+    assert soft_arm.mode == "OBJECT" and bpy.context.object == rig_of(soft_arm)
+
+
 @pytest.mark.parametrize("of_bone", [False, True])
 def test_a_new_map_takes_no_group_that_is_there(soft_arm, of_bone):
     """Neither what the artist keeps in a group called Firmness, nor the skin weights of such a bone."""

@@ -48,10 +48,11 @@ def enter(obj, of: PaintedMap):
 def leave(obj):
     """Return to what was going on before, and look whether the model and the bake still fit the maps."""
     display, objects = bpy.context.window_manager.dynamorph, bpy.context.view_layer.objects
+    active, objects.active = objects.active, obj  # without Lock Object Modes, the armature may have become active
     bpy.ops.object.mode_set(mode="WEIGHT_PAINT", toggle=True)
     posed, display.posed = objects.get(display.posed), ""
+    objects.active = posed or active
     if posed:
-        objects.active = posed
         bpy.ops.object.mode_set(mode="POSE")
     _look(obj)
 
