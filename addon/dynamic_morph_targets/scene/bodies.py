@@ -18,7 +18,7 @@ from ..core.firmness import kept
 from ..core.geometry import diagonal, inverse, vertex_areas
 from ..core.model import rigid
 from ..core.painted_map import EXCLUDED, FIRMNESS, MAX_DISTANCE, PaintedMap
-from . import checks, mesh_data, rig_motion
+from . import checks, mesh_data, references, rig_motion
 from .nearest import nearest
 from .skin import attached_meshes, attachments_of, own_attachments
 from .skinning import Skinning, meshes_on
@@ -52,8 +52,9 @@ def joined(source: Source, single: Character) -> Character:
     _refuse_hard(obj, whole, cage_index, rigidity, [(p, t) for p, (_, t) in zip(others, beside, strict=True)])
     firmness = whole.painted(FIRMNESS)
     if single.settings.hold_head:
-        found = rigid.heads(single.skeleton, whole.weights, bind, whole.triangles)
-        head = rigid.head_rigidity(single.skeleton, whole.weights, bind, whole.triangles, found)
+        moved = references.as_moved(single.skeleton, source.rig)
+        found = rigid.heads(moved, whole.weights, bind, whole.triangles)
+        head = rigid.head_rigidity(moved, whole.weights, bind, whole.triangles, found)
         rigidity = np.maximum(rigidity, head * kept(firmness))
     joint_bones = dict.fromkeys(bone for each in (source, *meshes) for bone in each.skinning.bones(source.rig))
     attachments = [

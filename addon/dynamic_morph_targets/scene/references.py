@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -44,6 +45,18 @@ def armature_modifiers(obj) -> list:
 def is_armature(obj) -> bool:
     """Whether it is an armature object; one whose library is missing is an empty."""
     return obj is not None and obj.type == "ARMATURE"
+
+
+def as_moved(skeleton: Skeleton, rig) -> Skeleton:
+    """The skeleton, where a bone that copies the transforms of another one hangs on that: in rigs such as Rigify's the
+    deforming bones follow mechanisms, and these the bones that the artist moves.
+    """
+    parents, numbers = skeleton.parents.copy(), {name: bone for bone, name in enumerate(skeleton.names)}
+    for bone in rig.pose.bones:
+        for constraint in bone.constraints:
+            if constraint.type == "COPY_TRANSFORMS" and constraint.target == rig and not constraint.mute:
+                parents[numbers[bone.name]] = numbers.get(constraint.subtarget, parents[numbers[bone.name]])
+    return replace(skeleton, parents=parents)
 
 
 def rest_skeleton(armature) -> Skeleton:

@@ -528,6 +528,27 @@ def test_a_head_is_recognized_by_shape_or_name(scene, names, found):
     assert not extract.character(obj, without_targets=True).rigidity.any()
 
 
+def test_a_head_that_follows_a_control_is_recognized_by_its_name(scene):
+    """As in Rigify: the bone that deforms hangs on the neck, and copies a mechanism below the control "head"."""
+    obj = chain_figure(scene, head=0.15)  # which looks like none
+    rig = obj.modifiers["Armature"].object
+    activate(rig)
+    bpy.ops.object.mode_set(mode="EDIT")
+    bones = rig.data.edit_bones
+    for name, above in (("head", "a"), ("ORG-top", "head")):
+        bone = bones.new(name)
+        bone.head, bone.tail, bone.parent, bone.use_deform = (0, 0, 2), (0, 0, 3), bones[above], False
+    bpy.ops.object.mode_set(mode="OBJECT")
+    copied = rig.pose.bones["c"].constraints.new("COPY_TRANSFORMS")
+    copied.target, copied.subtarget = rig, "ORG-top"
+    activate(obj)
+    OPS.find_attachments()
+    assert obj.dynamorph.model.head == "head"
+    character = extract.character(obj, without_targets=True)
+    z = character.vertices[:, 2]
+    assert (character.rigidity[z > 2.2] == 1.0).all() and not character.rigidity[z < 1.8].any()
+
+
 def test_a_plain_tube_has_no_head(scene):
     obj = chain_figure(scene, head=0.15)
     assert obj.dynamorph.model.head == "" and "No head was found" in drawn(obj, "DYNAMORPH_PT_physics")

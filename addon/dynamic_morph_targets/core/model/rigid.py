@@ -129,9 +129,11 @@ def head_rigidity(
 
 def _below(skeleton: Skeleton) -> np.ndarray:
     """Whether (B, B) the second bone is the first or one of its descendants."""
-    below = np.eye(len(skeleton.names), dtype=bool)
-    for bone in range(len(skeleton.names) - 1, -1, -1):  # parents come first
-        if skeleton.parents[bone] >= 0:
+    below, count = np.eye(len(skeleton.names), dtype=bool), 0
+    children = np.flatnonzero(skeleton.parents >= 0)
+    while below.sum() > count:  # parents may come after their children, see `references.as_moved`
+        count = below.sum()
+        for bone in children[::-1]:
             below[skeleton.parents[bone]] |= below[bone]
     return below
 

@@ -58,7 +58,8 @@ def find(obj) -> list[str]:
             added.append(_add_mesh(obj, each, whole, touches, names))
         if not whole:
             added += _add_parts(obj, each, touches, names)
-    obj.dynamorph.model.head = ", ".join(names[bone] for bone in rigid.heads(body.skeleton, *_all_together(found)))
+    moved = references.as_moved(body.skeleton, body.rig)
+    obj.dynamorph.model.head = ", ".join(names[bone] for bone in rigid.heads(moved, *_all_together(found)))
     return added
 
 
