@@ -134,7 +134,7 @@ def _session(obj: bpy.types.Object, scene: bpy.types.Scene) -> Session:
 
 def _group(obj: bpy.types.Object, scene: bpy.types.Scene) -> LiveGroup:
     """The sessions of a live object, and of those that it presses on, and so on."""
-    found, waiting = {obj.name: _session(obj, scene)}, [obj]
+    found, objects, waiting = {obj.name: _session(obj, scene)}, {obj.name: obj}, [obj]
     while waiting:
         one = waiting.pop()
         for other in colliders.pressed(one):
@@ -143,10 +143,10 @@ def _group(obj: bpy.types.Object, scene: bpy.types.Scene) -> LiveGroup:
             with suppress(*engine.expected_errors()):  # which it is told itself
                 session = _session(other, scene)
                 if not refusal(_way(found[one.name]), _way(session)):
-                    found[other.name] = session
+                    found[other.name], objects[other.name] = session, other
                     waiting.append(other)
     names = sorted(found)
-    worn = colliders.garments([scene.objects[name] for name in names])
+    worn = colliders.garments([objects[name] for name in names])
     group = LiveGroup([found[name] for name in names], names, [(one.name, body.name) for one, body in worn])
     known = found[names[0]].group
     return known if known.is_as(group) else group

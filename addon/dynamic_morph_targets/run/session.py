@@ -212,7 +212,7 @@ class Session:
             self._begin_again(obj)
         elif starts or not self._frames or not self.first <= number <= self.last + CATCH_UP:
             lost = number - self.last - 1 if self._frames and not starts and events.is_playing() else 0
-            self.dropped = [Message(DROPPED, count=lost, frame=number)] if lost > CATCH_UP else []
+            self.dropped = [Message(DROPPED, count=lost, frame=number)] if lost >= CATCH_UP else []
             self._begin(obj, number)
         while self.last < number:
             self._advance(obj)

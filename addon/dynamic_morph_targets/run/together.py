@@ -26,8 +26,8 @@ def groups(jobs: Sequence[Job]) -> list[list[Job]]:
     """
     of = {job.request.target.find(): job for job in jobs}
     for obj, job in of.items():
-        for _, body in colliders.garments([obj, *colliders.pressed(obj)]):
-            if body not in of:
+        for clothes, body in colliders.garments([obj, *colliders.pressed(obj)]):
+            if clothes == obj and body not in of:
                 job.outcome.warnings.append(
                     Message(
                         "'{name}' lies on '{body}' but is baked without it: Bake All lets them press on each other",

@@ -136,6 +136,8 @@ def _movers(skinning: Skinning) -> list:
 
 def rigid_bodies(skinning: Skinning) -> list[str]:
     """The names of those objects that Rigid Body moves, which it does in the artist's own scene alone."""
+    if bpy.context.scene.rigidbody_world is None:
+        return []
     bodies = ((mover.name, mover.rigid_body) for mover in _movers(skinning))
     return [name for name, body in bodies if body and body.type == "ACTIVE" and not body.kinematic]
 

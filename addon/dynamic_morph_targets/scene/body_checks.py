@@ -81,7 +81,8 @@ def unintended(source: Source, points: np.ndarray, to_bind: np.ndarray) -> Itera
             total=len(points),
             name=source.obj.name,
         )
-    always = [key for key in _always_on(source.obj) if _reach(key) > ANOTHER_BODY * longest_side(points)]
+    least = ANOTHER_BODY * longest_side(points) if len(points) else 0.0
+    always = [key for key in _always_on(source.obj) if _reach(key) > least]
     if always:
         yield Problem(
             "'{name}' shows shape keys that are always on, but the body of its Basis is simulated: make what shows the "
@@ -93,11 +94,13 @@ def unintended(source: Source, points: np.ndarray, to_bind: np.ndarray) -> Itera
 
 def _always_on(obj) -> list:
     """The shape keys with a value that nothing moves, but for those that the add-on plays or that are targets."""
-    keys, settings = animation.keys_of(obj), obj.dynamorph
+    settings, keys = obj.dynamorph, list(animation.keys_of(obj).values())[1:]
+    shown = [key for key in keys if key.value and not key.mute]
+    if not shown or obj.mode != "OBJECT" or obj.show_only_shape_key:
+        return []
     others = {target.name for target in settings.targets} | {settings.live.key.name}
     others |= animation.baked_keys(obj) | animation.driven_keys(obj) | animation.played_keys(obj)
-    shown = [key for name, key in list(keys.items())[1:] if key.value and not key.mute and name not in others]
-    return [] if obj.mode != "OBJECT" or obj.show_only_shape_key else shown
+    return [key for key in shown if key.name not in others]
 
 
 def _reach(key) -> float:

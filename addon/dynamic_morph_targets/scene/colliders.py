@@ -14,7 +14,7 @@ from ..core.message import Message
 from ..core.motion.colliders import ColliderTrack, with_before
 from .checks import Problem
 from .mesh_data import mesh_topology, mesh_triangles
-from .references import armature_modifiers
+from .references import armature_modifiers, rig_of
 from .skin import soft_skins
 
 ASSET = "Collider"  # the node group of Blender 5.2
@@ -71,12 +71,16 @@ def garments(objects) -> list[tuple]:
 
 def passing_through(obj) -> list:
     """The soft skins that lie on `obj` and are not stopped by it."""
-    return [other for other in _clothes(obj) if other not in pressed(obj)]
+    stopped = pressed(obj)
+    return [other for other in _clothes(obj) if other not in stopped] if _moves(obj) else []
 
 
 def _clothes(obj) -> list:
-    found = (other for other in _in_own_cages(obj) if other.users_scene and _moves(other))
-    return [other for other in found if obj not in _in_own_cages(other) or _length(other) < _length(obj)]
+    rig, shown = rig_of(obj), bpy.context.view_layer.objects
+    found = (other for other in _in_own_cages(obj) if shown.get(other.name) == other and rig_of(other) == rig)
+    return [
+        other for other in found if _moves(other) and (obj not in _in_own_cages(other) or _order(other) < _order(obj))
+    ]
 
 
 def _in_own_cages(obj) -> list:
@@ -84,12 +88,16 @@ def _in_own_cages(obj) -> list:
     return [each.object for each in chosen if each.object]
 
 
-def _length(obj) -> float:
-    return obj.dimensions.length
+def _order(obj) -> tuple[float, str]:
+    """The size of the mesh as it was modeled, and its name where two have the same."""
+    points = np.empty((len(obj.data.vertices), 3), np.float32)
+    obj.data.vertices.foreach_get("co", points.ravel())
+    sides = np.ptp(points, axis=0) * obj.matrix_world.to_scale() if len(points) else np.zeros(3)
+    return float(np.linalg.norm(sides)), obj.name
 
 
 def _wearers(obj) -> list:
-    return [other for other in soft_skins(bpy.context.view_layer.objects) if obj in _clothes(other)]
+    return [other for other in soft_skins(bpy.context.view_layer.objects) if _moves(other) and obj in _clothes(other)]
 
 
 def pressing(objects) -> list[list]:

@@ -157,7 +157,7 @@ def outdated(obj) -> list[str]:
         if digest != before
     ]
     if seen and len(seen) != len(then["animation"]):
-        found.append("parents changed")
+        found.append("parents, or what the rig follows, changed")
     return found + record.lost.splitlines()
 
 

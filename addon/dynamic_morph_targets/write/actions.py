@@ -150,11 +150,14 @@ def _slot(action, owner):
 
 
 def _namesake(slot, owner):
-    """What is named as a slot, if it is of the kind of `owner`; else `owner`."""
-    blocks = bpy.data.objects if owner.id_type == "OBJECT" else bpy.data.shape_keys
-    named = blocks.get(slot.name_display)
-    alike = named is not None and (owner.id_type != "OBJECT" or named.type == owner.type)
-    return named if alike else owner
+    """The armature object that is named as a slot and has its bones; else `owner`. Shape keys have no names that an
+    artist gives.
+    """
+    named = bpy.data.objects.get(slot.name_display) if owner.id_type == "OBJECT" else None
+    if named is None or named.type != owner.type:
+        return owner
+    paths = (curve.data_path for curve in animation.curves(slot.id_data, slot))
+    return named if any(_has(named, path) for path in paths if path.startswith(POSE)) else owner
 
 
 def _has(owner, path: str) -> bool:

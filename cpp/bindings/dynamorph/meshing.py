@@ -40,9 +40,9 @@ EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER, EXIT_MESHER, EXIT_DISK = 10, 11, 12, 13, 1
 WINDOWS_CRASH, WINDOWS_ABORT = 0xC0000000, 3
 # TetGen fails, crashes or hangs unpredictably. A slightly coarser or finer cage usually works.
 RESOLUTIONS = (1.0, 0.9, 1.12, 0.75)
+KILLED = 9  # SIGKILL, which Windows does not have
 # For tests only: makes the child crash, hang or allocate without end. "crash once" crashes at the first resolution
 # only.
-KILLED = 9  # SIGKILL, which Windows does not have
 FAULT_VARIABLE = "DYNAMORPH_MESHER_FAULT"
 
 ProgressFn = Callable[[float], bool]  # called with 0..1, returns False to cancel

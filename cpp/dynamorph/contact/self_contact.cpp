@@ -339,7 +339,6 @@ Vector3d SelfContact<Model>::place(const Body& body, int point) {
 template <class Model>
 void SelfContact<Model>::lie(const Body& clothes, const Body& body, const Worn& worn, std::vector<Found>& found) {
   const ContactSamples<Model>& samples = *body.of.samples_;
-  const SkinMap<Model>& map = samples.map();
   for (std::size_t point = 0; point < worn.below.size(); ++point) {
     OtherSide below = worn.below[point];
     Nearest skin{0, Vector3d::Zero(), -1};
@@ -348,9 +347,9 @@ void SelfContact<Model>::lie(const Body& clothes, const Body& body, const Worn& 
       if (!(below.weights[k] > 0)) continue;
       PointTransform carried = PointTransform::Zero();
       samples.points().each_corner(below.samples[k], [&](int v, double weight) {
-        const PointTransform now = map.skin().transform(body.skin.now, v);
-        carried += weight * now;
-        from -= below.weights[k] * weight * map.posed(now, v, samples.shape(body.skin.weights, v));
+        const PosedVertex& known = vertex(body, v);
+        carried.template leftCols<3>() += weight * known.turned;
+        from -= below.weights[k] * weight * known.unmoved;
       });
       skin.normal += below.weights[k] * samples.normal(carried, below.samples[k]);
       below.samples[k] += body.first_sample;
@@ -432,6 +431,7 @@ void SelfContact<Model>::touch(const Body& body, int point, const Body& other, c
       turned += weight * known.turned;
     });
   });
+  if (!(room > 0)) return;  // neither side gives way
   const double at_first = nearest.gap + normal.dot(kept - unmoved);
   const double at_last = nearest.gap + normal.dot(predicted - unmoved);
   if (std::min(at_first, at_last) > body.skin.near) return;

@@ -168,7 +168,9 @@ def test_playback_that_drops_too_many_frames_says_so(playing, monkeypatch):
     monkeypatch.setattr(scene_events, "is_playing", lambda: True)
     play(playing, [1, 1 + run_session.CATCH_UP])
     assert run_live.played_texts(playing) == []
-    play(playing, [80])
+    play(playing, [2 + 2 * run_session.CATCH_UP])
+    assert len(run_live.played_texts(playing)) == 1
+    play(playing, [1, 1 + run_session.CATCH_UP, 80])
     assert "Playback dropped 54 frames, so Live began again at 80: set Sync" in " ".join(drawn(playing))
     play(playing, [1])
     assert run_live.played_texts(playing) == []

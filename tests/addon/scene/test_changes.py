@@ -295,7 +295,7 @@ def test_strips_count_and_so_do_parents(scene, soft_arm, stand_in):
     rig.parent.keyframe_insert("location", frame=1)
     assert looked(soft_arm) == ['animation of "Cart" changed']
     rig.parent = None
-    assert looked(soft_arm) == ["parents changed"]
+    assert looked(soft_arm) == ["parents, or what the rig follows, changed"]
 
 
 def add_noise(data):

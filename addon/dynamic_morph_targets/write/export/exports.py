@@ -300,12 +300,13 @@ def _morphs_named_apart(obj, without=()):
     moved = {obj, *shown_attachments(obj), *without}
     taken = {key.name for mesh in moved for key in animation.keys_of(mesh).values()}
     owners = {mesh: mesh.dynamorph.follows or mesh for mesh in meshes_together(obj) if mesh not in moved}
-    named = [
-        (key, key.name, f"{owner.name} {key.name}")
-        for mesh, owner in owners.items()
-        for key in animation.keys_of(mesh).values()
-        if owner not in moved and key.name in taken and key.name in animation.baked_keys(mesh)
-    ]
+    named: list[tuple] = []
+    for owner in dict.fromkeys(each for each in owners.values() if each not in moved):
+        meshes = [mesh for mesh in owners if owners[mesh] == owner]
+        keys = [key for mesh in meshes for key in animation.keys_of(mesh).values()]
+        baked = {name for mesh in meshes for name in animation.baked_keys(mesh)}
+        named += [(key, key.name, f"{owner.name} {key.name}") for key in keys if key.name in taken & baked]
+        taken |= baked
     try:
         for key, _, apart in named:
             key.name = apart

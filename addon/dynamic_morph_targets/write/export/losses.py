@@ -33,6 +33,8 @@ def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
             else:
                 yield from _modifier_losses(mesh, key, ())
             yield from _key_losses(mesh, key, planned if mesh in moved else None)
+        if rig_of(obj):
+            yield from _scale_losses(rig_of(obj), key)
     if key == "USD":  # the others write no pictures, or those that are in memory
         for name in _unsaved_images(obj):
             yield Message(
@@ -68,7 +70,6 @@ def _skinning_losses(obj, key: str) -> Iterator[str]:
         yield Message("'{name}' has no Armature modifier: its bones are not written", name=obj.name)
         return
     yield from _modifier_losses(obj, key, modifiers)
-    yield from _scale_losses(skinning, key)
     if skinning.beyond_bones:
         yield Message(
             "'{name}' is skinned with {beyond}, {format} skins by plain bones: it will differ. Use {others}",
@@ -90,7 +91,7 @@ def _skinning_losses(obj, key: str) -> Iterator[str]:
 def _modifier_losses(obj, key: str, skinning) -> Iterator[str]:
     """skinning: those of the modifiers that the format has as bones."""
     for modifier in obj.modifiers:
-        if modifier in skinning or not (modifier.show_viewport or modifier.show_render):
+        if modifier in skinning or modifier.type == "COLLISION" or not (modifier.show_viewport or modifier.show_render):
             continue
         if not skinning:
             yield Message(
@@ -113,19 +114,19 @@ def _modifier_losses(obj, key: str, skinning) -> Iterator[str]:
         )
 
 
-def _scale_losses(skinning: Skinning, key: str) -> Iterator[str]:
+def _scale_losses(rig, key: str) -> Iterator[str]:
     """Files have each bone's transform within its parent's, so that it inherits all of that one's scale."""
-    scaled = _scaled_bones(skinning.rig)
+    scaled = _scaled_bones(rig)
     alone = [
         bone.name
-        for bone in skinning.rig.data.bones
+        for bone in rig.data.bones
         if bone.inherit_scale not in INHERITED and any(above.name in scaled for above in bone.parent_recursive)
     ]
     if alone:
         yield Message(
             "'{rig}': bones below scaled ones do not inherit their scale, in {format} they do: {bones} will differ. "
             "Set Inherit Scale to Full, or use {others}",
-            rig=skinning.rig.name,
+            rig=rig.name,
             format=FORMATS[key].label,
             bones=listed(alone),
             others=surface_formats(),
