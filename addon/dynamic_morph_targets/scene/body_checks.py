@@ -85,8 +85,8 @@ def unintended(source: Source, points: np.ndarray, to_bind: np.ndarray) -> Itera
     always = [key for key in _always_on(source.obj) if _reach(key) > least]
     if always:
         yield Problem(
-            "'{name}' shows shape keys that are always on, but the body of its Basis is simulated: make what shows the "
-            "Basis ({keys})",
+            "'{name}' shows shape keys that are always on ({keys}), but the body of its Basis is simulated: apply them "
+            "to the Basis",
             name=source.obj.name,
             keys=listed([key.name for key in always]),
         )

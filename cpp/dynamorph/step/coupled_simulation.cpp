@@ -205,7 +205,6 @@ template <class Model>
 void CoupledSimulation<Model>::find_contacts(const std::vector<StepInput>& inputs) {
   std::vector<typename SelfContact<Model>::Body> skins;
   std::vector<PosedSamples<Model>> samples;
-  std::vector<double> none;
   ContactStep step = bodies_[0].simulation->contact_step();
   for (std::size_t body = 0; body < bodies_.size(); ++body) {
     const auto& [simulation, skin] = bodies_[body];
