@@ -130,6 +130,12 @@ def rig_of(obj):
     return obj.modifiers["Armature"].object
 
 
+def select_bones(obj, *names):
+    """Select these pose bones alone of the rig of `obj`."""
+    for bone in rig_of(obj).pose.bones:
+        (bone if hasattr(bone, "select") else bone.bone).select = bone.name in names
+
+
 def skinning_of(obj):
     from bl_ext.user_default.dynamic_morph_targets.scene.skinning import Skinning
 

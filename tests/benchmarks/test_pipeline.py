@@ -23,7 +23,7 @@ import pytest
 import real_character
 from dynamic_morph_targets.run import batch, job, live
 from dynamic_morph_targets.run.job import Job
-from dynamic_morph_targets.scene import extract, rig_motion
+from dynamic_morph_targets.scene import extract, sampling_scene
 
 SUBSTEPS = 4
 ROUNDS = 7
@@ -68,14 +68,14 @@ class TimedScene:
 def pose_evaluation(monkeypatch) -> list[float]:
     """Seconds of every frame_set of the scenes that `extract` samples the rig in."""
     seconds: list[float] = []
-    rig_scene = rig_motion.rig_scene
+    opened = sampling_scene.SamplingScene.opened
 
     @contextmanager
-    def timed(*moving):
-        with rig_scene(*moving) as (scene, follower):
+    def timed(*content):
+        with opened(*content) as (scene, follower):
             yield TimedScene(scene, seconds), follower
 
-    monkeypatch.setattr(rig_motion, "rig_scene", timed)
+    monkeypatch.setattr(sampling_scene.SamplingScene, "opened", timed)
     return seconds
 
 

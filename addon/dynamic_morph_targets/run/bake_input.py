@@ -272,6 +272,11 @@ class RigReader:
             sampling.probe = self._probe = probe.Probe(obj, model, given.character)
         return sampling.advance(obj, seconds)
 
+    def leave(self) -> None:
+        """Nothing more of the chunk is read."""
+        if self.sampling:
+            self.sampling.close()
+
     def end_chunk(self) -> rig_motion.RigSampling | None:
         """The chunk that was read, for a thread: its `samples` does not touch Blender."""
         sampling, self.sampling = self.sampling, None

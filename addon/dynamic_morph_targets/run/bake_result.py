@@ -251,7 +251,7 @@ class Writer:
         """Store what the panels show about the bake."""
         given, outcome = self.given, self.outcome
         record = obj.dynamorph.bake
-        record.summary = summary(given, outcome, self.progress.seconds)
+        record.summary = summary(given, outcome, self.progress.waited)
         record.warnings = "\n".join(text for text in outcome.warnings if text not in outcome.model.summary.warnings)
         record.inputs = records.text(outcome.inputs | {"content_id": obj.dynamorph.model.content_id})
         record.verdict = outcome.verdict.record
@@ -266,15 +266,14 @@ class Writer:
 # For the artist ------------------------------------------------------------------------------------------------------
 
 
-def summary(given: BakeInput, outcome: Outcome, seconds: dict[str, float]) -> str:
-    """One line about a job; seconds: by stage."""
+def summary(given: BakeInput, outcome: Outcome, waited: float) -> str:
+    """One line about a job; waited: seconds."""
     if given.only_cage:
         return cage_summary(outcome.model) if given.reasons else "the cage is up to date"
     if not given.is_bake:
         return model_summary(given, outcome.model)
     report = outcome.report
     frames = given.settings.frame_end - given.settings.frame_start + 1
-    took = sum(value for stage, value in seconds.items() if stage != "build")
     gap = f", loop gap {1000 * report['gap']:.3g} mm" if "gap" in report else ""
     off = report.get("keys_error", 0.0)
     if given.output and given.output.format == "MODES":  # others hold all of an unreduced motion
@@ -282,7 +281,7 @@ def summary(given: BakeInput, outcome: Outcome, seconds: dict[str, float]) -> st
     error = f", {report['keys']} keys off by at most {1000 * off:.2g} mm" if off else ""
     seam = f", {1000 * report['seam']:.3g} mm from the other frames" if "seam" in report else ""
     quality = ", Full Quality" if given.solver == "FULL" else ""
-    return f"{frames} frames in {took:.1f}\u00a0s{quality}, {outcome.size / 2**20:.1f}\u00a0MB{error}{gap}{seam}"
+    return f"{frames} frames in {waited:.1f}\u00a0s{quality}, {outcome.size / 2**20:.1f}\u00a0MB{error}{gap}{seam}"
 
 
 def model_summary(given: BakeInput, model: Model) -> str:

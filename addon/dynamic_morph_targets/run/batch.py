@@ -146,8 +146,11 @@ class Batch:
 
     def _sampled(self, job: Job, seconds: float) -> Iterator[None]:
         self._at = job
-        while not job.sample(seconds):
-            yield from self._turn(reading=True)
+        try:
+            while not job.sample(seconds):
+                yield from self._turn(reading=True)
+        finally:
+            job.leave_rig()
 
     def _computed(self, group: Sequence[Job], pause: float) -> Iterator[None]:
         for job in group:

@@ -19,7 +19,7 @@ from ..core.message import Message
 from ..core.model.model import Model
 from ..core.motion.grab import FIRM, Grab, as_text, from_text, pinch, together
 from ..core.motion.player import Frame, Player, State
-from ..scene import events, rig_motion, skin
+from ..scene import events, skin
 from . import live
 from .session import Session
 
@@ -160,7 +160,7 @@ class Grabbing:
         obj = next((each for each in bpy.data.objects if each.session_uid == self.object.session_uid), None)
         if obj is None or not self.is_of(obj):  # it is gone, or a preview shows something else
             return False
-        if live.is_scrubbing() or rig_motion.render_runs() or live.is_away(obj):
+        if events.is_scrubbing() or events.render_runs() or live.is_away(obj):
             return True  # what Live waits for, too
         if events.is_playing():
             self._copy = None
@@ -279,7 +279,7 @@ def end() -> None:
     ended.let_go_of_all()
     with suppress(SceneError):  # it was deleted
         obj = ended.object.find()
-        if ended.is_of(obj) and not (live.is_scrubbing() or rig_motion.render_runs()):
+        if ended.is_of(obj) and not (events.is_scrubbing() or events.render_runs()):
             live.refresh(obj)
 
 

@@ -15,7 +15,7 @@ from ..core import engine
 from ..core.errors import Cancelled
 from ..core.message import Message
 from ..core.motion.rig_samples import RigSamples
-from ..scene import rig_motion
+from ..scene import events
 from ..scene.skin import ObjectHandle, SceneHandle
 from . import bake_input, bake_result
 from .bake_input import Request, RigReader
@@ -65,7 +65,7 @@ class Job:
 
     def summary(self) -> str:
         """One line for the artist."""
-        return bake_result.summary(self.input, self.outcome, self.progress.seconds)
+        return bake_result.summary(self.input, self.outcome, self.progress.waited)
 
     # Reading: main thread --------------------------------------------------------------------------------------------
 
@@ -90,6 +90,10 @@ class Job:
         report(sampling.done / sampling.count, Message("Reading frame {frame}", frame=sampling.frame))
         progress.fraction = max(before, progress.fraction)  # another chunk than the first
         return done
+
+    def leave_rig(self) -> None:
+        """Nothing more of the chunk is read."""
+        self._reader.leave()
 
     def next_chunk(self) -> bool:
         """Whether there is another chunk to be read and computed; then it begins."""
@@ -154,7 +158,7 @@ class Job:
         """Whether nothing can be written yet: Blender renders what is there, or the artist went on in Edit Mode, which
         has a mesh of its own.
         """
-        if rig_motion.render_runs():
+        if events.render_runs():
             self.progress.message = "Waiting for the render to end"
             return True
         handles = (self.request.target, *bake_input.handles(self.input.character.attachments))

@@ -36,6 +36,12 @@ class Progress:
         self.message = ""
         self.canceled = False
         self.seconds: dict[str, float] = {}  # by stage
+        self._began = time.perf_counter()
+
+    @property
+    def waited(self) -> float:
+        """Seconds since the job began, with all that Blender did between its slices."""
+        return time.perf_counter() - self._began
 
     def part(self, begin: float, end: float) -> Callable[[float, str], bool]:
         """progress(fraction, message) -> bool for a part of the work; False when it must stop."""

@@ -71,7 +71,9 @@ def turn_on(obj: bpy.types.Object, scene: bpy.types.Scene) -> None:
 
 def turn_off(obj: bpy.types.Object) -> None:
     """Raises WriteError."""
-    sessions.pop(obj.session_uid, None)
+    session = sessions.pop(obj.session_uid, None)
+    if session:
+        session.rig.close()
     _problems.pop(obj.session_uid, None)
     live_key.remove(obj)
     events.redraw(events.PANELS)
@@ -202,7 +204,7 @@ def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | Non
         return
     for gone in sessions.keys() - {obj.session_uid for obj in live} - suspended:
         del sessions[gone]
-    scrubbing = is_scrubbing()
+    scrubbing = events.is_scrubbing()
     for obj in live:
         session = sessions.get(obj.session_uid)
         if scrubbing and not (session and session.knows(scene.frame_float)):
@@ -211,17 +213,9 @@ def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | Non
             follow(obj, scene, arrives=not scrubbing)
 
 
-def is_scrubbing() -> bool:
-    """Whether the artist drags through the timeline of a window.
-
-    Blender 5.2 crashes when a handler removes a scene meanwhile, as reading the rig does.
-    """
-    return any(window.screen.is_scrubbing for window in bpy.context.window_manager.windows)
-
-
 def _after_scrubbing() -> float | None:
     """By a timer: show the frame that was scrubbed to, when the mouse is up."""
-    if is_scrubbing():
+    if events.is_scrubbing():
         return SCRUBBED  # seconds from now
     for obj in soft_skins(bpy.context.scene.objects):
         refresh(obj)

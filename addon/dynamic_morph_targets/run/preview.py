@@ -35,7 +35,7 @@ class Preview:
     """
 
     def __init__(self, obj: bpy.types.Object, operator: type[Operator]):
-        rig_motion.check_not_rendering()
+        events.check_not_rendering()
         self.name, self.label = operator.bl_idname, operator.bl_label
         self.seconds_left: float | None = None  # None: until it is stopped
         self.object = skin.ObjectHandle.of(obj)

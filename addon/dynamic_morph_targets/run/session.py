@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -34,12 +35,12 @@ from ..scene import (
     skinning,
     staleness,
 )
+from ..scene.sampling_scene import SamplingScene
 from .live_group import LiveGroup
 from .tissue import Tissue
 
-# Frames whose rig is read at once; the setup costs as much as five frames, and more frames would be noticed as a
-# stutter.
-BLOCK = 16
+BLOCK = 16  # frames whose rig is read at once at most,
+UNNOTICED = 0.02  # in so many seconds
 CATCH_UP = 24  # frames that playback may drop; they are simulated nevertheless,
 AT_THE_END = 8  # and so many before it goes on with a loop's first
 DROPPED = "Playback dropped {count} frames, so Live began again at {frame}: set Sync to Play Every Frame"
@@ -50,12 +51,14 @@ FRAME_BYTES = 2**28  # bytes of the coordinates of the latest frames, which show
 
 
 class Rig:
-    """The rig at true sub-frames, as a bake reads it: blocks of frames. The latest are kept until an edit."""
+    """The rig at true sub-frames, as a bake reads it, some frames at once. The latest are kept until an edit."""
 
-    def __init__(self, start: int, substeps: int, skeleton: Skeleton, probe: probe.Probe | None):
-        self.start, self.substeps, self.skeleton, self.probe = start, substeps, skeleton, probe
-        self._blocks: dict[int, RigSamples] = {}
+    def __init__(self, substeps: int, skeleton: Skeleton, probe: probe.Probe | None):
+        self.substeps, self.skeleton, self.probe = substeps, skeleton, probe
+        self._frames: dict[int, RigSamples] = {}  # from each frame to the next one
+        self._at_once = 1  # frames that are read next
         self._without: Sequence[str] = ()  # as of `rig_motion.RigSampling`
+        self._scene = SamplingScene()
 
     def leave_out(self, names: Sequence[str]) -> None:
         """From now on these are no colliders."""
@@ -64,20 +67,31 @@ class Rig:
 
     def after(self, obj: bpy.types.Object, frame: int) -> RigSamples:
         """1 + substeps samples, from `frame` to the next one. Raises SceneError."""
-        index, offset = divmod(frame - self.start, BLOCK)
-        if index not in self._blocks:
-            first = self.start + index * BLOCK
-            samples = rig_motion.sample_rig(obj, first, first + BLOCK, self.substeps, self.probe, self._without)
-            before = self._blocks.get(index - 1)
-            self._blocks[index], _ = rig_samples.keep_collapsed(
-                samples, self.skeleton, before.pose[-1] if before else None
-            )
-            while len(self._blocks) > max(2, RIG_BYTES // samples.nbytes):
-                del self._blocks[next(iter(self._blocks))]
-        return self._blocks[index][offset * self.substeps : (offset + 1) * self.substeps + 1]
+        if frame not in self._frames:
+            self._read(obj, frame)
+        return self._frames[frame]
+
+    def _read(self, obj: bpy.types.Object, first: int) -> None:
+        """Read from a frame on. Plain rigs are read faster many frames at once, others would be seen to stutter."""
+        began, count = time.perf_counter(), self._at_once
+        samples = rig_motion.sample_rig(
+            obj, first, first + count, self.substeps, self.probe, self._without, self._scene
+        )
+        seconds = (time.perf_counter() - began) / count
+        self._at_once = max(1, min(BLOCK, 2 * count, int(UNNOTICED / seconds)))
+        before = self._frames.get(first - 1)
+        samples, _ = rig_samples.keep_collapsed(samples, self.skeleton, before.pose[-1] if before else None)
+        for k in range(count):
+            self._frames[first + k] = samples[k * self.substeps : (k + 1) * self.substeps + 1]
+        while len(self._frames) > max(2 * BLOCK, count * RIG_BYTES // samples.nbytes):
+            del self._frames[next(iter(self._frames))]
 
     def forget(self) -> None:
-        self._blocks.clear()
+        self._frames.clear()
+
+    def close(self) -> None:
+        """Remove the scene in which it is read."""
+        self._scene.close()
 
 
 class Session:
@@ -102,7 +116,7 @@ class Session:
         moving = len(self.tissue.probe.rest) if self.tissue.probe else 1
         self._kept = min(KEPT, max(1, STATE_BYTES // (4 * (96 * moving + 8 * self.tissue.dofs))))
         self._shown = max(KEPT, FRAME_BYTES // (8 * max(self.tissue.dofs, 1)))  # latest frames
-        self.rig = Rig(settings.frame_start, settings.substeps, self.tissue.character.skeleton, self.tissue.probe)
+        self.rig = Rig(settings.substeps, self.tissue.character.skeleton, self.tissue.probe)
 
     def fits(self, obj: bpy.types.Object, settings: SimulationSettings) -> bool:
         """Whether this is still a session of the object's model, with the same time step."""

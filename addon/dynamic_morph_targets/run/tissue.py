@@ -14,7 +14,7 @@ from ..core.errors import SceneError
 from ..core.motion import simulate
 from ..core.motion.player import Frame, Player
 from ..core.settings import SimulationSettings
-from ..scene import model_store, probe, run_settings, skin
+from ..scene import mesh_data, model_store, probe, run_settings, skin
 from ..write.display import comparison, live_key
 from ..write.reconcile import reconcile
 from .live_surface import LiveMesh, Move, by_modes, by_nodes, still
@@ -32,9 +32,9 @@ class Tissue:
         self.target_names = [target.name for target in self.character.targets]
         character, own_vertices = self.character, self.character.own_vertices
         self.dofs = len(self.player.amounts.gains)
-        self.skin = self._mesh(skin.ObjectHandle.of(obj), character.vertices[own_vertices], own_vertices, np.eye(3))
+        self.skin = self._mesh(skin.ObjectHandle.of(obj), own_vertices, np.eye(3))
         self.attachments = [
-            self._mesh(skin.ObjectHandle(each.session_uid, each.name), each.points, each.members, each.from_body)
+            self._mesh(skin.ObjectHandle(each.session_uid, each.name), each.members, each.from_body)
             for each in character.attachments
         ]
 
@@ -48,10 +48,11 @@ class Tissue:
             for surface, each in zip(self.attachments, character.attachments, strict=True):
                 surface.move = self._move(each.members, each.from_body)
 
-    def _mesh(self, handle: skin.ObjectHandle, points: np.ndarray, members: slice, from_body: np.ndarray) -> LiveMesh:
-        """A mesh of the body. points (P, 3): its local space; from_body (3, 3): from the body's local space to it."""
+    def _mesh(self, handle: skin.ObjectHandle, members: slice, from_body: np.ndarray) -> LiveMesh:
+        """A mesh of the body. from_body (3, 3): from the body's local space to it."""
         residual_shapes = self.player.skin.residual_shapes[:, members] @ from_body.T
-        return LiveMesh(handle, points, self._move(members, from_body), residual_shapes)
+        basis = mesh_data.rest_points(handle.find())  # the live key is relative to it
+        return LiveMesh(handle, basis, self._move(members, from_body), residual_shapes)
 
     def _move(self, members: slice, from_body: np.ndarray) -> Move:
         """What displaces these vertices of the character; from_body: as for `_mesh`."""

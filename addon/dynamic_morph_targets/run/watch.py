@@ -8,7 +8,7 @@ from collections.abc import Callable
 import bpy
 from bpy.app.handlers import persistent
 
-from ..scene import body_checks, colliders, cuts, events, model_store, references, rig_motion, skin, staleness
+from ..scene import body_checks, colliders, cuts, events, model_store, references, sampling_scene, skin, staleness
 from ..scene.references import rig_of
 from ..scene.skin import soft_skins
 from ..write import storage
@@ -40,11 +40,13 @@ def _before_load(*_args: object) -> None:
 def _before_save(*_args: object) -> None:
     """save_pre."""
     expected_error.store()
+    sampling_scene.remove_kept()
 
 
 @persistent
 def _after_undo(*_args: object) -> None:
     """undo_post, redo_post: what a job has read so far belongs to another scene, and the curves have changed."""
+    sampling_scene.remove_kept()
     if batch.running:
         batch.running.undone = True
     events.soon(_look_at_animations, PATIENCE)
@@ -105,7 +107,7 @@ def _ask(look: Callable, obj: bpy.types.Object) -> None:
 
 def _look_at_bodies() -> float | None:
     """By a timer: look at the bodies that panels have asked about."""
-    if rig_motion.render_runs():
+    if events.render_runs():
         return GLANCE  # seconds from now
     for obj in bpy.context.scene.objects if _asked else ():
         for look in (body_checks.look, cuts.look):
@@ -122,7 +124,7 @@ def look_soon() -> None:
 
 
 def _look_at_meshes() -> float | None:
-    if rig_motion.render_runs():
+    if events.render_runs():
         return PATIENCE  # seconds from now
     for obj in skin.soft_skins(bpy.context.scene.objects):
         if obj.dynamorph.model.content_id and obj.mode == "OBJECT" and not batch.running:
@@ -133,7 +135,7 @@ def _look_at_meshes() -> float | None:
 
 def _look_at_animations() -> float | None:
     """By a timer: find out which bakes an edit of an animation has outdated, whatever object and mode is active."""
-    if rig_motion.render_runs():
+    if events.render_runs():
         return PATIENCE  # seconds from now
     for obj in skin.soft_skins(bpy.context.scene.objects):
         if obj.dynamorph.bake.exists and obj.is_editable:
@@ -157,7 +159,10 @@ def _leave_pose(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 
 @persistent
 def _begin(*_args: object) -> None:
-    """load_post too: a file that is opened ends all subscriptions, and its caches may be gone."""
+    """load_post too: a file that is opened ends all subscriptions, and its caches may be gone. One that Blender saved
+    by itself may hold a sampling scene.
+    """
+    sampling_scene.remove_kept()
     events.soon(_look_at_animations, PATIENCE)
     bpy.msgbus.clear_by_owner(OWNER)
     bpy.msgbus.subscribe_rna(key=(bpy.types.NlaStrip, "influence"), owner=OWNER, args=(), notify=_influence_changed)
@@ -201,8 +206,9 @@ def register() -> None:
 
 def unregister() -> None:
     _before_load()
+    sampling_scene.remove_kept()
     bpy.msgbus.clear_by_owner(OWNER)
     events.unsubscribe(LISTENERS)
     events.remove(HANDLERS)
-    for look in (_look_at_meshes, _look_at_animations, _look_at_bodies):
+    for look in (_look_at_meshes, _look_at_animations, _look_at_bodies, sampling_scene.remove_unused):
         events.forget(look)

@@ -14,19 +14,17 @@ import numpy as np
 
 from ..core.errors import SceneError
 from ..core.geometry import signed_volume
-from ..core.message import listed
 from ..core.settings import Material
-from . import animation, events
+from . import events
 from .checks import Problem
+from .identity import longest_side
 from .mesh_data import stretch
-from .references import key_points
 from .skin import unit_scale
 from .skinning import Skinning
 from .source import Source
 
 PLAUSIBLE = (0.05, 4.0)  # meters, the longest side; a body of another size is probably unintended
 HEAVIEST = 2000.0  # kg; a heavier body is probably unintended
-ANOTHER_BODY = 0.02  # of the longest side: shape keys that move a vertex farther make another body of it
 PERSON = 1.7  # meters; what a fix makes of an implausible size
 
 _looks: dict[int, tuple[tuple, list[Problem]]] = {}  # by Object.session_uid: the body's state then, what looked wrong
@@ -81,32 +79,6 @@ def unintended(source: Source, points: np.ndarray, to_bind: np.ndarray) -> Itera
             total=len(points),
             name=source.obj.name,
         )
-    least = ANOTHER_BODY * longest_side(points) if len(points) else 0.0
-    always = [key for key in _always_on(source.obj) if _reach(key) > least]
-    if always:
-        yield Problem(
-            "'{name}' shows shape keys that are always on ({keys}), but the body of its Basis is simulated: apply them "
-            "to the Basis",
-            name=source.obj.name,
-            keys=listed([key.name for key in always]),
-        )
-
-
-def _always_on(obj) -> list:
-    """The shape keys with a value that nothing moves, but for those that the add-on plays or that are targets."""
-    settings, keys = obj.dynamorph, list(animation.keys_of(obj).values())[1:]
-    shown = [key for key in keys if key.value and not key.mute]
-    if not shown or obj.mode != "OBJECT" or obj.show_only_shape_key:
-        return []
-    others = {target.name for target in settings.targets} | {settings.live.key.name}
-    others |= animation.baked_keys(obj) | animation.driven_keys(obj) | animation.played_keys(obj)
-    return [key for key in shown if key.name not in others]
-
-
-def _reach(key) -> float:
-    """How far a shape key moves a vertex at most, local space."""
-    shift = abs(key.value) * (key_points(key) - key_points(key.relative_key))
-    return float(np.linalg.norm(shift, axis=1).max(initial=0.0))
 
 
 def _size(source: Source, points: np.ndarray) -> Iterator[Problem]:
@@ -134,11 +106,6 @@ def _size(source: Source, points: np.ndarray) -> Iterator[Problem]:
         )
 
 
-def longest_side(points: np.ndarray) -> float:
-    """The longest side of the bounding box of points (V, 3)."""
-    return float(np.ptp(points, axis=0).max())
-
-
 def size_now(obj) -> float:
     """The longest side of the body of `obj`, meters."""
     return longest_side(mesh_points(obj) @ stretch(_world(obj)).T)
@@ -162,5 +129,4 @@ def _state(skinning: Skinning) -> tuple:
     scale = tuple(round(side, 5) for side in obj.matrix_world.to_scale())
     density = targets[0].density if targets else 0.0
     counts = len(obj.data.vertices), len(obj.vertex_groups)
-    shown = tuple((key.name, key.value) for key in _always_on(obj))
-    return obj.data.session_uid, obj.name, *counts, rigs, scale, unit_scale(), density, shown
+    return obj.data.session_uid, obj.name, *counts, rigs, scale, unit_scale(), density

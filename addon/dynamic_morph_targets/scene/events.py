@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from contextlib import contextmanager
 from enum import Enum
 
 import bpy
+
+from ..core.errors import SceneError
 
 PANELS = {("VIEW_3D", "UI"), ("PROPERTIES", "WINDOW")}  # types of area and region
 VIEWS = {("VIEW_3D", "WINDOW")}
@@ -86,6 +89,25 @@ def forget(look: Callable):
 def is_playing() -> bool:
     """Whether the animation plays in a window."""
     return any(window.screen.is_animation_playing for window in bpy.context.window_manager.windows)
+
+
+def is_scrubbing() -> bool:
+    """Whether the artist drags through the timeline of a window.
+
+    Blender 5.2 crashes when a handler removes a scene meanwhile.
+    """
+    return any(window.screen.is_scrubbing for window in bpy.context.window_manager.windows)
+
+
+def render_runs() -> bool:
+    """Whether Blender renders beside this thread. Adding or removing data then makes it crash."""
+    return threading.current_thread() is threading.main_thread() and bpy.app.is_job_running("RENDER")
+
+
+def check_not_rendering():
+    """Raises SceneError while `render_runs`."""
+    if render_runs():
+        raise SceneError("Blender is rendering: wait until it is done")
 
 
 def redraw(regions: set[tuple[str, str]]):

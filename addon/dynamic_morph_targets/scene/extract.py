@@ -18,7 +18,8 @@ from ..core.painted_map import EXCLUDED, FIRMNESS, MAX_DISTANCE
 from . import bodies, body_checks, checks, data_checks
 from .checks import refuse, skinned
 from .mesh_data import cages_of, carried, mesh_triangles, painted, target_shape
-from .rig_motion import at_rest, rig_scene
+from .rig_motion import at_rest
+from .sampling_scene import rig_scene
 from .skin import own_attachments
 from .skinning import Skinning
 from .source import Source

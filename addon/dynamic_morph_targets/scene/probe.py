@@ -28,10 +28,7 @@ MASK = "Dynamorph Mask "  # vertex groups, one for each modifier
 
 
 class Probe:
-    """The n nodes of a model that are not pinned, to be posed by `extract`. model: a `model.Model` of `obj`.
-
-    poses (J, B, 4, 4): the targets' captured poses, armature space.
-    """
+    """The n nodes of a model that are not pinned, to be posed by `extract`. model: a `model.Model` of `obj`."""
 
     def __init__(self, obj, model, character: Character):
         self.rest = model.nodes[model.free]
@@ -48,7 +45,8 @@ class Probe:
         points = (self.rest + shifts[:, None]) @ np.linalg.inv(model.to_bind).T
         self._mesh = _weighted(points.reshape(-1, 3), np.tile(np.hstack([weights * kept, masks]), (4, 1)))
         self._skeleton = character.skeleton
-        self.poses = character.skeleton.pose(np.array([target.local for target in character.targets]))
+        self._poses = character.skeleton.pose(np.array([target.local for target in character.targets]))
+        self._in_target_poses: PosedNodes | None = None
 
     def mesh(self):
         """A new mesh of the nodes, for an object that `dress` makes look like the body."""
@@ -69,6 +67,15 @@ class Probe:
 
     def empty_samples(self, count: int) -> PosedNodes:
         return PosedNodes(self.rest, self.offset, np.empty((count, 4, len(self.rest), 3), np.float32))
+
+    def in_target_poses(self, scene, probe, rig, frame: float) -> PosedNodes:
+        """As `in_poses`, in the J poses in which the targets were captured; read once, with the objects where they are
+        at the frame.
+        """
+        if self._in_target_poses is None:
+            scene.frame_set(int(frame), subframe=frame % 1.0)
+            self._in_target_poses = self.in_poses(scene, probe, rig, self._poses)
+        return self._in_target_poses
 
     def in_poses(self, scene, probe, rig, poses: np.ndarray) -> PosedNodes:
         """The nodes in poses (S, B, 4, 4) of the armature, with the objects where they are at the scene's frame.

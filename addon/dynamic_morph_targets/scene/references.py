@@ -61,18 +61,28 @@ def as_moved(skeleton: Skeleton, rig) -> Skeleton:
 
 def rest_skeleton(armature) -> Skeleton:
     """The armature's bones at rest, parents before children."""
-    depths: dict[str, int] = {}
-    level = [bone for bone in armature.bones if bone.parent is None]
-    while level:
-        depth = depths[level[0].parent.name] + 1 if level[0].parent else 0
-        depths |= {bone.name: depth for bone in level}
-        level = [child for bone in level for child in bone.children]
-    bones = sorted(armature.bones, key=lambda bone: depths[bone.name])  # stable: siblings keep their order
-    names = tuple(bone.name for bone in bones)
+    names, rest = bones_key(armature)
     places = {name: place for place, name in enumerate(names)}
-    parents = np.array([places[bone.parent.name] if bone.parent else -1 for bone in bones], dtype=np.int64)
-    rest = np.array([bone.matrix_local for bone in bones], dtype=np.float64).reshape(-1, 4, 4)
-    return Skeleton(names, parents, rest)
+    return _skeleton(names, rest, tuple(places[bone.parent.name] if bone.parent else -1 for bone in armature.bones))
+
+
+@lru_cache(maxsize=8)  # hundreds of bones take several milliseconds
+def _skeleton(names: tuple[str, ...], rest: bytes, parents: tuple[int, ...]) -> Skeleton:
+    """rest: as `bones_key`; parents: places among the names, -1 for none."""
+    depths: dict[int, int] = {-1: -1}
+    waiting = set(range(len(names)))
+    while waiting:
+        level = {bone for bone in waiting if parents[bone] in depths}
+        depths |= {bone: depths[parents[bone]] + 1 for bone in level}
+        waiting -= level
+    order = sorted(range(len(names)), key=depths.__getitem__)  # stable: siblings keep their order
+    places = {bone: place for place, bone in enumerate([-1, *order], start=-1)}
+    columns = np.frombuffer(rest, np.float32).reshape(-1, 4, 4)  # Blender's, column after column
+    return Skeleton(
+        tuple(names[bone] for bone in order),
+        np.array([places[parents[bone]] for bone in order], dtype=np.int64),
+        columns[order].swapaxes(1, 2).astype(np.float64),
+    )
 
 
 def bones_key(armature) -> tuple:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Sequence
 from contextlib import contextmanager
@@ -20,9 +19,10 @@ from ..core.geometry import determinant, invertible, turned
 from ..core.message import Message
 from ..core.motion.colliders import ColliderTrack
 from ..core.motion.rig_samples import ForceField, RigSamples
-from . import checks, colliders, events
+from . import checks, colliders
 from .checks import armature_modifier, refuse
 from .references import rest_skeleton, rig_of
+from .sampling_scene import SamplingScene, rig_scene
 from .skin import unit_scale
 from .skinning import Skinning
 
@@ -98,7 +98,8 @@ def bones_turned(obj, skeleton: Skeleton, first: np.ndarray, second: np.ndarray)
 
 def pose_order(rig, skeleton: Skeleton) -> list[int]:
     """The index of the skeleton's bones among those of the armature object's pose."""
-    return [rig.pose.bones.find(name) for name in skeleton.names]
+    places = {name: place for place, name in enumerate(rig.pose.bones.keys())}
+    return [places[name] for name in skeleton.names]
 
 
 def pose_matrices(evaluated_rig, order) -> np.ndarray:
@@ -123,9 +124,13 @@ def _rows(matrix) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, matrix))
 
 
-def sample_rig(obj, start: int, end: int, substeps: int, probe=None, without: Sequence[str] = ()) -> RigSamples:
-    """The rig at 1 + (end - start) * substeps times, at once; probe, without: of `RigSampling`. Raises SceneError."""
-    sampling = RigSampling(obj, start, end, substeps, without)
+def sample_rig(
+    obj, start: int, end: int, substeps: int, probe=None, without: Sequence[str] = (), scene=None
+) -> RigSamples:
+    """The rig at 1 + (end - start) * substeps times, at once; probe, without, scene: of `RigSampling`. Raises
+    SceneError.
+    """
+    sampling = RigSampling(obj, start, end, substeps, without, scene)
     sampling.probe = probe
     sampling.advance(obj)
     return sampling.samples()
@@ -139,8 +144,9 @@ def sample_present(obj, probe=None) -> RigSamples:
         return RigSamples(pose, rig_world[None], world)
     rig, frame = armature_modifier(obj).object, bpy.context.scene.frame_float
     with rig_scene(obj, rig, probe) as (scene, follower):
+        target_nodes = probe.in_target_poses(scene, follower, rig, frame)
         scene.frame_set(int(frame), subframe=frame % 1.0)
-        nodes, target_nodes = (probe.in_poses(scene, follower, rig, poses) for poses in (pose, probe.poses))
+        nodes = probe.in_poses(scene, follower, rig, pose)
     return RigSamples(pose, rig_world[None], world, (nodes,), target_nodes)
 
 
@@ -160,18 +166,20 @@ def present_colliders(obj) -> tuple[ColliderTrack, ...]:
 class RigSampling:
     """Reads the rig at 1 + (end - start) * substeps times, true sub-frames, without evaluating the mesh.
 
-    It does so in slices, between which Blender does other things. Each makes a scene of its own, in a few milliseconds:
-    one that stayed in between would be seen, saved, and brought back by undo. The user's frame and pose stay as they
-    are.
+    It does so in slices, between which Blender does other things. The user's frame and pose stay as they are.
 
     probe: the nodes that Blender is to pose too (`probe.Probe`), to be set before the first slice. without: names of
-    colliders that are not read, because they are soft bodies that press on this one.
+    colliders that are not read, because they are soft bodies that press on this one. scene: where it is read; who
+    gives it closes it, else it is closed after the last slice.
     """
 
-    def __init__(self, obj, start: int, end: int, substeps: int, without: Sequence[str] = ()):
+    def __init__(
+        self, obj, start: int, end: int, substeps: int, without: Sequence[str] = (), scene: SamplingScene | None = None
+    ):
         skinning = checks.skinned(obj)
         rig = skinning.rig
         self.start, self.substeps = start, substeps
+        self._scene, self._is_scene_ours = scene or SamplingScene(), scene is None
         self.probe: Any = None  # a probe.Probe
         self._nodes: Any = None  # PosedNodes
         self._target_nodes: Any = None
@@ -203,13 +211,9 @@ class RigSampling:
         if _moving(skinning, rest_skeleton(rig.data)) != self._moving or None in sources:
             raise SceneError("'{name}' or what moves it changed while it was read: start again", name=obj.name)
         stopping = [self._collider(reader.name) for reader in self._colliders]
-        with rig_scene(obj, rig, self.probe) as (scene, follower):
-            for source in (*sources, *stopping):
-                if source.name not in scene.collection.objects:  # the rig may be one
-                    scene.collection.objects.link(source)
+        with self._scene.opened(obj, rig, self.probe, (*sources, *stopping)) as (scene, follower):
             if self.probe and self._nodes is None:
-                scene.frame_set(self.start)
-                self._target_nodes = self.probe.in_poses(scene, follower, rig, self.probe.poses)
+                self._target_nodes = self.probe.in_target_poses(scene, follower, rig, self.start)
                 self._nodes = self.probe.empty_samples(self.count)
             while self.done < self.count:
                 self._read(scene, obj, rig, sources)
@@ -220,7 +224,14 @@ class RigSampling:
                 self.done += 1
                 if time.perf_counter() > ends:
                     break
+        if self.done == self.count:
+            self.close()
         return self.done == self.count
+
+    def close(self):
+        """Nothing more is read: remove the scene, unless it belongs to somebody else."""
+        if self._is_scene_ours:
+            self._scene.close()
 
     def _collider(self, name: str):
         """The object of this name. Raises SceneError."""
@@ -305,34 +316,6 @@ def _empty_samples(field, count: int, unit: float) -> ForceField:
     )
 
 
-@contextmanager
-def rig_scene(obj, rig, probe=None):
-    """A scene with the rig, so that a frame costs what the rig costs; and an object that follows the mesh object.
-
-    That copies the mesh object's transform, which makes the dependency graph evaluate it, with its parents, constraints
-    and drivers, but not the mesh. It is empty, or a probe's mesh that is skinned like the body.
-    """
-    check_not_rendering()
-    user = bpy.context.scene.render
-    scene = bpy.data.scenes.new("Dynamorph Sampling")
-    mesh = probe and probe.mesh()
-    follower = bpy.data.objects.new("Dynamorph Sampling", mesh)
-    try:
-        for field in ("fps", "fps_base", "frame_map_old", "frame_map_new"):
-            setattr(scene.render, field, getattr(user, field))
-        follower.constraints.new("COPY_TRANSFORMS").target = obj
-        if probe:
-            probe.dress(follower, obj)
-        scene.collection.objects.link(rig)
-        scene.collection.objects.link(follower)
-        with events.without_handlers():
-            yield scene, follower
-    finally:
-        remove_scene(scene, follower)
-        if mesh:
-            bpy.data.meshes.remove(mesh)
-
-
 def worlds_at_start(obj, rig) -> list[np.ndarray]:
     """World transforms of both, meters, when the scene starts: a model that depended on the current frame would become
     outdated by playing. Where one is scaled to zero then, when they first are as large as they become. Raises
@@ -365,23 +348,3 @@ def _thickness(world: np.ndarray) -> float:
     """The smallest scale of a transform (4, 4); 0 where that is next to nothing of the largest."""
     sizes = np.linalg.svd(world[:3, :3], compute_uv=False)
     return float(sizes[-1]) if sizes[-1] > FLAT * sizes[0] else 0.0
-
-
-def remove_scene(scene, *objects):
-    """Remove a scene that no window shows, with objects of its own.
-
-    Not by `bpy.data.scenes.remove`: Blender 5.2 crashes in it while the artist scrubs through the frames, when it
-    asks which scene the window plays.
-    """
-    bpy.data.batch_remove((scene, *objects))
-
-
-def render_runs() -> bool:
-    """Whether Blender renders beside this thread. Adding or removing data then makes it crash."""
-    return threading.current_thread() is threading.main_thread() and bpy.app.is_job_running("RENDER")
-
-
-def check_not_rendering():
-    """Raises SceneError while `render_runs`."""
-    if render_runs():
-        raise SceneError("Blender is rendering: wait until it is done")

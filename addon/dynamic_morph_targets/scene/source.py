@@ -11,13 +11,13 @@ import numpy as np
 
 from ..core.character import Skeleton
 from ..core.geometry import inverse
+from .identity import body_points
 from .mesh_data import (
     VertexGroups,
     bone_segments,
     carried,
     mesh_triangles,
     modifier_weights,
-    rest_points,
     stretch,
 )
 from .references import rest_skeleton
@@ -57,8 +57,8 @@ class Source:
 
     @cached_property
     def points(self) -> np.ndarray:
-        """`rest_points`."""
-        return rest_points(self.obj)
+        """`body_points`."""
+        return body_points(self.obj, self.groups)
 
     @cached_property
     def triangles(self) -> np.ndarray:

@@ -18,6 +18,7 @@ from ..scene.skinning import Skinning
 from ..write.display import comparison
 
 MOST_REASONS = 3  # of those for which something is out of date
+CHARACTER = 15  # deforming bones, from which a body may be expected to have a head
 
 
 def messages(obj) -> Iterator[tuple[Problem, str]]:
@@ -47,7 +48,7 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
             yield Problem(text), "ERROR"
         for problem in colliders.problems(obj):
             yield problem, "ERROR"
-        for problem in (*checks.next_steps(obj), *_quality(obj), *cuts.known(obj)):
+        for problem in (*checks.next_steps(obj), *_quality(obj), *_head(skinning), *cuts.known(obj)):
             yield problem, "INFO"
     for problem in checks.notes(skinning):
         yield problem, "INFO"
@@ -82,6 +83,19 @@ def _quality(obj) -> Iterator[Problem]:
         )
     elif run_settings.bake_solver(obj) == "FULL" and not settings.bake.exists:
         yield Problem("What collides is baked in Full Quality, which takes {time}", "", time=bake_time.expected(obj))
+
+
+def _head(skinning: Skinning) -> Iterator[Problem]:
+    """That no head was found, which then is as soft as the rest."""
+    obj = skinning.obj
+    model, bones = obj.dynamorph.model, skinning.bones(skinning.rig) if skinning.rig else []
+    if model.hold_head and not model.head and not obj.dynamorph.firmness_group and len(bones) >= CHARACTER:
+        yield Problem(
+            "No head was found on '{name}': select its bones in Pose Mode and press Hold Selected Bones, or turn Hold "
+            "Head off if there is none",
+            "NO_HEAD",
+            name=obj.name,
+        )
 
 
 def verdict(obj) -> judge.Verdict | None:

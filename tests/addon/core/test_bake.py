@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a bake simulates: its start, how it resumes, loops, and the effect of gains and motion amounts on the modes."""
 
+import re
+import time
 from dataclasses import replace
 
 import bpy
@@ -293,6 +295,14 @@ def test_samples_between_frames_change_nothing_at_the_frames(shot, soft_arm, cha
     assert np.abs(between - middle).max() > 1e-3 * np.abs(middle).max()  # they are not merely interpolated
     assert fine.outcome.report["steps"] == whole.outcome.report["steps"]
     assert fine.summary().startswith("20 frames in ")
+
+
+def test_the_summary_tells_the_time_that_was_waited(shot, soft_arm):
+    """Also what Blender did meanwhile."""
+    job = run_job.Job(soft_arm, goal="BAKE")
+    batch.run(job, tick=lambda _: time.sleep(0.3))
+    seconds = float(re.search(r"frames in ([\d.]+)", job.summary())[1])
+    assert seconds > sum(job.progress.seconds.values()) + 0.2
 
 
 def test_substeps_are_rounded_up_to_the_samples(shot, soft_arm):

@@ -179,7 +179,7 @@ def private_uses(path, private):
 
 
 def test_scenes_are_not_removed_while_the_artist_scrubs():
-    """Blender 5.2 crashes then; see `rig_motion.remove_scene`."""
+    """Blender 5.2 crashes then; see `sampling_scene.remove_scene`."""
     assert [path.name for path in PACKAGE.rglob("*.py") if "scenes.remove(" in path.read_text("utf-8")] == []
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core.errors import SceneError
 from bl_ext.user_default.dynamic_morph_targets.run import grabbing, live
-from bl_ext.user_default.dynamic_morph_targets.scene import mesh_data
+from bl_ext.user_default.dynamic_morph_targets.scene import events, mesh_data
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import hands
 from builders import evaluated_points, rig_of
 from built import BuiltOnce
@@ -154,12 +154,12 @@ def test_a_copy_begins_again_where_the_rig_moves_otherwise_and_ends_with_its_mod
     assert grabbing.begin(live_arm) is not hand  # Live goes on, and so can a new hand
 
 
-@pytest.mark.parametrize("busy", ["is_scrubbing", "is_away"])
-def test_the_hand_waits_for_what_live_waits_for(live_arm, monkeypatch, busy):
+@pytest.mark.parametrize("where, busy", [(events, "is_scrubbing"), (live, "is_away")])
+def test_the_hand_waits_for_what_live_waits_for(live_arm, monkeypatch, where, busy):
     place = softest(live_arm)
     hand, number = held_at(live_arm, place, 0.1)
     before = shown(live_arm)
-    monkeypatch.setattr(live, busy, lambda *_: True)
+    monkeypatch.setattr(where, busy, lambda *_: True)
     np.testing.assert_array_equal(ticks(hand, 3)[-1], before)
     assert hand.tick()
 

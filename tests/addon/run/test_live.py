@@ -188,7 +188,7 @@ def test_scrubbing_reads_no_rig_until_the_mouse_is_up(playing, monkeypatch):
     scene.frame_set(3)
     scrubbing, looks = [True], []
     monkeypatch.setattr(scene_events, "soon", lambda look, _seconds: looks.append(look))
-    monkeypatch.setattr(live, "is_scrubbing", lambda: scrubbing[0])
+    monkeypatch.setattr(scene_events, "is_scrubbing", lambda: scrubbing[0])
     live.sessions[playing.session_uid].rig.forget()
     sample = rig_motion.sample_rig
     monkeypatch.setattr(rig_motion, "sample_rig", lambda *_args: pytest.fail("the rig is read"))
@@ -268,17 +268,33 @@ def test_collapsed_bones_keep_their_size_from_block_to_block(live_arm):
 def test_the_latest_rig_of_a_long_shot_is_kept(playing, monkeypatch):
     whole = play(playing, range(1, 41))
     monkeypatch.setattr(run_session, "RIG_BYTES", 1)
+    monkeypatch.setattr(run_session, "UNNOTICED", np.inf)
     rig, read = session(playing).rig, []
     rig.forget()
     sample_rig = rig_motion.sample_rig
     monkeypatch.setattr(rig_motion, "sample_rig", lambda *args: read.append(args[1:3]) or sample_rig(*args))
     assert apart(play(playing, range(1, 41)), whole) == 0.0
-    assert read == [(1, 17), (17, 33), (33, 49)]
+    begins = [first for first, _ in read]
+    assert read[-1][1] - read[-1][0] == 16 and begins[1:] == [end for _, end in read[:-1]]
+    before = len(read)
     for frame in (40, 20):
         rig.after(playing, frame)
-    assert len(read) == 3
-    rig.after(playing, 16)
-    assert read[3:] == [(1, 17)]
+    assert len(read) == before
+    rig.after(playing, 2)
+    assert read[before:] == [(2, 18)]
+
+
+def test_a_slow_rig_is_read_frame_by_frame(playing, monkeypatch):
+    """Blender would stand still while it reads more."""
+    whole = play(playing, range(1, 13))
+    monkeypatch.setattr(run_session, "UNNOTICED", 0.0)
+    rig, read = session(playing).rig, []
+    rig.after(playing, 30)
+    rig.forget()
+    sample_rig = rig_motion.sample_rig
+    monkeypatch.setattr(rig_motion, "sample_rig", lambda *args: read.append(args[1:3]) or sample_rig(*args))
+    assert apart(play(playing, range(1, 13)), whole) == 0.0
+    assert all(end - first == 1 for first, end in read[1:])
 
 
 # Changes while it plays --------------------------------------------------------------------------------------------
@@ -1050,7 +1066,7 @@ def test_a_mode_plays_alone(live_arm, shown):
 
 def test_play_mode_is_refused_while_blender_renders(live_arm, monkeypatch):
     before = fingerprint(live_arm)
-    monkeypatch.setattr(rig_motion, "render_runs", lambda: True)
+    monkeypatch.setattr(scene_events, "render_runs", lambda: True)
     refused(bpy.ops.dynamorph.play_mode, "Blender is rendering: wait until it is done")
     assert fingerprint(live_arm) == before
 
@@ -1058,7 +1074,7 @@ def test_play_mode_is_refused_while_blender_renders(live_arm, monkeypatch):
 def test_a_mode_that_plays_stands_still_while_blender_renders(live_arm, monkeypatch):
     """A render that begins meanwhile reads what would be written."""
     button, shown = Playing(live_arm, "DYNAMORPH_OT_play_mode", monkeypatch), []
-    monkeypatch.setattr(rig_motion, "render_runs", lambda: button.now > 0.3)
+    monkeypatch.setattr(scene_events, "render_runs", lambda: button.now > 0.3)
     for button.now in (0.1, 0.2, 0.3, 0.4, 0.5):
         assert button.send() == {"RUNNING_MODAL"}
         shown.append(surface(live_arm))

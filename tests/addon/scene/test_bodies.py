@@ -13,6 +13,7 @@ from bl_ext.user_default.dynamic_morph_targets.run.batch import Batch
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.run.live import problem
 from bl_ext.user_default.dynamic_morph_targets.scene import extract, mesh_data, model_store, staleness
+from bl_ext.user_default.dynamic_morph_targets.ui import messages as ui_messages
 from bl_ext.user_default.dynamic_morph_targets.write.export import exports, losses
 from builders import (
     activate,
@@ -22,6 +23,7 @@ from builders import (
     keys_of,
     make_mesh,
     refused,
+    select_bones,
 )
 from figures import ball, make_figure, skin, tube_between, weights_at
 from layout import drawn
@@ -552,6 +554,21 @@ def test_a_head_that_follows_a_control_is_recognized_by_its_name(scene):
 def test_a_plain_tube_has_no_head(scene):
     obj = chain_figure(scene, head=0.15)
     assert obj.dynamorph.model.head == "" and "No head was found" in drawn(obj, "DYNAMORPH_PT_physics")
+
+
+def test_a_character_without_a_head_that_is_found_says_so(scene, monkeypatch):
+    """An arm says nothing: nobody expects it to have one."""
+    obj = chain_figure(scene, head=0.15)
+    found = lambda: [problem.fix for problem, _ in ui_messages.messages(obj)]  # noqa: E731
+    assert found() == []
+    monkeypatch.setattr(ui_messages, "CHARACTER", 3)
+    assert found() == ["NO_HEAD"]
+    OPS.fix(problem="NO_HEAD")
+    assert not obj.dynamorph.model.hold_head and found() == []
+    obj.dynamorph.model.hold_head = True
+    select_bones(obj, "c")
+    OPS.hold_bones()
+    assert found() == []
 
 
 def test_soft_paint_frees_a_head(scene):

@@ -129,7 +129,7 @@ def test_one_button_puts_it_right_and_undo_brings_it_back(soft_arm, spoil, fix):
 
 def test_every_fix_is_tried_here():
     tried = {fix for _, fix in PUT_RIGHT} | {"ADD_BASIS", "PERSON_SIZE", "WEIGHT_LIKE_NEAREST", "LOCK_INTERFACE"}
-    elsewhere = {"FULL_QUALITY", "COLLIDE"}  # test_collision_section.py, test_cuts.py
+    elsewhere = {"FULL_QUALITY", "COLLIDE", "NO_HEAD"}  # test_collision_section.py, test_cuts.py, test_bodies.py
     assert tried | elsewhere == set(FIXES)
 
 
@@ -238,22 +238,6 @@ def test_an_armature_modifier_that_is_off_does_not_count(soft_arm):
     assert found(soft_arm) == [] and not extract.character(soft_arm).probed
     left.show_render = True
     assert fixes(soft_arm) == ["ENABLE_MODIFIER"]
-
-
-def test_keys_that_are_always_on_are_in_the_messages(soft_arm):
-    """The identity of many characters: the body that shows is another than that of the Basis, which is simulated."""
-    key = soft_arm.data.shape_keys.key_blocks["smile"]
-    assert body_checks.look(soft_arm) == []
-    key.value = 0.05  # hardly another body
-    assert body_checks.look(soft_arm) == []
-    key.value = 1.0
-    (note,) = body_checks.look(soft_arm)
-    assert "the body of its Basis is simulated" in note.text and "(smile)" in note.text
-    key.keyframe_insert("value", frame=1)  # an expression
-    assert body_checks.look(soft_arm) == []
-    key.keyframe_delete("value", frame=1)
-    key.mute = True
-    assert body_checks.look(soft_arm) == []
 
 
 @pytest.mark.parametrize("by_bone", [True, False])

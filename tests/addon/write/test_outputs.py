@@ -175,9 +175,10 @@ def test_what_follows_takes_the_influence_of_the_cache(scene, soft_arm, tmp_path
 def test_keys_that_a_cache_plays_over_are_named(soft_arm):
     bake, blocks = writer, keys_of(soft_arm).key_blocks
     assert bake.overwritten_keys(soft_arm) == []
-    blocks["smile"].value = 0.5
+    blocks["smile"].value = 0.01  # hardly another body
     assert bake.overwritten_keys(soft_arm) == ["smile"]
-    blocks["smile"].value = 0.0
+    blocks["smile"].value = 1.0  # which the cache has
+    assert bake.overwritten_keys(soft_arm) == []
     blocks["smile"].keyframe_insert("value", frame=1)
     assert bake.overwritten_keys(soft_arm) == ["smile"]
     blocks["smile"].mute = True

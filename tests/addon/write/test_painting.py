@@ -8,7 +8,7 @@ from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.run import heat
 from bl_ext.user_default.dynamic_morph_targets.scene import mesh_data, staleness
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport
-from builders import activate, make_mesh, refused, rig_of
+from builders import activate, make_mesh, refused, rig_of, select_bones
 from layout import drawn
 
 OPS = bpy.ops.dynamorph
@@ -26,11 +26,6 @@ def paint(obj, name, values):
 
 def points(obj) -> np.ndarray:
     return np.array([vertex.co for vertex in obj.data.vertices])
-
-
-def select_bones(obj, *names):
-    for bone in rig_of(obj).pose.bones:
-        (bone if hasattr(bone, "select") else bone.bone).select = bone.name in names
 
 
 @pytest.fixture
@@ -120,7 +115,7 @@ def test_bones_that_hold_nothing(soft_arm):
     refused(OPS.hold_bones, "Select in Pose Mode the bones of 'Arm Rig' that hold the skin of 'Arm'")
     select_bones(soft_arm, "lower")
     rig_of(soft_arm).data.bones["lower"].use_deform = False
-    refused(OPS.hold_bones, "move no skin of 'Arm'")
+    refused(OPS.hold_bones, r"The selected bones \(lower\) move no bone that deforms 'Arm'")
     assert "Firmness" not in soft_arm.vertex_groups
 
 

@@ -15,7 +15,7 @@ from bl_ext.user_default.dynamic_morph_targets.core import engine, errors, geome
 from bl_ext.user_default.dynamic_morph_targets.scene import checks, extract, mesh_data, references, rig_motion
 from bl_ext.user_default.dynamic_morph_targets.scene import plain as scene_plain
 from bl_ext.user_default.dynamic_morph_targets.ui.panels.targets import draw_target_list
-from bl_ext.user_default.dynamic_morph_targets.write.authoring import mirror, suggest
+from bl_ext.user_default.dynamic_morph_targets.write.authoring import controls, mirror
 from bl_ext.user_default.dynamic_morph_targets.write.authoring import targets as authoring_targets
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from builders import (
@@ -97,7 +97,7 @@ def drive(obj, key, expression, **variables):
 
 
 def channels(rig):
-    fields = suggest.CHANNELS
+    fields = controls.CHANNELS
     return [[tuple(getattr(bone, field)) for field in fields] for bone in rig.pose.bones]
 
 

@@ -10,7 +10,7 @@ import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.run.batch import Batch, run_all
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import rig_motion, staleness
+from bl_ext.user_default.dynamic_morph_targets.scene import events, staleness
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from bl_ext.user_default.dynamic_morph_targets.write.display import live_key
@@ -150,7 +150,7 @@ def test_nothing_is_written_while_blender_renders(soft_arm, stand_in, monkeypatc
     batch, before, messages = baking(soft_arm, goal=goal), state(soft_arm), []
     list(batch.read())
     list(batch.compute())
-    monkeypatch.setattr(rig_motion, "render_runs", lambda: len(messages) < 3)
+    monkeypatch.setattr(events, "render_runs", lambda: len(messages) < 3)
     for _ in batch.write():
         assert state(soft_arm) == before
         messages.append(batch.message)

@@ -186,7 +186,7 @@ class PreviewOperator(TissueOperator):
 
     def _tick(self, context):
         """Show the frame that is due now. A slow window drops frames, as playback does."""
-        if rig_motion.render_runs():  # which reads what would be written
+        if events.render_runs():  # which reads what would be written
             return {"RUNNING_MODAL"}
         due = 1 + int((time.monotonic() - self.began) * self.fps) - self.done
         frames = list(islice(self.left, due))

@@ -10,7 +10,7 @@ from bpy.types import Operator
 from ...core.errors import SceneError
 from ...scene import checks, rig_motion
 from ...scene.registration import of_classes
-from ...write.authoring import regions, targets
+from ...write.authoring import controls, regions, targets
 from ...write.bake import muting
 from ..base import TargetOperator, listed
 
@@ -61,7 +61,7 @@ class DYNAMORPH_OT_use_selected_bones(TargetOperator, Operator):
     def apply(self, obj):
         target = obj.dynamorph.active_target
         rig = checks.armature_modifier(obj).object
-        chosen = targets.selected_bones(rig)
+        chosen = controls.bent_by_selected(obj)
         if not chosen:
             raise SceneError(
                 "Select in Pose Mode the bones of '{rig}' that '{target}' depends on", rig=rig.name, target=target.name

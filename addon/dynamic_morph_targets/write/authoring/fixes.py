@@ -161,6 +161,10 @@ def _full_quality(obj):
     obj.dynamorph.collision.bake_full = True
 
 
+def _no_head(obj):
+    obj.dynamorph.model.hold_head = False
+
+
 def _unpin(obj):
     obj.show_only_shape_key = False
 
@@ -220,5 +224,6 @@ FIXES = {
         _full_quality,
     ),
     "COLLIDE": Fix("Collide", "Give what cuts the body Blender's Collision, and let it stop the skin", _collide),
+    "NO_HEAD": Fix("There Is No Head", "Turn Hold Head off: everything is as soft as it is painted", _no_head),
     "UNPIN": Fix("Show All Shape Keys", "Show the mix of all shape keys, not the active one alone", _unpin),
 }  # fmt: skip

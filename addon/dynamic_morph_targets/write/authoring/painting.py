@@ -12,7 +12,7 @@ from ...scene import checks, mesh_data, references, skin
 from ...scene.source import Source
 from .. import storage
 from ..bake import writer
-from . import targets
+from . import controls, targets
 from .fixes import owned
 from .mirror import mirror_partners
 
@@ -126,7 +126,7 @@ def _held_by_bones(obj) -> np.ndarray:
     """
     source = Source.of(checks.skinned(obj))
     rig, bones = source.rig, source.skeleton.names
-    chosen = targets.selected_bones(rig)
+    chosen = controls.moved_by_selected(obj)
     if not chosen:
         raise SceneError(
             "Select in Pose Mode the bones of '{rig}' that hold the skin of '{name}'", rig=rig.name, name=obj.name

@@ -10,7 +10,6 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Generator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import bpy
@@ -19,9 +18,10 @@ from mathutils import Quaternion
 
 from ...core.errors import SceneError
 from ...core.message import Message
-from ...scene import checks, events, rig_motion
+from ...scene import checks, events, rig_motion, sampling_scene
 from ...scene.skin import find
 from . import targets
+from .controls import unchanged_pose
 
 STEP = np.radians(3.0)
 GRID = STEP * np.array(
@@ -31,7 +31,6 @@ FINE = STEP * np.linspace(-1.0, 1.0, 61)
 FULL = 0.999  # of the largest value that a driver reaches, where that is 1 or less
 WORKS = 0.5  # a key whose driver reaches less does not belong to a pose of its bones
 TOGETHER = 3  # so many turns are tried at the same angle; their combinations soon are too many
-CHANNELS = ("location", "rotation_quaternion", "rotation_euler", "rotation_axis_angle", "scale")
 AXES = np.eye(3)
 BENDS = AXES[[0, 2]]  # of a bone, whose length is along y
 
@@ -69,7 +68,7 @@ def suggestions(session_uid: int) -> Generator[tuple[float, str], None, tuple[li
         yield done / len(read), Message("Trying the driver of '{name}'", name=key)
         obj = find(session_uid)
         rig = checks.armature_modifier(obj).object
-        with _unchanged_pose(rig), events.without_handlers(), _Trial(obj, rig) as trial:
+        with unchanged_pose(rig), events.without_handlers(), _Trial(obj, rig) as trial:
             targets.pose_rig(rig, skeleton, neutral)
             angles, top, turns = _turned_until_on(trial, key, axes)
             bones = {bone for (bone, _), angle in zip(turns, angles, strict=True) if angle}
@@ -161,7 +160,7 @@ class _Trial:
         self.bases = {}
 
     def __exit__(self, *_error):
-        rig_motion.remove_scene(self.scene, self.probe)
+        sampling_scene.remove_scene(self.scene, self.probe)
 
     def turn(self, turns, angles):
         """Turn bones by angles (n,), from where they were at first, each about the axis of its turn (bone, axis)."""
@@ -176,19 +175,6 @@ class _Trial:
     def value(self, key: str) -> float:
         value = self.keys.evaluated_get(self.depsgraph).key_blocks[key].value
         return max(0.0, float(np.nan_to_num(value)))
-
-
-@contextmanager
-def _unchanged_pose(rig):
-    """Restores the bones' own channels to the last bit."""
-    before = [[tuple(getattr(bone, channel)) for channel in CHANNELS] for bone in rig.pose.bones]
-    try:
-        yield
-    finally:
-        for bone, values in zip(rig.pose.bones, before, strict=True):
-            for channel, value in zip(CHANNELS, values, strict=True):
-                setattr(bone, channel, value)
-        bpy.context.view_layer.update()
 
 
 def _turned_until_on(trial: _Trial, key: str, axes: dict[str, list]):

@@ -21,7 +21,7 @@ from ...core.message import Message
 from ...core.motion import baked
 from ...core.motion.baked import Bake
 from ...core.result.slider_keys import Key, scaled_keys
-from ...scene import animation, checks
+from ...scene import animation, checks, identity
 from ...scene.animation import played
 from ...scene.references import basis_hash, key_displacement, key_points
 from ...scene.skin import cache_modifier, shown_attachments
@@ -90,6 +90,7 @@ def check_cache(obj, folder: Path | None):
 def overwritten_keys(obj) -> list[str]:
     """The artist's own shape keys that move, and that a point cache overrides."""
     excluded = {target.name for target in obj.dynamorph.targets[1:]} | animation.baked_keys(obj)
+    excluded |= identity.shifts(obj).keys()  # the cache has them
     return [name for name in animation.moving_keys(obj) if name not in excluded]
 
 

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scenes of our own, in which a rig is evaluated without the artist's meshes and without moving the artist's frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import contextmanager
+
+import bpy
+
+from . import events
+from .skinning import Skinning
+
+NAME = ".Dynamorph Sampling"  # Blender hides what begins with a dot in its lists
+UNUSED = 1.0  # seconds after which a scene that is kept is removed
+
+
+class SamplingScene:
+    """A scene with a rig, so that a frame costs what the rig costs; and an object that follows the mesh object.
+
+    That copies the mesh object's transform, which makes the dependency graph evaluate it, with its parents, constraints
+    and drivers, but not the mesh. It is empty, or a probe's mesh that is skinned like the body.
+
+    It is made when it is opened and kept until `close`, because making it costs as much as several frames and makes
+    Blender rebuild the artist's dependency graph. `remove_kept` removes it too, wherever it would be seen; so does a
+    timer when nobody opens it any more. It is made again where it is missing.
+    """
+
+    def __init__(self):
+        self._uid = 0  # Scene.session_uid
+        self._content: tuple = ()  # what is in it, as `_content_of`
+
+    @contextmanager
+    def opened(self, obj, rig, probe=None, others: Iterable = ()):
+        """The scene and the follower, while no handlers run. probe: a `probe.Probe` of `obj`; others: more objects to
+        evaluate. Raises SceneError.
+        """
+        events.check_not_rendering()
+        others = list(others)
+        content = _content_of(obj, rig, probe, others)
+        scene = next((each for each in bpy.data.scenes if each.session_uid == self._uid), None)
+        if scene is None or content != self._content:
+            self.close()
+            scene = _make(obj, rig, probe, others)
+            self._uid, self._content = scene.session_uid, content
+        _keep_time_as(scene.render, bpy.context.scene.render)
+        try:
+            with events.without_handlers():
+                yield scene, _follower(scene)
+        except BaseException:
+            self.close()
+            raise
+        events.soon(remove_unused, UNUSED)
+
+    def close(self):
+        """Remove it, if it is there."""
+        _remove(scene for scene in bpy.data.scenes if scene.session_uid == self._uid)
+        self._uid = 0
+
+
+@contextmanager
+def rig_scene(obj, rig, probe=None):
+    """A `SamplingScene` for once. Raises SceneError."""
+    once = SamplingScene()
+    with once.opened(obj, rig, probe) as made:
+        yield made
+    once.close()
+
+
+def remove_unused():
+    """By a timer: remove what nobody has opened for a while."""
+    if events.render_runs() or events.is_scrubbing():
+        return UNUSED  # seconds from now
+    remove_kept()
+    return None
+
+
+def remove_kept():
+    """Remove all sampling scenes: before a file is saved, and where undo or a file have brought some back."""
+    # While add-ons are enabled Blender shows them no data.
+    _remove(scene for scene in getattr(bpy.data, "scenes", ()) if scene.name.startswith(NAME))
+
+
+def remove_scene(scene, *objects):
+    """Remove a scene that no window shows, with objects of its own and their meshes.
+
+    Not by `bpy.data.scenes.remove`: Blender 5.2 crashes in it while the artist scrubs through the frames, when it
+    asks which scene the window plays.
+    """
+    meshes = [each.data for each in objects if each.data]
+    bpy.data.batch_remove((scene, *objects, *meshes))
+
+
+def _content_of(obj, rig, probe, others) -> tuple:
+    """To be compared."""
+    objects = [each.session_uid for each in (obj, rig, *others)]
+    return objects, probe and (id(probe), Skinning.of(obj).settings())
+
+
+def _make(obj, rig, probe, others):
+    """A new sampling scene."""
+    scene = bpy.data.scenes.new(NAME)
+    follower = bpy.data.objects.new(NAME, probe and probe.mesh())
+    follower.constraints.new("COPY_TRANSFORMS").target = obj
+    if probe:
+        probe.dress(follower, obj)
+    for each in dict.fromkeys((rig, follower, *others)):  # the rig may be one of the others
+        scene.collection.objects.link(each)
+    return scene
+
+
+def _follower(scene):
+    return next(each for each in scene.collection.objects if each.name.startswith(NAME))
+
+
+def _keep_time_as(render, user):
+    """Writes only what differs, because writing tags the scene for evaluation."""
+    for field in ("fps", "fps_base", "frame_map_old", "frame_map_new"):
+        if getattr(render, field) != getattr(user, field):
+            setattr(render, field, getattr(user, field))
+
+
+def _remove(scenes: Iterable):
+    """Remove sampling scenes; and what the artist has deleted meanwhile, which they kept alive."""
+    for scene in list(scenes):
+        follower = _follower(scene)
+        others = [each for each in scene.collection.objects if each != follower]
+        remove_scene(scene, follower)
+        bpy.data.batch_remove([each for each in others if not each.users])

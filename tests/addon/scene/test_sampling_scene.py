@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The scene in which a rig is read stays for as long as it is used, and is found nowhere else."""
+
+import bpy
+import numpy as np
+import pytest
+from bl_ext.user_default.dynamic_morph_targets.scene import rig_motion, sampling_scene
+from builders import rig_of
+
+
+@pytest.fixture
+def begun(soft_arm):
+    """A rig that has been read in part."""
+    sampling = rig_motion.RigSampling(soft_arm, 1, 5, 2)
+    sampling.advance(soft_arm, 0.0)
+    assert len(kept()) == 1
+    return sampling
+
+
+def kept():
+    return [scene for scene in bpy.data.scenes if scene.name.startswith(sampling_scene.NAME)]
+
+
+def left():
+    return [*kept(), *(each for each in bpy.data.objects if each.name.startswith(sampling_scene.NAME))]
+
+
+def read_on(sampling, obj) -> np.ndarray:
+    while not sampling.advance(obj, 0.0):
+        pass
+    return sampling.samples().pose
+
+
+def test_it_is_the_same_one_until_the_end(begun, soft_arm):
+    (scene,) = kept()
+    uid = scene.session_uid
+    begun.advance(soft_arm, 0.0)
+    assert [each.session_uid for each in kept()] == [uid]
+    read_on(begun, soft_arm)
+    assert left() == []
+
+
+def test_it_is_in_no_file(begun, soft_arm, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"), copy=True)
+    with bpy.data.libraries.load(str(tmp_path / "saved.blend")) as (stored, _):
+        assert not [name for name in (*stored.scenes, *stored.objects) if name.startswith(sampling_scene.NAME)]
+    np.testing.assert_array_equal(read_on(begun, soft_arm), rig_motion.sample_rig(soft_arm, 1, 5, 2).pose)
+
+
+def test_undo_does_not_bring_it_back(begun, soft_arm):
+    name = soft_arm.name
+    bpy.ops.ed.undo_push(message="while it is there")
+    soft_arm.location.x = 1.0
+    bpy.ops.ed.undo_push(message="after it")
+    bpy.ops.ed.undo()
+    assert left() == []
+    obj = bpy.data.objects[name]
+    np.testing.assert_array_equal(read_on(begun, obj), rig_motion.sample_rig(obj, 1, 5, 2).pose)
+
+
+def test_a_file_that_holds_one_loses_it(begun, tmp_path, monkeypatch):
+    """As one that Blender saves by itself, without asking add-ons."""
+    monkeypatch.setattr(sampling_scene, "remove_kept", lambda: None)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"), copy=True)
+    monkeypatch.undo()
+    with bpy.data.libraries.load(str(tmp_path / "saved.blend")) as (stored, _):
+        assert sampling_scene.NAME in stored.scenes
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
+    assert left() == []
+
+
+def test_it_goes_when_nobody_reads(begun):
+    assert bpy.app.timers.is_registered(sampling_scene.remove_unused)
+    assert sampling_scene.remove_unused() is None
+    assert left() == []
+
+
+def test_what_the_artist_deletes_meanwhile_is_deleted(begun, soft_arm):
+    rig = rig_of(soft_arm)
+    bpy.ops.object.select_all(action="DESELECT")
+    rig.select_set(True)
+    bpy.ops.object.delete()
+    sampling_scene.remove_unused()
+    assert "Arm Rig" not in bpy.data.objects or not [each for each in bpy.data.objects if each.type == "ARMATURE"]
+
+
+def test_edits_of_the_rig_count(begun, soft_arm):
+    """Although Blender evaluates them in another scene."""
+    sampling = rig_motion.RigSampling(soft_arm, 1, 3, 1)
+    sampling.advance(soft_arm, 0.0)
+    limit = rig_of(soft_arm).pose.bones["lower"].constraints.new("LIMIT_ROTATION")
+    limit.use_limit_x, limit.min_x, limit.max_x = True, 0.3, 0.3
+    limit.owner_space = "LOCAL"
+    pose = read_on(sampling, soft_arm)
+    np.testing.assert_array_equal(pose[1:], rig_motion.sample_rig(soft_arm, 1, 3, 1).pose[1:])
+    assert np.abs(pose[0, 1] - pose[1, 1]).max() > 0.1
