@@ -35,6 +35,9 @@ def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
             yield from _key_losses(mesh, key, planned if mesh in moved else None)
         if rig_of(obj):
             yield from _scale_losses(rig_of(obj), key)
+    else:
+        for mesh in meshes_together(obj):
+            yield from _render_losses(mesh, key)
     if key == "USD":  # the others write no pictures, or those that are in memory
         for name in _unsaved_images(obj):
             yield Message(
@@ -112,6 +115,30 @@ def _modifier_losses(obj, key: str, skinning) -> Iterator[str]:
             format=FORMATS[key].label,
             others=surface_formats(),
         )
+
+
+def _render_losses(obj, key: str) -> Iterator[str]:
+    """Surfaces are written as renders show them, but for the last subdivision."""
+    label = FORMATS[key].label
+    if obj.hide_render:
+        yield Message("'{name}' is off in renders, so {format} leaves it out: turn it on", name=obj.name, format=label)
+        return
+    shown = [modifier for modifier in obj.modifiers if modifier.show_viewport or modifier.show_render]
+    for modifier in shown:
+        if modifier.type == "SUBSURF" and modifier == shown[-1]:
+            yield Message(
+                "'{name}': {format} leaves its Subdivision Surface to the program that opens the file: subdivide it "
+                "there, or apply it here",
+                name=obj.name,
+                format=label,
+            )
+        elif modifier.show_viewport != modifier.show_render:
+            yield Message(
+                "'{name}': modifier '{modifier}' is not on in both viewports and renders: {format} has it as renders do",
+                name=obj.name,
+                modifier=modifier.name,
+                format=label,
+            )
 
 
 def _scale_losses(rig, key: str) -> Iterator[str]:
