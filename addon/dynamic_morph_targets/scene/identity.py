@@ -7,6 +7,7 @@ Characters of Daz, Human Generator and MPFB are made of such keys, which say who
 from __future__ import annotations
 
 import re
+from math import isfinite
 
 import numpy as np
 
@@ -40,7 +41,8 @@ def shifts(obj, groups: VertexGroups | None = None) -> dict[str, np.ndarray]:
 def _always_on(obj) -> list:
     """The shape keys with a value that nothing moves, but for those that the add-on plays or that are targets."""
     keys, settings = obj.data.shape_keys, obj.dynamorph
-    shown = [key for key in keys.key_blocks[1:] if key.value and not key.mute] if keys and keys.use_relative else []
+    found = keys.key_blocks[1:] if keys and keys.use_relative else ()
+    shown = [key for key in found if key.value and isfinite(key.value) and not key.mute]
     if not shown:
         return []
     others = {target.name for target in settings.targets} | {settings.live.key.name}

@@ -331,7 +331,7 @@ def test_export_check_says_where_surfaces_are_those_of_renders(baked, tmp_path, 
     thick = obj.modifiers.new("Thick", "SOLIDIFY")
     thick.show_render = False
     (text,) = losses.losses(obj, key)
-    assert "modifier 'Thick' is not on in both viewports and renders" in text
+    assert "modifier 'Thick' is on in viewports or in renders alone" in text
     assert in_file(obj, key, tmp_path) == count
     obj.modifiers.remove(thick)
     obj.modifiers.new("Smooth", "SUBSURF")

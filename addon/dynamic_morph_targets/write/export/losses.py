@@ -134,7 +134,7 @@ def _render_losses(obj, key: str) -> Iterator[str]:
             )
         elif modifier.show_viewport != modifier.show_render:
             yield Message(
-                "'{name}': modifier '{modifier}' is not on in both viewports and renders: {format} has it as renders do",
+                "'{name}': modifier '{modifier}' is on in viewports or in renders alone: {format} has it as renders do",
                 name=obj.name,
                 modifier=modifier.name,
                 format=label,
