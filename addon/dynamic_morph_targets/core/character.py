@@ -205,6 +205,11 @@ class Character:
         return _in_order(self.target_sets)
 
     @property
+    def target_count(self) -> int:
+        """How many simulated targets the panel's list has: there the neutral one, which each set has, counts once."""
+        return len(self.targets) - len(self.target_sets) + 1
+
+    @property
     def authored_targets(self) -> list[Target]:
         """All targets, set after set, whichever the method simulates."""
         return _in_order(self.authored_sets)

@@ -251,6 +251,7 @@ class Writer:
         """Store what the panels show about the bake."""
         given, outcome = self.given, self.outcome
         record = obj.dynamorph.bake
+        outcome.report["keys"] = len(record.keys)
         record.summary = summary(given, outcome, self.progress.waited)
         record.warnings = "\n".join(text for text in outcome.warnings if text not in outcome.model.summary.warnings)
         record.inputs = records.text(outcome.inputs | {"content_id": obj.dynamorph.model.content_id})
@@ -285,18 +286,13 @@ def summary(given: BakeInput, outcome: Outcome, waited: float) -> str:
 
 
 def model_summary(given: BakeInput, model: Model) -> str:
-    made, targets = model.summary, _target_count(given)
+    made, count = model.summary, given.character.target_count
+    targets = f"{count} target{'s' * (count > 1)}"
     if not made.tets:
         return f"{targets}, nothing to simulate"
     kept = sum(made.fallbacks.values())
     crushed = f", crushed tetrahedra: {kept}" if kept else ""
     return f"{made.nodes} nodes, {made.modes} modes, {targets}{crushed}"
-
-
-def _target_count(given: BakeInput) -> str:
-    """The number of targets in the panel's list; each set has the neutral one."""
-    count = 1 + sum(len(target_set.targets) - 1 for target_set in given.character.target_sets)
-    return f"{count} target{'s' * (count > 1)}"
 
 
 def cage_summary(model: Model) -> str:

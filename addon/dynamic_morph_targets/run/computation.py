@@ -246,7 +246,6 @@ def _make_keys(given: BakeInput, outcome: Outcome, output: OutputSettings) -> No
         if output.format == "PC2":
             file = _point_cache(given, outcome, name, points, bake)
         outcome.written.append((keys, file))
-    outcome.report["keys"] = len(outcome.written[0][0].modes) + len(outcome.written[0][0].residual_shapes)
 
 
 def _point_cache(given: BakeInput, outcome: Outcome, name: str, points: np.ndarray, bake: Bake) -> Path:

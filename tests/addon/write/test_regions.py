@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A soft skin without targets, and what new targets get from their sculpts: material, bones, regions; real bakes."""
 
+import json
+import re
 from math import pi
 
 import bpy
@@ -447,6 +449,24 @@ def test_targets_are_met_exactly(bar, second):
     OPS.check_targets()
     missed = [float(line.split(":")[1].split()[0]) for line in bar.dynamorph.live.checks.split("\n")]
     assert len(missed) == 5 and max(missed) < 1e-3  # millimeters, of a bar of 4 m
+
+
+def test_targets_and_keys_are_counted_as_the_panel_lists_them(bar, tmp_path, capfd):
+    """Each region is simulated with a neutral target of its own, and most residual shapes need no key."""
+    add(bar, "first", 1.0, lower=1.0)
+    add(bar, "second", 3.0, finger=1.0)
+    path, output, report = (tmp_path / name for name in ("bar.blend", "baked.blend", "report.json"))
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    arguments = ["bake", str(path), "--all", "-o", str(output), "--report", str(report)]
+    assert cli_main.main(arguments, opens_file=True) == 0
+    printed = dict(re.findall(r"^  (\w+) +(\d+)$", capfd.readouterr().out, re.MULTILINE))
+    bpy.ops.wm.open_mainfile(filepath=str(output))
+    baked = bpy.data.objects["Bar"]
+    (found,) = json.loads(report.read_text())["characters"]
+    assert found["summary"]["targets"] == int(printed["Targets"]) == len(baked.dynamorph.targets) == 3
+    assert "3 targets" in baked.dynamorph.model.summary
+    written = [key for key in baked.data.shape_keys.key_blocks if key.name.startswith("Dynamorph ")]
+    assert found["bake"]["keys"] == int(printed["keys"]) == len(written)
 
 
 def test_regions_are_named_as_an_artist_would(bar):

@@ -67,7 +67,7 @@ def build(
         dofs=full.dofs,
         modes=model.modes.shape[1],
         tabulated=model.basis.shape[1],
-        targets=len(targets),
+        targets=character.target_count,
         fallbacks=fallbacks,
         warnings=(*model.summary.warnings, *_fallback_warnings(fallbacks, len(model.tets))),
         seconds=stages.seconds,
@@ -182,7 +182,7 @@ def _static_model(character: Character, hashes: dict[str, str]) -> Model:
         hashes,
         region_weights=np.zeros((0, len(character.target_sets))),
         residual_shapes=np.array([target.shape for target in targets]),
-        summary=Summary(targets=len(targets)),
+        summary=Summary(targets=character.target_count),
     )
 
 
