@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -28,6 +28,7 @@ from .skinning import Skinning
 
 FLAT = 1e-6  # smallest scale over the largest, below which something has no size
 GROWN = 0.99  # of its largest size
+LARGEST = 1e15  # of the numbers in a transform: from 1e19 on their squares overflow in Blender
 MOVED = np.radians(5.0)  # a bone turned further than this from the neutral pose places a target by default
 
 
@@ -54,6 +55,26 @@ def not_a_number(name: str, frame: int) -> str:
     )
 
 
+def refuse_overflow(transforms: np.ndarray, names: Sequence[str], frame_of: Callable[[int], int]):
+    """Raises SceneError unless all numbers in the transforms (S, n, 4, 4) of S samples can be computed with. names (n):
+    of what they move. frame_of(sample): the frame.
+    """
+    bad = np.argwhere(~(np.abs(transforms) < LARGEST).all(axis=(2, 3)))
+    if not len(bad):
+        return
+    sample, which = bad[0].tolist()
+    name, frame = names[which], frame_of(sample)
+    if not np.isfinite(transforms[sample, which]).all():
+        raise SceneError(not_a_number(name, frame))
+    raise SceneError(
+        "'{name}' is moved or scaled by more than {most:g} at frame {frame}: check its keyframes, drivers and "
+        "constraints",
+        name=name,
+        most=LARGEST,
+        frame=frame,
+    )
+
+
 def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]:
     """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4), meters.
 
@@ -66,9 +87,7 @@ def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]
     evaluated = rig.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get())
     pose = pose_matrices(evaluated, pose_order(rig, skeleton))
     rig_world = world_now(rig, depsgraph)
-    for name, matrix in zip(skeleton.names, pose, strict=True):
-        if not np.isfinite(matrix).all():
-            raise SceneError(not_a_number(name, bpy.context.scene.frame_current))
+    refuse_overflow(pose[None], skeleton.names, lambda _: bpy.context.scene.frame_current)
     flat = [name for name, matrix in zip(skeleton.names, pose, strict=True) if not invertible(matrix)]
     if flat:
         raise SceneError(
@@ -82,8 +101,7 @@ def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]
 def world_now(obj, depsgraph=None) -> np.ndarray:
     """The evaluated world transform (4, 4) of an object, meters; depsgraph: as `current_pose`. Raises SceneError."""
     world = np.array(obj.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get()).matrix_world)
-    if not np.isfinite(world).all():
-        raise SceneError(not_a_number(obj.name, bpy.context.scene.frame_current))
+    refuse_overflow(world[None, None], [obj.name], lambda _: bpy.context.scene.frame_current)
     return in_meters(world, unit_scale())
 
 
@@ -261,9 +279,7 @@ class RigSampling:
         stopping = (reader.track(partial(in_meters, unit=self._unit), self._frame) for reader in self._colliders)
         tracks = (*fields, *stopping, *([self._nodes] if self._nodes else []))
         samples = RigSamples(pose, worlds[:, 0], worlds[:, 1], tracks, self._target_nodes)
-        bad = np.argwhere(~np.isfinite(np.concatenate([worlds, samples.pose], axis=1)).all(axis=(2, 3)))
-        if len(bad):
-            raise SceneError(not_a_number(self._moving[bad[0, 1]], self._frame(bad[0, 0])))
+        refuse_overflow(np.concatenate([worlds, samples.pose], axis=1), self._moving, self._frame)
         flat = np.argwhere(determinant(worlds[..., :3, :3]) == 0)  # bones may collapse: `keep_collapsed`
         if len(flat):
             name, frame = self._moving[flat[0, 1]], self._frame(flat[0, 0])
@@ -329,8 +345,7 @@ def worlds_at_start(obj, rig) -> list[np.ndarray]:
             depsgraph = scene.view_layers[0].depsgraph
             worlds = [np.array(moving.evaluated_get(depsgraph).matrix_world) for moving in (obj, rig)]
             for moving, world in zip((obj, rig), worlds, strict=True):
-                if not np.isfinite(world).all():
-                    raise SceneError(not_a_number(moving.name, frame))
+                refuse_overflow(world[None, None], [moving.name], lambda _: frame)
             return worlds
 
         worlds = worlds_at(user.frame_start)

@@ -7,7 +7,7 @@ import pytest
 import scenes
 from bl_ext.user_default.dynamic_morph_targets.core import errors, geometry
 from bl_ext.user_default.dynamic_morph_targets.core.motion import rig_samples
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, rig_motion
+from bl_ext.user_default.dynamic_morph_targets.scene import animation, extract, rig_motion
 from builders import (
     activate,
     add_key,
@@ -212,6 +212,27 @@ def test_transforms_that_are_not_numbers_are_named(scene, soft_arm):
         rig_motion.sample_rig(soft_arm, 1, 20, 2)
     scene.frame_set(12)
     with pytest.raises(errors.SceneError, match="'lower'.*not a number at frame 12"):
+        rig_motion.current_pose(soft_arm)
+
+
+@pytest.mark.parametrize("value", [np.inf, 1e38, 1e20])
+@pytest.mark.parametrize("path", ["scale", "location"])
+def test_an_animation_that_overflows_is_refused_with_the_bone_and_the_frame(scene, soft_arm, path, value):
+    """Blender limits an infinite one to the largest number that it has."""
+    bone = rig_of(soft_arm).pose.bones["lower"]
+    for frame in (1, 4, 5):
+        bone.keyframe_insert(path, index=1, frame=frame)
+    played = rig_of(soft_arm).animation_data
+    curves = animation.curves(played.action, played.action_slot)
+    curve = next(each for each in curves if each.data_path.endswith(path) and each.array_index == 1)
+    for point in curve.keyframe_points:
+        point.interpolation = "CONSTANT"
+    curve.keyframe_points[1].co.y = value
+    text = r"'lower' is moved or scaled by more than 1e\+15 at frame 4"
+    with pytest.raises(errors.SceneError, match=text):
+        rig_motion.sample_rig(soft_arm, 1, 20, 2)
+    scene.frame_set(4)
+    with pytest.raises(errors.SceneError, match=text):
         rig_motion.current_pose(soft_arm)
 
 
