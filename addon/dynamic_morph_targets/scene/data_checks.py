@@ -25,14 +25,14 @@ def settings(obj) -> Iterator[Problem]:
     for group, text in whole + targets:
         for name, value in plain(group).items():
             prop = group.bl_rna.properties[name]
-            if not all(fits(prop, each) for each in (value if isinstance(value, list) else [value])):
+            if not fits(prop, value):
                 yield Problem(
                     f"{text} is {{value}}, but must be {{wanted}}: set it again",
                     name=obj.name,
                     setting=prop.name,
                     target=group.name,
                     value="unknown" if value == "" else value,
-                    wanted=wanted(prop, getattr(prop, "array_length", 0)),
+                    wanted=wanted(prop),
                 )
 
 

@@ -19,16 +19,26 @@ def plain(group, skip=()) -> dict:
     return out
 
 
+def length(prop) -> int:
+    """Of a property that is an array, otherwise 0."""
+    return getattr(prop, "array_length", 0)
+
+
 def fits(prop, value) -> bool:
-    """Whether a property of a group, or each number of an array, takes the value unchanged."""
-    if prop.type == "BOOLEAN":
-        return type(value) is bool
-    if prop.type == "ENUM":
-        return is_text(value) and value in prop.enum_items
-    if prop.type == "STRING":
-        return is_text(value)
+    """Whether a property of a group takes the value unchanged; an array takes a list of as many."""
+    kind, count = prop.type, length(prop)
+    if count and not (isinstance(value, list) and len(value) == count):
+        return False
+    values = value if count else [value]
+    if kind == "BOOLEAN":
+        return all(type(value) is bool for value in values)
+    if kind == "ENUM":
+        return all(is_text(value) and value in prop.enum_items for value in values)
+    if kind == "STRING":
+        return all(map(is_text, values))
+    low, high, numbers = prop.hard_min, prop.hard_max, (int,) if kind == "INT" else (int, float)
     # Comparing refuses NaN, infinity and integers too long for a float as well.
-    return type(value) in ((int,) if prop.type == "INT" else (int, float)) and prop.hard_min <= value <= prop.hard_max
+    return all(type(value) in numbers and low <= value <= high for value in values)
 
 
 def is_text(value) -> bool:
@@ -39,13 +49,13 @@ def is_text(value) -> bool:
         return False
 
 
-def wanted(prop, count: int) -> str:
-    """What `fits` accepts, in words; count: of an array, otherwise 0."""
+def wanted(prop) -> str:
+    """What `fits` accepts, in words."""
     if prop.type in ("BOOLEAN", "STRING"):
         return {"BOOLEAN": "true or false", "STRING": "a text"}[prop.type]
     if prop.type == "ENUM":
         return f"one of {', '.join(prop.enum_items.keys())}"
-    if count:
-        return f"{count} numbers"
+    if length(prop):
+        return f"{length(prop)} numbers"
     whole = "whole " if prop.type == "INT" else ""
     return f"a {whole}number from {prop.hard_min:.6g} to {prop.hard_max:.6g}"

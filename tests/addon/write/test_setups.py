@@ -300,6 +300,13 @@ FLAT = [0.0] * 16
         (changed("skin", "targets", to=[]), "'targets' that this add-on does not know"),
         (changed("modes", to=3), "no list of targets"),
         (changed("modes", 0, "gain", to=-3), "Mode 1: gain is -3"),
+        (
+            changed("targets", to=[{"name": f"target {k}"} for k in range(20_000)]),
+            "20000 targets, and 1000 are the most",
+        ),
+        (changed("modes", to=[{"gain": 1.0}] * 10**6), "1000000 modes, and 1000 are the most"),
+        (changed("attachments", to=[{"group": "tip"}] * 2000), "2000 attachments, and 1000 are the most"),
+        (changed("targets", 1, "pose", to={str(k): {} for k in range(10**5)}), "posed bones, and 100000 are the most"),
     ],
 )
 def test_a_wrong_file_is_refused_and_nothing_changed(rich, tmp_path, change, words):
@@ -331,7 +338,7 @@ def test_many_names_are_looked_up_soon(rich, tmp_path):
     def cost_of(bones: int) -> float:
         many = deepcopy(setup)
         many["targets"][1]["bones"] = [f"bone {k}" for k in range(bones)]
-        many["targets"] += [{"name": f"target {k}"} for k in range(bones // 10)]
+        many["targets"] += [{"name": f"target {k}"} for k in range(bones // 200)]
         path.write_text(json.dumps(many))
         return cost(lambda: OPS.load_setup(filepath=str(path)))
 

@@ -60,6 +60,10 @@ NOT_AUTHORED = {
     DynamorphBonePose: ("name",),
     DynamorphAttachment: (),
 }
+# More than anything could use, so that a file of another kind does not block Blender: the engine takes about 60 shapes
+# that differ, and a pose for each of them has all bones.
+MOST = {"targets": 1000, "modes": 1000, "attachments": 1000}
+MOST_BONES = 100_000  # in the poses of all targets together
 PARTS = {
     "skin": DynamorphSettings,
     "model": DynamorphModel,
@@ -259,6 +263,7 @@ def check(setup):
     targets, modes, attachments = setup.get("targets"), setup.get("modes", []), setup.get("attachments", [])
     if not isinstance(targets, list) or not targets or not isinstance(modes, list) or not isinstance(attachments, list):
         raise SetupError("The setup has no list of targets")
+    _check_counts(targets=targets, modes=modes, attachments=attachments)
     for target in targets:
         _check_target(target)
     names = Counter(target["name"] for target in targets[1:])
@@ -276,6 +281,18 @@ def check(setup):
                 raise SetupError("Collision: collection must be a name")
             values = _simple(values)
         _check_values(part.capitalize(), kind, values)
+
+
+def _check_counts(**lists: list):
+    """Raises SetupError for more of something than any setup needs."""
+    text = "The setup has {count} {what}, and {most} are the most: it was not made for a soft skin"
+    for what, entries in lists.items():
+        if len(entries) > MOST[what]:
+            raise SetupError(text, count=len(entries), what=what, most=MOST[what])
+    poses = (target.get("pose") for target in lists["targets"] if isinstance(target, dict))
+    bones = sum(len(pose) for pose in poses if isinstance(pose, dict))
+    if bones > MOST_BONES:
+        raise SetupError(text, count=bones, what="posed bones", most=MOST_BONES)
 
 
 def _check_target(target):
@@ -323,13 +340,11 @@ def _check_values(where: str, kind, values):
                 name=name,
             )
         prop = properties[name]
-        count = prop.array_length if getattr(prop, "is_array", False) else 0
-        whole = isinstance(value, list) and len(value) == count if count else True
-        if not whole or not all(fits(prop, number) for number in (value if count else [value])):
+        if not fits(prop, value):
             raise SetupError(
                 "{where}: {name} is {value!r:.40}, but must be {wanted}",
                 where=where,
                 name=name,
                 value=value,
-                wanted=wanted(prop, count),
+                wanted=wanted(prop),
             )
