@@ -202,7 +202,10 @@ def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | Non
     if holds_still(scene):
         _frozen.update(obj.session_uid for obj in live)
         return
-    for gone in sessions.keys() - {obj.session_uid for obj in live} - suspended:
+    others = sessions.keys() - {obj.session_uid for obj in live} - suspended
+    if others:  # not those of another scene, which may play in another window
+        others -= {obj.session_uid for obj in soft_skins(bpy.data.objects) if is_on(obj)}
+    for gone in others:
         del sessions[gone]
     scrubbing = events.is_scrubbing()
     for obj in live:
@@ -241,7 +244,11 @@ def _edited(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         _problems.clear()  # try again
     moved = any(_moves(update) for update in updates)
     reskinned = any(_may_reskin(update) for update in updates)
-    for obj in [obj for obj in soft_skins(scene.objects) if obj.session_uid in sessions]:
+    here = soft_skins(scene.objects)
+    elsewhere = sessions.keys() - {obj.session_uid for obj in here} - suspended
+    for other in elsewhere if moved or reskinned else ():  # it may depend on that, and begins again
+        del sessions[other]
+    for obj in [obj for obj in here if obj.session_uid in sessions]:
         session = sessions[obj.session_uid]
         if moved or (obj.dynamorph.collision.use and any(_reshapes(update, obj) for update in updates)):
             session.rig_changed()

@@ -766,6 +766,28 @@ def test_deleted_objects_and_other_scenes_are_left_alone(playing):
     assert not run_live.sessions
 
 
+def test_two_scenes_that_play_alternately_go_on(playing):
+    """As in two windows; each has its own copy of the character."""
+    window, first = bpy.context.window, bpy.context.scene
+    bpy.ops.scene.new(type="FULL_COPY")
+    copy = next(obj for obj in bpy.context.scene.objects if obj.name.startswith("Arm") and obj.type == "MESH")
+    window.scene = first
+    alone = play(playing, range(1, 11))
+    shown = []
+    for frame in range(1, 11):
+        for scene, obj in ((first, playing), (copy.users_scene[0], copy)):
+            window.scene = scene
+            scene.frame_set(frame)
+            shown.append(surface(obj))
+    for each in (shown[::2], shown[1::2]):
+        assert apart(np.array(each), alone) < 1e-6
+    window.scene = first
+    rig_of(playing).pose.bones["lower"].location.z = 0.3
+    rig_of(playing).pose.bones["lower"].keyframe_insert("location", frame=5)
+    bpy.context.view_layer.update()
+    assert copy.session_uid not in run_live.sessions  # what was edited may move it too
+
+
 def test_two_characters_and_a_copy(playing):
     play(playing, range(1, 4))
     playing.select_set(True)
