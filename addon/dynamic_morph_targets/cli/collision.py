@@ -10,6 +10,7 @@ import bpy
 from ..core.errors import InputError
 from ..run import bake_time
 from ..scene import run_settings
+from . import names
 from .parsers import name_of
 
 SETTINGS = ("distance", "friction", "bake_full")  # of the panel, that are options of the same name
@@ -36,9 +37,7 @@ def apply(args: argparse.Namespace, obj: bpy.types.Object) -> None:
     if name is not None:
         if on is False:
             raise InputError("--collection turns collision on: leave out --no-collision")
-        settings.collection = next((each for each in bpy.data.collections if each.name == name), None)
-        if settings.collection is None:
-            raise InputError(f"--collection: the file has no collection named '{name}'")
+        settings.collection = names.collection(name, "--collection")
         on = True
     own = chosen.get("self_collision")
     if own:
@@ -51,8 +50,7 @@ def apply(args: argparse.Namespace, obj: bpy.types.Object) -> None:
         settings.use = on
     group = chosen.get("exclude")
     if group is not None:
-        if group and group not in obj.vertex_groups:
-            raise InputError(f"--exclude: '{obj.name}' has no vertex group named '{group}'")
+        names.check_group(obj, group, "--exclude")
         obj.dynamorph.excluded_group = group
     for setting in SETTINGS:
         if chosen.get(setting) is not None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, fields
@@ -22,15 +23,14 @@ from ..core.material import fit, oscillation
 from ..core.result import compare
 from ..core.settings import MOST_SUBSTEPS, VARIANTS, Material, ModelSettings
 from ..io import cache_dir, disk, outputs, paths, report_page
-from ..run import batch, export_actions, full_comparison
+from ..run import bake_input, batch, export_actions, full_comparison
 from ..run.job import Job
 from ..scene import checks, colliders, extract, mesh_data, model_store, run_settings, skin
 from ..scene.skinning import Skinning
 from ..scene.source import Source
 from ..write.bake import writer
 from ..write.export import blend_file, exports, losses, process
-from ..write.reconcile import reconcile
-from . import collision, signals
+from . import collision, names, signals
 from .parsers import number
 from .record import Done, ProgressPrinter, print_table
 
@@ -42,14 +42,14 @@ SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output"
 
 
 def check_substeps(args: argparse.Namespace) -> None:
-    if args.substeps is not None and not 1 <= args.substeps <= MOST_SUBSTEPS:
-        raise InputError(f"--substeps is {args.substeps}: give 1 to {MOST_SUBSTEPS}")
+    if args.substeps is not None and not 0 <= args.substeps <= MOST_SUBSTEPS:
+        raise InputError(f"--substeps is {args.substeps}: give 1 to {MOST_SUBSTEPS}, or 0 for automatic")
 
 
 def run_job(args: argparse.Namespace) -> None:
     """bake and build."""
     check_substeps(args)
-    objects = chosen_objects(args)
+    objects = names.objects(args)
     folder = args.output.absolute().parent if args.output else Path(bpy.data.filepath).parent
     files = output_files(args, objects, folder)
     for obj in objects:  # everything that may be refused, before any work
@@ -61,11 +61,11 @@ def run_job(args: argparse.Namespace) -> None:
             for done in work_on(args, group, folder, files, beside):
                 say(done)
                 args.done.append(done)
-        seconds = save(args, beside) if args.output or args.in_place else 0.0
+        seconds = save(args, beside) if goes_into_blend(args) else 0.0
     finally:
         for written in beside.values():
             disk.discard(written)
-    for job in (done.job for done in args.done):
+    for job in (done.job for done in args.done if not done.skipped):
         print_table(job, seconds)
         if job.input.kept:  # it is saved now
             disk.discard(job.input.kept)
@@ -86,7 +86,10 @@ def work_on(
     goal = "BUILD" if args.clips == "actions" else args.goal  # clips are simulated while they are written
     frames = tuple(args.frames) if args.frames else None
     options = {"rebuild": rebuild, "cache_dir": caches, "cache_files": files}
-    jobs = [Job(obj, goal, frames, args.substeps, folder, **options) for obj in objects]
+    jobs = args.jobs = [Job(obj, goal, frames, args.substeps, folder, **options) for obj in objects]
+    if args.goal == "BUILD" and not goes_into_blend(args) and fits_shot(objects[0]):  # it would go nowhere
+        yield from (Done(job, [bake_input.FITTED], skipped=True) for job in jobs)
+        return
     tick = ProgressPrinter(args.progress == "openjd")
     batch.run_all(batch.Batch(jobs, goal), tick)
     for obj, job in zip(objects, jobs, strict=True):
@@ -112,12 +115,33 @@ def _worked(
     return warnings
 
 
+def goes_into_blend(args: argparse.Namespace) -> bool:
+    return bool(args.output or args.in_place)
+
+
+def fits_shot(obj: bpy.types.Object) -> bool:
+    return obj.dynamorph.model.settings().fits_shot
+
+
+def remedy(args: argparse.Namespace) -> str:
+    """What to do after a command that was stopped before it saved anything."""
+    inputs = [job.input for job in args.jobs if hasattr(job, "input")]
+    if any(each.kept and each.kept.exists() for each in inputs):
+        return "run it again, and it resumes"
+    hint = ". With --cache-dir it resumes" if any(each.resumable and not each.cache_dir for each in inputs) else ""
+    return f"run it again{hint}"
+
+
 def say(done: Done) -> None:
-    job = done.job
-    for reason in job.input.reasons:
-        print(f"{job.name}: built: {reason}")
+    name = done.job.name
+    if done.model_from == "cache":
+        print(f"{name}: the model is from the cache folder")
+    elif done.model_from == "built":
+        print(f"{name}: built because {'; '.join(done.job.input.reasons)}")
+    for file in () if done.skipped else done.job.outcome.model_files:
+        print(f"{name}: model written to {file}")
     for warning in done.warnings:
-        print(f"{job.name}: warning: {warning}")
+        print(f"{name}: warning: {warning}", file=sys.stderr, flush=True)
 
 
 def apply_settings(args: argparse.Namespace, obj: bpy.types.Object) -> None:
@@ -126,8 +150,8 @@ def apply_settings(args: argparse.Namespace, obj: bpy.types.Object) -> None:
         set_property(obj, change)
     if args.compare_full and (args.clips == "actions" or args.solver == "full"):
         raise InputError("--compare-full compares a reduced bake: leave out --clips actions and --solver full")
-    for group, names in SETTINGS.items():
-        for name in names:
+    for group, settings in SETTINGS.items():
+        for name in settings:
             if (value := getattr(args, name, None)) is not None:
                 setattr(getattr(obj.dynamorph, group), name, value.upper() if isinstance(value, str) else value)
     collision.apply(args, obj)
@@ -148,7 +172,7 @@ def bake_formats() -> list[str]:
 def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], folder: Path) -> dict[str, Path]:
     """The files that --format and --output-file ask for, by mesh name. Raises InputError, ExportError."""
     if args.goal == "BUILD":
-        if not (args.output or args.in_place or args.cache_dir):
+        if not (goes_into_blend(args) or args.cache_dir):
             raise InputError("say where the model goes: --output, --in-place or --cache-dir")
         return {}
     chosen_format = format_of(args)
@@ -157,7 +181,7 @@ def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], fold
         raise InputError("--clips actions needs --format gltf or --format fbx")
     if args.clips == "actions" and args.frames:
         raise InputError("--clips actions takes the frames of each Action: leave --frames out")
-    if not (args.output or args.in_place or chosen):
+    if not (goes_into_blend(args) or chosen):
         raise InputError("say where the bake goes: --output or --in-place, or --format with a file for other programs")
     if args.output_file and not (chosen or chosen_format == "PC2"):
         raise InputError("--output-file needs a --format that is a file")
@@ -233,6 +257,7 @@ def export(args: argparse.Namespace, obj: bpy.types.Object, path: Path, frames: 
     """Write the bake, or the clips, for other programs; returns warnings."""
     chosen, clips, tick = format_of(args), args.clips.upper(), ProgressPrinter(args.progress == "openjd")
     warnings = [*losses.losses(obj, chosen, clips), *export_actions.export(obj, chosen, path, frames, clips, tick)]
+    args.exported.append(path)
     print(f"{obj.name}: written to {path.name}")
     return warnings
 
@@ -241,10 +266,7 @@ def set_property(obj: bpy.types.Object, change: str) -> None:
     """Apply TARGET.PROPERTY=VALUE, a wedge of a farm. The name of a target may contain dots. Raises InputError."""
     where, _, text = change.partition("=")
     name, _, field = where.rpartition(".")
-    target = obj.dynamorph.targets.get(name)
-    if target is None:
-        names = ", ".join(target.name for target in obj.dynamorph.targets)
-        raise InputError(f"--set {change}: '{obj.name}' has no target named '{name}': it has {names}")
+    target = names.target(obj, name, f"--set {change}")
     if field not in SETTABLE:
         raise InputError(f"--set {change}: a target has no '{field}': there are {', '.join(SETTABLE)}")
     try:
@@ -272,7 +294,7 @@ def run_check(args: argparse.Namespace) -> None:
     """Raises InputError when something is in the way."""
     engine.load()
     in_the_way = 0
-    for obj in chosen_objects(args):
+    for obj in names.objects(args):
         skinning = Skinning.of(obj)
         problems = [problem.text for problem in (*checks.problems(skinning), *checks.next_steps(obj))]
         notes = []
@@ -297,7 +319,7 @@ def run_report(args: argparse.Namespace) -> None:
     check_substeps(args)
     engine.load()
     found: dict[str, dict] = {}
-    for obj in chosen_objects(args):
+    for obj in names.objects(args):
         frames = tuple(args.frames) if args.frames else None
         job = Job(obj, "BAKE", frames, args.substeps, whole=True, stored=False)
         rig, tick = batch.read_rig(job), ProgressPrinter()
@@ -324,12 +346,9 @@ def run_fit(args: argparse.Namespace) -> None:
         seen = oscillation.oscillation(rows[:, 0], rows[:, 1:])
         print(f"frequency {seen.frequency:.4g} +- {seen.frequency_error:.2g} Hz")
         print(f"decay {seen.decay:.4g} +- {seen.decay_error:.2g} 1/s, settles in {seen.settle:.3g} s")
-    for obj in chosen_objects(args):
-        target = obj.dynamorph.targets.get(args.target)
-        if target is None:
-            raise InputError(f"'{obj.name}' has no target named '{args.target}'")
-        if args.vertex_group and args.vertex_group not in obj.vertex_groups:
-            raise InputError(f"'{obj.name}' has no vertex group named '{args.vertex_group}'")
+    for obj in names.objects(args):
+        target = names.target(obj, args.target, "--target")
+        names.check_group(obj, args.vertex_group, "--vertex-group")
         model, character, index = model_store.fit_input(obj, target)
         patch = None
         if args.vertex_group:
@@ -346,33 +365,14 @@ def run_fit(args: argparse.Namespace) -> None:
 
 
 def run_delete_bake(args: argparse.Namespace) -> None:
-    for obj in chosen_objects(args):
+    for obj in names.objects(args):
         writer.check(obj)
         baked = obj.dynamorph.bake
         removed = f"{len(baked.keys)} baked keys" + (" and what plays the point cache" if baked.cache else "")
         for text in writer.free(obj):
-            print(f"{obj.name}: warning: {text}")
+            print(f"{obj.name}: warning: {text}", file=sys.stderr, flush=True)
         print(f"{obj.name}: {removed} removed")
     save(args)
-
-
-def chosen_objects(args: argparse.Namespace) -> list[bpy.types.Object]:
-    """The objects that --object or --all name."""
-    if not args.object:
-        found = skin.soft_skins(bpy.context.scene.objects)
-        if not found:
-            raise InputError(f"scene '{bpy.context.scene.name}' has no soft skin: press Add Soft Skin in Blender first")
-        return _reconciled(found)
-    missing = [name for name in args.object if name not in bpy.context.scene.objects]
-    if missing:
-        raise InputError(f"scene '{bpy.context.scene.name}' has no object named '{missing[0]}'")
-    return _reconciled([bpy.context.scene.objects[name] for name in dict.fromkeys(args.object)])
-
-
-def _reconciled(objects: list) -> list[bpy.types.Object]:
-    for obj in skin.soft_skins(objects):
-        reconcile(obj)
-    return objects
 
 
 def save(args: argparse.Namespace, beside: Mapping[Path, Path] = MappingProxyType({})) -> float:

@@ -10,11 +10,11 @@ import bpy
 from ..core import engine, errors
 from ..run import expected_error
 from ..scene import extract, model_store, skin, staleness
-from .commands import chosen_objects
+from . import names
 
 
 def run_info(args: argparse.Namespace) -> None:
-    for obj in chosen_objects(args):
+    for obj in names.objects(args):
         settings = obj.dynamorph
         print(f"{obj.name}: {', '.join(target.name for target in settings.targets)}")
         print(f"  model: {settings.model.summary or 'none'}")

@@ -17,10 +17,11 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import os
 import sys
 import traceback
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout, suppress
 from functools import partial
 from pathlib import Path
 
@@ -31,7 +32,7 @@ from ..core.errors import InputError
 from ..core.settings import VARIANTS
 from ..io import disk, outputs, paths
 from ..write.export import exports
-from . import collision, signals
+from . import collision, names, signals
 from .commands import (
     MODEL_SETTINGS,
     OUTPUT_SETTINGS,
@@ -41,6 +42,7 @@ from .commands import (
     file_state,
     named_files,
     refuse_shared,
+    remedy,
     run_check,
     run_collect,
     run_delete_bake,
@@ -48,6 +50,7 @@ from .commands import (
     run_job,
     run_report,
 )
+from .help import Version, add_parser, epilog
 from .info import run_info
 from .parsers import file_of, name_of, number, path_of
 from .record import record
@@ -65,22 +68,25 @@ def main(argv: Sequence[str], opens_file: bool = False) -> int:
         args = parser(opens_file).parse_args(argv)
     except SystemExit as end:  # argparse has printed why; Blender must not be ended by it
         return end.code if isinstance(end.code, int) else BAD_INPUT
-    with signals.raised():
+    args.command = list(argv)
+    with signals.raised(), silenced(args.quiet):
         return _run(args, opens_file)
 
 
 def _run(args: argparse.Namespace, opens_file: bool) -> int:
     """Run the command and write its report; returns its exit code."""
-    args.done, args.saved, code, error = [], False, DONE, ""
+    args.jobs, args.done, args.exported, args.saved = [], [], [], False
+    code, error = DONE, ""
     try:
         with signals.propagated():
             open_file(args, opens_file)
             signals.check()
-            args.run(args)
+            with names.scene(args):
+                args.run(args)
             sys.stdout.flush()  # its disk may be full, too
     except signals.Preempted:
-        remedy = "it was saved before" if args.saved else "nothing was saved: run it again. With --cache-dir it resumes"
-        code, error = TRY_AGAIN, f"stopped by a signal, {remedy}"
+        state = "it was saved before" if args.saved else f"nothing was saved: {remedy(args)}"
+        code, error = TRY_AGAIN, f"stopped by a signal, {state}"
     except KeyboardInterrupt:
         code, error = INTERRUPTED, f"interrupted, {'it was saved before' if args.saved else 'nothing was saved'}"
     except errors.SelfCheckError as failure:
@@ -106,6 +112,26 @@ def _run(args: argparse.Namespace, opens_file: bool) -> int:
     return code
 
 
+@contextmanager
+def silenced(quiet: bool) -> Iterator[None]:
+    """If it is quiet: nothing is printed to standard output, by Blender neither."""
+    try:
+        kept = os.dup(1) if quiet else None
+        sys.stdout.flush()
+    except OSError:  # it is closed, or its disk is full: what is printed next will say so
+        kept = None
+    if kept is None:
+        yield
+        return
+    with open(os.devnull, "w", encoding="utf-8") as nowhere, redirect_stdout(nowhere):  # noqa: PTH123 - it is no file
+        os.dup2(nowhere.fileno(), 1)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 1)
+            os.close(kept)
+
+
 def tell(error: str) -> None:
     """Print it, if there is one and somebody who reads it."""
     with suppress(OSError):
@@ -127,7 +153,11 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
     root = argparse.ArgumentParser(
         prog="python -m dynamic_morph_targets" if opens_file else "dynamorph",
         description="Dynamic morph targets: soft skin for rigged characters.",
+        epilog=epilog("bake", opens_file),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    root.add_argument("--version", action=Version, nargs=0, help="print the versions of Dynamorph and Blender")
+    root.set_defaults(quiet=False, scene=None)
     commands = root.add_subparsers(title="commands", required=True)
     command = partial(add_command, commands, opens_file)
     add_report_file(command("check", run_check, "list what prevents a build, and what looks unintended", writes=False))
@@ -135,10 +165,14 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
     add_build(command)
     add_report(command)
     add_fit(command)
-    add_collect(commands)
+    add_collect(commands, opens_file)
     command("delete-bake", run_delete_bake, "delete bakes and restore the target keys")
     command("info", run_info, "print what the file holds", writes=False)
     return root
+
+
+def add_quiet(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--quiet", action="store_true", help="print nothing but warnings and errors")
 
 
 def add_command(
@@ -150,7 +184,7 @@ def add_command(
     writes: bool = True,
 ) -> argparse.ArgumentParser:
     """A command that works on soft skins of a .blend. writes: it changes the file."""
-    sub = commands.add_parser(name, help=text, description=text)
+    sub = add_parser(commands, opens_file, name, text)
     sub.set_defaults(run=run)
     if opens_file:
         sub.add_argument("file", type=path_of, help="the .blend to open")
@@ -159,11 +193,13 @@ def add_command(
         )
     chosen = sub.add_mutually_exclusive_group(required=writes)
     chosen.add_argument("--object", action="append", type=name_of, metavar="NAME", help="a soft skin; may be repeated")
-    chosen.add_argument("--all", action="store_true", help="every soft skin of the file")
+    chosen.add_argument("--all", action="store_true", help="every soft skin of the scene")
+    sub.add_argument("--scene", type=name_of, metavar="NAME", help="the scene of the file, if not the one it shows")
     if writes:
         target = sub.add_mutually_exclusive_group(required=name not in ("build", "bake"))
         target.add_argument("-o", "--output", type=file_of, metavar="FILE", help="the .blend to write")
         target.add_argument("--in-place", action="store_true", help="overwrite the .blend that was opened")
+        add_quiet(sub)
     return sub
 
 
@@ -182,7 +218,7 @@ def add_bake(command: Callable[..., argparse.ArgumentParser]) -> None:
                       "that name, beside the .blend")  # fmt: skip
     bake.add_argument("--clips", choices=("scene", "actions"), default="scene",
                       help="actions, for gltf and fbx: one animation per Action of the armature, each simulated on its "
-                      "own, instead of the scene's frames")  # fmt: skip
+                      "own, instead of the scene's frames; default: %(default)s")  # fmt: skip
     add_settings(bake, "output", OUTPUT_SETTINGS)
     bake.add_argument("--compare-full", action="store_true",
                       help="also say how far the reduced motion is from that of --solver full")  # fmt: skip
@@ -216,9 +252,10 @@ def add_fit(command: Callable[..., argparse.ArgumentParser]) -> None:
                      help="vertices observed or pushed; default: the target's region")  # fmt: skip
 
 
-def add_collect(commands: argparse._SubParsersAction) -> None:
+def add_collect(commands: argparse._SubParsersAction, opens_file: bool) -> None:
     """The command that reads reports instead of a .blend."""
-    collected = commands.add_parser("collect", help=COLLECT, description=COLLECT)
+    collected = add_parser(commands, opens_file, "collect", COLLECT)
+    add_quiet(collected)
     collected.set_defaults(run=run_collect)
     collected.add_argument("folder", type=path_of, help="the folder with the files of --report")
     collected.add_argument("--expect", type=int, metavar="N", help="how many reports there should be")
@@ -235,7 +272,8 @@ def add_model(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--cache-dir", type=path_of, metavar="FOLDER",
                      help="keep models and unfinished bakes in this folder, and continue from those that it "
                      "has")  # fmt: skip
-    sub.add_argument("--progress", choices=("text", "openjd"), default="text", help="how to print progress")
+    sub.add_argument("--progress", choices=("text", "openjd"), default="text",
+                     help="how to print progress; default: %(default)s")  # fmt: skip
     add_report_file(sub)
 
 
@@ -261,13 +299,14 @@ def add_settings(sub: argparse.ArgumentParser, part: str, names: Sequence[str]) 
     settings = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties[part].fixed_type.properties
     for name in names:
         setting = settings[name]
-        option, text = f"--{name.replace('_', '-')}", setting.description.replace("%", "%%")
+        option = f"--{name.replace('_', '-')}"
+        text = f"{setting.name}. {setting.description}".replace("%", "%%")
         if setting.type == "BOOLEAN":
             sub.add_argument(option, action=argparse.BooleanOptionalAction, help=text, dest=name)
         elif setting.type == "ENUM":
-            sub.add_argument(
-                option, choices=[item.identifier.lower() for item in setting.enum_items], help=text, dest=name
-            )
+            values = {item.identifier.lower(): item.name for item in setting.enum_items}
+            meant = ", ".join(f"{value}: {shown}" for value, shown in values.items())
+            sub.add_argument(option, choices=list(values), help=f"{text}. {meant}", dest=name)
         else:
             sub.add_argument(option, type=number(setting), help=text, dest=name)
 
@@ -309,6 +348,9 @@ def open_file(args: argparse.Namespace, opens_file: bool) -> None:
 
 def try_outputs(args: argparse.Namespace) -> None:
     """Try all files and folders that the command line names for results. Raises InputError, OSError."""
+    output = getattr(args, "output", None)
+    if output and output.suffix.lower() != ".blend":
+        raise InputError(f"-o {output}: the name of a Blender file ends in .blend")
     for name in ("page", "output", "json"):
         try_file(getattr(args, name, None), makes_folder=name == "page")
     if getattr(args, "page", None):

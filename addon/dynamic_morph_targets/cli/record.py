@@ -7,6 +7,7 @@ import argparse
 import platform
 import time
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import bpy
@@ -18,24 +19,55 @@ from ..run.batch import Work
 from ..run.job import Job
 from . import signals
 
+FORMAT = 1  # of a report
+
 
 @dataclass(frozen=True)
 class Done:
-    """A job that was done. warnings: its own, and those of a file for other programs that was written then."""
+    """A job that was done. warnings: its own, and those of a file for other programs that was written then. skipped:
+    there was nothing to do for it.
+    """
 
     job: Job
     warnings: list[str]
+    skipped: bool = False
+
+    @property
+    def model_from(self) -> str:
+        """Where its model is from: "built" now, the "cache" folder, the "file" that was opened, or "" without one."""
+        if self.skipped:
+            return ""
+        given = self.job.input
+        return "cache" if given.cached_model else "built" if given.reasons else "file"
 
 
 def record(args: argparse.Namespace, code: int, error: str) -> dict:
     """What --report writes."""
+    opened = str(args.file.absolute()) if getattr(args, "file", None) else bpy.data.filepath
     return {
+        "format": FORMAT,
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "host": platform.node(),
         "versions": versions(),
-        "file": Path(bpy.data.filepath).name,
+        "command": args.command,
+        "file": Path(opened).name,
+        "input": opened,
+        "written": [str(path) for path in written(args)],
         "characters": [character_record(done) for done in args.done],
         "exit_code": code,
         "error": error,
     }
+
+
+def written(args: argparse.Namespace) -> list[Path]:
+    """The files with results: those for other programs, the .blend, and what belongs to it."""
+    found = list(args.exported)
+    if args.saved:
+        found.append(args.output.absolute() if args.output else Path(bpy.data.filepath))
+    for outcome in (done.job.outcome for done in args.done if not done.skipped):
+        found += outcome.model_files
+        found += [cache for _, cache in outcome.written if cache and args.saved]
+    return found
 
 
 def versions() -> dict:
@@ -50,13 +82,14 @@ def versions() -> dict:
 def character_record(done: Done) -> dict:
     """The result of a job for one character."""
     job = done.job
-    found = {
-        "name": job.name,
+    found = {"name": job.name, "model_from": done.model_from, "seconds": {}, "warnings": done.warnings}
+    if done.skipped:
+        return found
+    found |= {
         "built": job.input.reasons,
-        "model": find_model(job.name).content_id,
+        "model": job.request.target.find().dynamorph.model.content_id,
         "summary": vars(job.outcome.model.summary),
         "seconds": {stage: round(seconds, 4) for stage, seconds in job.progress.seconds.items()},
-        "warnings": done.warnings,
     }
     if job.input.is_bake:
         found["bake"] = {
@@ -71,10 +104,6 @@ def character_record(done: Done) -> dict:
             **{name: value for name, value in job.outcome.report.items() if name != "warnings"},
         }
     return found
-
-
-def find_model(name: str) -> bpy.types.PropertyGroup:
-    return bpy.context.scene.objects[name].dynamorph.model
 
 
 class ProgressPrinter:

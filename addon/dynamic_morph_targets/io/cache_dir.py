@@ -39,9 +39,12 @@ class CacheDir:
             return Model.from_arrays(*found) if found else None
         return None
 
-    def keep_model(self, model: Model) -> None:
+    def keep_model(self, model: Model) -> Path:
+        """Returns its file."""
+        path = self._model_path(model.dependencies)
         with suppress(errors.FileInUseError):  # another process reads it: it has kept the same model meanwhile
-            disk.save(self._model_path(model.dependencies), model_file.pack(*model.to_arrays()))
+            disk.save(path, model_file.pack(*model.to_arrays()))
+        return path
 
     def bake_path(
         self, name: str, inputs: dict, character: Character, files: list[Path], blender: tuple[int, int, int]

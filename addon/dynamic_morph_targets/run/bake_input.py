@@ -38,6 +38,10 @@ from .job_data import BakeInput
 
 CHUNK_FRAMES = 1000  # of a shot, that are read and simulated at once: bounds memory
 COLLIDER_BYTES = 2**28  # of a chunk that those colliders take which may deform
+FITTED = (
+    "The modes are fitted to this shot, so the cache folder keeps no model, and a bake that builds one starts over if "
+    "it is stopped. With --no-fit-to-shot models are shared and bakes resume"
+)
 SHORT_CHUNK_FRAMES = 100  # where each node is read, or chunks are kept for other processes, which go on from there
 
 
@@ -168,7 +172,9 @@ def _read_model(given: BakeInput, obj: bpy.types.Object, request: Request) -> bo
     given.built_from = records.text(built_from)
     fits = bool(given.reasons) and chosen.fits_shot
     given.cache_dir = request.cache_dir
-    given.caches_model = bool(given.cache_dir) and not fits  # a fitted one depends on the shot
+    given.caches_model = bool(given.cache_dir) and not chosen.fits_shot  # a fitted one depends on the shot
+    if given.cache_dir and (fits or (chosen.fits_shot and not given.is_bake)):
+        given.notes.append(FITTED)
     if given.reasons and given.cache_dir and given.caches_model:
         given.cached_model = given.cache_dir.built(given.character)
         given.previous = given.cached_model or given.previous
@@ -180,7 +186,9 @@ def _reasons(given: BakeInput, obj: bpy.types.Object, rebuild: bool) -> list[str
     if given.only_cage:
         current = given.previous is not None and build.has_cage(given.previous, given.character)
         return [] if current else ["the cage is out of date"]
-    return stale_reasons(obj, given.character) or ["asked for"] * rebuild
+    if not obj.dynamorph.model.content_id:
+        return ["there was no model"]
+    return stale_reasons(obj, given.character) or ["it was asked for"] * rebuild
 
 
 def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: bool) -> None:
@@ -197,8 +205,9 @@ def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: boo
     if given.output and is_part and obj.dynamorph.bake.exists:
         _read_kept(given, obj)
     given.whole = request.whole or given.settings.loop or fits
-    alone = not colliders.pressed(obj)
-    if given.cache_dir and alone and given.is_bake and not (given.whole or given.before or given.character.probed):
+    pieces = not (given.whole or given.before or given.character.probed)
+    given.resumable = given.is_bake and pieces and not colliders.pressed(obj)
+    if given.cache_dir and given.resumable:
         files = animation.source_files()
         given.kept = given.cache_dir.bake_path(given.name, given.inputs, given.simulated, files, bpy.app.version)
         model = given.model or given.cached_model

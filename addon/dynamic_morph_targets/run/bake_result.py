@@ -108,6 +108,7 @@ class Writer:
             undo.callback(disk.discard, self._file)
         with self.progress.stage("store model"):
             disk.save(self._file, self._packed)
+        self.outcome.model_files.append(self._file)
 
     def keep(self, undo: ExitStack) -> None:
         """Remember what the next steps change."""

@@ -113,6 +113,8 @@ class Computation:
             return
         if given.model is None:
             self._build()
+        elif given.cache_dir and given.caches_model and not given.is_bake:
+            outcome.model_files.append(given.cache_dir.keep_model(given.model))
         if not given.is_bake or self.progress.canceled:
             return
         yield from self._bake()
@@ -133,7 +135,7 @@ class Computation:
                 settings = given.settings if given.has_shot else None
                 model = simulate.build_for(given.character, self.rig, settings, progress, self.previous)
                 if given.cache_dir and given.caches_model:
-                    given.cache_dir.keep_model(model)
+                    outcome.model_files.append(given.cache_dir.keep_model(model))
         self._take_model(model)
         with self.progress.stage("measure"):
             for reference in calibration.references(model, given.character):

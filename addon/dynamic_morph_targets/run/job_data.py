@@ -66,8 +66,8 @@ class BakeInput:
     """Everything that is read of Blender for a job, except the moving rig.
 
     name: of the job, for messages. goal: BUILD, BUILD_CAGE or BAKE. inputs: the settings that the bake depends on.
-    before: the bake into which these frames go. notes: warnings that panels find by themselves, so that they are
-    reported and not stored.
+    before: the bake into which these frames go. notes: warnings that are reported and not stored: panels find them by
+    themselves, or they are about this run alone.
     """
 
     name: str
@@ -92,7 +92,8 @@ class BakeInput:
     together: tuple[str, ...] = ()  # names of the other bodies that press on this one in one piece of work
     frames_per_chunk: int = 0  # how many frames of the rig are read at once
     before: Bake | None = None
-    kept: Path | None = None  # the file that keeps it for other processes while it is unfinished
+    resumable: bool = False  # whether another process can go on with it where there is a cache folder
+    kept: Path | None = None  # the file there that keeps it for other processes while it is unfinished
     resumed: dict = field(default_factory=dict)  # what another process stored there
     first: RigSamples | None = None  # the rig at the first frame, if that was resumed
     # What the result becomes.
@@ -138,6 +139,7 @@ class Outcome:
     verdict: Verdict = field(init=False)
     content_id: str = ""  # hash of everything that the bake was made from
     written: list[tuple[Bake, Path | None]] = field(default_factory=list)
+    model_files: list[Path] = field(default_factory=list)  # that were written: in the cache folder, beside the .blend
     new_files: list[Path] = field(default_factory=list)  # new files of point caches
     beside: dict[Path, Path] = field(default_factory=dict)  # of each that has another path until the .blend is saved
     size: int = 0  # size of the written data in bytes

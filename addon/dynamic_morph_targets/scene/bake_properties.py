@@ -178,8 +178,10 @@ class DynamorphSimulation(PropertyGroup):
         """Whether the range goes into the last bake."""
         return self.keep_outside and not self.use_scene_range
 
-    def steps_per_frame(self, fps: float) -> int:
-        return self.substeps or max(1, math.ceil(120.0 / fps - 1e-6))
+    def steps_per_frame(self, fps: float, substeps: int | None = None) -> int:
+        """How many time steps a frame takes; substeps: instead of the setting, 0 for automatic too."""
+        chosen = self.substeps if substeps is None else substeps
+        return chosen or max(1, math.ceil(120.0 / fps - 1e-6))
 
 
 class DynamorphCollision(PropertyGroup):

@@ -63,7 +63,7 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
     chosen, collision = obj.dynamorph.simulation, obj.dynamorph.collision
     fps = scene.render.fps / scene.render.fps_base
     start, end = frame_range(obj, scene, frames)
-    substeps = substeps or chosen.steps_per_frame(fps)
+    substeps = chosen.steps_per_frame(fps, substeps)
     if substeps > MOST_SUBSTEPS:
         raise SceneError(
             "'{name}': a frame of {seconds:.3g} s takes {count} time steps, and {most} are the most: raise the Frame "

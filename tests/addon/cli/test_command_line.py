@@ -4,11 +4,13 @@
 import io
 import json
 import os
+import platform
 import re
 import signal
 import subprocess
 import sys
 import threading
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import bpy
@@ -64,7 +66,15 @@ def test_bake_writes_another_file(shot, run, stand_in):
     before = shot.read_bytes()
     code, out, _ = run("bake", shot, "--object", "Arm", "--frames", 3, 12, "--substeps", 2, "-o", output)
     assert code == 0
-    words = ("Arm: built: not built yet", "DOFs", "precompute", "10 x 2", "steps per second", "sample rig", "simulate")
+    words = (
+        "Arm: built because there was no model",
+        "DOFs",
+        "precompute",
+        "10 x 2",
+        "steps per second",
+        "sample rig",
+        "simulate",
+    )
     for word in (*words, "write keys", "save"):
         assert word in out
     assert shot.read_bytes() == before
@@ -208,11 +218,17 @@ def test_large_models_follow_the_output(shot, run, stand_in, tmp_path, monkeypat
         (["bake", "{shot}", "--object", "Arm"], "say where the bake goes"),
         (["delete-bake", "{shot}", "--object", "Arm"], "--output --in-place is required"),
         (["bake", "{shot}", "-o", "{out}"], "--object --all is required"),
-        (["bake", "{shot}", "--object", "Nope", "-o", "{out}"], "no object named 'Nope'"),
+        (
+            ["bake", "{shot}", "--object", "Nope", "-o", "{out}"],
+            "no object named 'Nope': its soft skins are Arm, Leg\n",
+        ),
+        (["bake", "{shot}", "--object", "arm", "-o", "{out}"], "Do you mean 'Arm'?"),
+        (["bake", "{shot}", "--object", "Arm", "-o", "{shot}.txt"], ".txt: the name of a Blender file ends in .blend"),
+        (["info", "{shot}", "--scene", "scen"], "no scene named 'scen': it has Scene. Do you mean 'Scene'?"),
         (["bake", "{shot}.nope", "--object", "Arm", "-o", "{out}"], "there is no file"),
         (["bake", "{shot}", "--object", "Arm", "-o", "{shot}"], "--in-place to overwrite"),
         (["bake", "{shot}", "--object", "Arm", "-o", "{shot}/nowhere/x.blend"], "there is no folder"),
-        (["bake", "{shot}", "--object", "Arm", "--substeps", "0", "-o", "{out}"], "--substeps is 0"),
+        (["bake", "{shot}", "--object", "Arm", "--substeps", "-1", "-o", "{out}"], "--substeps is -1"),
         (
             ["bake", "{shot}", "--object", "Arm", "--frames", "9", "2", "-o", "{out}"],
             "frame 2 comes before the first 9",
@@ -468,7 +484,8 @@ def test_wedges_set_what_targets_are_made_of(shot, run, stand_in):
 @pytest.mark.parametrize(
     "change, words",
     [
-        ("nope.stiffness=1e4", "no target named 'nope': it has Neutral, flexed"),
+        ("nope.stiffness=1e4", "no target named 'nope': it has Neutral, flexed\n"),
+        ("Flexd.stiffness=1", "it has Neutral, flexed. Do you mean 'flexed'?"),
         ("flexed.color=1", "a target has no 'color': there are stiffness"),
         ("flexed.stiffness=soft", "could not convert"),
         ("flexed.stiffness=-4", "-4 is not between 1 and"),
@@ -487,9 +504,13 @@ def test_reports(shot, run, stand_in):
     assert run(*bake)[0] == 0
     found = json.loads(path.read_text())
     assert found["exit_code"] == 0 and found["error"] == "" and found["file"] == "shot ü.blend"
+    assert found["input"] == str(shot) and found["written"] == [str(shot.parent / "baked.blend")]
+    assert found["command"] == [str(each) for each in bake] and found["host"] == platform.node()
+    age = datetime.now(UTC) - datetime.fromisoformat(found["time"])
+    assert timedelta(0) <= age < timedelta(hours=1)
     assert found["versions"]["blender"] == bpy.app.version_string
     (arm,) = found["characters"]
-    assert arm["name"] == "Arm" and arm["built"] == ["not built yet"] and len(arm["model"]) == 32
+    assert arm["name"] == "Arm" and arm["built"] == ["there was no model"] and len(arm["model"]) == 32
     assert arm["bake"]["frames"] == [1, 20] and arm["bake"]["steps"] == 100 and arm["bake"]["max_displacement"] > 0
     assert run(*bake)[0] == 0
     assert json.loads(path.read_text())["characters"][0]["bake"]["hash"] == arm["bake"]["hash"]
@@ -777,9 +798,10 @@ def test_a_frame_of_a_week_is_refused(shot, run, stand_in):
     assert stand_in.built == 0
     assert run(*bake, "--substeps", 1)[0] == 0
     assert run("info", bake[-1], "--all")[0] == 0
-    for substeps in (0, 1001, 10**12):
+    assert "takes 120000000 time steps" in run(*bake, "--substeps", 0)[2]  # automatic
+    for substeps in (-1, 1001, 10**12):
         code, _, message = run(*bake, "--substeps", substeps)
-        assert code == 2 and f"--substeps is {substeps}: give 1 to 1000" in message
+        assert code == 2 and f"--substeps is {substeps}: give 1 to 1000, or 0 for automatic" in message
 
 
 def test_info_lists_the_files_that_a_scene_needs(shot, run, monkeypatch):

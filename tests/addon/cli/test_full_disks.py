@@ -685,8 +685,7 @@ def test_a_folder_that_is_missing_is_neither_made_nor_removed(addon, tmp_path):
 
 @pytest.mark.parametrize("name", ["out", "shot.blend1"])
 def test_a_blend_of_another_name(shot, run, stand_in, tmp_path, name):  # noqa: F811
-    output = tmp_path / name
-    assert run("build", shot, "--object", "Arm", "-o", output)[0] == 0
+    output = shot.rename(tmp_path / name)
     assert run("build", output, "--object", "Arm", "--in-place")[0] == 0
     bpy.ops.wm.open_mainfile(filepath=str(output))
     assert "Arm" in bpy.data.objects

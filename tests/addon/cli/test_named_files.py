@@ -22,7 +22,7 @@ from test_command_line import run, shot  # noqa: F401
         (["bake", "{shot}", "--in-place", "--report", "{link}"], "the .blend and --report are the same file"),
         (["bake", "{shot}", "-o", "{folder}/x.json", "--report", "{folder}/y/../x.json"], "-o and --report are"),
         (["bake", "{shot}", "-o", "{folder}/x.glb", "--format", "gltf", "--output-file", "{folder}/x.glb"],
-         "-o and --output-file are the same"),
+         "x.glb: the name of a Blender file ends in .blend"),
         (["bake", "{shot}", "--in-place", "--format", "pc2", "--output-file", "{folder}/x.pc2", "--report",
           "{folder}/x.pc2"], "--report and --output-file are the same"),
         (["report", "{shot}", "--json", "{shot}"], "the .blend and --json are the same file"),
@@ -163,8 +163,8 @@ def test_python_in_a_file_is_reported_or_runs(shot, run, stand_in):  # noqa: F81
     bpy.ops.wm.save_mainfile()
     output = shot.parent / "baked.blend"
     warning = "warning: The file has Python"
-    assert warning in run("bake", shot, "--object", "Arm", "-o", output)[1]
-    assert warning not in run("bake", shot, "--object", "Arm", "-o", output, "--enable-autoexec")[1]
+    assert warning in run("bake", shot, "--object", "Arm", "-o", output)[2]
+    assert warning not in run("bake", shot, "--object", "Arm", "-o", output, "--enable-autoexec")[2]
 
 
 @pytest.mark.parametrize("fails", [False, True])

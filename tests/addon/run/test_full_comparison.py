@@ -50,7 +50,7 @@ def test_final_quality_needs_no_other_build(coarse):
 def test_a_model_built_for_final_quality_keeps_its_cage_when_modes_are_asked_for(coarse):
     coarse.dynamorph.model.solver = "FULL"
     final = bake(coarse)
-    assert final.input.reasons == ["not built yet"] and not final.outcome.model.basis.size
+    assert final.input.reasons == ["there was no model"] and not final.outcome.model.basis.size
     coarse.dynamorph.model.solver = "REDUCED"
     assert staleness.model_changes(coarse) == ["Quality changed"]
     reduced = bake(coarse)

@@ -278,7 +278,7 @@ def test_object_deleted_or_edited_while_a_job_runs(soft_arm, stand_in):
 def test_modal_bake(soft_arm, stand_in):
     pressed = Pressed(soft_arm, ["MOUSEMOVE", "TIMER"])
     assert pressed.result == {"FINISHED"} and len(soft_arm.dynamorph.bake.keys) == 3
-    assert "20 frames" in pressed.reports[-1][1] and "built first: not built yet" in pressed.reports[-1][1]
+    assert "20 frames" in pressed.reports[-1][1] and "built first: there was no model" in pressed.reports[-1][1]
 
 
 def test_escape_ends_a_bake_at_once_whatever_the_engine_does(soft_arm, stand_in):
