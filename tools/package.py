@@ -41,6 +41,8 @@ def build_wheel(python: Path, source: Path, folder: Path, *options: str) -> None
     """The wheel of `source` for one Python, by tools from its own environment."""
     command = [python, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps"]
     subprocess.run([*command, "--no-build-isolation", *options, "-w", folder, source], check=True)
+    for wheel in folder.glob("*.whl"):
+        wheel.chmod(0o644)  # flit makes a file that only its owner can read
 
 
 def build_native_wheels(folder: Path) -> list[Path]:

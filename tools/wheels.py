@@ -282,7 +282,9 @@ def add_on() -> Path:
     """The add-on as a wheel of its own, for `python -m dynamic_morph_targets`."""
     pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation")
     run(*pip, "-w", DIST, ROOT / "addon", env=os.environ | {"SOURCE_DATE_EPOCH": source_date()})
-    return DIST / f"dynamic_morph_targets-{version()}-py3-none-any.whl"
+    wheel = DIST / f"dynamic_morph_targets-{version()}-py3-none-any.whl"
+    wheel.chmod(0o644)  # flit makes a file that only its owner can read
+    return wheel
 
 
 # Checks --------------------------------------------------------------------------------------------------------------
