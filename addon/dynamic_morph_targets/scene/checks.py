@@ -57,8 +57,8 @@ def problems(obj) -> Iterator[Problem]:
         for modifier in skinning.modifiers:
             yield from _modifier(skinning.obj, modifier)
         for armature in dict.fromkeys((skinning.rig, *(modifier.object for modifier in skinning.modifiers))):
-            yield from armature_state(armature)
-            if armature == skinning.rig or skinning.bones(armature):
+            if armature == skinning.rig or skinning.bones(armature):  # another one has no part in this skin
+                yield from armature_state(armature)
                 yield from _bones(skinning, armature)
     yield from _keys(skinning.obj)
 

@@ -229,13 +229,14 @@ Embedding of_points(const Embedding& all, const std::vector<int>& chosen) {
   return {all.nodes(chosen, Eigen::all), all.weights(chosen, Eigen::all), VectorXd::Zero(Index(chosen.size()))};
 }
 
-/// The edges of a bone.
+/// The edges of a bone; none of one that has no edge of its own, or hardly any tissue.
 struct CriticalEdges {
   std::set<int> edges;  ///< that its loads stretch most: places in skin.edges
   /// That are pulled back too, each with its largest stretch over that of those.
   std::vector<std::pair<int, double>> between;
   /// Twice that of the static answer in which they reach their limit, the least of the loads.
   double energy = kInfinity;
+  bool any() const { return energy < kInfinity; }
 };
 
 /// Adds the edge, of a bone's `own` (places in skin.edges), whose stretch under an answer u (3P) is at the percentile,
@@ -453,16 +454,17 @@ void add_between(const SkinLimits& limits, const std::vector<double>& strain, co
     if (edges.empty() || !(square.cwiseProduct(nearest).maxCoeff(&best) > 0)) return;
     const int b = bone[std::size_t(best)], image = mirror.edge(int(best)), other = mirror.bone(b);
     hold(int(best), b);
-    if (image >= 0 && other >= 0 && nearest(image) > 0) hold(image, other);
+    if (image >= 0 && other >= 0 && nearest(image) > 0) hold(image, tissue.edges[std::size_t(other)].any() ? other : b);
   }
 }
 
 /// Gives bones that are images of each other the same critical edges, and a bone that is its own image those on both
-/// sides. Bones with edges that have no image keep theirs.
+/// sides. Bones with edges that have no image keep theirs, and so do those whose image has none.
 void make_symmetric(const Mirror& mirror, std::vector<CriticalEdges>& of_bones) {
   for (Index b = 0; b < Index(of_bones.size()); ++b) {
     const Index image = mirror.bone(b);
     if (image < b || mirror.bone(image) != b) continue;
+    if (!of_bones[std::size_t(b)].any() || !of_bones[std::size_t(image)].any()) continue;
     const std::set<int>& own = of_bones[std::size_t(b)].edges;
     std::set<int> images;
     for (int e : own) images.insert(mirror.edge(e));

@@ -551,6 +551,10 @@ def test_a_head_that_follows_a_control_is_recognized_by_its_name(scene):
     assert (character.rigidity[z > 2.2] == 1.0).all() and not character.rigidity[z < 1.8].any()
 
 
+def test_a_head_with_a_japanese_name_is_found(scene):
+    assert chain_figure(scene, ("下半身", "首", "頭"), head=0.15).dynamorph.model.head == "頭"
+
+
 def test_a_plain_tube_has_no_head(scene):
     obj = chain_figure(scene, head=0.15)
     assert obj.dynamorph.model.head == "" and "No head was found" in drawn(obj, "DYNAMORPH_PT_physics")

@@ -240,6 +240,18 @@ def test_an_armature_modifier_that_is_off_does_not_count(soft_arm):
     assert fixes(soft_arm) == ["ENABLE_MODIFIER"]
 
 
+def test_the_state_of_an_armature_that_skins_nothing_does_not_count(soft_arm):
+    """As the second one of Auto-Rig Pro, which it disables."""
+    other = make_rig(bpy.context.scene, "Other", bones=1)
+    other.data.bones["upper"].name = "unused"
+    soft_arm.modifiers.new("Other", "ARMATURE").object = other
+    other.hide_viewport = True
+    (note,) = found(soft_arm)
+    assert "several Armature modifiers" in note.text
+    other.data.bones["unused"].name = "upper"
+    assert fixes(soft_arm) == ["ENABLE_ARMATURE"]
+
+
 @pytest.mark.parametrize("by_bone", [True, False])
 def test_what_moves_with_a_rigid_body_is_in_the_messages(scene, soft_arm, by_bone):
     """The rig is read in a scene of its own, where no physics runs."""
