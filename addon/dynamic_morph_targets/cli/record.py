@@ -97,6 +97,7 @@ def character_record(done: Done) -> dict:
             "hash": baked.digest(job.outcome.bake),
             "frames": [job.input.settings.frame_start, job.input.settings.frame_end],
             "fps": job.input.settings.fps,
+            "speed": job.input.settings.speed,
             "substeps": job.input.settings.substeps,
             "solver": job.input.solver,
             "resumed": len(job.input.resumed.get("coordinates", ())),

@@ -101,14 +101,15 @@ class ModelSettings:
 class SimulationSettings:
     """One run: frames frame_start..frame_end at `fps`, each in `substeps` steps; gravity (3,) world, m/s^2.
 
-    samples: states per frame that are kept; `substeps` is a multiple of it. initial_state: REST_SHAPE has the targets'
-    shapes without motion at the first frame, SETTLED is in balance and moves with the rig. run_up: frames that are
-    simulated before `frame_start` and dropped; a cycle needs none. loop: the range is a cycle. gains: factors on the
-    modes' motion about the targets' shapes, 1 for further modes; amount: on all of it. max_displacement,
-    max_thickness: how far the skin may move away from its targets' shapes, as fractions of the body's size and of its
-    thickness there; 0 for no limit. collision: whether colliders stop the skin; distance: how far from them, as a
-    fraction of the body's size. self_collision: whether the body does, too; self_friction: of its skin on itself.
-    drags: that were recorded, `grab.as_text`.
+    speed: seconds that are simulated in a second of the shot; less than 1 is slow motion. samples: states per frame
+    that are kept; `substeps` is a multiple of it. initial_state: REST_SHAPE has the targets' shapes without motion
+    at the first frame, SETTLED is in balance and moves with the rig. run_up: frames that are simulated before
+    `frame_start` and dropped; a cycle needs none. loop: the range is a cycle. gains: factors on the modes' motion
+    about the targets' shapes, 1 for further modes; amount: on all of it. max_displacement, max_thickness: how far
+    the skin may move away from its targets' shapes, as fractions of the body's size and of its thickness there; 0
+    for no limit. collision: whether colliders stop the skin; distance: how far from them, as a fraction of the
+    body's size. self_collision: whether the body does, too; self_friction: of its skin on itself. drags: that were
+    recorded, `grab.as_text`.
     """
 
     frame_start: int = 1
@@ -130,6 +131,7 @@ class SimulationSettings:
     self_collision: bool = False
     self_friction: float = 0.0
     drags: str = ""
+    speed: float = 1.0
 
     def __post_init__(self) -> None:
         if self.substeps % self.samples:
@@ -162,9 +164,14 @@ class SimulationSettings:
         return self.first + max(states - 1, 0) // self.samples
 
     @property
+    def rate(self) -> float:
+        """Frames per simulated second."""
+        return self.fps / self.speed
+
+    @property
     def step(self) -> float:
-        """The time step in seconds."""
-        return 1.0 / (self.fps * self.substeps)
+        """The time step in simulated seconds."""
+        return 1.0 / (self.rate * self.substeps)
 
 
 @dataclass(frozen=True)

@@ -239,7 +239,7 @@ def _read_kept(given: BakeInput, obj: bpy.types.Object) -> None:
         )
     whole = {"frame_start": min(settings.frame_start, first), "frame_end": max(settings.frame_end, last)}
     given.inputs["simulation"] |= whole
-    run_up = min(settings.frame_start - whole["frame_start"], round(settings.fps))
+    run_up = min(settings.frame_start - whole["frame_start"], round(settings.rate))
     changes = staleness.outdated(obj)
     if changes:
         given.warnings.append(Message("Since the other frames were baked: {changes}", changes=joined(", ", changes)))

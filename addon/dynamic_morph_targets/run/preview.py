@@ -192,7 +192,7 @@ def shaken(obj: bpy.types.Object, tissue: Tissue, kind: str, seconds: float = SE
 def shake_transforms(kind: str, still: RigSamples, player: Player, seconds: float = SECONDS) -> np.ndarray:
     """What moves the rig that stands still, at the player's substeps: (S, 4, 4), world space, meters."""
     settings = player.settings
-    count = 1 + round(seconds * settings.fps) * settings.substeps
+    count = 1 + round(seconds * settings.rate) * settings.substeps
     heights, angles = shake(kind, np.arange(count) * settings.step)
     transforms = np.array([Matrix.Rotation(angle, 4, "Z") for angle in angles])
     origin = still.rig_world[0, :3, 3]

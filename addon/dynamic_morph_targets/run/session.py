@@ -121,7 +121,7 @@ class Session:
     def fits(self, obj: bpy.types.Object, settings: SimulationSettings) -> bool:
         """Whether this is still a session of the object's model, with the same time step."""
         mine = self.tissue.player.settings
-        same = (mine.fps, mine.substeps) == (settings.fps, settings.substeps)
+        same = (mine.step, mine.substeps) == (settings.step, settings.substeps)
         same &= self.tissue.model.settings.solver == obj.dynamorph.model.solver
         if self.tissue.probe and _placing(obj) != self._placing:
             return False  # the nodes were posed as the targets were captured

@@ -76,6 +76,13 @@ class DynamorphSimulation(PropertyGroup):
     frame_end: IntProperty(
         name="Frame End", description="Last frame of the bake, where Scene Range is off", default=250, override=OVERRIDE
     )
+    speed: FloatProperty(
+        name="Speed",
+        description="How fast time passes for the soft skin. Set 0.5 where the animation shows everything at half its "
+        "speed, so that the skin swings as slowly as the rest of the shot moves",
+        default=SimulationSettings.speed, min=0.01, max=10.0, soft_min=0.1, soft_max=2.0, precision=2,
+        override=OVERRIDE,
+    )  # fmt: skip
     substeps: IntProperty(
         name="Substeps Per Frame",
         description="How many time steps the simulation takes per frame. 0 takes as many as keep a step below 1/120 s. "
@@ -181,7 +188,7 @@ class DynamorphSimulation(PropertyGroup):
     def steps_per_frame(self, fps: float, substeps: int | None = None) -> int:
         """How many time steps a frame takes; substeps: instead of the setting, 0 for automatic too."""
         chosen = self.substeps if substeps is None else substeps
-        return chosen or max(1, math.ceil(120.0 / fps - 1e-6))
+        return chosen or max(1, math.ceil(120.0 * self.speed / fps - 1e-6))
 
 
 class DynamorphCollision(PropertyGroup):

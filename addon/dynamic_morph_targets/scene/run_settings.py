@@ -67,9 +67,9 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
     if substeps > MOST_SUBSTEPS:
         raise SceneError(
             "'{name}': a frame of {seconds:.3g} s takes {count} time steps, and {most} are the most: raise the Frame "
-            "Rate, or set Substeps Per Frame",
+            "Rate, lower the Speed, or set Substeps Per Frame",
             name=obj.name,
-            seconds=1.0 / fps,
+            seconds=chosen.speed / fps,
             count=substeps,
             most=MOST_SUBSTEPS,
         )
@@ -94,4 +94,5 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
         self_collision=collision.use and collision.use_self,
         self_friction=collision.friction if collision.use_friction else SimulationSettings.self_friction,
         drags=chosen.drags if chosen.use_drags else "",
+        speed=chosen.speed,
     )

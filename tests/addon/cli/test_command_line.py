@@ -120,13 +120,16 @@ def test_model_settings_by_the_names_of_the_panel(shot, run, stand_in):
 def test_loops_and_what_is_out_of_date(shot, run, stand_in):
     output = shot.parent / "baked.blend"
     code, out, _ = run(
-        "bake", shot, "--object", "Arm", "--loop", "--initial-state", "rest_shape", "--gravity", 0.5, "-o", output
-    )
+        "bake", shot, "--object", "Arm", "--loop", "--initial-state", "rest_shape", "--gravity", 0.5, "--speed", 0.25,
+        "-o", output, "--report", shot.parent / "report.json",
+    )  # fmt: skip
+    assert json.loads((shot.parent / "report.json").read_text())["characters"][0]["bake"]["speed"] == 0.25
     assert code == 0 and "loop gap" in out and "0.03 mm" in out
     bpy.ops.wm.open_mainfile(filepath=str(output))
     arm = bpy.data.objects["Arm"]
     assert "loop gap 0.03 mm" in arm.dynamorph.bake.summary
-    assert (arm.dynamorph.simulation.initial_state, arm.dynamorph.simulation.gravity) == ("REST_SHAPE", 0.5)
+    simulation = arm.dynamorph.simulation
+    assert (simulation.initial_state, simulation.gravity, simulation.speed) == ("REST_SHAPE", 0.5, 0.25)
     assert "bake state: up to date" in run("info", output, "--object", "Arm")[1]
     assert "files beside the .blend: none" in run("info", output, "--object", "Arm")[1]
     bpy.data.objects["Arm"].dynamorph.targets[1].stiffness = 5e5

@@ -148,6 +148,7 @@ def test_baked_alone_it_meets_the_other_as_it_stands(arms):
     ("change", "reason"),
     [
         (lambda settings: setattr(settings.simulation, "substeps", 3), "Substeps"),
+        (lambda settings: setattr(settings.simulation, "speed", 0.5), "Speed"),
         (lambda settings: setattr(settings.simulation, "loop", True), "loop"),
         (lambda settings: setattr(settings.simulation, "integrator", "EULER"), "Integrator"),
         (lambda settings: setattr(settings.collision, "bake_full", False), "Quality"),

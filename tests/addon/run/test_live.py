@@ -875,6 +875,10 @@ def test_undo_of_the_first_look(new_arm, monkeypatch):
 def test_a_hop_of_two_seconds(live_arm, shown):
     assert bpy.ops.dynamorph.shake_test(kind="HOP", seconds=2.0) == {"FINISHED"}
     assert len(shown) == 49
+    shown.clear()
+    live_arm.dynamorph.simulation.speed = 0.5  # twice as many in slow motion
+    assert bpy.ops.dynamorph.shake_test(kind="HOP", seconds=2.0) == {"FINISHED"}
+    assert len(shown) == 97
 
 
 def test_keys_that_only_hold_a_pose_are_no_animation(arm):

@@ -42,6 +42,7 @@ SETTINGS = [
     ("model.modes", 7, "Detail (Modes) changed"),
     ("model.blending", "FORCES", "Between Targets changed"),
     ("firmness_group", "lower", "Firmness changed"),
+    ("simulation.speed", 0.9, "Speed changed"),  # with as many substeps
     ("simulation.substeps", 9, "Substeps Per Frame changed"),
     ("simulation.integrator", "EULER", "Integrator changed"),
     ("simulation.gravity", 0.5, "Gravity changed"),

@@ -59,6 +59,8 @@ def test_materials_stay_physical(soft_arm, field, value):
 @pytest.mark.parametrize("fps, substeps", [(24, 5), (25, 5), (30, 4), (60, 2), (120, 1), (240, 1), (23.976, 6)])
 def test_steps_are_at_most_a_120th_of_a_second(soft_arm, fps, substeps):
     assert soft_arm.dynamorph.simulation.steps_per_frame(fps) == substeps
+    soft_arm.dynamorph.simulation.speed = 0.5  # a frame is half as long then
+    assert soft_arm.dynamorph.simulation.steps_per_frame(fps / 2.0) == substeps
     soft_arm.dynamorph.simulation.substeps = 3
     assert soft_arm.dynamorph.simulation.steps_per_frame(fps) == 3
     assert soft_arm.dynamorph.simulation.steps_per_frame(fps, 0) == substeps

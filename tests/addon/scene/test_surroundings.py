@@ -229,6 +229,59 @@ def test_frame_rates(scene, skin, fps, base):
     assert_shows(skin, bake(skin).outcome.bake)
 
 
+@pytest.mark.parametrize("speed, fps", [(0.5, 48), (0.25, 96), (2.0, 12)])
+def test_a_speed_is_another_frame_rate_of_the_soft_skin(scene, skin, speed, fps):
+    """The same frames in another time: to the last bit what a scene with that many frames in a second gives."""
+    skin.dynamorph.simulation.speed = speed
+    slow = bake(skin)
+    assert slow.input.settings.step <= 1.01 / 120.0
+    OPS.delete_bake()
+    skin.dynamorph.simulation.speed, scene.render.fps = 1.0, fps
+    as_fast = bake(skin)
+    assert slow.input.settings.substeps == as_fast.input.settings.substeps
+    np.testing.assert_array_equal(slow.outcome.bake.coordinates, as_fast.outcome.bake.coordinates)
+
+
+def test_in_slow_motion_a_swing_takes_more_frames(scene, skin):
+    """A body that a rig in uniform motion takes along from rest swings freely: as often in a second as before, and so
+    in 1 / Speed as many frames.
+    """
+    rig, settings = rig_of(skin), skin.dynamorph.simulation
+    rig.animation_data_clear()
+    rig.pose.bones["lower"].rotation_euler.x = 0.0
+    skin.parent = rig
+    for frame, x in ((1, 0.0), (2, 0.001)):
+        rig.location.x = x
+        rig.keyframe_insert("location", frame=frame)
+    for curve in rig.animation_data.action.layers[0].strips[0].channelbags[0].fcurves:
+        curve.extrapolation, curve.keyframe_points[0].interpolation = "LINEAR", "LINEAR"
+    settings.initial_state, settings.gravity, settings.substeps = "REST_SHAPE", 0.0, 10
+    for target in skin.dynamorph.targets:
+        target.mass_damping, target.stiffness_damping = 1.0, 0.0
+    swings = {}
+    for speed in (1.0, 0.5, 0.25):
+        settings.speed, scene.frame_end = speed, round(60 / speed)
+        swing = bake(skin).outcome.bake.coordinates[:, 0]
+        spectrum = np.abs(np.fft.rfft(swing - swing.mean(), 64 * len(swing)))
+        swings[speed] = spectrum.argmax() / 64 / len(swing)  # per frame
+    assert 1.0 < 24.0 * swings[1.0] < 3.0
+    assert swings[0.5] == pytest.approx(0.5 * swings[1.0], rel=0.01)
+    assert swings[0.25] == pytest.approx(0.25 * swings[1.0], rel=0.01)
+
+
+def test_live_in_slow_motion_is_the_bake(scene, skin):
+    skin.dynamorph.simulation.speed = 0.5
+    frames = range(1, 21)
+    bake(skin)
+    baked = motion(skin, frames)
+    OPS.delete_bake()
+    scene.frame_set(1)
+    OPS.live()
+    assert np.abs(motion(skin, frames) - baked).max() < 1e-5
+    skin.dynamorph.simulation.speed = 1.0
+    assert np.abs(motion(skin, frames) - baked).max() > 1e-3
+
+
 @pytest.mark.fault("A08")
 @pytest.mark.parametrize("old, new", [(100, 200), (100, 50), (100, 97)])
 def test_remapped_time(scene, skin, old, new):

@@ -21,6 +21,8 @@ def refusal(first: tuple[str, SimulationSettings], other: tuple[str, SimulationS
     (quality, mine), (its_quality, its) = first, other
     if quality != its_quality:
         return "their Quality differs"
+    if mine.speed != its.speed:
+        return "their Speed differs"
     if (mine.step, mine.substeps, mine.samples) != (its.step, its.substeps, its.samples):
         return "their Substeps Per Frame differ"
     if mine.integrator != its.integrator:

@@ -196,7 +196,8 @@ class PreviewOperator(TissueOperator):
         if frames:
             self.running.show(*frames[-1])
         if self.lasts is not None:
-            self.running.seconds_left = max(self.lasts - self.done / self.fps, 0.0)
+            speed = self.running.tissue.player.settings.speed
+            self.running.seconds_left = max(self.lasts / speed - self.done / self.fps, 0.0)
             events.redraw_status(context)
         if len(frames) == due:
             return {"RUNNING_MODAL"}

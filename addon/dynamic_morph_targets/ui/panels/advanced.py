@@ -67,7 +67,7 @@ def draw_modes(layout, _context, obj):
 
 def draw_solver(layout, _context, obj):
     layout.enabled = batch.running is None
-    for name in ("substeps", "samples", "gravity", "fields", "initial_state"):
+    for name in ("speed", "substeps", "samples", "gravity", "fields", "initial_state"):
         draw_setting(layout, obj.dynamorph.simulation, name)
     draw_drags(layout, obj)
 
