@@ -112,8 +112,8 @@ class DynamorphSimulation(PropertyGroup):
     )  # fmt: skip
     fields: FloatProperty(
         name="Force Fields",
-        description="Multiplies the scene's Wind and Force fields. Their strength is newtons per square meter of skin. "
-        "Lower it where wind blows too strongly for the skin",
+        description="Multiplies the scene's Wind, Force, Vortex and Turbulence fields. Their strength is newtons per "
+        "square meter of skin. Lower it where wind blows too strongly for the skin",
         default=1.0, min=0.0, soft_max=1.0, override=OVERRIDE,
     )  # fmt: skip
     amount: FloatProperty(

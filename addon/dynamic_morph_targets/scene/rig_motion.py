@@ -26,6 +26,7 @@ from .sampling_scene import SamplingScene, rig_scene
 from .skin import unit_scale
 from .skinning import Skinning
 
+PUSHING = {"WIND", "FORCE", "VORTEX", "TURBULENCE"}  # kinds of force fields
 FLAT = 1e-6  # smallest scale over the largest, below which something has no size
 GROWN = 0.99  # of its largest size
 LARGEST = 1e15  # of the numbers in a transform: from 1e19 on their squares overflow in Blender
@@ -311,7 +312,7 @@ def _force_fields(view_layer) -> list:
     found = []
     for obj in view_layer.objects:
         field = obj.field
-        if not field or field.type not in {"WIND", "FORCE"} or not field.apply_to_location or obj.hide_viewport:
+        if not field or field.type not in PUSHING or not field.apply_to_location or obj.hide_viewport:
             continue
         if field.shape not in {"POINT", "PLANE"} or field.falloff_type != "SPHERE" or field.z_direction != "BOTH":
             raise SceneError(
@@ -326,10 +327,11 @@ def _force_fields(view_layer) -> list:
 def _empty_samples(field, count: int, unit: float) -> ForceField:
     nearest = unit * field.distance_min if field.use_min_distance else 0.0
     farthest = unit * field.distance_max if field.use_max_distance else np.inf
-    plane = field.shape == "PLANE"
+    worlds, strengths = np.empty((count, 4, 4)), np.empty(count)
     return ForceField(
-        field.type, plane, field.falloff_power, nearest, farthest, np.empty((count, 4, 4)), np.empty(count)
-    )
+        field.type, field.shape == "PLANE", field.falloff_power, nearest, farthest, worlds, strengths,
+        unit * (field.size or 1.0), unit, field.use_global_coords,
+    )  # fmt: skip
 
 
 def worlds_at_start(obj, rig) -> list[np.ndarray]:

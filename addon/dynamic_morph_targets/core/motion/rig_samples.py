@@ -11,6 +11,7 @@ import numpy as np
 
 from ..character import Skeleton
 from ..geometry import inverse, invertible
+from .noise import turbulence
 
 
 def keep_collapsed(
@@ -70,11 +71,13 @@ class Track:
 
 @dataclass(frozen=True)
 class ForceField(Track):
-    """A force field of the scene at S sample times, with Blender's own falloff.
+    """A force field of the scene at S sample times, with Blender's own falloff, as it acts on points at rest.
 
-    kind: WIND blows along the object's Z axis, FORCE away from it. plane: distance is from the object's plane, not its
-    origin. world (S, 4, 4); strength (S,) newtons on each square meter of skin at rest; nearest, farthest: meters,
-    within which it is constant and beyond which it is nothing.
+    kind: WIND blows along the object's Z axis, FORCE away from it, VORTEX about that axis, TURBULENCE in all
+    directions. plane: distance is from the object's plane, of a VORTEX from its axis, not from its origin. world
+    (S, 4, 4); strength (S,) newtons on each square meter of skin at rest; nearest, farthest: meters, within which it is
+    constant and beyond which it is nothing. size: of the largest eddies, meters; unit: meters of a Blender unit;
+    in_world: the eddies stay where they are when the object moves.
     """
 
     SAMPLED = ("world", "strength")
@@ -85,18 +88,35 @@ class ForceField(Track):
     farthest: float
     world: np.ndarray
     strength: np.ndarray
+    size: float = 1.0
+    unit: float = 1.0
+    in_world: bool = False
 
     def pull(self, sample: int, points: np.ndarray) -> np.ndarray:
         """Force on each square meter (V, 3), world space, at points (V, 3) in world space."""
         away = points - self.world[sample, :3, 3]
-        axis = self.world[sample, :3, 2]
-        if self.plane:
-            away = np.outer(away @ axis, axis) / (axis @ axis)
-        distance = np.linalg.norm(away, axis=1)
-        direction = axis if self.kind == "WIND" else away
-        direction = direction / np.maximum(np.linalg.norm(direction, axis=-1, keepdims=True), 1e-12)
+        axis = _normalized(self.world[sample, :3, 2])
+        along = np.outer(away @ axis, axis)
+        reach = (away - along if self.kind == "VORTEX" else along) if self.plane else away
+        distance = np.linalg.norm(reach, axis=1)
         fall = (1.0 + np.maximum(distance - self.nearest, 0.0)) ** -self.power * (distance <= self.farthest)
-        return self.strength[sample] * fall[:, None] * direction
+        push = (self.strength[sample] * fall)[:, None]
+        if self.kind == "WIND":
+            return push * axis
+        if self.kind == "FORCE":
+            return push * _normalized(reach)
+        if self.kind == "TURBULENCE":
+            return push * turbulence((points if self.in_world else away + self.unit * axis) / self.size)
+        turn = np.cross(axis, away)
+        if self.plane:  # and inward, as what swirls at the speed `turn` needs it
+            turn = push * turn
+            return turn + push * np.cross(axis, turn)
+        return push * distance[:, None] * _normalized(turn)
+
+
+def _normalized(vectors: np.ndarray) -> np.ndarray:
+    """Of length 1, but those of no length."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
 @dataclass(frozen=True)
