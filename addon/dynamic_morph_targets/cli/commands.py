@@ -366,7 +366,7 @@ def run_fit(args: argparse.Namespace) -> None:
 
 def run_delete_bake(args: argparse.Namespace) -> None:
     for obj in names.objects(args):
-        writer.check(obj)
+        writer.check_free(obj)
         baked = obj.dynamorph.bake
         removed = f"{len(baked.keys)} baked keys" + (" and what plays the point cache" if baked.cache else "")
         for text in writer.free(obj):

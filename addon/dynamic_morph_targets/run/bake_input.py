@@ -32,7 +32,7 @@ from ..scene.skin import ObjectHandle, SceneHandle
 from ..scene.skinning import Skinning
 from ..scene.source import Source
 from ..write.bake.reading import read_back
-from ..write.bake.writer import check, check_cache, check_local, overwritten_keys
+from ..write.bake.writer import check_bake, check_cache, check_local, overwritten_keys
 from ..write.reconcile import reconcile
 from .job_data import BakeInput
 
@@ -77,20 +77,30 @@ def read(request: Request) -> BakeInput:
     """Check and read the character and its settings. Raises SceneError, WriteError, ModelFileError, OSError."""
     engine.load()
     obj = request.target.find()
-    check_local(obj)
+    if request.goal == "BAKE" and obj.override_library:
+        check_bake(obj)
+    else:
+        check_local(obj)
     if obj.type == "MESH":
         reconcile(obj)
     source = Source.of(skinned(obj))
     character = extract.read(source, without_targets=request.goal == "BUILD_CAGE")
     given = BakeInput(request.name, request.goal, character, cache_files=dict(request.cache_files))
     if given.is_bake:
-        check(obj)
+        check_bake(obj)
         for each in handles(character.attachments):
-            check(each.find(), obj)
+            check_bake(each.find(), obj)
     given.notes = extract.warnings(source)
     if given.is_bake and request.stored:
         _read_output(given, obj, request.folder)
     fits = _read_model(given, obj, request)
+    if given.reasons and obj.override_library:
+        raise SceneError(
+            "'{name}' is a library override, which keeps no model: open the file that it is linked from, press Build "
+            "Model and save it ({reasons})",
+            name=obj.name,
+            reasons=joined("; ", given.reasons),
+        )
     if given.is_bake or (fits and not given.only_cage):
         _read_shot(given, source.skinning, request, fits)
     if given.output and given.output.format == "PC2":

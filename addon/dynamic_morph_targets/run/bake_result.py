@@ -19,7 +19,7 @@ from ..io import disk
 from ..scene import skin, staleness, target_properties
 from ..scene.model_store import PACKED, blend_folder, index_in, stored_model
 from ..write.bake.before import Before
-from ..write.bake.writer import NewBake, check, check_free, check_local, check_not_edited, free
+from ..write.bake.writer import check_bake, check_free, check_local, check_not_edited, free, new_bake
 from ..write.display import beside, comparison, live_key
 from ..write.storage import fit_modes, keep_model, model_path
 from . import bake_time
@@ -78,17 +78,18 @@ class Writer:
         self.request, self.given, self.outcome, self.progress = request, given, outcome, progress
         self._packed: bytes | None = None  # the model to store, if one was built
         self._file: Path | None = None  # where, if not in the .blend
-        self._new: list[NewBake] = []
+        self._new: list = []  # bakes
 
     def check(self) -> None:
         """Refuse, before anything is written, what cannot be written. Raises SceneError, WriteError, ModelFileError."""
         obj = target(self.request, self.given)
-        check_local(obj)
-        if self.given.is_bake:
+        if not self.given.is_bake:
+            check_local(obj)
+        else:
             attachments = self._attachments()
-            check(obj)
+            check_bake(obj)
             for attachment in attachments:
-                check(attachment, obj)
+                check_bake(attachment, obj)
             for attachment in skin.shown_attachments(obj):
                 check_not_edited(attachment)
             for attachment in self._left_behind():
@@ -128,7 +129,7 @@ class Writer:
         with self.progress.stage("write keys"), self.request.scene.as_context():
             self._move_caches()
             for each, (keys, cache) in zip((obj, *self._attachments()), self.outcome.written, strict=True):
-                new = NewBake(each, keys, None if each == obj else obj, cache)
+                new = new_bake(each, keys, None if each == obj else obj, cache)
                 undo.callback(new.take_back)
                 new.add()
                 self._new.append(new)

@@ -281,40 +281,55 @@ class DynamorphOutput(PropertyGroup):
 
 
 class DynamorphBake(PropertyGroup):
-    """What a bake changed, so that Delete Bake can undo exactly that."""
+    """What a bake changed, so that Delete Bake can undo exactly that. Overridable is what a library override has."""
 
     keys: CollectionProperty(name="Keys", description="Shape keys that the bake added", type=DynamorphKey)
-    cache: StringProperty(name="Cache", description="File name of the point cache, if one plays the motion")
+    cache: StringProperty(
+        name="Cache", description="File name of the point cache, if one plays the motion", override=OVERRIDE
+    )
     muted: CollectionProperty(name="Muted", description="Target keys that the bake muted", type=DynamorphKey)
     action: PointerProperty(name="Action", description="Action with the modal curves", type=bpy.types.Action)
     had_animation_data: BoolProperty(
         name="Had Animation Data", description="Whether the shape keys were animated before the bake"
     )
     active_index: IntProperty(name="Active Key", description="Index of the active shape key before the bake")
-    basis: StringProperty(name="Basis", description="Hash of the Basis that the keys belong to")
-    summary: StringProperty(name="Result", description="What the last bake made")
-    warnings: StringProperty(name="Warnings", description="Warnings of the last bake, one per line")
-    inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
-    lost: StringProperty(name="Lost", description="Point caches that are missing as last seen, one per line")
-    animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
-    colliders: StringProperty(
-        name="Colliders", description="Hashes of what moves and shapes the colliders as last seen, as JSON"
+    basis: StringProperty(name="Basis", description="Hash of the Basis that the keys belong to", override=OVERRIDE)
+    summary: StringProperty(name="Result", description="What the last bake made", override=OVERRIDE)
+    warnings: StringProperty(name="Warnings", description="Warnings of the last bake, one per line", override=OVERRIDE)
+    inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON", override=OVERRIDE)
+    lost: StringProperty(
+        name="Lost", description="Point caches that are missing as last seen, one per line", override=OVERRIDE
     )
-    painted: StringProperty(name="Painted", description="Hashes of the painted maps as last seen, one per line")
+    animation: StringProperty(
+        name="Animation", description="Hashes of the rig's animation as last seen, as JSON", override=OVERRIDE
+    )
+    colliders: StringProperty(
+        name="Colliders", description="Hashes of what moves and shapes the colliders as last seen, as JSON",
+        override=OVERRIDE,
+    )  # fmt: skip
+    painted: StringProperty(
+        name="Painted", description="Hashes of the painted maps as last seen, one per line", override=OVERRIDE
+    )
     off_full: FloatProperty(
         name="Off Full Quality",
         description="How far the reduced motion is from that of Full Quality, as a fraction of it; negative before "
         "they were compared",
-        default=-1.0,
+        default=-1.0, override=OVERRIDE,
     )  # fmt: skip
-    verdict: StringProperty(name="Verdict", description="How believable the last bake looks, as JSON")
+    verdict: StringProperty(
+        name="Verdict", description="How believable the last bake looks, as JSON", override=OVERRIDE
+    )
     was_rendered: BoolProperty(
         name="Was Rendered", description="Whether renders showed the point cache before plain skinning was shown",
-        default=True,
+        default=True, override=OVERRIDE,
     )  # fmt: skip
-    slot: EnumProperty(name="Slot", description="Which set of settings the bake was made with", items=SLOTS)
-    content_id: StringProperty(name="Bake Id", description="Hash of everything that the bake was made from")
-    digest: StringProperty(name="Result Id", description="Hash of the simulated motion")
+    slot: EnumProperty(
+        name="Slot", description="Which set of settings the bake was made with", items=SLOTS, override=OVERRIDE
+    )
+    content_id: StringProperty(
+        name="Bake Id", description="Hash of everything that the bake was made from", override=OVERRIDE
+    )
+    digest: StringProperty(name="Result Id", description="Hash of the simulated motion", override=OVERRIDE)
 
     @property
     def exists(self) -> bool:

@@ -112,7 +112,8 @@ def notes(obj) -> Iterator[Problem]:
     for mover in animation.rigid_bodies(skinning):
         text = "'{name}' moves with '{mover}', which Rigid Body moves: bake that to keyframes (Object > Rigid Body)"
         yield Problem(text, name=obj.name, mover=mover)
-    yield from shared_mesh(obj)
+    if not obj.override_library:  # which shares the linked mesh, and does not move with it
+        yield from shared_mesh(obj)
     keys = obj.data.shape_keys
     for block in keys.key_blocks if keys else ():
         if not isfinite(block.value) and not block.mute:

@@ -65,7 +65,7 @@ class DynamorphSettings(PropertyGroup):
     )
     follows: PointerProperty(
         name="Follows", description="The soft skin whose motion the bake or Live shows on this mesh",
-        type=bpy.types.Object,
+        type=bpy.types.Object, override=OVERRIDE,
     )  # fmt: skip
     had_keys: BoolProperty(name="Had Shape Keys", description="Whether the mesh had a Basis before it followed")
     model: PointerProperty(
@@ -90,7 +90,7 @@ class DynamorphSettings(PropertyGroup):
     output: PointerProperty(
         name="Output", description="The form in which the motion is stored", type=DynamorphOutput, override=OVERRIDE
     )
-    bake: PointerProperty(name="Bake", description="What the last bake changed", type=DynamorphBake)
+    bake: PointerProperty(name="Bake", description="What the last bake changed", type=DynamorphBake, override=OVERRIDE)
     sculpt: PointerProperty(name="Sculpt", description="Sculpting in a target's pose", type=DynamorphSculpt)
 
     @property

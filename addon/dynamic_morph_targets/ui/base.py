@@ -68,7 +68,7 @@ class SoftSkinOperator:
             return Message(
                 "'{name}' is a library override, which would lose this when saved: make it local", name=obj.name
             )
-        if obj.data.library and not (obj.override_library or cls.on_override or cls.on_linked_mesh):
+        if obj.data.library and not (obj.override_library or cls.on_linked_mesh):
             return Message(
                 "The mesh of '{name}' is linked, so shape keys and weights would be lost when saved: make it local "
                 "(Object > Relations > Make Local > Selected Objects and Data)",

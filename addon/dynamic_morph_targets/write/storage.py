@@ -12,6 +12,7 @@ from ..core.errors import SceneError
 from ..io import model_file
 from ..scene import extract, staleness
 from ..scene.model_store import PACKED, blend_folder, stale_reasons
+from ..scene.skin import attached_meshes
 from .reconcile import reconcile
 
 PACK_LIMIT = 32 * 2**20  # larger models go into a file
@@ -43,6 +44,8 @@ def keep_model(obj, packed: bytes, file: Path | None = None):
     if file is None:
         obj[PACKED] = _as_numbers(packed)  # exporters of Blender's own crash on bytes with zeros in them
     obj.dynamorph.model.content_id = model_file.content_id(packed)
+    for each in (obj, *attached_meshes(obj)):  # Blender 5 saves what an override notes where the linked object has it
+        each.dynamorph.bake.cache = each.dynamorph.bake.cache
 
 
 def _as_numbers(packed: bytes) -> array:

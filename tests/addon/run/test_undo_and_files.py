@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.material import presets
-from bl_ext.user_default.dynamic_morph_targets.run import batch, live
+from bl_ext.user_default.dynamic_morph_targets.run import bake_time, batch, live
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store
+from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store, staleness
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import jobs
 from bl_ext.user_default.dynamic_morph_targets.write import reconcile, storage
-from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
+from bl_ext.user_default.dynamic_morph_targets.write.bake import influence, writer
 from builders import activate, fingerprint, rig_of
 from installed import MODULE, PACKAGE
 from robustness import BY_MOUSE, CALLS, CHANGING_NOTHING, OPS, bake, coarse, motion, names, settings, state
@@ -282,6 +282,104 @@ def test_the_remedy_for_overrides_works(asset, tmp_path):
     assert_shows(obj, job.outcome.bake)
     writer.free(obj)
     assert names(obj) == before
+
+
+@pytest.fixture
+def overridden(asset, tmp_path):
+    """An override of the built character in a saved shot, whose bakes go to point caches."""
+    obj = open_override(asset("build"))
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    obj.dynamorph.output.format = "PC2"
+    return obj
+
+
+@pytest.mark.fault("R08")
+def test_an_override_is_baked_to_a_point_cache_that_stays(overridden, tmp_path):
+    obj = overridden
+    plain, linked = motion(obj), fingerprint(obj.override_library.reference)
+    modifiers = [modifier.name for modifier in obj.modifiers]
+    obj.dynamorph.targets[0].stiffness = 4321.0
+    assert not OPS.delete_bake.poll() and OPS.bake() == {"FINISHED"}
+    reload(tmp_path)
+    obj = the_override()
+    job = bake(obj)  # with what was saved, from the linked model
+    assert job.input.reasons == [] and staleness.outdated(obj) == []
+    assert obj.modifiers[0].type == "MESH_CACHE" and not any("is shared" in text for text in job.warnings)
+    reload(tmp_path)
+    obj = the_override()
+    assert staleness.outdated(obj) == [] and obj.dynamorph.bake.summary
+    assert_shows(obj, job.outcome.bake)
+    assert np.abs(motion(obj) - plain).max() > 1e-3
+    assert fingerprint(obj.override_library.reference) == linked
+    obj.dynamorph.targets[0].stiffness = 5000.0
+    assert staleness.outdated(obj) == ['Stiffness of "Neutral" changed']
+    assert OPS.delete_bake() == {"FINISHED"}
+    reload(tmp_path)
+    obj = the_override()
+    assert [modifier.name for modifier in obj.modifiers] == modifiers
+    assert not obj.dynamorph.bake.exists and not OPS.delete_bake.poll()
+    np.testing.assert_allclose(motion(obj), plain, atol=1e-6)
+
+
+def test_the_influence_of_an_override_s_bake_can_be_keyed(overridden, tmp_path):
+    obj = overridden
+    plain = motion(obj, (1, 20))
+    OPS.bake()
+    full = motion(obj, (1, 20))
+    (modifier, name) = influence.influence(obj)
+    for frame, value in ((1, 1.0), (20, 0.0)):
+        setattr(modifier, name, value)
+        modifier.keyframe_insert(name, frame=frame)
+    reload(tmp_path)
+    shown = motion(the_override(), (1, 20))
+    np.testing.assert_allclose(shown[0], full[0], atol=1e-6)
+    np.testing.assert_allclose(shown[1], plain[1], atol=1e-6)
+
+
+def test_a_bake_of_an_override_that_fails_leaves_the_earlier_one(overridden, monkeypatch):
+    obj = overridden
+    OPS.bake()
+    shown, before = motion(obj), state()
+    obj.dynamorph.simulation.substeps = 7
+    monkeypatch.setattr(bake_time, "learn", lambda *_: 1 / 0)  # in the last step that can fail
+    with pytest.raises(ZeroDivisionError):
+        bake(obj)
+    obj.dynamorph.simulation.substeps = 0
+    assert state() == before
+    np.testing.assert_array_equal(motion(obj), shown)
+
+
+def test_a_bake_of_an_override_over_that_of_its_own_file(asset, tmp_path):
+    """The linked shape keys play again when it is deleted."""
+    saved = asset("bake")
+    obj = open_override(saved)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    obj.dynamorph.output.format = "PC2"
+    obj.dynamorph.simulation.gravity = -3.0
+    assert not OPS.delete_bake.poll()
+    job = bake(obj)
+    reload(tmp_path)
+    obj = the_override()
+    assert_shows(obj, job.outcome.bake)
+    assert np.abs(motion(obj) - saved.shown).max() > 1e-3
+    bpy.context.scene.frame_set(1)
+    OPS.delete_bake()
+    reload(tmp_path)
+    obj = the_override()
+    assert len(obj.dynamorph.bake.keys) == len(obj.override_library.reference.dynamorph.bake.keys)
+    np.testing.assert_allclose(motion(obj), saved.shown, atol=1e-6)
+
+
+def test_what_an_override_cannot_keep_is_refused(overridden):
+    obj = overridden
+    obj.dynamorph.model.modes = 5
+    refused(OPS.bake, "'Arm' is a library override, which keeps no model: open the file")
+    obj.dynamorph.model.modes = 6
+    obj.dynamorph.output.format = "MODES"
+    assert not OPS.bake.poll()
+    assert "choose the Format Point Cache" in jobs.DYNAMORPH_OT_bake.disabled_reason(bpy.context)
+    with pytest.raises(errors.WriteError, match="keeps no shape keys: choose the Format Point Cache"):
+        bake(obj)
 
 
 # The add-on itself -------------------------------------------------------------------------------------------------

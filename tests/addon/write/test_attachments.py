@@ -329,6 +329,54 @@ def test_a_duplicate_of_the_character_has_pieces_of_its_own(dressed):
     assert keys_of(worn) is None and sleeve.dynamorph.bake.keys
 
 
+def test_pieces_of_a_library_override_play_point_caches(dressed, tmp_path):
+    """They follow the body's Influence, also in the file that is saved."""
+    obj, _ = dressed
+    OPS.build()
+    character = bpy.data.collections.new("Character")
+    bpy.context.scene.collection.children.link(character)
+    for each in list(bpy.context.scene.collection.objects):
+        bpy.context.scene.collection.objects.unlink(each)
+        character.objects.link(each)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "asset.blend"))
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "asset.blend"), link=True) as (_, wanted):
+        wanted.collections = ["Character"]
+    bpy.context.scene.collection.children.link(wanted.collections[0])
+    wanted.collections[0].override_hierarchy_create(bpy.context.scene, bpy.context.view_layer, do_fully_editable=True)
+    bpy.context.scene.frame_end = 20
+    file = str(tmp_path / "shot.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=file)
+
+    def overrides():
+        found = {each.name.split(".")[0]: each for each in bpy.data.objects if each.override_library}
+        return found["Arm"], found["Sleeve"]
+
+    obj, sleeve = overrides()
+    plain = motion(sleeve)
+    activate(obj)
+    obj.dynamorph.output.format = "PC2"
+    bake(obj)
+    shown = motion(obj), motion(sleeve)
+    assert np.abs(shown[1] - plain).max() > 1e-3
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.open_mainfile(filepath=file)
+    obj, sleeve = overrides()
+    assert sleeve.dynamorph.follows == obj and staleness.outdated(obj) == []
+    for each, before in zip((obj, sleeve), shown, strict=True):
+        np.testing.assert_allclose(motion(each), before, atol=1e-6)
+    (modifier, name) = influence.influence(obj)
+    setattr(modifier, name, 0.0)
+    np.testing.assert_allclose(motion(sleeve), plain, atol=1e-6)
+    activate(obj)
+    assert OPS.delete_bake() == {"FINISHED"}
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.open_mainfile(filepath=file)
+    obj, sleeve = overrides()
+    assert sleeve.dynamorph.follows is None and len(sleeve.modifiers) == 1
+    np.testing.assert_allclose(motion(sleeve), plain, atol=1e-6)
+
+
 def test_pieces_survive_saving(dressed, tmp_path):
     bake(dressed[0])
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))

@@ -40,7 +40,7 @@ class DYNAMORPH_OT_apply_feel(SoftSkinOperator, Operator):
 
     bl_idname = "dynamorph.apply_feel"
     bl_label = "Apply Feel"
-    on_override = True
+    on_override = on_linked_mesh = True
 
     feel: EnumProperty(
         name="Feel",

@@ -16,7 +16,7 @@ from ...run.job import Job
 from ...scene import events, staleness
 from ...scene.registration import of_classes
 from ...scene.skin import is_shown_on, mesh_in, soft_skins
-from ...write.bake import writer
+from ...write.bake import on_override, writer
 from ...write.display import beside, live_key
 from ..base import SoftSkinOperator, at_work, reconciled, report_errors, reported
 
@@ -31,6 +31,7 @@ class DYNAMORPH_OT_delete_bake(SoftSkinOperator, Operator):
     bl_idname = "dynamorph.delete_bake"
     bl_label = "Delete Bake"
     needs_soft_skin = False
+    on_override = True
 
     @classmethod
     def disabled_reason(cls, context):
@@ -38,6 +39,8 @@ class DYNAMORPH_OT_delete_bake(SoftSkinOperator, Operator):
         if reason:
             return reason
         obj = mesh_in(context)
+        if obj.override_library:
+            return "" if on_override.is_baked(obj) else "This library override has no bake of its own yet"
         if obj.dynamorph.targets:
             return "" if obj.dynamorph.bake.exists else "There is no bake yet"
         return "" if is_shown_on(obj) else "Press Add Soft Skin first"
@@ -175,6 +178,19 @@ class DYNAMORPH_OT_bake(JobOperator, Operator):
     bl_idname = "dynamorph.bake"
     bl_label = "Bake Soft Skin"
     goal = "BAKE"
+    on_override = True
+
+    @classmethod
+    def disabled_reason(cls, context):
+        reason = super().disabled_reason(context)
+        obj = mesh_in(context)
+        if reason or not obj.override_library or on_override.is_kept(obj):
+            return reason
+        return Message(
+            "'{name}' is a library override, which keeps no shape keys: choose the Format Point Cache (PC2), or make "
+            "it local",
+            name=obj.name,
+        )
 
 
 class DYNAMORPH_OT_bake_all(JobOperator, Operator):
@@ -196,9 +212,8 @@ class DYNAMORPH_OT_bake_all(JobOperator, Operator):
 
 def _own_skins(scene) -> list:
     """The soft skins whose bake would be saved with the file."""
-    return [
-        skin for skin in soft_skins(scene.objects) if not (skin.library or skin.override_library or skin.data.library)
-    ]
+    skins = [skin for skin in soft_skins(scene.objects) if not skin.library]
+    return [skin for skin in skins if (on_override.is_kept(skin) if skin.override_library else not skin.data.library)]
 
 
 class DYNAMORPH_OT_compare_full(JobOperator, Operator):

@@ -22,7 +22,7 @@ class DYNAMORPH_OT_apply_material(TargetOperator, Operator):
     bl_idname = "dynamorph.apply_material"
     bl_label = "Apply Material"
     neutral_too = True
-    on_override = True
+    on_override = on_linked_mesh = True
 
     preset: EnumProperty(
         name="Material",
@@ -43,7 +43,7 @@ class FitsBounce(TargetOperator, JobOperator):
     """Mixin: sets the material by what was observed."""
 
     neutral_too = True
-    on_override = True
+    on_override = on_linked_mesh = True
     goal = "FIT_MATERIAL"
 
     frequency: FloatProperty(

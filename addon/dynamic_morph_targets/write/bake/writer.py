@@ -9,8 +9,7 @@ as far as its influence says. In its place there may be a point cache: a Mesh Ca
 
 from __future__ import annotations
 
-import os
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 
 import bpy
@@ -18,7 +17,6 @@ import numpy as np
 
 from ...core.errors import WriteError
 from ...core.message import Message
-from ...core.motion import baked
 from ...core.motion.baked import Bake
 from ...core.result.slider_keys import Key, scaled_keys
 from ...scene import animation, checks, identity
@@ -26,7 +24,9 @@ from ...scene.animation import played
 from ...scene.references import basis_hash, key_displacement, key_points
 from ...scene.skin import cache_modifier, shown_attachments
 from ..reconcile import reconcile
+from . import on_override
 from .before import Before
+from .cache_player import play_cache
 from .influence import MOTION, SHAPES, carry_influence, keep_influence, strip_of
 from .muting import leave_to_live, mute_targets, unmute_targets
 from .reading import baked_names
@@ -70,6 +70,11 @@ def check(obj, skin=None):
         text = "'{name}': {key} is animated, so a bake cannot mute the key: delete its keyframes"
     if text:
         raise WriteError(text, name=obj.name, track=solo, key=driven or keyed)
+
+
+def check_bake(obj, skin=None):
+    """The same, where a library override may get a point cache. Raises WriteError."""
+    (on_override.check if obj.override_library else check)(obj, skin)
 
 
 def check_not_tweaked(obj):
@@ -130,6 +135,11 @@ def write_keys(obj, bake: Bake, skin=None, cache: Path | None = None) -> int:
         undo.pop_all()
     new.remove_old()
     return new.size
+
+
+def new_bake(obj, bake: Bake, skin=None, cache: Path | None = None):
+    """A bake of `obj`, which may be a library override; the arguments are those of `write_keys`. Raises WriteError."""
+    return (on_override.OverrideBake if obj.override_library else NewBake)(obj, bake, skin, cache)
 
 
 class NewBake:
@@ -205,7 +215,7 @@ class NewBake:
             self._old_cache, record.cache = modifier.name, ""
         self._record()
         if self._cache:
-            _play_cache(obj, self._cache, self._bake, self._skin)
+            play_cache(obj, self._cache, self._bake, self._skin)
         mute_targets(obj, record.muted, self._bake.target_names, self._skin)
 
     def _record(self):
@@ -306,6 +316,9 @@ def free(obj) -> list[Message]:
     for each in baked:
         check_free(each)
     for each in baked:
+        if each.override_library:
+            on_override.free(each)
+            continue
         reconcile(each)
         messages += _free(each, baked_names(each))
         if not each.dynamorph.live.key.name:  # which it still shows
@@ -315,7 +328,9 @@ def free(obj) -> list[Message]:
 
 def check_free(obj):
     """Refuse, before any work, data that a bake cannot be removed from. Raises WriteError."""
-    if obj.dynamorph.bake.exists and obj.data.shape_keys:  # otherwise the artist has removed everything
+    if obj.override_library:
+        check_not_edited(obj)
+    elif obj.dynamorph.bake.exists and obj.data.shape_keys:  # otherwise the artist has removed everything
         check(obj)
 
 
@@ -394,27 +409,3 @@ def _add_track(animation, title: str, action, slot, times):
         strip.use_animated_influence = True
         strip.fcurves.find("influence").keyframe_points.clear()  # or the slider would spring back to its one key
         strip.influence = 1.0
-
-
-def _play_cache(obj, file: Path, bake: Bake, skin):
-    """Let a Mesh Cache modifier play the motion in a file; what follows a soft skin takes the influence from there."""
-    modifier = cache_modifier(obj)
-    if modifier is None:
-        modifier = obj.modifiers.new(MOTION, "MESH_CACHE")
-        obj.modifiers.move(obj.modifiers.find(modifier.name), 0)  # it holds the surface that the others deform
-    render, samples = bpy.context.scene.render, baked.samples_per_frame(bake)
-    modifier.cache_format = file.suffix[1:].upper()
-    modifier.filepath = str(file)
-    with suppress(ValueError):  # on another drive. All systems take /, and the .blend may be opened on another one
-        modifier.filepath = bpy.path.relpath(str(file)).replace(os.sep, "/") if bpy.data.filepath else str(file)
-    modifier.frame_start = bake.frames[0] * samples  # the modifier scales first
-    modifier.frame_scale = samples * render.frame_map_new / render.frame_map_old
-    modifier.show_in_editmode = False
-    obj.dynamorph.bake.cache = file.name
-    if skin:
-        driver = modifier.driver_add("factor").driver
-        driver.type = "SUM"
-        variable = driver.variables.get("skin") or driver.variables.new()
-        variable.name = "skin"
-        variable.targets[0].id = skin
-        variable.targets[0].data_path = cache_modifier(skin).path_from_id("factor")
