@@ -114,6 +114,16 @@ def modifier_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) ->
     return np.hstack([weights, 1.0 - weights.sum(axis=1, keepdims=True)])
 
 
+def masked(obj, groups: VertexGroups) -> np.ndarray:
+    """Which vertices (V,) Mask modifiers hide in renders by a vertex group. Raises SceneError."""
+    hidden = np.zeros(len(obj.data.vertices), bool)
+    for mask in obj.modifiers:
+        if mask.type == "MASK" and mask.show_render and mask.mode == "VERTEX_GROUP" and mask.vertex_group:
+            kept = groups.weights([mask.vertex_group])[:, 0] > mask.threshold
+            hidden |= kept if mask.invert_vertex_group else ~kept
+    return hidden
+
+
 def painted(obj, groups: VertexGroups, of: PaintedMap, group: str) -> np.ndarray:
     """Weights (V,) of a map that is the vertex group `group` on `obj`. Raises SceneError."""
     if group and group not in obj.vertex_groups:

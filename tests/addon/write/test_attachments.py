@@ -475,6 +475,26 @@ def test_many_loose_parts_are_grouped_by_material(scene):
     assert counts == [8, 160, 80]
 
 
+def test_loose_parts_that_a_mask_hides_are_outside_the_cage(scene):
+    """As MakeHuman's geometry for fitting clothes. What a mask hides of the body itself stays in the cage."""
+    arm = make_arm_with(((0, 0, 1.0), 0.9, 1.0, 0))
+    body = len(scenes.tube()[0])
+    arm.vertex_groups["lower"].remove(range(body, body + 4))  # the box is soft
+    arm.vertex_groups["upper"].add(range(body, body + 4), 1.0, "REPLACE")
+    arm.vertex_groups.new(name="body").add(range(10, body), 1.0, "REPLACE")
+    mask = arm.modifiers.new("Hide helpers", "MASK")
+    mask.show_render = False
+    mask.vertex_group = "body"
+    assert OPS.find_attachments() == {"CANCELLED"}
+    mask.show_render = True
+    OPS.find_attachments()
+    (hidden,) = arm.dynamorph.attachments
+    assert (hidden.attached_by, hidden.reason) == ("RIGID", "Mask modifiers hide this loose part")
+    cages = extract.character(arm, without_targets=True).cage_index
+    assert (cages[:body] == 0).all() and (cages[body:] == -1).all()
+    assert OPS.find_attachments() == {"CANCELLED"}
+
+
 def test_seams_do_not_part_a_mesh():
     """Imported meshes may have separate vertices for each face."""
     vertices, faces = scenes.tube()

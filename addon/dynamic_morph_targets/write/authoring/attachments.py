@@ -57,7 +57,7 @@ def find(obj) -> list[str]:
         if each.obj != obj and each.obj not in listed:
             added.append(_add_mesh(obj, each, whole, touches, names))
         if not whole:
-            added += _add_parts(obj, each, touches, names)
+            added += [*_add_hidden(obj, each), *_add_parts(obj, each, touches, names)]
     moved = references.as_moved(body.skeleton, body.rig)
     obj.dynamorph.model.head = ", ".join(names[bone] for bone in rigid.heads(moved, *_all_together(found)))
     return added
@@ -185,7 +185,7 @@ def _soft_area(other, rig) -> float:
 @dataclass(frozen=True)
 class _Found:
     """A mesh of the body under examination. labels (P,): of its loose parts; points (P, 3): in the body's bind space;
-    hard (parts,): which are rigid; bones (parts,): that carry most of each part.
+    hard (parts,): which are rigid; bones (parts,): that carry most of each part; hidden (parts,): which a mask hides.
     """
 
     source: Source
@@ -193,6 +193,7 @@ class _Found:
     points: np.ndarray
     hard: np.ndarray
     bones: np.ndarray
+    hidden: np.ndarray
 
     @property
     def obj(self):
@@ -223,7 +224,8 @@ def _look_at(source: Source) -> _Found:
     """Raises SceneError."""
     labels = loose_parts(source.points, source.triangles)
     points = source.in_body @ (source.body or source).to_bind.T
-    return _Found(source, labels, points, *rigid.rigid_parts(labels, source.weights))
+    hidden = np.bincount(labels, ~mesh_data.masked(source.obj, source.groups)) == 0
+    return _Found(source, labels, points, *rigid.rigid_parts(labels, source.weights), hidden & ~hidden.all())
 
 
 def _leave_something_soft(found: list[_Found]):
@@ -266,6 +268,25 @@ def _add_mesh(obj, each: _Found, whole: bool, touches: np.ndarray, names) -> str
     return _add(obj, each.obj, "", "RIGID", f"Bone '{bone}' alone moves it")
 
 
+def _covered(obj, each: _Found) -> np.ndarray:
+    """Which (parts,) belong to an attachment already."""
+    parts = attachments_of(obj, None if each.obj == obj else each.obj)
+    known = [item.group for item in parts if item.group in each.obj.vertex_groups]
+    taken = (each.source.groups.weights(known) >= mesh_data.MEMBER).any(axis=1)
+    return np.bincount(each.labels, taken) > 0.5 * np.bincount(each.labels)
+
+
+def _add_hidden(obj, each: _Found) -> list[str]:
+    """The loose parts that nobody sees, such as geometry for fitting clothes, as one attachment outside the cage."""
+    parts = np.flatnonzero(each.hidden & ~_covered(obj, each))
+    if not len(parts):
+        return []
+    made = each.obj.vertex_groups.new(name=PREFIX + "Hidden")
+    made.add(np.flatnonzero(np.isin(each.labels, parts)).tolist(), 1.0, "REPLACE")
+    what = "this loose part" if len(parts) == 1 else f"these {len(parts)} loose parts"
+    return [_add(obj, None if each.obj == obj else each.obj, made.name, "RIGID", f"Mask modifiers hide {what}")]
+
+
 def _add_parts(obj, each: _Found, touches: np.ndarray, names) -> list[str]:
     """The rigid loose parts of a mesh as attachments: those of one material on one bone together; if there are many,
     the small ones of one material.
@@ -276,10 +297,7 @@ def _add_parts(obj, each: _Found, touches: np.ndarray, names) -> list[str]:
     areas = np.zeros((len(each.hard), max(len(mesh.materials), 1)))
     of_triangles = triangle_areas(each.points, each.triangles)
     np.add.at(areas, (labels[each.triangles[:, 0]], slots.clip(0, areas.shape[1] - 1)), of_triangles)
-    known = [item.group for item in attachments_of(obj, owner) if item.group in each.obj.vertex_groups]
-    taken = (each.source.groups.weights(known) >= mesh_data.MEMBER).any(axis=1)
-    covered = np.bincount(labels, taken) > 0.5 * np.bincount(labels)
-    added = []
+    covered, added = _covered(obj, each) | each.hidden, []
     for held in (False, True):
         chosen = np.flatnonzero(each.hard & (touches == held) & ~covered)
         alike = np.column_stack([areas[chosen].argmax(axis=1), each.bones[chosen]])
