@@ -2,7 +2,7 @@
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build module test gui-test demo gallery figures materials bench bench-docs robustness believable \
 	believable-docs convergence accuracy bakes farm-demo golden fuzz soak faults coverage sanitize stubs format lint wheels \
-	platforms extension repository sdist version reliability feels limit collision clean
+	platforms extension repository sdist version reliability feels limit collision rigs clean
 
 started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
@@ -135,6 +135,10 @@ limit: build
 # that fold up; takes about 15 minutes.
 collision: build
 	@$(python) tests/benchmarks/collision.py
+
+# The table of docs/rigs.md: a human of each rig family, clicked and baked; takes about 2 minutes.
+rigs: build
+	@$(python) tests/benchmarks/rigs_page.py
 
 # docs/believable.md from what was measured before.
 believable-docs: build

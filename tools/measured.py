@@ -32,6 +32,8 @@ PAGES = {
     "feels.md": (*ENGINE, *ADDON, "tests/benchmarks/feels.py"),
     "collision.md": (*ENGINE, *ADDON, "tests/benchmarks/collision.py", "tests/benchmarks/collision_press.py"),
     "limit.md": (*ENGINE, *ADDON, "tests/benchmarks/limit.py"),
+    "rigs.md": (*ENGINE, *ADDON, "tests/benchmarks/rigs_page.py", "tests/addon/rig_families.py",
+                "tests/addon/human.py"),
     "gallery.md": (*ENGINE, *ADDON, "tests/benchmarks/gallery_loop.py", "sample_blends"),
     "coverage.md": ("cpp", "addon/dynamic_morph_targets", "tests/engine", "tests/addon", "tests/cpp",
                     "tools/coverage_page.py"),
