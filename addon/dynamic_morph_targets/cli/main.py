@@ -123,7 +123,7 @@ def silenced(quiet: bool) -> Iterator[None]:
     if kept is None:
         yield
         return
-    with open(os.devnull, "w", encoding="utf-8") as nowhere, redirect_stdout(nowhere):  # noqa: PTH123 - it is no file
+    with Path(os.devnull).open("w", encoding="utf-8", errors="replace") as nowhere, redirect_stdout(nowhere):
         os.dup2(nowhere.fileno(), 1)
         try:
             yield
