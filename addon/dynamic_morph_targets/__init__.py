@@ -27,6 +27,7 @@ def _modules():
         jobs,
         materials,
         painting,
+        playback,
         poses,
         presets,
         sculpting,
@@ -35,7 +36,6 @@ def _modules():
         transfer,
         weights,
     )
-    from .ui.operators import live as live_operators
     from .ui.overlays import hands, viewport
     from .ui.panels import sections
 
@@ -54,7 +54,7 @@ def _modules():
         materials,
         transfer,
         weights,
-        live_operators,
+        playback,
         grab,
         drags,
         compare,

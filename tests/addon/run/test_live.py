@@ -26,7 +26,7 @@ from bl_ext.user_default.dynamic_morph_targets.scene import (
     staleness,
 )
 from bl_ext.user_default.dynamic_morph_targets.scene import events as scene_events
-from bl_ext.user_default.dynamic_morph_targets.ui.operators import live as operators_live
+from bl_ext.user_default.dynamic_morph_targets.ui.operators import playback
 from bl_ext.user_default.dynamic_morph_targets.write.display import comparison
 from builders import activate, evaluated_points, fingerprint, refused, rig_of, skinning_of, soon
 from built import BuiltOnce
@@ -646,11 +646,11 @@ def test_a_shake_test_over_a_bake(over_a_bake):
 def test_needs_a_model(soft_arm, monkeypatch):
     """In a window the button builds it first."""
     refused(bpy.ops.dynamorph.live, "Press Build Model first: not built yet")
-    live_operators, pressed = operators_live, []
-    monkeypatch.setattr(live_operators, "press", lambda _by, name: pressed.append(name))
-    monkeypatch.setattr(live_operators.bpy, "app", types.SimpleNamespace(background=False))
+    pressed = []
+    monkeypatch.setattr(playback, "press", lambda _by, name: pressed.append(name))
+    monkeypatch.setattr(playback.bpy, "app", types.SimpleNamespace(background=False))
     operator = types.SimpleNamespace(execute=lambda _context: {"FINISHED"})
-    assert live_operators.DYNAMORPH_OT_live.invoke(operator, bpy.context, None) == {"CANCELLED"}
+    assert playback.DYNAMORPH_OT_live.invoke(operator, bpy.context, None) == {"CANCELLED"}
     assert pressed == ["dynamorph.build_live"]
 
 
@@ -818,8 +818,7 @@ class FirstLook(Pressed):
 
     def __init__(self, obj, monkeypatch, events=(), operator="DYNAMORPH_OT_first_look"):
         self.pressed = []
-        live_operators = operators_live
-        monkeypatch.setattr(live_operators, "press", lambda _by, name, **given: self.pressed.append((name, given)))
+        monkeypatch.setattr(playback, "press", lambda _by, name, **given: self.pressed.append((name, given)))
         super().__init__(obj, events, operator=operator)
 
 
@@ -988,7 +987,7 @@ class Playing:
 
     def __init__(self, obj, operator, monkeypatch, **settings):
         self.now = 0.0  # seconds
-        monkeypatch.setattr(operators_live, "time", types.SimpleNamespace(monotonic=lambda: self.now))
+        monkeypatch.setattr(playback, "time", types.SimpleNamespace(monotonic=lambda: self.now))
         assert press(obj, operator, self._begin, **settings) == {"RUNNING_MODAL"}
 
     def _begin(self, button, context):
@@ -1003,7 +1002,7 @@ class Playing:
 def played_after_a_hop(obj, monkeypatch, event="TIMER", **settings) -> list[str]:
     """What is pressed after a hop in a window has reached its end, or got Esc."""
     pressed = []
-    monkeypatch.setattr(operators_live, "press", lambda _by, name: pressed.append(name))
+    monkeypatch.setattr(playback, "press", lambda _by, name: pressed.append(name))
     button = Playing(obj, "DYNAMORPH_OT_shake_test", monkeypatch, kind="HOP", **settings)
     button.now = 10.0
     assert button.send(event) != {"RUNNING_MODAL"} and run_preview.preview is None
@@ -1239,7 +1238,7 @@ def test_an_autosave_of_a_preview_is_recovered_without_it(live_arm, tmp_path, wa
     if was_live:
         bpy.ops.dynamorph.live()
     path, stood = tmp_path / "autosave.blend", deltas(rig_of(live_arm))
-    running = run_preview.begin_preview(live_arm, operators_live.DYNAMORPH_OT_shake_test)
+    running = run_preview.begin_preview(live_arm, playback.DYNAMORPH_OT_shake_test)
     before = evaluated_points(live_arm)
     running.show(np.concatenate([np.full(8, 0.01), [1.0, 0.0]]), Matrix.Translation((0.0, 0.0, 0.5)))
     assert apart(evaluated_points(live_arm), before) > 0.1
