@@ -37,7 +37,7 @@ def refusal(nodes, tets, pinned, hold=None):
             call()
         said.add(str(error.value))
     (message,) = said
-    assert "Hold to Thickness" in message or "Cage Nodes" in message
+    assert "hold the body" in message or "Use more nodes" in message
     return message
 
 

@@ -216,10 +216,10 @@ def children(monkeypatch):
         ((np.full((3, 3), np.inf), [[0, 1, 2]]), "NaN or infinite"),
         ((np.zeros((0, 3)), np.zeros((0, 3), int)), "no faces"),
         ((box()[0], np.zeros((0, 3), int)), "no faces"),
-        ((box(size=(1, 1, 0))[0], BOX_TRIANGLES), "flat.*Solidify"),
-        ((box(size=(1, 0, 0))[0], BOX_TRIANGLES), "flat.*Solidify"),
-        ((box(size=(1e8, 1e8, 1e8))[0], BOX_TRIANGLES), "apply the scale"),
-        ((box(size=(1e-8, 1e-8, 1e-8))[0], BOX_TRIANGLES), "apply the scale"),
+        ((box(size=(1, 1, 0))[0], BOX_TRIANGLES), "flat.*Give it thickness"),
+        ((box(size=(1, 0, 0))[0], BOX_TRIANGLES), "flat.*Give it thickness"),
+        ((box(size=(1e8, 1e8, 1e8))[0], BOX_TRIANGLES), "Scale it"),
+        ((box(size=(1e-8, 1e-8, 1e-8))[0], BOX_TRIANGLES), "Scale it"),
     ],
 )
 def test_unusable_bodies_are_refused_with_advice(children, body, message):
@@ -369,7 +369,7 @@ def test_the_child_says_everything_in_utf_8(children):
 @pytest.mark.parametrize("python", ["/nowhere/python.exe", "", None])
 def test_a_python_that_does_not_start_is_named(monkeypatch, python):
     monkeypatch.setattr(sys, "executable", python)
-    with pytest.raises(dynamorph.Error, match=f"not be started with '{python}'.*virus scanner.*reinstall Blender"):
+    with pytest.raises(dynamorph.Error, match=f"not be started with '{python}'.*virus scanner.*install it again"):
         dynamorph.mesh_body(*box(), 300)
 
 

@@ -25,6 +25,27 @@ REMEDIES = {
     errno.EINVAL: "Choose another name",
 }  # fmt: skip
 CHECK_DISK = "Check the disk or the network"
+# What the engine advises, which knows nothing of Blender -> what an artist does there.
+IN_BLENDER = {
+    "Delete them, or repair what moves them.": "Delete them, or reset the shape key or modifier that moves them.",
+    "Give it some.": "Model or unhide some, then build again.",
+    "Scale it.": "Scale it and apply the scale.",
+    "Give it thickness.": "Give it thickness (Solidify modifier, applied).",
+    "Check the scale of the bones.": "Check the scale of the armature.",
+    "Repair that shape.": "Repair its shape key.",
+    "Pin fewer nodes,": "Lower Bone Pinning,",
+    ", or hold the body.": ", raise Bone Pinning, or set Hold to Thickness.",
+    "Use more nodes,": "Raise Cage Nodes,",
+    "or use more nodes.": "or raise Cage Nodes.",
+    "Ask for fewer, or use make_basis.": "Lower Detail, or take the modes from Vibration.",
+    "Check what poses it.": "Check its drivers and constraints.",
+    "Check what poses it at this step.": "Check its drivers and constraints at this frame.",
+    "Give one of them another.": "Pose the character differently and capture one of them again.",
+    "Give them poses that differ more,": "Capture poses that differ more,",
+    "or merge vertices that are close together.": "or clean the mesh (Mesh > Clean Up > Merge by Distance).",
+    "Close them, or use": "Close them (Mesh > Clean Up > Fill Holes), or use",
+    "or install it again.": "or reinstall Blender.",
+}
 
 
 class DynamorphError(Exception):
@@ -108,7 +129,15 @@ def sentence(error: BaseException) -> str:
         text = "'{file}': {reason}. {remedy}" if error.filename else "{reason}. {remedy}"
         return Message(text, file=error.filename, reason=error.strerror, remedy=remedy)
     first = error.args[0] if error.args else ""
-    return first if isinstance(first, str) else str(error)  # first: perhaps a Message
+    return _in_blender(first if isinstance(first, str) else str(error))  # first: perhaps a Message
+
+
+def _in_blender(text: str) -> str:
+    """A sentence of the engine's with what an artist does instead of what it advises; all others as they are."""
+    for advice, remedy in IN_BLENDER.items():
+        if advice in text:
+            text = text.replace(advice, remedy)
+    return text
 
 
 def is_transient(error: BaseException) -> bool:

@@ -34,7 +34,7 @@ from dynamorph._core import (
     tetrahedralize,
 )
 
-TRY_THIS = "Change the cage resolution a little, or clean the mesh (Mesh > Clean Up > Merge by Distance)."
+TRY_THIS = "Change the cage resolution a little, or merge vertices that are close together."
 EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER, EXIT_MESHER, EXIT_DISK = 10, 11, 12, 13, 14  # 1 and 2 are Python's own
 # On Windows exit codes from here up are exceptions, and 3 is abort; elsewhere a signal gives a negative code.
 WINDOWS_CRASH, WINDOWS_ABORT = 0xC0000000, 3
@@ -112,10 +112,7 @@ def _closed(cage: Surface | None) -> Surface:
         return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
     vertices, triangles, defects = closed_surface(*_checked(*cage))
     if defects["boundary_loops"]:
-        raise Error(
-            f"The cage has {defects['boundary_loops']} holes. Close them (Mesh > Clean Up > Fill Holes), or use the "
-            "automatic cage."
-        )
+        raise Error(f"The cage has {defects['boundary_loops']} holes. Close them, or use the automatic cage.")
     return vertices, triangles
 
 
@@ -174,7 +171,7 @@ def _run_child(arguments: list[float], request: IO[bytes], answer: IO[bytes], pr
     except OSError as error:
         raise Error(
             f"The mesher could not be started with '{sys.executable}' ({error}). Let the virus scanner allow this "
-            "program, or reinstall Blender."
+            "program, or install it again."
         ) from error
     assert child.stderr is not None  # it is a pipe
     fraction = [0.0]

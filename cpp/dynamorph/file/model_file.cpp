@@ -77,7 +77,7 @@ Header read_header(const unsigned char* bytes, std::size_t size) {
   const Json version = header.metadata.value("version", Json());
   if (version != kVersion)
     throw Error("The model has version " + (version.is_string() ? version.get<std::string>() : version.dump()) +
-                ", but this add-on reads version " + kVersion + ". Build it again, or update the add-on.");
+                ", but this Dynamorph reads version " + kVersion + ". Build it again, or update Dynamorph.");
   if (!has_its_hash(raw)) throw damaged("its header has changed");
   return header;
 }

@@ -53,7 +53,7 @@ Points points_on_bones(const Points& cage, const Triangles& triangles, const Poi
     const double length = along.norm() / spacing;
     if (!(length < kMostPieces))
       throw Error("A bone is more than " + std::to_string(kMostPieces) +
-                  " times as long as the cage's edges: check the scale of the armature.");
+                  " times as long as the cage's edges. Check the scale of the bones.");
     const int pieces = std::max(1, int(std::round(length)));
     for (int i = 0; i <= pieces; ++i) {
       const Vector3d p = head + along * i / pieces;

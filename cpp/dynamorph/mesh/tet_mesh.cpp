@@ -27,8 +27,10 @@ TetMesh make_tet_mesh(Points nodes, Tets tets) {
     throw std::invalid_argument("tets: expected node indices from 0 to " + std::to_string(mesh.nodes.rows() - 1));
   std::vector<bool> used(mesh.nodes.rows(), false);
   for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t) {
-    if (!(determinant(mesh, t) > 0))
-      throw std::invalid_argument("tets: tet " + std::to_string(t) + " is flat or inside out");
+    const double turned = determinant(mesh, t);
+    if (!(turned > 0))
+      throw std::invalid_argument("tets: tet " + std::to_string(t) +
+                                  (turned < 0 ? " is inside out: swap two of its indices" : " is flat"));
     for (int node : mesh.tets.row(t)) used[node] = true;
   }
   const auto unused = std::find(used.begin(), used.end(), false);

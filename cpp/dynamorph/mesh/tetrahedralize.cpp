@@ -132,7 +132,7 @@ TetMesh tetrahedralize(const Points& vertices, const Triangles& triangles, int t
     throw Error("The cage has a NaN or infinite coordinate. Delete that vertex.");  // TetGen would hang
   const Eigen::AlignedBox3d box = Surface(vertices, triangles).box();
   const double size = box.diagonal().norm();
-  if (!(size > 0)) throw Error("The cage is a single point. Scale it and apply the scale.");
+  if (!(size > 0)) throw Error("The cage is a single point. Scale it.");
   // Points without facets are kept as nodes. (TetGen's own list of extra points, -i, crashes with -Y.)
   Points unit(vertices.rows() + inner.rows(), 3);
   unit << vertices, inner;

@@ -23,7 +23,7 @@ void check_finite(const Points& vertices) {
   if (bad == 0) return;
   std::ostringstream message;
   message << bad << " of " << vertices.rows() << " vertices have a NaN or infinite coordinate (first: " << list.str()
-          << "). Delete them, or reset the shape key or modifier that moves them.";
+          << "). Delete them, or repair what moves them.";
   throw Error(message.str());
 }
 
@@ -63,7 +63,7 @@ class Welder {
 UnitBox unit_box(const Points& vertices, const Triangles& triangles) {
   check_triangles(vertices, triangles);
   check_finite(vertices);
-  if (triangles.rows() == 0) throw Error("The mesh has no faces. Model or unhide some, then build again.");
+  if (triangles.rows() == 0) throw Error("The mesh has no faces. Give it some.");
   Eigen::AlignedBox3d box;
   Vector3d mean = Vector3d::Zero();
   for (int i : triangles.reshaped()) {
@@ -73,8 +73,7 @@ UnitBox unit_box(const Points& vertices, const Triangles& triangles) {
   const double size = box.diagonal().norm();
   if (!(size > 1e-6 && size < 1e6)) {
     std::ostringstream message;
-    message << "The mesh is " << size
-            << " m across; sizes from 1e-6 to 1e6 m can be built. Scale it and apply the scale.";
+    message << "The mesh is " << size << " m across; sizes from 1e-6 to 1e6 m can be built. Scale it.";
     throw Error(message.str());
   }
   Matrix3d covariance = Matrix3d::Zero();
@@ -84,7 +83,7 @@ UnitBox unit_box(const Points& vertices, const Triangles& triangles) {
   }
   const double thickness = Eigen::SelfAdjointEigenSolver<Matrix3d>(covariance).eigenvalues()[0];
   if (thickness < 1e-12)  // squared and relative
-    throw Error("The mesh is flat: it has no volume to simulate. Give it thickness (Solidify modifier, applied).");
+    throw Error("The mesh is flat: it has no volume to simulate. Give it thickness.");
   return {box.min(), size};
 }
 

@@ -21,7 +21,7 @@ MatrixXd extend_shapes(const SoftBody& body, const Embedding& embedding, const M
   const double pull = 1e4 * A.diagonal().mean();
 
   check_size("surfaces", surfaces.rows(), 3 * embedding.nodes.rows());
-  if (!surfaces.allFinite()) throw Error("A target's shape is not finite. Repair its shape key.");
+  if (!surfaces.allFinite()) throw Error("A target's shape is not finite. Repair that shape.");
   const SparseMatrix E = embedding.matrix(body.mesh.nodes.rows());
   std::vector<Eigen::Triplet<double>> entries;
   for (int node = 0; node < E.outerSize(); ++node)

@@ -49,7 +49,7 @@ class Parts {
     if (!free.empty()) throw Error(advice(free));
     if (int(loose.size()) <= kMostParts && can_fold(loose))
       throw Error("The cage can fold: " + std::to_string(loose.size()) +
-                  " of its parts hang together only by edges or corners of tetrahedra. Raise Cage Nodes, or pin or "
+                  " of its parts hang together only by edges or corners of tetrahedra. Use more nodes, or pin or "
                   "hold them.");
   }
 
@@ -164,13 +164,13 @@ class Parts {
     const std::string subject = "A part of the cage, " + std::to_string(count) + " of its " +
                                 std::to_string(touching_.size()) + " nodes, around " + text(middle, negligible) +
                                 " m, ";
-    const std::string pin = "raise Bone Pinning, or set Hold to Thickness.";
+    const std::string hold = ", or hold the body.";
     if (worst.at.empty()) {
-      if (whole) return "Nothing holds this body: no node is pinned or held. Pin some, " + pin;
+      if (whole) return "Nothing holds this body: no node is pinned or held. Pin some" + hold;
       const auto unattached = std::count_if(free.begin(), free.end(), [](const Free& f) { return f.at.empty(); });
       return subject + "is attached to nothing" +
              (unattached > 1 ? ", nor are " + std::to_string(unattached - 1) + " others" : "") +
-             ". Pin nodes of each part, " + pin;
+             ". Pin nodes of each part" + hold;
     }
     const Vector3d from = point(worst.at[0]);
     std::string turn =
@@ -183,7 +183,7 @@ class Parts {
       turn = "about an axis through " + text(from, negligible) + " m along " + text(along, kNear) +
              ", because it is attached only along this line. Pin nodes beside it";
     }
-    return (whole ? "This body " : subject) + "can turn " + turn + ", " + pin;
+    return (whole ? "This body " : subject) + "can turn " + turn + hold;
   }
 
   const SoftBody& body_;

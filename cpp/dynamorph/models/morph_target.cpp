@@ -14,6 +14,15 @@ constexpr double kLocks = 100;
 
 }  // namespace
 
+Lame lame_of(double young, double poisson) {
+  if (!(young > 0 && std::isfinite(young)))
+    throw std::invalid_argument("young: expected a finite number of Pa above zero, got " + std::to_string(young));
+  if (!(poisson >= 0 && poisson <= 0.495))
+    throw std::invalid_argument("poisson: expected 0 to 0.495, above which tetrahedra lock, got " +
+                                std::to_string(poisson));
+  return {young * poisson / ((1 + poisson) * (1 - 2 * poisson)), young / (2 * (1 + poisson))};
+}
+
 void check_targets(const SoftBody& body, const std::vector<MorphTarget>& targets) {
   if (targets.empty()) throw std::invalid_argument("targets: at least one is needed");
   for (const MorphTarget& target : targets) {
@@ -22,9 +31,10 @@ void check_targets(const SoftBody& body, const std::vector<MorphTarget>& targets
                                   ", there are " + std::to_string(body.sets()));
     check_size("displacement", target.displacement.size(), body.mesh.nodes.size());
     if (!target.displacement.allFinite())
-      throw Error("Target '" + target.name + "' has a shape that is not finite. Repair its shape key.");
+      throw Error("Target '" + target.name + "' has a shape that is not finite. Repair that shape.");
     if (body.expand(body.restrict_to_free(target.displacement)) != target.displacement)
-      throw std::invalid_argument("targets: '" + target.name + "' displaces pinned nodes");
+      throw std::invalid_argument("targets: '" + target.name +
+                                  "' displaces pinned nodes; the shapes of extend_shapes do not");
     const double properties =
         target.lame.mu + target.lame.lambda + target.density + target.mass_damping + target.stiffness_damping;
     if (!(target.lame.mu > 0 && target.lame.lambda >= 0 && target.density > 0 && target.mass_damping >= 0 &&

@@ -27,6 +27,10 @@ struct MorphTarget {
   bool shifted = false;  ///< elasticity of the neutral shape, moved by d: a shape alone (after Capell et al. 2005)
 };
 
+/// Lame's parameters of a Young's modulus (Pa) and a Poisson's ratio. Throws std::invalid_argument unless the first is
+/// above zero and the second from 0 to 0.495.
+Lame lame_of(double young, double poisson);
+
 /// Throws std::invalid_argument, or Error for what an artist can fix, unless a model of `body` can have these targets.
 /// There must be at least one. Each must belong to one of the body's sets and have finite properties, with lambda at
 /// most 100 mu. Its displacement must be finite at every node and zero at pinned nodes.

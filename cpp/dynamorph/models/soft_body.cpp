@@ -32,7 +32,7 @@ SoftBody::SoftBody(TetMesh mesh_, VectorXd fill_, const VectorXd& stiffness, Mat
       free_nodes.push_back(i);
     }
   if (free_nodes.empty())
-    throw Error("Every node of the cage is pinned to a bone. Lower Bone Pinning, or raise the cage resolution.");
+    throw Error("Every node of the cage is pinned to a bone. Pin fewer nodes, or raise the cage resolution.");
 
   const Eigen::Index f = Eigen::Index(free_nodes.size());
   own_transforms = weights.cols() == 0;

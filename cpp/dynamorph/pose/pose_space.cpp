@@ -31,8 +31,7 @@ double fade(double distance, double radius) { return radius > 0 ? 1 - smooth_ste
 void rotation_of(const LocalTransforms& transforms, int bone, Rotations& rotations) {
   const Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>> m(transforms.row(bone).data());
   if (!m.allFinite())
-    throw Error("Bone " + std::to_string(bone) +
-                " has a transform that is not a number. Check its drivers and constraints.");
+    throw Error("Bone " + std::to_string(bone) + " has a transform that is not a number. Check what poses it.");
   const Matrix3d A = m.topLeftCorner<3, 3>();
   const Matrix3d square = A.transpose() * A;
   const double scale = square.trace() / 3;
@@ -87,7 +86,7 @@ PoseSpace::Interpolant PoseSpace::interpolate(TargetSet set) {
     for (size_t k = 0; k < j; ++k)
       if (!(pose_distance(set.bones, set.poses[j], set.poses[k]) >= kSamePose))
         throw Error("Targets '" + set.names[k] + "' and '" + set.names[j] +
-                    "' have the same pose. Pose the character differently and capture one of them again.");
+                    "' have the same pose. Give one of them another.");
   double widest = 0;
   for (const Rotations& a : set.poses)
     for (const Rotations& b : set.poses)
@@ -96,7 +95,7 @@ PoseSpace::Interpolant PoseSpace::interpolate(TargetSet set) {
   in.set = std::move(set);
   if ((widest <= kHalfRound && in.fit(false)) || in.fit(true)) return in;
   throw Error("The poses of targets '" + in.set.names.front() + "' to '" + in.set.names.back() +
-              "' cannot be interpolated. Capture poses that differ more, or remove a target.");
+              "' cannot be interpolated. Give them poses that differ more, or remove a target.");
 }
 
 /// Returns false when the kernel is not definite at these distances, or the system is too ill-conditioned to be

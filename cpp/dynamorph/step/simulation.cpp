@@ -99,7 +99,7 @@ void Simulation<Model>::pose(const Transforms& bones, const VectorXd& weights) {
     throw std::invalid_argument("bones: expected " + std::to_string(model_->body().skin.cols()) + " transforms, got " +
                                 std::to_string(bones.rows()));
   if (!bones.allFinite() || !weights.allFinite())
-    throw Error("The rig has a transform that is not a number. Check its drivers and constraints at this frame.");
+    throw Error("The rig has a transform that is not a number. Check what poses it at this step.");
   model_->blend(weights, blend_);
 }
 

@@ -211,8 +211,8 @@ void check_counts(int r, int h, Index shapes, Index dofs) {
     throw Error(number(r) + " modes in full detail are too few: the shapes of the targets alone take " +
                 number(shapes) + ". Ask for " + number(shapes + 1) + " or more.");
   if (Index(r) + h >= dofs / 2)
-    throw Error("A Detail of " + number(Index(r) + h) + " modes is too much for this cage, whose nodes can move in " +
-                number(dofs) + " ways. Ask for fewer than " + number(dofs / 2) + " modes, or raise Cage Nodes.");
+    throw Error(number(Index(r) + h) + " modes and responses are too many for this cage, whose nodes can move in " +
+                number(dofs) + " ways. Ask for fewer than " + number(dofs / 2) + ", or use more nodes.");
 }
 
 /// M^1/2 times the modes (3 free, r), orthonormal: the shapes, then the strongest of the candidates' motions beyond
@@ -224,7 +224,7 @@ MatrixXd modes(RowMajor candidates, const MatrixXd& shapes, Index r, VectorXd& a
   const MatrixXd strong = strongest(candidates, motions);
   if (strong.cols() < motions)
     throw Error("The bones move this cage in only " + std::to_string(shapes.cols() + strong.cols()) + " of " +
-                std::to_string(r) + " modes in full detail. Lower Detail, or take the modes from Vibration.");
+                std::to_string(r) + " modes in full detail. Ask for fewer, or use make_basis.");
   const VectorXd sizes = strong.colwise().norm();
   amplitudes.resize(r);
   amplitudes << along_shapes, sizes;

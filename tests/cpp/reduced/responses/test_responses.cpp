@@ -238,8 +238,8 @@ TEST_CASE("response basis: reports its progress, can be stopped, and refuses wha
                        Error);
   CHECK_THROWS_WITH_AS(
       make_response_basis(full, 9, 72),
-      "A Detail of 81 modes is too much for this cage, whose nodes can move in 162 ways. Ask for fewer "
-      "than 81 modes, or raise Cage Nodes.",
+      "81 modes and responses are too many for this cage, whose nodes can move in 162 ways. Ask for fewer "
+      "than 81, or use more nodes.",
       Error);
   CHECK_THROWS_AS(make_response_basis(full, -3, 12), Error);
   const FullModel neutral(body, {targets(*body)[0]}, MaterialModel::stvk, Blending::even);
