@@ -46,7 +46,7 @@ PAGES = {
 }  # fmt: skip
 # Pages that are written by hand.
 WRITTEN = ("architecture.md", "attribution.md", "cpp.md", "decisions/", "file_format.md", "glossary.md", "install.md",
-           "limitations.md", "releasing.md", "theory.md", "troubleshooting.md", "upgrading.md",
+           "limitations.md", "python.md", "releasing.md", "theory.md", "troubleshooting.md", "upgrading.md",
            "user_guide.md")  # fmt: skip
 
 

@@ -22,19 +22,38 @@ void bind_morph_target(py::module_& m) {
       .value("STABLE_STVK", MaterialModel::stable_stvk);
   py::enum_<Blending>(m, "Blending").value("FORCES", Blending::forces).value("EVEN", Blending::even);
 
+  const auto target = [](std::string name, const FloatArray& displacement, Lame lame, double density,
+                         double mass_damping, double stiffness_damping, int set, bool shifted) {
+    return MorphTarget{
+        std::move(name),   set,    flat_points("displacement", displacement, -1), lame, density, mass_damping,
+        stiffness_damping, shifted};
+  };
   py::class_<MorphTarget>(m, "MorphTarget", "A dynamic morph target: a shape and its elastic properties.")
-      .def(py::init([](std::string name, const FloatArray& displacement, double lambda, double mu, double density,
-                       double mass_damping, double stiffness_damping, int set, bool shifted) {
-             return MorphTarget{std::move(name),   set,     flat_points("displacement", displacement, -1),
-                                {lambda, mu},      density, mass_damping,
-                                stiffness_damping, shifted};
+      .def(py::init([target](std::string name, const FloatArray& displacement, double lambda, double mu, double density,
+                             double mass_damping, double stiffness_damping, int set, bool shifted) {
+             return target(std::move(name), displacement, {lambda, mu}, density, mass_damping, stiffness_damping, set,
+                           shifted);
            }),
            "name"_a, "displacement"_a, py::kw_only(), "lame_lambda"_a, "lame_mu"_a, "density"_a, "mass_damping"_a = 0.0,
            "stiffness_damping"_a = 0.0, "set"_a = 0, "shifted"_a = false,
            "displacement (n, 3): meters, bind space, zero at pinned nodes. Lame's parameters are in Pa, lame_lambda at "
            "most 100 times lame_mu, the density in kg/m^3, Rayleigh damping in 1/s (mass) and s (stiffness). set: "
            "index of the target set. shifted: the target has the elasticity of the neutral shape, moved by the "
-           "displacement.");
+           "displacement.")
+      .def(py::init([target](std::string name, const FloatArray& displacement, double young, double poisson,
+                             double density, double mass_damping, double stiffness_damping, int set, bool shifted) {
+             return target(std::move(name), displacement, lame_of(young, poisson), density, mass_damping,
+                           stiffness_damping, set, shifted);
+           }),
+           "name"_a, "displacement"_a, py::kw_only(), "young"_a, "poisson"_a, "density"_a, "mass_damping"_a = 0.0,
+           "stiffness_damping"_a = 0.0, "set"_a = 0, "shifted"_a = false,
+           "The same of a Young's modulus in Pa and a Poisson's ratio from 0 to 0.495.")
+      .def_readonly("name", &MorphTarget::name)
+      .def_readonly("set", &MorphTarget::set)
+      .def_readonly("shifted", &MorphTarget::shifted)
+      .def_property_readonly(
+          "displacement", [](const MorphTarget& t) { return Points(as_points(t.displacement)); },
+          "(n, 3): meters, bind space.");
 }
 
 void bind_soft_body(py::module_& m) {

@@ -77,6 +77,14 @@ void bind_reduced(py::module_& m) {
       "Computes the energy polynomials of every target in the basis U (3 free, r).");
   m.def(
       "reduce",
+      [](const FullModel& model, const Basis& basis, const py::object& progress) {
+        const ProgressFn report = with_gil(progress);
+        py::gil_scoped_release release;
+        return reduce(model, basis.U, report);
+      },
+      "model"_a, "basis"_a, "progress"_a = py::none(), "The same in what `make_basis` returns.");
+  m.def(
+      "reduce",
       [](const FullModel& model, const ResponseBasis& basis, const py::object& progress) {
         const ProgressFn report = with_gil(progress);
         py::gil_scoped_release release;

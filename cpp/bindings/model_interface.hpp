@@ -38,8 +38,16 @@ int checked_target(const Model& model, int target) {
   return target;
 }
 
-/// A model's matrix as Python sees it: sparse, or dense.
-inline const SparseMatrix& as_numpy(const SparseMatrix& m) { return m; }
+/// A model's matrix as Python sees it: sparse, which takes SciPy, or dense.
+inline const SparseMatrix& as_numpy(const SparseMatrix& m) {
+  try {
+    py::module_::import("scipy.sparse");
+  } catch (const py::error_already_set& error) {
+    if (!error.matches(PyExc_ImportError)) throw;
+    throw py::import_error("The matrices of a FullModel are those of scipy.sparse: install SciPy (pip install scipy)");
+  }
+  return m;
+}
 inline MatrixXd as_numpy(const ArrowMatrix& m) { return m.dense(); }
 
 /// Bind-space node displacement (n, 3) at coordinates q.
@@ -85,7 +93,7 @@ void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
           },
           "weights"_a, "q"_a,
           "Returns (energy in J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q. The stiffness "
-          "of a full model is a scipy.sparse matrix.")
+          "of a FullModel is a scipy.sparse matrix, for which SciPy must be installed.")
       .def(
           "inertia",
           [](const Model& m, const FloatArray& bones, double density) {
@@ -106,7 +114,8 @@ void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
             return matrix;
           },
           "bones"_a, "density"_a,
-          "The mass matrix A^T M A in the model's coordinates, at the bones' transforms (B, 3, 4).")
+          "The mass matrix A^T M A in the model's coordinates, at the bones' transforms (B, 3, 4). That of a FullModel "
+          "is a scipy.sparse matrix, for which SciPy must be installed.")
       .def(
           "target", [](const Model& m, int target) { return m.target(checked_target(m, target)); }, "target"_a,
           "Coordinates of a target's shape.")

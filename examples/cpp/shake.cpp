@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Shakes the soft skin of a model file for a second and prints the displacement of its surface, one vertex per line:
+// Shakes the soft skin of a model file for a second, while each set of targets goes from its first to its last, and
+// prints the displacement of the surface, one vertex per line:
 //   shake body.dynamorph
 #include <dynamorph/file/soft_skin.hpp>
 #include <dynamorph/step/simulation.hpp>
@@ -7,12 +8,16 @@
 
 using namespace dynamorph;
 
-int main(int, char** arguments) {
-  MorphTarget relaxed{"relaxed"}, flexed{"flexed"};  // the file has their shapes; we choose their materials
-  relaxed.lame = {28.6e3, 7.14e3};                   // Pa: Young's modulus 20 kPa, Poisson's ratio 0.4
-  flexed.lame = {114e3, 28.6e3};
-  relaxed.stiffness_damping = flexed.stiffness_damping = 0.005;  // s
-  const file::SoftSkin skin = file::load_soft_skin(file::read(arguments[1]), {relaxed, flexed});
+namespace {
+
+VectorXd shake(const file::Content& content) {
+  std::vector<MorphTarget> targets(std::size_t(file::target_count(content)));
+  for (MorphTarget& target : targets) {  // the file has their shapes; we choose their materials
+    target.lame = lame_of(80e3, 0.4);    // Pa: Young's modulus; Poisson's ratio
+    target.stiffness_damping = 0.005;    // s
+  }
+  if (!targets.empty()) targets[0].lame = lame_of(20e3, 0.4);  // relaxed
+  const file::SoftSkin skin = file::load_soft_skin(content, targets);
 
   StepOptions options;
   options.h = 1.0 / 120;            // s
@@ -20,13 +25,35 @@ int main(int, char** arguments) {
   Simulation<ReducedModel> simulation(skin.model, options);
   Transforms bones(skin.model->body().skin.cols(), 12);  // bind space to world space
   bones.rowwise() = Eigen::RowVector<double, 12>{{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}};
-  VectorXd weights = VectorXd::Unit(2, 0);
-  simulation.start(bones, bones, weights);
+  const std::vector<MorphTarget>& known = skin.model->targets();
+  VectorXd first = VectorXd::Zero(Eigen::Index(known.size())), last = first;
+  for (std::size_t j = 0; j < known.size(); ++j) {
+    first(j) = j == 0 || known[j - 1].set != known[j].set;
+    last(j) = j + 1 == known.size() || known[j + 1].set != known[j].set;
+  }
+  simulation.start(bones, bones, first);
   for (int step = 1; step <= 120; ++step) {
     bones.col(3).setConstant(0.02 * std::sin(0.2 * step));  // m, along x
-    weights << 1 - step / 120.0, step / 120.0;              // the muscle flexes
+    const double done = step / 120.0;
+    const VectorXd weights = (1 - done) * first + done * last;
     simulation.step({bones, weights});
   }
-  const Eigen::IOFormat exact(Eigen::FullPrecision, Eigen::DontAlignCols);
-  std::cout << as_points(skin.surface(simulation.coordinates(), weights)).format(exact) << '\n';
+  return skin.surface(simulation.coordinates(), last);
+}
+
+}  // namespace
+
+int main(int count, char** arguments) {
+  if (count != 2) {
+    std::cerr << "usage: shake MODEL\n"
+                 "MODEL: a file that `dynamic_morph_targets build --cache-dir` or the Python package wrote\n";
+    return 2;
+  }
+  try {
+    const Eigen::IOFormat exact(Eigen::FullPrecision, Eigen::DontAlignCols);
+    std::cout << as_points(shake(file::read(arguments[1]))).format(exact) << '\n';
+  } catch (const std::exception& error) {
+    std::cerr << "shake: " << error.what() << '\n';
+    return 1;
+  }
 }

@@ -15,8 +15,8 @@ from dynamic_morph_targets.core.model import schema
 from dynamic_morph_targets.core.model.build import build, stale_reasons
 from dynamic_morph_targets.core.model.model import Model
 from dynamic_morph_targets.core.model.summary import Summary
-from dynamic_morph_targets.io import model_file
 from dynamic_morph_targets.io.model_file import pack, unpack
+from dynamorph.model_file import FORMAT, VERSION
 
 sys.path.append(str(Path(__file__).parents[1] / "golden"))
 
@@ -90,8 +90,8 @@ def test_every_byte_is_guarded(packed):
 def forged(tensors, data=b"", **changes):
     """A file by somebody who computes the hashes correctly, with any table of arrays."""
     metadata = {
-        "format": model_file.FORMAT,
-        "version": str(model_file.VERSION),
+        "format": FORMAT,
+        "version": str(VERSION),
         "meta": "{}",
         "hashes": json.dumps({name: hashlib.sha256(data).hexdigest() for name in tensors}),
         "header_hash": "",

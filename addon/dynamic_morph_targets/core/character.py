@@ -210,6 +210,12 @@ class Character:
         return len(self.targets) - len(self.target_sets) + 1
 
     @property
+    def set_of_target(self) -> np.ndarray:
+        """The number (J,) of the set that each of `targets` is in."""
+        sizes = [len(target_set.targets) for target_set in self.target_sets]
+        return np.repeat(np.arange(len(sizes), dtype=np.int32), sizes)
+
+    @property
     def authored_targets(self) -> list[Target]:
         """All targets, set after set, whichever the method simulates."""
         return _in_order(self.authored_sets)

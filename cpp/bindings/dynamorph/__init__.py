@@ -6,6 +6,8 @@ from importlib import metadata
 from dynamorph._core import *  # noqa: F403
 from dynamorph.meshing import mesh_body as mesh_body
 from dynamorph.meshing import tet_quality as tet_quality
+from dynamorph.model_file import pack_model as pack_model
+from dynamorph.model_file import pack_soft_skin as pack_soft_skin
 
 try:
     __version__ = metadata.version("dynamorph")

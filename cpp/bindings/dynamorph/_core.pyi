@@ -246,10 +246,30 @@ class MorphTarget:
     """
     A dynamic morph target: a shape and its elastic properties.
     """
+    @typing.overload
     def __init__(self, name: str, displacement: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], *, lame_lambda: typing.SupportsFloat | typing.SupportsIndex, lame_mu: typing.SupportsFloat | typing.SupportsIndex, density: typing.SupportsFloat | typing.SupportsIndex, mass_damping: typing.SupportsFloat | typing.SupportsIndex = 0.0, stiffness_damping: typing.SupportsFloat | typing.SupportsIndex = 0.0, set: typing.SupportsInt | typing.SupportsIndex = 0, shifted: bool = False) -> None:
         """
         displacement (n, 3): meters, bind space, zero at pinned nodes. Lame's parameters are in Pa, lame_lambda at most 100 times lame_mu, the density in kg/m^3, Rayleigh damping in 1/s (mass) and s (stiffness). set: index of the target set. shifted: the target has the elasticity of the neutral shape, moved by the displacement.
         """
+    @typing.overload
+    def __init__(self, name: str, displacement: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], *, young: typing.SupportsFloat | typing.SupportsIndex, poisson: typing.SupportsFloat | typing.SupportsIndex, density: typing.SupportsFloat | typing.SupportsIndex, mass_damping: typing.SupportsFloat | typing.SupportsIndex = 0.0, stiffness_damping: typing.SupportsFloat | typing.SupportsIndex = 0.0, set: typing.SupportsInt | typing.SupportsIndex = 0, shifted: bool = False) -> None:
+        """
+        The same of a Young's modulus in Pa and a Poisson's ratio from 0 to 0.495.
+        """
+    @property
+    def displacement(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+        """
+        (n, 3): meters, bind space.
+        """
+    @property
+    def name(self) -> str:
+        ...
+    @property
+    def set(self) -> int:
+        ...
+    @property
+    def shifted(self) -> bool:
+        ...
 class SoftBody:
     """
     The data that all models of one character share.
@@ -295,7 +315,7 @@ class FullModel:
         """
     def inertia(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], density: typing.SupportsFloat | typing.SupportsIndex) -> scipy.sparse.csc_matrix:
         """
-        The mass matrix A^T M A in the model's coordinates, at the bones' transforms (B, 3, 4).
+        The mass matrix A^T M A in the model's coordinates, at the bones' transforms (B, 3, 4). That of a FullModel is a scipy.sparse matrix, for which SciPy must be installed.
         """
     def linear_modes(self, target: typing.SupportsInt | typing.SupportsIndex, k: typing.SupportsInt | typing.SupportsIndex) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]]:
         """
@@ -303,7 +323,7 @@ class FullModel:
         """
     def linearize(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> tuple[float, typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], scipy.sparse.csc_matrix]:
         """
-        Returns (energy in J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q. The stiffness of a full model is a scipy.sparse matrix.
+        Returns (energy in J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q. The stiffness of a FullModel is a scipy.sparse matrix, for which SciPy must be installed.
         """
     def target(self, target: typing.SupportsInt | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
         """
@@ -425,11 +445,11 @@ class ReducedModel:
         """
     def inertia(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], density: typing.SupportsFloat | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
-        The mass matrix A^T M A in the model's coordinates, at the bones' transforms (B, 3, 4).
+        The mass matrix A^T M A in the model's coordinates, at the bones' transforms (B, 3, 4). That of a FullModel is a scipy.sparse matrix, for which SciPy must be installed.
         """
     def linearize(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> tuple[float, typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]]:
         """
-        Returns (energy in J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q. The stiffness of a full model is a scipy.sparse matrix.
+        Returns (energy in J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q. The stiffness of a FullModel is a scipy.sparse matrix, for which SciPy must be installed.
         """
     def target(self, target: typing.SupportsInt | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
         """
@@ -872,6 +892,11 @@ def points_on_bones(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.flo
 def reduce(model: FullModel, U: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], progress: typing.Any = None) -> ReducedTables:
     """
     Computes the energy polynomials of every target in the basis U (3 free, r).
+    """
+@typing.overload
+def reduce(model: FullModel, basis: Basis, progress: typing.Any = None) -> ReducedTables:
+    """
+    The same in what `make_basis` returns.
     """
 @typing.overload
 def reduce(model: FullModel, basis: ResponseBasis, progress: typing.Any = None) -> ReducedTables:

@@ -135,6 +135,8 @@ void add_responses(const Content& content, ReducedTables& tables, Eigen::Index t
 
 }  // namespace
 
+int target_count(const Content& content) { return int(table<std::int32_t>(content, "target_sets", {-1}).rows()); }
+
 SoftSkin load_soft_skin(const Content& content, std::vector<MorphTarget> targets, Blending blending) {
   const Built how = built(content.meta);
   if (is_empty(content, "basis")) throw Error("The model has no modes to step: only its cage is built");
@@ -149,10 +151,13 @@ SoftSkin load_soft_skin(const Content& content, std::vector<MorphTarget> targets
   const Eigen::Index size = tables.layout().distinct();
   const auto lambda = table<double>(content, "table_lambda", {J, size});
   const auto mu = table<double>(content, "table_mu", {J, size});
+  const auto sets = table<std::int32_t>(content, "target_sets", {J});
+  if ((sets.array() < 0 || sets.array() >= body->sets()).any()) throw incomplete("target_sets");
   for (Eigen::Index j = 0; j < J; ++j) {
     MorphTarget& target = targets[std::size_t(j)];
     target.displacement = shapes.row(j);
     target.shifted = how.shifted;
+    target.set = sets(j, 0);
     tables.lambda.push_back(lambda.row(j));
     tables.mu.push_back(mu.row(j));
   }

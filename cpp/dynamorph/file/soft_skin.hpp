@@ -26,9 +26,12 @@ struct SoftSkin {
   }
 };
 
-/// targets: one for each of the model's, with its material and set, which the artist authors and the model does not
-/// store. The shapes come from the model: `displacement` and `shifted` are not read. Throws Error when the content is
-/// not that of a reduced model, and std::invalid_argument when the targets do not fit.
+/// How many targets a model has. Throws Error when the content is not that of a model.
+int target_count(const Content& content);
+
+/// targets: one for each of the model's, with its material, which the artist authors and the model does not store. The
+/// shapes and sets come from the model: `displacement`, `shifted` and `set` are not read. Throws Error when the content
+/// is not that of a reduced model, and std::invalid_argument when the targets do not fit.
 SoftSkin load_soft_skin(const Content& content, std::vector<MorphTarget> targets, Blending blending = Blending::even);
 
 }  // namespace dynamorph::file

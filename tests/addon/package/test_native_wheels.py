@@ -74,3 +74,6 @@ def test_the_page_names_the_versions_of_bpy_that_are_tested():
     assert extra == [f"bpy=={version}.*; python_version == '{python}'" for version, python in tested.items()]
     for version, python in tested.items():
         assert f'"bpy=={version}.*"' in PAGE and f"python{python}" in PAGE
+    workflow = (ROOT / "farm/github_actions.yml").read_text()  # Python 3.13, with the wheels of both in one folder
+    assert set(re.findall(r"pip install bpy==(\d+\.\d+)", workflow)) == {tested["3.13"]}
+    assert "whl" not in workflow and workflow.count("--no-index --find-links wheels dynamic_morph_targets") == 2

@@ -66,6 +66,7 @@ struct Scene {
          {"embedding_nodes", stored(std::vector<std::int32_t>{last(0), last(1), last(2), last(3)}, "I32", {1, 4})},
          {"embedding_weights", stored(MatrixXd(Eigen::RowVector4d(0.5, 0, 0, 0.5)), {1, 4})},
          {"displacements", stored(displacements, {J, n, 3})},
+         {"target_sets", stored(std::vector<std::int32_t>(std::size_t(J), 0), "I32", {J})},
          {"residual_shapes", stored(MatrixXd::Constant(J, 3, 0.25), {J, 1, 3})},
          {"to_bind", stored(MatrixXd(2 * Matrix3d::Identity()), {3, 3})},
          {"basis", stored(tables.basis, {columns, r})},

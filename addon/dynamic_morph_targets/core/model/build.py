@@ -235,6 +235,7 @@ def _model(character: Character, hashes: dict[str, str], **known: Any) -> Model:
     """A model with the `known` fields and those that it takes over from the character; all others are empty."""
     empty = {name: np.zeros((0, 0)) for name in Model.array_names()}
     taken: dict[str, Any] = {
+        "target_sets": character.set_of_target,
         "to_bind": character.to_bind,
         "parents": character.skeleton.parents,
         "rest": character.skeleton.rest,

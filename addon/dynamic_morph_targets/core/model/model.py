@@ -38,12 +38,13 @@ class Model:
     a hold by thickness, else empty: hold_strength (m,) 1/m^2 as `dynamorph.SoftBody` takes it, hold (n,) how firmly
     from 0 to 1, thickness (V,) of the body at the skin. Where Firmness is painted, else empty:
     unpainted_stiffness and unpainted_hold (m,), the stiffness and hold_strength without it.
-    node_weights (n, B + 1), embedding_nodes and embedding_weights (V, 4), displacements (J, n, 3), residual_shapes
-    (J, V, 3) local space: what the cage cannot carry of the targets' shapes; to_bind (3, 3); parents (B,), rest
-    (B, 4, 4) of the skeleton. basis (3 free, r), table_lambda and table_mu (J, ...) of a reduced model
-    (dynamorph.ReducedTables), empty of a full one. Of one with responses, else empty: responses (3 free, h),
-    response_lambda and response_mu (J, h) their stiffness, coupling_lambda and coupling_mu (J, ...) in single precision
-    as it is simulated, relaxation (J, h, r). Static morph targets have no nodes: their residual shapes are the shapes.
+    node_weights (n, B + 1), embedding_nodes and embedding_weights (V, 4), target_sets (J,) the set that each target is
+    in, displacements (J, n, 3), residual_shapes (J, V, 3) local space: what the cage cannot carry of the targets'
+    shapes; to_bind (3, 3); parents (B,), rest (B, 4, 4) of the skeleton. basis (3 free, r), table_lambda and table_mu
+    (J, ...) of a reduced model (dynamorph.ReducedTables), empty of a full one. Of one with responses, else empty:
+    responses (3 free, h), response_lambda and response_mu (J, h) their stiffness, coupling_lambda and coupling_mu
+    (J, ...) in single precision as it is simulated, relaxation (J, h, r). Static morph targets have no nodes: their
+    residual shapes are the shapes.
     """
 
     nodes: np.ndarray
@@ -60,6 +61,7 @@ class Model:
     node_weights: np.ndarray
     embedding_nodes: np.ndarray
     embedding_weights: np.ndarray
+    target_sets: np.ndarray
     displacements: np.ndarray
     residual_shapes: np.ndarray
     to_bind: np.ndarray
@@ -135,12 +137,7 @@ class Model:
                 raise schema.damaged("it needs more memory than there is")
             if needed > room.free:
                 raise MemoryError
-            lame_lambda, lame_mu = Material().lame()
-            targets = [
-                dynamorph.MorphTarget("", shape, lame_lambda=lame_lambda, lame_mu=lame_mu, density=Material.density)
-                for shape in self.displacements
-            ]
-            dynamorph.ReducedModel(body, targets, self._tables(), dynamorph.Blending.EVEN)
+            dynamorph.ReducedModel(body, self.plain_targets(), self._tables(), dynamorph.Blending.EVEN)
 
     @property
     def only_cage(self) -> bool:
@@ -179,6 +176,14 @@ class Model:
             material_model = dynamorph.MaterialModel.__members__[self.settings.material_model]
             return dynamorph.FullModel(self.soft_body(probed), targets, material_model, blending)
         return dynamorph.ReducedModel(self.soft_body(probed), targets, self._tables(), blending)
+
+    def plain_targets(self) -> list[dynamorph.MorphTarget]:
+        """The engine's targets, all of one material that no artist has chosen."""
+        lame_lambda, lame_mu = Material().lame()
+        return [
+            dynamorph.MorphTarget("", shape, lame_lambda=lame_lambda, lame_mu=lame_mu, density=Material.density, set=s)
+            for shape, s in zip(self.displacements, self.target_sets.tolist(), strict=True)
+        ]
 
     def _tables(self) -> dynamorph.ReducedTables:
         lame_lambda = np.hstack([self.response_lambda, self.coupling_lambda])
@@ -240,9 +245,9 @@ def engine_hash(number: int) -> str:
 
 
 def morph_targets(character: Character, displacements: np.ndarray) -> list[dynamorph.MorphTarget]:
-    sets = [s for s, target_set in enumerate(character.target_sets) for _ in target_set.targets]
     shifted = character.settings.method == "SHAPE"
     out = []
+    sets = character.set_of_target.tolist()
     for j, (target, s, displacement) in enumerate(zip(character.targets, sets, displacements, strict=True)):
         material = character.material(j)
         lame_lambda, lame_mu = material.lame()

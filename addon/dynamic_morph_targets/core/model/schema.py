@@ -19,7 +19,7 @@ from ..settings import METHODS, ModelSettings
 
 # Kind of numbers (as in NumPy) and dimensions of each array, by what a model has. A letter is the same number in all of
 # them: n nodes, m tets, V vertices, J targets, S sets, B bones, W = B + 1, F = 3 free, r modes, h responses.
-EVERY = {"residual_shapes": "f J V 3", "to_bind": "f 3 3", "parents": "i B", "rest": "f B 4 4"}
+EVERY = {"target_sets": "i J", "residual_shapes": "f J V 3", "to_bind": "f 3 3", "parents": "i B", "rest": "f B 4 4"}
 TISSUE = {
     "nodes": "f n 3",
     "tets": "i m 4",
@@ -108,7 +108,8 @@ def _check_numbers(arrays: dict[str, np.ndarray], bones: int) -> None:
     for name, array in arrays.items():
         if array.dtype.kind == "f" and not float(np.abs(array).max(initial=0.0)) < LARGEST:  # as no NaN is
             raise damaged(f"array '{name}' is not finite")
-    for name, count in (("tets", len(arrays["nodes"])), ("embedding_nodes", len(arrays["nodes"])), ("parents", bones)):
+    nodes, sets = len(arrays["nodes"]), arrays["region_weights"].shape[-1]
+    for name, count in (("tets", nodes), ("embedding_nodes", nodes), ("target_sets", sets), ("parents", bones)):
         array, least = arrays[name], -1 if name == "parents" else 0
         if array.size and not (least <= array.min() and array.max() < count):
             raise damaged(f"array '{name}' has indices beyond {count}")

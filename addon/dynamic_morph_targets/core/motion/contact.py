@@ -19,7 +19,6 @@ from ..errors import SceneError
 from ..geometry import diagonal, is_closed
 from ..message import Message, named_frames
 from ..model.model import EngineModel, Model
-from ..settings import Material
 from .colliders import ColliderTrack, colliders_of
 from .contact_points import ContactPoints, contact_points, spread
 from .limits import THINNEST, frames_around
@@ -65,7 +64,7 @@ class Collision:
             return
         local = None
         if not full:
-            local, self.dents = _local_responses(model, character, surface)
+            local, self.dents = _local_responses(model, surface)
         kind: Callable[..., Any] = dynamorph.FullContact if full else dynamorph.ReducedContact
         vertices, corners = np.unique(points.vertices, return_inverse=True)
         *places, residual_shapes = carried(model, character, vertices)
@@ -185,7 +184,7 @@ def _thickness(model: Model, character: Character) -> np.ndarray:
     return np.maximum(found, 0.5 * THINNEST * diagonal(rest))
 
 
-def _local_responses(model: Model, character: Character, surface: ContactPoints) -> tuple[Any, np.ndarray]:
+def _local_responses(model: Model, surface: ContactPoints) -> tuple[Any, np.ndarray]:
     """How the skin gives way locally, and the `Collision.dents` of it. surface: all of it. It takes a while, so it is
     kept with the model, and made for one material: the engine scales it by the shear modulus, and what Live changes
     must not depend on when Live began.
@@ -194,15 +193,9 @@ def _local_responses(model: Model, character: Character, surface: ContactPoints)
     if known:
         return known
     places = surface.at_most(PLACES)
-    lame_lambda, lame_mu = Material().lame()
-    sets = [s for s, target_set in enumerate(character.target_sets) for _ in target_set.targets]
-    targets = [
-        dynamorph.MorphTarget("", shape, lame_lambda=lame_lambda, lame_mu=lame_mu, density=Material.density, set=s)
-        for shape, s in zip(model.displacements, sets, strict=True)
-    ]
     law = dynamorph.MaterialModel.__members__[model.settings.material_model]
     local = dynamorph.LocalResponses(
-        dynamorph.FullModel(model.soft_body(), targets, law, dynamorph.Blending.EVEN),
+        dynamorph.FullModel(model.soft_body(), model.plain_targets(), law, dynamorph.Blending.EVEN),
         model.modes,
         places.rest,
         places.normals,
