@@ -217,7 +217,7 @@ def test_bones_that_cannot_be_divided():
             dynamorph.points_on_bones(*skin, [[0.1, 0.1, 0.1]], [[end, 0.0, 0.0]], 0.5)
         with pytest.raises(ValueError, match="heads, tails: expected finite"):
             dynamorph.pinned(dynamorph.TetMesh(nodes, tets), *skin[:2], [[0.1, 0.1, 0.1]], [[end, 0.0, 0.0]], 0.5)
-    with pytest.raises(dynamorph.Error, match="check the scale of the armature"):
+    with pytest.raises(dynamorph.Error, match="Check the scale of the bones"):
         dynamorph.points_on_bones(*skin, [[0.1, 0.1, 0.1]], [[1e12, 0.0, 0.0]], 0.5)
     none = np.zeros((0, 3), int)
     assert len(dynamorph.points_on_bones(vertices, none, *skin[2:], [[0.1, 0.1, 0.1]], [[0.1, 0.1, 0.2]], 0.5)) == 0

@@ -69,10 +69,11 @@ def test_pip_takes_the_wheels_for_its_python(project, tmp_path):
 
 def test_the_page_names_the_versions_of_bpy_that_are_tested():
     requirements = (ROOT / "tools/requirements.txt").read_text()
-    tested = dict(re.findall(r'^bpy==(\d+\.\d+)\.\d+; python_version == "(.*)"$', requirements, re.MULTILINE))
+    pinned = re.findall(r'^bpy==(\d+\.\d+)\.\d+; python_version == "(.*)"$', requirements, re.MULTILINE)
+    tested = {python: version for version, python in pinned}
     extra = tomllib.loads((ROOT / "addon/pyproject.toml").read_text())["project"]["optional-dependencies"]["bpy"]
-    assert extra == [f"bpy=={version}.*; python_version == '{python}'" for version, python in tested.items()]
-    for version, python in tested.items():
+    assert extra == [f"bpy=={version}.*; python_version == '{python}'" for python, version in tested.items()]
+    for python, version in tested.items():
         assert f'"bpy=={version}.*"' in PAGE and f"python{python}" in PAGE
     workflow = (ROOT / "farm/github_actions.yml").read_text()  # Python 3.13, with the wheels of both in one folder
     assert set(re.findall(r"pip install bpy==(\d+\.\d+)", workflow)) == {tested["3.13"]}
