@@ -129,7 +129,7 @@ def test_what_does_not_fit_is_refused_by_name():
             dynamorph.ReducedModel(full.body, targets, tables_like(tables, **changes), dynamorph.Blending.EVEN)
     for modes, message in (
         (2, "2 modes in full detail are too few: the shapes of the targets alone take 2. Ask for 3 or more"),
-        (full.dofs // 2 - RESPONSES, f"Ask for fewer than {full.dofs // 2} , or use more nodes"),
+        (full.dofs // 2 - RESPONSES, f"Ask for fewer than {full.dofs // 2}, or use more nodes"),
     ):
         with pytest.raises(dynamorph.Error, match=message):
             dynamorph.make_response_basis(full, modes, RESPONSES)
