@@ -235,8 +235,10 @@ def bones_of(family: Family) -> dict[str, Bone]:
     """All bones of the family, parents before children."""
     names = dict(zip((*CENTER, *LIMBS), [*family.center.split(), *family.limbs.split()], strict=True))
     bones, top = {}, ""
-    for k, name in enumerate(family.above.split()):
-        bones[name] = Bone(top, (0, 0, 0.05 * k), (0, 0, 0.05 * k + 0.05))
+    for name in family.above.split():
+        at_hips = family.beside and name == family.above.split()[-1]
+        height = 0.9 if at_hips else 0.0  # a root is on the ground
+        bones[name] = Bone(top, (0, 0, height), (0, 0, height + 0.05))
         top = name
     for (role, side), (parent, head, tail, radius) in both_sides().items():
         word = family.sides[side < 0]

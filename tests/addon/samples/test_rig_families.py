@@ -118,3 +118,19 @@ def test_the_armature_finds_its_body(scene):
         OPS.add_soft_skin()
         assert figure.body.dynamorph.targets
         OPS.remove_soft_skin()
+
+
+@pytest.mark.parametrize("name", ["Mixamo", "Unreal", "Character Creator"])
+def test_one_click_is_enough_after_fbx_too(scene, tmp_path, name):
+    """Blender's own exporter and importer make the scales, rotations and keys that users have."""
+    figure = rig_families.make(name)
+    bpy.ops.export_scene.fbx(filepath=str(tmp_path / "it.fbx"), add_leaf_bones=False)
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    bpy.ops.import_scene.fbx(filepath=str(tmp_path / "it.fbx"))
+    body = bpy.data.objects[figure.family.body]
+    activate(body)
+    OPS.add_soft_skin()
+    body_checks.look(body)
+    assert [problem.text for problem, _ in messages.messages(body)] == []
+    assert body.dynamorph.model.head == figure.family.head
+    assert {each.object.name: each.attached_by for each in body.dynamorph.attachments} == ATTACHED.get(name, {})
