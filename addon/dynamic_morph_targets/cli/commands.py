@@ -37,7 +37,7 @@ from .record import Done, ProgressPrinter, print_table
 SETTABLE = (*(field.name for field in fields(Material)), "fade_out_angle", "amount")  # properties of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
 SIMULATION_SETTINGS = ("speed", "samples", "integrator", "gravity", "fields", "initial_state", "loop", "keep_outside")
-OUTPUT_SETTINGS = ("keys", "frame_step", "tolerance")
+OUTPUT_SETTINGS = ("keys", "frame_step", "tolerance", "bake_to_action")
 SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output": OUTPUT_SETTINGS}
 
 

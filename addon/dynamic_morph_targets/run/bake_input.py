@@ -31,6 +31,7 @@ from ..scene.model_store import blend_folder, load_model, stale_reasons
 from ..scene.skin import ObjectHandle, SceneHandle
 from ..scene.skinning import Skinning
 from ..scene.source import Source
+from ..write.bake.baked_action import check_rig_action
 from ..write.bake.reading import read_back
 from ..write.bake.writer import check_bake, check_cache, check_local, overwritten_keys
 from ..write.reconcile import reconcile
@@ -140,6 +141,7 @@ def handles(attachments: Sequence[Attachment]) -> list[ObjectHandle]:
 def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -> None:
     """The form of the bake in Blender. Raises WriteError."""
     given.output = run_settings.output_settings(obj)
+    check_rig_action(obj)
     if given.output.format != "PC2":
         return
     caches = folder or blend_folder()

@@ -18,6 +18,7 @@ from ..core.motion import baked
 from ..io import disk
 from ..scene import skin, staleness, target_properties
 from ..scene.model_store import PACKED, blend_folder, index_in, stored_model
+from ..write.bake.baked_action import check_rig_action
 from ..write.bake.before import Before
 from ..write.bake.writer import check_bake, check_free, check_local, check_not_edited, free, new_bake
 from ..write.display import beside, comparison, live_key
@@ -88,6 +89,7 @@ class Writer:
         else:
             attachments = self._attachments()
             check_bake(obj)
+            check_rig_action(obj)
             for attachment in attachments:
                 check_bake(attachment, obj)
             for attachment in skin.shown_attachments(obj):

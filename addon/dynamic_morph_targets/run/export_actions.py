@@ -145,6 +145,7 @@ class ActionsExport(batch.Batch):
             for mesh, copy, bake in zip((obj, *attachments), copies, bakes, strict=True):
                 skin = None if copy == copies[0] else copies[0]
                 live_key.remove(copy)
+                copy.dynamorph.output.bake_to_action = False  # the armature's Actions are what the clips are made of
                 if copy.data.shape_keys:
                     actions.lay_out(copy.data.shape_keys, self.clips, mesh.data.shape_keys)
                 write_keys(copy, bake, skin)

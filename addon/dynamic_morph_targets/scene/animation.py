@@ -15,6 +15,13 @@ from bpy_extras import anim_utils
 from .plain import plain
 from .skinning import Skinning
 
+GROUP = "Dynamorph"  # of the curves of baked keys, which tells them from the artist's in the same Action
+
+
+def is_baked(curve) -> bool:
+    """Whether a bake has made a curve."""
+    return bool(curve.group) and curve.group.name == GROUP and curve.data_path.startswith("key_blocks[")
+
 
 def curves(action, slot) -> list:
     """The F-curves of one slot of an Action; either may be None."""

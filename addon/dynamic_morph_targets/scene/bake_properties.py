@@ -14,6 +14,7 @@ from bpy.props import (
     FloatProperty,
     FloatVectorProperty,
     IntProperty,
+    IntVectorProperty,
     PointerProperty,
     StringProperty,
 )
@@ -275,6 +276,13 @@ class DynamorphOutput(PropertyGroup):
         default=OutputSettings.tolerance, min=0.0, soft_max=0.01, precision=4, subtype="DISTANCE", override=OVERRIDE,
     )  # fmt: skip
 
+    bake_to_action: BoolProperty(
+        name="Bake to Action",
+        description="Put the curves of the next bake into slots of the Action that the armature plays, instead of an "
+        "Action of their own. Turn it on where one Action should hold the whole performance",
+        override=OVERRIDE,
+    )
+
     def settings(self) -> OutputSettings:
         """As the panels show them: lengths in Blender units."""
         return OutputSettings(**{field.name: getattr(self, field.name) for field in fields(OutputSettings)})
@@ -289,6 +297,11 @@ class DynamorphBake(PropertyGroup):
     )
     muted: CollectionProperty(name="Muted", description="Target keys that the bake muted", type=DynamorphKey)
     action: PointerProperty(name="Action", description="Action with the modal curves", type=bpy.types.Action)
+    action_slots: IntVectorProperty(
+        name="Action Slots",
+        description="Handles of the bake's slots in that Action, if it is the armature's; otherwise 0",
+        size=2,
+    )
     had_animation_data: BoolProperty(
         name="Had Animation Data", description="Whether the shape keys were animated before the bake"
     )

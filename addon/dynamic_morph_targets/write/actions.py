@@ -56,7 +56,7 @@ def clips_of(obj) -> list[Clip]:
         raise SceneError("The scene stretches time, clips have their own: set Time Stretching to 100 (Output tab)")
     found, first = [], 1
     for action in bpy.data.actions:
-        begin, end = math.floor(action.frame_range[0]), math.ceil(action.frame_range[1])
+        begin, end = _frames(action)
         if end > begin and _slot(action, rig):
             if bpy.data.actions.get(action.name) != action:  # it is linked
                 raise SceneError(
@@ -136,6 +136,16 @@ def _fill(track, clip: Clip, action, slot):
     strip.extrapolation, strip.blend_type = "NOTHING", "REPLACE"
 
 
+def _frames(action) -> tuple[int, int]:
+    """Its first frame and its last. Those of a bake that is in slots of the Action do not count."""
+    found = [curve for slot in action.slots for curve in animation.curves(action, slot)]
+    own = [curve.range() for curve in found if not animation.is_baked(curve)]
+    ends = action.frame_range
+    if own and len(own) < len(found) and not action.use_frame_range:
+        ends = min(first for first, _ in own), max(last for _, last in own)
+    return math.floor(ends[0]), math.ceil(ends[1])
+
+
 def _slot(action, owner):
     """The slot of an Action that moves `owner`, for an armature object its bones; preferably the one that it plays,
     or one with its name. Or None. What another one plays, or is named after another one, belongs to that.
@@ -143,7 +153,7 @@ def _slot(action, owner):
     fitting = [slot for slot in action.slots if slot.target_id_type in {owner.id_type, "UNSPECIFIED"}]
     fitting = [slot for slot in fitting if owner in (slot.users() or [_namesake(slot, owner)])]
     for slot in sorted(fitting, key=lambda slot: (owner not in slot.users(), slot.name_display != owner.name)):
-        paths = (curve.data_path for curve in animation.curves(action, slot))
+        paths = [curve.data_path for curve in animation.curves(action, slot) if not animation.is_baked(curve)]
         if any(_has(owner, path) for path in paths if owner.id_type == "KEY" or path.startswith(POSE)):
             return slot
     return None

@@ -8,7 +8,7 @@ import bpy
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.scene import skin
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import export
-from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
+from bl_ext.user_default.dynamic_morph_targets.write.bake import cache_player, writer
 from bl_ext.user_default.dynamic_morph_targets.write.export import exports
 from builders import hand_made_bake
 from pressed import invoked
@@ -27,7 +27,7 @@ def cached(soft_arm, tmp_path):
 
 
 def test_the_path_of_a_cache_has_slashes_that_all_systems_take(cached, monkeypatch):
-    monkeypatch.setattr(writer, "os", types.SimpleNamespace(sep="\\"))
+    monkeypatch.setattr(cache_player, "os", types.SimpleNamespace(sep="\\"))
     monkeypatch.setattr(bpy.path, "relpath", lambda path: f"//caches\\{Path(path).name}")
     assert cached().filepath == "//caches/Arm.pc2"
 

@@ -107,6 +107,15 @@ def exported(obj, folder, key="GLTF"):
     return path
 
 
+def test_a_bake_in_the_armature_s_action_is_in_no_clip(game_arm, tmp_path):
+    before = exported(game_arm, tmp_path).read_bytes()
+    game_arm.dynamorph.output.bake_to_action = True
+    run(Job(game_arm, "BAKE", (1, 20)))
+    assert game_arm.dynamorph.bake.action == rig_of(game_arm).animation_data.action
+    noted = state(game_arm)
+    assert exported(game_arm, tmp_path).read_bytes() == before and state(game_arm) == noted
+
+
 @pytest.mark.parametrize("baked", [True, False])
 def test_gltf_has_a_clip_for_each_action(game_arm, tmp_path, baked):
     pytest.importorskip("pygltflib")

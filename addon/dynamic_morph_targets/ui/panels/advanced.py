@@ -93,3 +93,4 @@ def draw_rare(layout, _context, obj):
     column = layout.column()
     for name in ("max_thickness", "integrator"):
         draw_setting(column, simulation, name)
+    layout.prop(obj.dynamorph.output, "bake_to_action")

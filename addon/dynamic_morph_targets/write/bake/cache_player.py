@@ -12,7 +12,7 @@ import bpy
 from ...core.motion import baked
 from ...core.motion.baked import Bake
 from ...scene.skin import cache_modifier
-from .influence import MOTION
+from .baked_action import MOTION
 
 
 def play_cache(obj, file: Path, bake: Bake, skin):

@@ -9,8 +9,8 @@ import numpy as np
 
 from ...scene import animation
 from ...scene.skin import cache_modifier, shown_attachments
+from .baked_action import MOTION, SHAPES, BakedAction
 
-SHAPES, MOTION = "Dynamorph Shapes", "Dynamorph"  # the tracks from bottom to top, and the Action's slots
 # The timing properties of a strip. The ends come last, because the others move them.
 TIMING = (
     "extrapolation", "use_reverse", "action_frame_start", "action_frame_end", "scale", "repeat", "frame_start_raw",
@@ -30,8 +30,8 @@ def influence(obj) -> tuple:
 
 def influence_strip(obj):
     """The NLA strip that plays the bake's motion, or None."""
-    keys, action = obj.data.shape_keys, obj.dynamorph.bake.action
-    return keys and strip_of(keys, action)
+    keys = obj.data.shape_keys
+    return keys and strip_of(keys, BakedAction.of(obj))
 
 
 def show_influence(obj):
@@ -46,9 +46,9 @@ def share_strip(obj):
     """Let the strip of the targets' shapes, and the strips of what follows a soft skin, play when that of its motion
     does; what follows with the same influence, set or animated. Strips that were cut or doubled stay as they are.
     """
-    motion = _strips(obj.data.shape_keys, obj.dynamorph.bake.action, MOTION)
+    motion = _strips(obj.data.shape_keys, BakedAction.of(obj), MOTION)
     for other in (obj, *shown_attachments(obj)) if motion else ():
-        shapes, moving = (_strips(other.data.shape_keys, other.dynamorph.bake.action, t) for t in (SHAPES, MOTION))
+        shapes, moving = (_strips(other.data.shape_keys, BakedAction.of(other), t) for t in (SHAPES, MOTION))
         for strips in (shapes, moving):
             if len(motion) == len(strips) == 1:
                 _keep_timing(motion[0], strips[0])
@@ -57,17 +57,18 @@ def share_strip(obj):
             moving[0].mute = moving[0].mute
 
 
-def strip_of(keys, action):
-    """The first strip that plays the motion in `action`, or None."""
-    return next(iter(_strips(keys, action, MOTION)), None)
+def strip_of(keys, baked: BakedAction):
+    """The first strip that plays the motion of a bake, or None."""
+    return next(iter(_strips(keys, baked, MOTION)), None)
 
 
-def _strips(keys, action, title: str) -> list:
-    """The strips that play the slot of a bake's `action`, which may be None."""
-    if action is None or keys is None or keys.animation_data is None:
+def _strips(keys, baked: BakedAction, title: str) -> list:
+    """The strips that play a slot of a bake."""
+    slot = baked.slot(title)
+    if slot is None or keys is None or keys.animation_data is None:
         return []
-    strips = [strip for strip in animation.strips(keys.animation_data.nla_tracks) if strip.action == action]
-    return [strip for strip in strips if strip.action_slot and strip.action_slot.name_display == title]
+    strips = [strip for strip in animation.strips(keys.animation_data.nla_tracks) if strip.action == baked.action]
+    return [strip for strip in strips if strip.action_slot == slot]
 
 
 def _keep_timing(old, new):

@@ -13,7 +13,7 @@ from ...core.motion.baked import Bake
 from ...scene import animation
 from ...scene.references import key_points
 from ..reconcile import reconcile
-from .influence import MOTION, SHAPES
+from .baked_action import MOTION, SHAPES, BakedAction
 
 
 def read_back(obj, samples: int = 1) -> Bake:
@@ -22,7 +22,7 @@ def read_back(obj, samples: int = 1) -> Bake:
     """
     record, keys = obj.dynamorph.bake, obj.data.shape_keys
     reconcile(obj)
-    dynamic, static = _curves_of(keys, record.action, MOTION), _curves_of(keys, record.action, SHAPES)
+    dynamic, static = _curves_of(obj, MOTION), _curves_of(obj, SHAPES)
     blocks = [keys.key_blocks[name] for name in baked_names(obj)] if keys else []
     paths = [f"{block.path_from_id()}.value" for block in blocks]
     curves = [curve for curve in (*map(dynamic.get, paths), *map(static.get, paths)) if curve]
@@ -52,15 +52,16 @@ def read_back(obj, samples: int = 1) -> Bake:
 
 def shape_curves(obj) -> dict:
     """The curves of the bake of `obj` that play only the targets' shapes, by path."""
-    return _curves_of(obj.data.shape_keys, obj.dynamorph.bake.action, SHAPES)
+    return _curves_of(obj, SHAPES)
 
 
-def _curves_of(keys, action, title: str) -> dict:
-    """The curves of one slot of a bake's Action, by path."""
-    slot = action and next((slot for slot in action.slots if slot.name_display == title), None)
-    if not (keys and slot):
+def _curves_of(obj, title: str) -> dict:
+    """The curves of one slot of the bake of `obj`, by path."""
+    baked = BakedAction.of(obj)
+    slot = baked.slot(title)
+    if not (obj.data.shape_keys and slot):
         return {}
-    return {curve.data_path: curve for curve in animation.curves(action, slot)}
+    return {curve.data_path: curve for curve in animation.curves(baked.action, slot)}
 
 
 def baked_names(obj) -> list[str]:

@@ -9,25 +9,26 @@ from collections import Counter
 import bpy
 
 from ...core.message import Message
-from ...scene.animation import strips
+from ...scene import animation
+from ...scene.animation import is_baked, strips
+from .baked_action import BakedAction, players_of
 
 LONG_NAME = 58  # bytes, of 63 in Blender 4.5
-GROUP = "Dynamorph"  # of the curves of baked keys, which tells them from the artist's in the same Action
 
 
-def remove_keys(obj, names, action, active_index: int, new=()) -> list[Message]:
-    """Remove these shape keys with the Action and its strips; what is the artist's in them stays. active_index: of the
-    key that is active afterward, if the active one is among them; new: keys of the bake that takes the place. Returns
-    what the artist should know.
+def remove_keys(obj, names, baked: BakedAction, active_index: int, new=()) -> list[Message]:
+    """Remove these shape keys with their strips and their Action, of the artist's Action only their slots; what is the
+    artist's in them stays. active_index: of the key that is active afterward, if the active one is among them; new:
+    keys of the bake that takes the place. Returns what the artist should know.
     """
     blocks = obj.data.shape_keys.key_blocks
     active = obj.active_shape_key.name if obj.active_shape_key else ""
     messages = []
-    for block in _edited(blocks, (*names, *new), action):
+    for block in _edited(blocks, (*names, *new), baked):
         block.value = 0.0  # that of the old motion, on top of the new one
         text = "'{key}' of '{name}' was edited after the bake: it stays, at the value 0"
         messages.append(Message(text, key=block.name, name=obj.name))
-    _remove(obj, [blocks[name] for name in names], action, {f"{blocks[name].path_from_id()}.value" for name in new})
+    _remove(obj, [blocks[name] for name in names], baked, {f"{blocks[name].path_from_id()}.value" for name in new})
     index = blocks.find(active)
     obj.active_shape_key_index = index if index >= 0 else min(active_index, len(blocks) - 1)
     return messages
@@ -46,18 +47,19 @@ def clear_unused(keys, had_animation_data: bool):
         keys.animation_data_clear()
 
 
-def _edited(blocks, names, action) -> list:
-    """The keys that a bake's Action moves, and that are not among its keys any more: the artist has sculpted them."""
-    paths = {curve.data_path for _, curve in _curves(action) if _is_baked(curve)} if action else ()
+def _edited(blocks, names, baked: BakedAction) -> list:
+    """The keys that a bake's curves move, and that are not among its keys any more: the artist has sculpted them."""
+    moved = _curves(baked.action) if baked.action else ()
+    paths = {curve.data_path for bag, curve in moved if is_baked(curve) and baked.holds(bag.slot)}
     return [block for block in blocks if block.name not in names and f"{block.path_from_id()}.value" in paths]
 
 
-def _remove(obj, blocks, action, new: set[str]):
+def _remove(obj, blocks, baked: BakedAction, new: set[str]):
     """Remove shape keys, and the Action with its strips and the tracks that become empty; also the copies of the Action
     that Blender makes for duplicated strips. One in which the artist has animated other keys keeps their curves. new:
     paths of the keys of the bake that takes the place.
     """
-    keys = obj.data.shape_keys
+    keys, action = obj.data.shape_keys, baked.action
     actions = [action] if action else []
     tracks = keys.animation_data.nla_tracks if keys.animation_data and action else []
     paths = {f"{block.path_from_id()}.value" for block in blocks}
@@ -68,10 +70,10 @@ def _remove(obj, blocks, action, new: set[str]):
             for copy in {each.action for each in played} - set(actions):
                 if _is_copy(copy, action, paths, new):
                     actions.append(copy)
-            baked = [each for each in played if each.action in actions]
-            if len(baked) < len(played) or any(_others(each.action, paths, each.action_slot) for each in baked):
-                kept.update(each.action for each in baked)  # Blender cannot take one strip out of a Meta strip
-            elif baked:
+            ours = [each for each in played if each.action in actions and baked.holds(each.action_slot)]
+            if len(ours) < len(played) or any(_others(each.action, paths, each.action_slot) for each in ours):
+                kept.update(each.action for each in ours)  # Blender cannot take one strip out of a Meta strip
+            elif ours:
                 track.strips.remove(strip)
                 if all(left.type == "TRANSITION" for left in track.strips):
                     tracks.remove(track)
@@ -79,11 +81,15 @@ def _remove(obj, blocks, action, new: set[str]):
     for name in [block.name for block in blocks]:  # by name: each removal moves the others in memory
         obj.shape_key_remove(keys.key_blocks[name])
     data = keys.animation_data
-    if data and data.action in actions:  # chosen in an editor, to see its curves or to key others
+    chosen = data and data.action in actions and baked.holds(data.action_slot)
+    if chosen:  # in an editor, to see its curves or to key others
         if _others(data.action, paths, data.action_slot):
             kept[data.action] += 1
         else:
             data.action = None
+    if action and baked.is_shared:
+        _remove_slots(obj, baked)
+        actions.remove(action)
     for each in actions:
         recorded = obj.dynamorph.bake.action == each  # the record counts as a user
         if each.users > kept[each] + int(recorded):  # somebody else plays it
@@ -96,21 +102,37 @@ def _remove(obj, blocks, action, new: set[str]):
             bpy.data.actions.remove(each)
 
 
+def _remove_slots(obj, baked: BakedAction):
+    """Remove the slots of the bake of `obj` in an Action of the artist's, unless a duplicate plays them; and those that
+    are left there because one has played them. What is the artist's in them stays.
+    """
+    action, keys = baked.action, obj.data.shape_keys
+    records = [each.dynamorph.bake for each in bpy.data.objects if each.dynamorph.bake.action == action]
+    noted = {handle for record in records for handle in record.action_slots}
+    for slot in [slot for slot in action.slots if slot.target_id_type == keys.id_type]:
+        players, moved = players_of(slot), animation.curves(action, slot)
+        made = [curve for curve in moved if is_baked(curve)]
+        mine = baked.holds(slot) and all(player == keys for player in players)
+        left = made and not players and slot.handle not in noted
+        if not (mine or left):
+            continue
+        if len(made) == len(moved) and not players:
+            action.slots.remove(slot)
+            continue
+        for curve in made:
+            animation.remove_curve(action, slot, curve)
+
+
 def _curves(action) -> list[tuple]:
     """All curves of an Action, each with the list that it is in."""
     bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
     return [(bag, curve) for bag in bags for curve in bag.fcurves]
 
 
-def _is_baked(curve) -> bool:
-    """Whether a bake has made a curve."""
-    return bool(curve.group) and curve.group.name == GROUP
-
-
 def _others(action, paths: set[str], slot=None) -> list:
     """The curves of an Action, or of one slot of it, that move neither these paths nor baked keys."""
     found = [curve for bag, curve in _curves(action) if slot is None or bag.slot == slot]
-    return [curve for curve in found if not (curve.data_path in paths or _is_baked(curve))]
+    return [curve for curve in found if not (curve.data_path in paths or is_baked(curve))]
 
 
 def _is_copy(copy, action, paths: set[str], new: set[str]) -> bool:

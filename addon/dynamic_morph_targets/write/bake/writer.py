@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A bake -> Blender: shape keys or a point cache, and their removal.
 
-surface = vertices + modes . coordinates + residual_shapes . weights becomes a shape key for each mode and each residual
-shape, with the coordinates as F-curves, in an Action of their own, as strips on two NLA tracks, because the animation
-data's one Action is the artist's. The lower track plays the targets' shapes, the upper one replaces them by the motion,
-as far as its influence says. In its place there may be a point cache: a Mesh Cache modifier before all others.
+surface = vertices + modes . coordinates + residual_shapes . weights becomes a shape key for each mode and each
+residual shape, with the coordinates as F-curves, in an Action of their own or in slots of the armature's
+(`baked_action`), as strips on two NLA tracks, because the animation data's one Action is the artist's. The lower track
+plays the targets' shapes, the upper one replaces them by the motion, as far as its influence says. In its place there
+may be a point cache: a Mesh Cache modifier before all others.
 """
 
 from __future__ import annotations
@@ -20,17 +21,18 @@ from ...core.message import Message
 from ...core.motion.baked import Bake
 from ...core.result.slider_keys import Key, scaled_keys
 from ...scene import animation, checks, identity
-from ...scene.animation import played
+from ...scene.animation import GROUP, played
 from ...scene.references import basis_hash, key_displacement, key_points
 from ...scene.skin import cache_modifier, shown_attachments
 from ..reconcile import reconcile
 from . import on_override
+from .baked_action import MOTION, SHAPES, BakedAction
 from .before import Before
 from .cache_player import play_cache
-from .influence import MOTION, SHAPES, carry_influence, keep_influence, strip_of
+from .influence import carry_influence, keep_influence, strip_of
 from .muting import leave_to_live, mute_targets, unmute_targets
 from .reading import baked_names
-from .removal import GROUP, clear_unused, remove_keys, remove_modifier
+from .removal import clear_unused, remove_keys, remove_modifier
 
 LINEAR = 1  # the value of Keyframe.interpolation for foreach_set
 
@@ -161,14 +163,14 @@ class NewBake:
         self._followed = obj.dynamorph.follows
         self._old = baked_names(obj)  # now: a new key may look like an old one, or take the name of a deleted one
         self._old_cache = ""  # name of the old bake's modifier, if the new one does not use it
-        self._old_action, self._old_index = record.action, record.active_index
+        self._old_action, self._old_index = BakedAction.of(obj), record.active_index
         self._had_animation_data = record.had_animation_data if record.exists else bool(keys and keys.animation_data)
         self._had_tracks = len(keys.animation_data.nla_tracks) if keys and keys.animation_data else 0
         self._had_names = keys.key_blocks.keys() if keys else ["Basis"]
         self._active_index = obj.active_shape_key_index
         self._keys: list[Key] = []
         self._names: list[str] = []  # temporary, because the old bake may still use the final names
-        self._action = None
+        self._action = BakedAction(None)
 
     @property
     def size(self) -> int:
@@ -182,7 +184,7 @@ class NewBake:
         self._keys = scaled_keys(self._bake, key_points(obj.data.shape_keys.reference_key))
         for key in self._keys:
             self._names.append(_add_key(obj, key).name)
-        self._action = bpy.data.actions.new(f"{MOTION} {obj.name}")
+        self._action = BakedAction.new(obj, self._skin or obj)
         _add_curves(obj.data.shape_keys, self._action, self._names, self._bake.frames, self._keys)
         obj.active_shape_key_index = self._active_index
 
@@ -196,8 +198,7 @@ class NewBake:
             tracks.remove(track)
         for name in set(keys.key_blocks.keys()) - set(self._had_names):
             obj.shape_key_remove(keys.key_blocks[name])
-        if self._action:
-            bpy.data.actions.remove(self._action)
+        self._action.take_back()
         obj.active_shape_key_index = self._active_index
         clear_unused(keys, self._had_animation_data)
         if self._followed is None:
@@ -206,7 +207,7 @@ class NewBake:
     def show(self):
         """Let it be the bake of its object. The old one stays, muted, and nothing refers to it any more."""
         obj, record, modifier = self._obj, self._obj.dynamorph.bake, cache_modifier(self._obj)
-        keep_influence(strip_of(obj.data.shape_keys, record.action), strip_of(obj.data.shape_keys, self._action))
+        keep_influence(strip_of(obj.data.shape_keys, self._old_action), strip_of(obj.data.shape_keys, self._action))
         for name in self._old:
             obj.data.shape_keys.key_blocks[name].mute = True
         unmute_targets(obj, record.muted)
@@ -227,7 +228,7 @@ class NewBake:
             key.refer_to(blocks, index)
             key.reach = key_displacement(blocks[index])
         record.basis = basis_hash(blocks)
-        record.action = self._action
+        self._action.record(record)
         record.slot = (self._skin or self._obj).dynamorph.live.slot
         record.had_animation_data = self._had_animation_data
         record.active_index = self._obj.active_shape_key_index
@@ -241,6 +242,7 @@ class NewBake:
         if self._old_cache:
             remove_modifier(obj, obj.modifiers[self._old_cache])
         messages += remove_keys(obj, self._old, self._old_action, self._old_index, self._names)
+        self._action.name_slots()
         record.active_index = obj.active_shape_key_index
         blocks = obj.data.shape_keys.key_blocks
         for reference, name, key in zip(record.keys, self._names, self._keys, strict=True):
@@ -255,9 +257,8 @@ class NewBake:
         keys = self._obj.data.shape_keys
         paths = {f"{keys.key_blocks[key.name].path_from_id()}.value": key.name for key in self._obj.dynamorph.bake.keys}
         curves = played(keys.animation_data) if keys.animation_data else ()
-        others = {
-            (paths[c.data_path], c.id_data.name) for c in curves if c.data_path in paths and c.id_data != self._action
-        }
+        ours = self._action.action
+        others = {(paths[c.data_path], c.id_data.name) for c in curves if c.data_path in paths and c.id_data != ours}
         text = (
             "'{key}' of '{name}' has keyframes in Action '{action}', which play instead of the bake: delete them there"
         )
@@ -337,7 +338,7 @@ def check_free(obj):
 def _free(obj, names) -> list[Message]:
     record, keys, messages = obj.dynamorph.bake, obj.data.shape_keys, []
     if record.exists and keys:
-        messages = remove_keys(obj, names, record.action, record.active_index)
+        messages = remove_keys(obj, names, BakedAction.of(obj), record.active_index)
         clear_unused(keys, record.had_animation_data)
     if obj.dynamorph.live.key.name:
         leave_to_live(obj)
@@ -348,7 +349,7 @@ def _free(obj, names) -> list[Message]:
         remove_modifier(obj, modifier)
     record.cache = record.summary = record.warnings = record.verdict = ""
     record.keys.clear()
-    record.action = None
+    BakedAction(None).record(record)
     record.off_full = -1.0
     return messages
 
@@ -362,22 +363,20 @@ def _add_key(obj, key: Key):
     return block
 
 
-def _add_curves(keys, action, names, frames, values: list[Key]):
-    """The curves in a new Action, on NLA tracks above the artist's: without the motion, and with it."""
+def _add_curves(keys, action: BakedAction, names, frames, values: list[Key]):
+    """The curves in new slots, on NLA tracks above the artist's: without the motion, and with it."""
     render = bpy.context.scene.render
     times = frames * (render.frame_map_old / render.frame_map_new)  # frame 10 of a remapped scene may be time 5
     animation = keys.animation_data or keys.animation_data_create()
-    strip = action.layers.new("Layer").strips.new(type="KEYFRAME")
     for title, curves in ((SHAPES, [key.shapes for key in values]), (MOTION, [key.motion for key in values])):
         if all(curve is None for curve in curves):
             continue
-        slot = action.slots.new(keys.id_type, title)
-        channels = strip.channelbag(slot, ensure=True)
+        slot, channels = action.add_slot(keys, title)
         group = channels.groups.new(GROUP)
         for name, curve in zip(names, curves, strict=True):
             if curve is not None:
                 add_curve(channels, name, times, curve, group)
-        _add_track(animation, title, action, slot, times)
+        _add_track(animation, title, action.action, slot, times)
 
 
 def add_curve(channels, name: str, times, values, group=None):

@@ -16,7 +16,7 @@ from ...core.errors import SceneError
 from ...scene import animation, skin
 from ...scene.model_store import PACKED
 from ..bake import writer
-from ..bake.influence import MOTION, SHAPES
+from ..bake.baked_action import MOTION, SHAPES
 from . import comparison
 
 GAP = 1.15  # widths of the body from its middle to that of the copy
