@@ -330,6 +330,7 @@ def test_a_crash_is_known_by_its_exit_code(monkeypatch, children, code, name):
     assert len(children) == len(meshing.RESOLUTIONS)
 
 
+@pytest.mark.fault("C08")
 @pytest.mark.skipif(os.name == "nt", reason="POSIX")
 def test_a_mesher_that_the_system_kills_is_short_of_memory(monkeypatch):
     """The mesh is not blamed, no other resolution is tried, and a farm may try again."""

@@ -51,6 +51,7 @@ def bake_of(path, name):
     return [key.name for key in bpy.data.objects[name].dynamorph.bake.keys]
 
 
+@pytest.mark.fault("F18")
 @pytest.mark.parametrize(
     "option",
     [("--object", "caf\udce9"), ("--all", "--set", "fl\udcffexed.stiffness=5"), ("--all", "--exclude", "\udcff")],

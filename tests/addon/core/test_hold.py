@@ -49,6 +49,7 @@ def test_a_rod_is_held_away_from_it(held):
     assert found.phi[nodes[:, 0] < -2.5].min() > 0.9
 
 
+@pytest.mark.fault("M21")
 def test_cards_on_the_skin_are_not_its_thickness():
     """Feathers, fur, scales: open, small, each with a corner on the skin. Clothes are as large as the body, and count;
     so does what is closed.

@@ -560,6 +560,7 @@ def test_a_plain_tube_has_no_head(scene):
     assert obj.dynamorph.model.head == "" and "No head was found" in drawn(obj, "DYNAMORPH_PT_physics")
 
 
+@pytest.mark.fault("R09")
 def test_a_character_without_a_head_that_is_found_says_so(scene, monkeypatch):
     """An arm says nothing: nobody expects it to have one."""
     obj = chain_figure(scene, head=0.15)

@@ -215,6 +215,7 @@ def test_transforms_that_are_not_numbers_are_named(scene, soft_arm):
         rig_motion.current_pose(soft_arm)
 
 
+@pytest.mark.fault("A11")
 @pytest.mark.parametrize("value", [np.inf, 1e38, 1e20])
 @pytest.mark.parametrize("path", ["scale", "location"])
 def test_an_animation_that_overflows_is_refused_with_the_bone_and_the_frame(scene, soft_arm, path, value):
@@ -246,6 +247,7 @@ def test_an_armature_that_vanishes_is_refused_with_the_frame(soft_arm):
         rig_motion.sample_rig(soft_arm, 1, 12, 2)
 
 
+@pytest.mark.fault("A13")
 def test_an_armature_that_grows_from_nothing_has_the_size_it_grows_to(scene, soft_arm):
     """Its own frames can be baked; those where it is nothing are refused with the frame."""
     grown = extract.character(soft_arm).to_bind

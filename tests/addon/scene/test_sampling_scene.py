@@ -40,6 +40,7 @@ def test_it_is_the_same_one_until_the_end(begun, soft_arm):
     assert left() == []
 
 
+@pytest.mark.fault("G09")
 def test_it_is_in_no_file(begun, soft_arm, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"), copy=True)
     with bpy.data.libraries.load(str(tmp_path / "saved.blend")) as (stored, _):
@@ -47,6 +48,7 @@ def test_it_is_in_no_file(begun, soft_arm, tmp_path):
     np.testing.assert_array_equal(read_on(begun, soft_arm), rig_motion.sample_rig(soft_arm, 1, 5, 2).pose)
 
 
+@pytest.mark.fault("G09")
 def test_undo_does_not_bring_it_back(begun, soft_arm):
     name = soft_arm.name
     bpy.ops.ed.undo_push(message="while it is there")
@@ -75,6 +77,7 @@ def test_it_goes_when_nobody_reads(begun):
     assert left() == []
 
 
+@pytest.mark.fault("G09")
 def test_what_the_artist_deletes_meanwhile_is_deleted(begun, soft_arm):
     rig = rig_of(soft_arm)
     bpy.ops.object.select_all(action="DESELECT")

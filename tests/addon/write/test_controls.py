@@ -35,6 +35,7 @@ def controlled(soft_arm):
     return soft_arm
 
 
+@pytest.mark.fault("R09")
 @pytest.mark.parametrize(
     ("chosen", "bent", "moved"),
     [

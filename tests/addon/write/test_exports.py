@@ -260,6 +260,7 @@ LOSSES = {
 }
 
 
+@pytest.mark.fault("F19")
 @pytest.mark.parametrize("words", LOSSES)
 def test_export_check_says_what_is_dropped(baked, words):
     obj, _ = baked

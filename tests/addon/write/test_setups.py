@@ -249,6 +249,7 @@ def dropped(*path):
 FLAT = [0.0] * 16
 
 
+@pytest.mark.fault("P08")
 @pytest.mark.parametrize(
     "change, words",
     [
