@@ -1,27 +1,74 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How many threads NumPy's linear algebra has. Its sums, and so the last digits of a model, depend on that."""
+"""How many threads NumPy's linear algebra has. Its sums, and so the last digits of a model, depend on that; and its
+threads wait for each other by spinning, which takes the processor from whatever else computes.
+"""
 
 from __future__ import annotations
 
 import ctypes
 import importlib
+import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-NAMES = ("scipy_openblas_set_num_threads64_", "openblas_set_num_threads64_", "openblas_set_num_threads")
+PREFIXES = ("scipy_openblas", "openblas")
+SUFFIXES = ("64_", "")
+
+_lock = threading.Lock()
+_inside = 0  # how many threads are in `one_thread`
+_before = 0  # how many threads NumPy had before
 
 
 def use_one_thread() -> None:
     """For a process of our own, which makes the same bytes as any other then. Nothing happens where NumPy has another
     library than OpenBLAS.
     """
-    for library in _libraries():
-        for name in NAMES:
-            if hasattr(library, name):
-                getattr(library, name)(1)
-                return
+    if call := _function("set"):
+        call(1)
+
+
+def threads() -> int:
+    """How many threads it has; 0 where that is not known."""
+    call = _function("get")
+    return call() if call else 0
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """The same for work in a thread of a process that is not ours, as Blender's."""
+    _enter()
+    try:
+        yield
+    finally:
+        _leave()
+
+
+def _enter() -> None:
+    global _inside, _before
+    with _lock:
+        _inside += 1
+        if _inside == 1:
+            _before = threads()
+            use_one_thread()
+
+
+def _leave() -> None:
+    global _inside
+    with _lock:
+        _inside -= 1
+        if _inside == 0 and _before and (call := _function("set")):
+            call(_before)
+
+
+def _function(verb: str) -> Any:
+    """OpenBLAS's function that sets or gets the number of threads, or None."""
+    names = [f"{prefix}_{verb}_num_threads{suffix}" for prefix in PREFIXES for suffix in SUFFIXES]
+    found = (getattr(library, name) for library in _libraries() for name in names if hasattr(library, name))
+    return next(found, None)
 
 
 def _libraries() -> Iterator[ctypes.CDLL]:

@@ -17,7 +17,7 @@ from ..core.model.model import Model
 from ..core.motion import baked
 from ..io import disk
 from ..scene import skin, staleness, target_properties
-from ..scene.model_store import PACKED, blend_folder, index_in, stored_model
+from ..scene.model_store import PACKED, blend_folder, index_in, remember, stored_model
 from ..write.bake.baked_action import check_rig_action
 from ..write.bake.before import Before
 from ..write.bake.writer import check_bake, check_free, check_local, check_not_edited, free, new_bake
@@ -219,6 +219,8 @@ class Writer:
         record = obj.dynamorph.model
         if self._packed is not None:
             keep_model(obj, self._packed, self._file)
+            if self.outcome.stored is not None:
+                remember(obj, self.outcome.stored)
         if given.reasons:
             size = f"{len(self._packed or b'') / 2**20:.1f}\u00a0MB, {self.progress.seconds['build']:.1f}\u00a0s"
             record.summary = "" if given.only_cage else f"{model_summary(given, model)}, {size}"

@@ -148,7 +148,8 @@ class Computation:
 
     def _take_model(self, model: Model) -> None:
         with self.progress.stage("store model"):
-            self.outcome.model, self.outcome.packed = model, model_file.pack(*model.to_arrays())
+            self.outcome.model = self.outcome.stored = model
+            self.outcome.packed = model_file.pack(*model.to_arrays())
 
     def _bake(self) -> Generator[int, None, None]:
         """The whole shot in its quality, with the materials of the outcome's character."""

@@ -11,7 +11,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..core import engine
+from ..core import blas, engine
 from ..core.errors import Cancelled
 from ..core.message import Message
 from ..core.motion.rig_samples import RigSamples
@@ -138,7 +138,8 @@ class Job:
 
     def _work(self, work: Callable[..., None], *args: object) -> None:
         try:
-            work(*args)
+            with blas.one_thread():
+                work(*args)
         except engine.engine_errors() as error:  # the engine does not know whose cage it works on
             named = f"'{self.name}'" in str(error)
             self._error = error if named else type(error)(f"'{self.name}': {error}")

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import bpy
 import numpy as np
 
+from ..core import blas
 from ..core.errors import Cancelled, SceneError
 from ..core.time_left import TimeLeft
 from ..scene.skin import ObjectHandle, SceneHandle
@@ -84,7 +85,8 @@ def in_thread(work: Callable[[Report], T], message: str) -> Chunks[T]:
 
     def run() -> None:
         try:
-            found.append(work(report))
+            with blas.one_thread():
+                found.append(work(report))
         except BaseException as error:  # raised again in the main thread
             errors.append(error)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
-from functools import lru_cache
 from pathlib import Path
 
 import bpy
@@ -19,7 +18,9 @@ from ..core.model import build
 from ..core.model.model import Model
 from ..io import model_file
 from . import extract
-from .skin import find
+
+MOST = 4  # models that are kept in memory
+_models: dict[tuple[int, str], Model] = {}  # by Object.session_uid and content id, the latest last
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes, as whole numbers after their count
 
@@ -61,12 +62,24 @@ def _as_bytes(name: str, numbers) -> bytes:
 def load_model(obj):
     """The built model of `obj`, or None. Raises ModelFileError."""
     content_id = obj.dynamorph.model.content_id
-    return _load(obj.session_uid, content_id) if content_id else None
+    if content_id and (obj.session_uid, content_id) not in _models:
+        remember(obj, _loaded(obj))
+    return _models[obj.session_uid, content_id] if content_id else None
 
 
-@lru_cache(maxsize=4)
-def _load(session_uid: int, _content_id: str):
-    obj = find(session_uid)
+def remember(obj, model: Model):
+    """Keep in memory what is stored as the model of `obj`, so that nobody has to read and check it again."""
+    _models[obj.session_uid, obj.dynamorph.model.content_id] = model
+    while len(_models) > MOST:
+        del _models[next(iter(_models))]
+
+
+def forget():
+    """Free the models that are kept in memory: their objects are going away."""
+    _models.clear()
+
+
+def _loaded(obj) -> Model:
     content = stored_model(obj)
     assert content is not None  # the object has a content id
     try:
@@ -77,11 +90,6 @@ def _load(session_uid: int, _content_id: str):
         file = f"{obj.dynamorph.model.content_id}.dynamorph"
         text = "'{name}', file '{file}': {error}"
         raise errors.ModelFileError(text, name=obj.name, file=file, error=errors.sentence(error)) from error
-
-
-def forget():
-    """Free the models that are kept in memory: their objects are going away."""
-    _load.cache_clear()
 
 
 def stale_reasons(obj, character) -> list[str]:

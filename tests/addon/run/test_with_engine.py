@@ -71,6 +71,22 @@ def test_playing_never_makes_a_model_old(scene, small_arm, change):
         assert model_store.stale_reasons(small_arm, extract.character(small_arm)) == []
 
 
+@pytest.mark.parametrize("solver", ["REDUCED", "FULL"])
+def test_a_model_that_was_just_built_is_as_the_stored_one(small_arm, solver):
+    """Live and bakes take it from memory, without reading and checking it again."""
+    small_arm.dynamorph.model.solver = solver
+    job = run(small_arm, goal="BAKE")
+    kept = model_store.load_model(small_arm)
+    assert kept is job.outcome.stored
+    model_store.forget()
+    stored = model_store.load_model(small_arm)
+    assert stored is not kept and stored.settings == kept.settings and stored.summary.tets == kept.summary.tets
+    (arrays, meta), (others, described) = kept.to_arrays(), stored.to_arrays()
+    assert meta == described and arrays.keys() == others.keys()
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(array, others[name])
+
+
 def stiffer(obj):
     obj.dynamorph.targets[1].stiffness = 3e5
 

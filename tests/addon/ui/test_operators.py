@@ -359,6 +359,7 @@ def test_reading_the_rig_ends_without_a_trace(soft_arm, stand_in, slow_rig, endi
     assert pressed.result == {"CANCELLED"}
     words = {"escape": "Canceled: nothing", "undo": "undone while 'Arm' was read", "an error": "no Armature modifier"}
     assert words[ending] in pressed.reports[-1][1]
+    assert len(bpy.data.scenes) == 1
     assert fingerprint(bpy.data.objects["Arm"]) == before
 
 
