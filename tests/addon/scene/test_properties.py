@@ -63,7 +63,7 @@ def test_steps_are_at_most_a_120th_of_a_second(soft_arm, fps, substeps):
     assert soft_arm.dynamorph.simulation.steps_per_frame(fps / 2.0) == substeps
     soft_arm.dynamorph.simulation.substeps = 3
     assert soft_arm.dynamorph.simulation.steps_per_frame(fps) == 3
-    assert soft_arm.dynamorph.simulation.steps_per_frame(fps, 0) == substeps
+    assert soft_arm.dynamorph.simulation.steps_per_frame(fps / 2.0, 0) == substeps
 
 
 def test_pose_round_trip(scene, soft_arm):
