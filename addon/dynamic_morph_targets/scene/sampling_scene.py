@@ -12,6 +12,7 @@ from . import events
 from .skinning import Skinning
 
 NAME = ".Dynamorph Sampling"  # Blender hides what begins with a dot in its lists
+SHOWN = "shown"  # custom property: Object.session_uid of what was in other scenes, too
 UNUSED = 1.0  # seconds after which a scene that is kept is removed
 
 
@@ -100,6 +101,7 @@ def _content_of(obj, rig, probe, others) -> tuple:
 def _make(obj, rig, probe, others):
     """A new sampling scene."""
     scene = bpy.data.scenes.new(NAME)
+    scene[SHOWN] = [each.session_uid for each in (rig, *others) if each.users]
     follower = bpy.data.objects.new(NAME, probe and probe.mesh())
     follower.constraints.new("COPY_TRANSFORMS").target = obj
     if probe:
@@ -123,7 +125,7 @@ def _keep_time_as(render, user):
 def _remove(scenes: Iterable):
     """Remove sampling scenes; and what the artist has deleted meanwhile, which they kept alive."""
     for scene in list(scenes):
-        follower = _follower(scene)
-        others = [each for each in scene.collection.objects if each != follower]
+        follower, shown = _follower(scene), {*scene[SHOWN]}
+        others = [each for each in scene.collection.objects if each.session_uid in shown]
         remove_scene(scene, follower)
         bpy.data.batch_remove([each for each in others if not each.users])

@@ -156,7 +156,7 @@ def test_alt_d(skin, when):
     make_single_user(twin)
     first, second = bake(skin, frames=(1, 10)), bake(twin)
     assert (first.input.reasons, second.input.reasons) == (
-        (["not built yet"],) * 2 if when == "before the bake" else ([], [])
+        (["there was no model"],) * 2 if when == "before the bake" else ([], [])
     )
     assert_shows(skin, first.outcome.bake)
     assert_shows(twin, second.outcome.bake)

@@ -87,6 +87,15 @@ def test_what_the_artist_deletes_meanwhile_is_deleted(begun, soft_arm):
     assert "Arm Rig" not in bpy.data.objects or not [each for each in bpy.data.objects if each.type == "ARMATURE"]
 
 
+def test_a_rig_that_is_in_no_scene_stays(soft_arm):
+    """Blender keeps it for the modifier, which does not count as a user."""
+    rig = rig_of(soft_arm)
+    bpy.context.scene.collection.objects.unlink(rig)
+    sampling = rig_motion.RigSampling(soft_arm, 1, 5, 2)
+    read_on(sampling, soft_arm)
+    assert rig_of(soft_arm) == rig and left() == []
+
+
 def test_edits_of_the_rig_count(begun, soft_arm):
     """Although Blender evaluates them in another scene."""
     sampling = rig_motion.RigSampling(soft_arm, 1, 3, 1)

@@ -80,7 +80,7 @@ def goes_to_rig(body) -> bool:
 
 def check_rig_action(body):
     """Raises WriteError where a bake is to go to the Action of an armature that plays none, or one that is linked."""
-    action = rig_action(body)
+    action = rig_action(body) if goes_to_rig(body) else None
     if goes_to_rig(body) and (action is None or not action.is_editable):
         raise WriteError(
             "The armature of '{name}' plays no Action of this file, to which the bake could go: choose one in the "
