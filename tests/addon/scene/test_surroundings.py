@@ -72,6 +72,7 @@ def turned_and_mirrored_mesh(obj):
 
 
 PLACES = [traveling, in_centimeters, stretched, mirrored, mirrored_rig_alone, turned_and_mirrored_mesh]
+PLAYED = range(1, 21)  # frames
 
 
 @pytest.mark.fault("M16")
@@ -269,17 +270,22 @@ def test_in_slow_motion_a_swing_takes_more_frames(scene, skin):
     assert swings[0.25] == pytest.approx(0.25 * swings[1.0], rel=0.01)
 
 
-def test_live_in_slow_motion_is_the_bake(scene, skin):
-    skin.dynamorph.simulation.speed = 0.5
-    frames = range(1, 21)
+def then_live(scene, skin) -> np.ndarray:
+    """The motion of a bake, once Live, which is on afterward, has shown the same."""
     bake(skin)
-    baked = motion(skin, frames)
+    baked = motion(skin, PLAYED)
     OPS.delete_bake()
     scene.frame_set(1)
     OPS.live()
-    assert np.abs(motion(skin, frames) - baked).max() < 1e-5
+    assert np.abs(motion(skin, PLAYED) - baked).max() < 1e-5
+    return baked
+
+
+def test_live_in_slow_motion_is_the_bake(scene, skin):
+    skin.dynamorph.simulation.speed = 0.5
+    baked = then_live(scene, skin)
     skin.dynamorph.simulation.speed = 1.0
-    assert np.abs(motion(skin, frames) - baked).max() > 1e-3
+    assert np.abs(motion(skin, PLAYED) - baked).max() > 1e-3
 
 
 @pytest.mark.fault("A08")
@@ -297,13 +303,7 @@ def test_remapped_time(scene, skin, old, new):
 
 def test_live_in_remapped_time_is_the_bake(scene, skin):
     scene.render.frame_map_new = 200
-    frames = range(1, 21)
-    bake(skin)
-    baked = motion(skin, frames)
-    OPS.delete_bake()
-    scene.frame_set(1)
-    OPS.live()
-    assert np.abs(motion(skin, frames) - baked).max() < 1e-5
+    then_live(scene, skin)
 
 
 def test_time_remapped_after_the_bake_keeps_rig_and_tissue_together(scene, skin):
