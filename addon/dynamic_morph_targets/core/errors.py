@@ -129,7 +129,8 @@ def sentence(error: BaseException) -> str:
         text = "'{file}': {reason}. {remedy}" if error.filename else "{reason}. {remedy}"
         return Message(text, file=error.filename, reason=error.strerror, remedy=remedy)
     first = error.args[0] if error.args else ""
-    return _in_blender(first if isinstance(first, str) else str(error))  # first: perhaps a Message
+    text = first if isinstance(first, str) else str(error)  # first: perhaps a Message
+    return text if isinstance(error, DynamorphError) else _in_blender(text)
 
 
 def _in_blender(text: str) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from ..core.errors import Cancelled, SceneError
 from ..core.message import joined
 from ..core.motion.rig_samples import RigSamples
 from ..core.time_left import TimeLeft
+from ..scene import events
 from . import together
 from .bake_input import handles
 from .bake_result import write_all
@@ -95,17 +97,19 @@ class Batch:
         """The first part of the work: all that the jobs begin with, and the first chunk of their rigs."""
         for job in self.jobs:
             self._at = job
-            job.read()
-            self._check_shared(job)
-            yield from self._turn(reading=True)
+            with job.progress.turn():
+                job.read()
+                self._check_shared(job)
+                yield from self._turn(reading=True)
         bakes = all(job.input.is_bake for job in self.jobs)
         self._groups = together.groups(self.jobs) if bakes else [[job] for job in self.jobs]
         for job in self.jobs:
             if job.computation.needs_cage:
                 self._at = job
-                job.start_cage()
-                while not job.wait(pause):
-                    yield from self._turn(reading=True)
+                with job.progress.turn():
+                    job.start_cage()
+                    while not job.wait(pause):
+                        yield from self._turn(reading=True)
         for job in self.jobs:
             yield from self._sampled(job, seconds)
 
@@ -147,18 +151,30 @@ class Batch:
     def _sampled(self, job: Job, seconds: float) -> Iterator[None]:
         self._at = job
         try:
-            while not job.sample(seconds):
+            while self._waits_for_render(job):
                 yield from self._turn(reading=True)
+            with job.progress.turn():
+                while self._waits_for_render(job) or not job.sample(seconds):
+                    yield from self._turn(reading=True)
         finally:
             job.leave_rig()
 
     def _computed(self, group: Sequence[Job], pause: float) -> Iterator[None]:
-        for job in group:
-            job.start()
-        for job in group:
-            self._at = job
-            while not job.wait(pause):
-                yield from self._turn()
+        with ExitStack() as turns:
+            for job in group:
+                turns.enter_context(job.progress.turn())
+                job.start()
+            for job in group:
+                self._at = job
+                while not job.wait(pause):
+                    yield from self._turn()
+
+    def _waits_for_render(self, job: Job) -> bool:
+        """Whether Blender renders, beside which no rig can be read."""
+        if events.render_runs():
+            job.progress.message = "Waiting for the render to end"
+            return True
+        return False
 
     def _turn(self, reading: bool = False) -> Iterator[None]:
         """The window's turn, and what came of it."""

@@ -26,8 +26,9 @@ from .session import Session
 RADIUS = 0.03  # of the body's size: of what a hand takes hold of
 FARTHEST = 0.25  # of the size: that a hand leads the skin away from where it took hold
 HELD = 0.5  # of a node, from 0 to 1: where the bones have more of it, it does not move by itself
-SLAP, SLAP_FRAMES = 0.06, 2  # of the size: how far a slap leads the skin in, and for how many frames
-CALM, LONGEST = 1e-5, 8.0  # of the size, in a frame: what moves less stands still; seconds that a copy goes on at most
+SLAP, SLAP_SECONDS = 0.06, 2 / 24  # of the size: how far a slap leads the skin in, and for how long
+CALM, CALM_SECONDS = 1e-5, 1 / 24  # of the size: what moves less in so long stands still
+LONGEST = 8.0  # seconds that a copy goes on at most
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,8 @@ class Grabbing:
         self._session = session
         self._taken = 0  # so many hands, until now
         self._copy: Copy | None = None
-        self._shown: np.ndarray | None = None  # points of the copy
+        self._shown: np.ndarray | None = None  # points of the copy when it was last looked at
+        self._still = False  # the copy has hardly moved since the look before
         self._calm = False  # the copy stands still, held
         self._frame: int | None = None  # that showed when hands last grew older
 
@@ -146,7 +148,7 @@ class Grabbing:
         if number in self.holds:
             start = self.holds[number].start
             goal = start + SLAP * self.size * inward
-            self.holds[number] = replace(self.holds[number], goal=goal, frames=SLAP_FRAMES)
+            self.holds[number] = replace(self.holds[number], goal=goal, frames=self._frames(SLAP_SECONDS))
             self._changed()
 
     def let_go_of_all(self) -> None:
@@ -182,17 +184,21 @@ class Grabbing:
         tissue, player = session.tissue, session.tissue.player
         self._grow_older(None)
         tissue.show(tissue.values(self._copy.step(player, session.grabs)))
-        before, self._shown = self._shown, tissue.skin.written
-        moved = np.inf if before is None or self._shown is None else np.abs(self._shown - before).max()
-        calm = moved * np.abs(tissue.character.to_bind).max() < CALM * player.size
-        self._calm = bool(calm and self.holds)
-        seconds = self._copy.frames * player.settings.substeps * player.settings.step
-        return bool(self.holds) or (not calm and seconds < LONGEST)
+        if self._copy.frames % self._frames(CALM_SECONDS) == 0:
+            before, self._shown = self._shown, tissue.skin.written
+            moved = np.inf if before is None or self._shown is None else np.abs(self._shown - before).max()
+            self._still = bool(moved * np.abs(tissue.character.to_bind).max() < CALM * player.size)
+        self._calm = self._still and bool(self.holds)
+        return bool(self.holds) or (not self._still and self._copy.frames < self._frames(LONGEST))
+
+    def _frames(self, seconds: float) -> int:
+        """How many frames last so long for the skin; fewer seconds than a frame are one."""
+        return max(1, round(seconds * self._session.tissue.player.settings.rate))
 
     def _begin_copy(self, obj: bpy.types.Object) -> None:
         """Where time stands still, unless there is one that goes on."""
         if not events.is_playing() and (self._copy is None or not self._copy.is_of(self._session)):
-            self._copy, self._shown = Copy(obj, self._session), None
+            self._copy, self._shown, self._still = Copy(obj, self._session), None, False
 
     def _grow_older(self, frame: int | None) -> None:
         """A hand that slaps lets go after its frames. frame: the one that shows while Blender plays."""
@@ -208,7 +214,7 @@ class Grabbing:
 
     def _changed(self) -> None:
         self._apply()
-        self._calm = False
+        self._still = self._calm = False
         if self._copy:
             self._copy.frames = 0
 

@@ -36,12 +36,16 @@ class Progress:
         self.message = ""
         self.canceled = False
         self.seconds: dict[str, float] = {}  # by stage
-        self._began = time.perf_counter()
+        self.waited = 0.0  # seconds of the job's turns, with all that Blender did between their slices
 
-    @property
-    def waited(self) -> float:
-        """Seconds since the job began, with all that Blender did between its slices."""
-        return time.perf_counter() - self._began
+    @contextmanager
+    def turn(self) -> Iterator[None]:
+        """Measure the seconds that somebody waits for the job."""
+        began = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.waited += time.perf_counter() - began
 
     def part(self, begin: float, end: float) -> Callable[[float, str], bool]:
         """progress(fraction, message) -> bool for a part of the work; False when it must stop."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.geometry import diagonal
 from ..core.motion import contact
-from ..scene import colliders, mesh_data, references
+from ..scene import colliders, identity, mesh_data
 
 NEAR = 5e-4  # of the size, beyond Distance: what is nearer is touched
 INSIDE = 2e-3  # of the size: what is deeper in a collider shows
@@ -27,9 +27,7 @@ def touching(
     points (V, 3): where they show, world space. Raises SceneError for a collider that cannot be read.
     """
     world = np.array(obj.matrix_world)
-    keys = obj.data.shape_keys
-    rest = references.key_points(keys.reference_key) if keys else mesh_data.rest_points(obj)
-    size = diagonal(rest @ mesh_data.stretch(world))
+    size = diagonal(identity.body_points(obj) @ mesh_data.stretch(world))
     touched = (obj.dynamorph.collision.distance + NEAR) * size
     distances = np.full(len(points), np.inf)
     for other in colliders.colliders(obj):

@@ -60,10 +60,12 @@ def _stands_still(owner, path: str, above: tuple = ()) -> bool:
     those has no curve. above: the properties that depend on it.
     """
     data = owner.animation_data
-    driver = data and next((curve.driver for curve in data.drivers if curve.data_path == path), None)
+    drivers = (curve for curve in data.drivers if curve.data_path == path and not curve.mute) if data else ()
+    driver = next((curve.driver for curve in drivers), None)
     if driver is None:
         return not data or path not in {curve.data_path for curve in animation.played(data)}
-    if (owner, path) in above or "frame" in driver.expression:
+    calls = driver.type == "SCRIPTED" and not driver.is_simple_expression  # perhaps what is different at each frame
+    if (owner, path) in above or calls or "frame" in driver.expression:
         return False
     return all(
         variable.type == "SINGLE_PROP"

@@ -20,7 +20,7 @@ from ..io import model_file
 from . import extract
 
 MOST = 4  # models that are kept in memory
-_models: dict[tuple[int, str], Model] = {}  # by Object.session_uid and content id, the latest last
+_models: dict[tuple[int, str], Model] = {}  # by Object.session_uid and content id, the last used last
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes, as whole numbers after their count
 
@@ -62,14 +62,17 @@ def _as_bytes(name: str, numbers) -> bytes:
 def load_model(obj):
     """The built model of `obj`, or None. Raises ModelFileError."""
     content_id = obj.dynamorph.model.content_id
-    if content_id and (obj.session_uid, content_id) not in _models:
-        remember(obj, _loaded(obj))
-    return _models[obj.session_uid, content_id] if content_id else None
+    if not content_id:
+        return None
+    remember(obj, _models.get((obj.session_uid, content_id)) or _loaded(obj))
+    return _models[obj.session_uid, content_id]
 
 
 def remember(obj, model: Model):
     """Keep in memory what is stored as the model of `obj`, so that nobody has to read and check it again."""
-    _models[obj.session_uid, obj.dynamorph.model.content_id] = model
+    key = obj.session_uid, obj.dynamorph.model.content_id
+    _models.pop(key, None)
+    _models[key] = model
     while len(_models) > MOST:
         del _models[next(iter(_models))]
 

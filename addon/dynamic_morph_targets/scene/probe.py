@@ -24,6 +24,7 @@ OFFSET = (
     0.01  # body sizes; the nodes' offsets. Bendy bones bend within a long one, and float32 loses digits of a short one
 )
 NEGLIGIBLE = 0.01  # fraction of a node's weights below which the engine also ignores a bone (`SoftBody`)
+ALIKE = 1e-6  # Blender units, and of a scale: transforms that differ by less are the same
 MASK = "Dynamorph Mask "  # vertex groups, one for each modifier
 
 
@@ -46,7 +47,8 @@ class Probe:
         self._mesh = _weighted(points.reshape(-1, 3), np.tile(np.hstack([weights * kept, masks]), (4, 1)))
         self._skeleton = character.skeleton
         self._poses = character.skeleton.pose(np.array([target.local for target in character.targets]))
-        self._in_target_poses: PosedNodes | None = None
+        self._is_alone = len({modifier.object for modifier in armature_modifiers(obj)}) == 1
+        self._in_target_poses: tuple[np.ndarray, PosedNodes] | None = None  # and how the armature stood then
 
     def mesh(self):
         """A new mesh of the nodes, for an object that `dress` makes look like the body."""
@@ -68,14 +70,14 @@ class Probe:
     def empty_samples(self, count: int) -> PosedNodes:
         return PosedNodes(self.rest, self.offset, np.empty((count, 4, len(self.rest), 3), np.float32))
 
-    def in_target_poses(self, scene, probe, rig, frame: float) -> PosedNodes:
-        """As `in_poses`, in the J poses in which the targets were captured; read once, with the objects where they are
-        at the frame.
+    def in_target_poses(self, scene, probe, rig, placed: np.ndarray) -> PosedNodes:
+        """As `in_poses`, in the J poses in which the targets were captured. placed (4, 4): the armature in the space of
+        the mesh object, at the scene's frame; while that stays, they are read once.
         """
-        if self._in_target_poses is None:
-            scene.frame_set(int(frame), subframe=frame % 1.0)
-            self._in_target_poses = self.in_poses(scene, probe, rig, self._poses)
-        return self._in_target_poses
+        known = self._in_target_poses
+        if known is None or not (self._is_alone and np.allclose(known[0], placed, atol=ALIKE)):
+            known = self._in_target_poses = placed, self.in_poses(scene, probe, rig, self._poses)
+        return known[1]
 
     def in_poses(self, scene, probe, rig, poses: np.ndarray) -> PosedNodes:
         """The nodes in poses (S, B, 4, 4) of the armature, with the objects where they are at the scene's frame.

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..core.character import Skeleton
 from ..core.errors import SceneError
-from ..core.geometry import determinant, invertible, turned
+from ..core.geometry import determinant, inverse, invertible, turned
 from ..core.message import Message
 from ..core.motion.colliders import ColliderTrack
 from ..core.motion.rig_samples import ForceField, RigSamples
@@ -163,9 +163,12 @@ def sample_present(obj, probe=None) -> RigSamples:
         return RigSamples(pose, rig_world[None], world)
     rig, frame = armature_modifier(obj).object, bpy.context.scene.frame_float
     with rig_scene(obj, rig, probe) as (scene, follower):
-        target_nodes = probe.in_target_poses(scene, follower, rig, frame)
         scene.frame_set(int(frame), subframe=frame % 1.0)
-        nodes = probe.in_poses(scene, follower, rig, pose)
+        placed = inverse(world[0]) @ rig_world
+        nodes, target_nodes = (
+            probe.in_poses(scene, follower, rig, pose),
+            probe.in_target_poses(scene, follower, rig, placed),
+        )
     return RigSamples(pose, rig_world[None], world, (nodes,), target_nodes)
 
 
@@ -232,7 +235,6 @@ class RigSampling:
         stopping = [self._collider(reader.name) for reader in self._colliders]
         with self._scene.opened(obj, rig, self.probe, (*sources, *stopping)) as (scene, follower):
             if self.probe and self._nodes is None:
-                self._target_nodes = self.probe.in_target_poses(scene, follower, rig, self.start)
                 self._nodes = self.probe.empty_samples(self.count)
             while self.done < self.count:
                 self._read(scene, obj, rig, sources)
@@ -240,6 +242,10 @@ class RigSampling:
                     reader.read(self.done, collider.evaluated_get(scene.view_layers[0].depsgraph), self.frame)
                 if self.probe:
                     self.probe.read(scene, follower, self._nodes.points[self.done])
+                if self.probe and self._target_nodes is None:  # with the objects where they are at the first sample
+                    with np.errstate(divide="ignore", invalid="ignore"):  # scaled to zero, which `samples` refuses
+                        placed = inverse(self._object_world[0]) @ self._rig_world[0]
+                    self._target_nodes = self.probe.in_target_poses(scene, follower, rig, placed)
                 self.done += 1
                 if time.perf_counter() > ends:
                     break

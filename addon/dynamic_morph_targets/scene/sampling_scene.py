@@ -40,21 +40,26 @@ class SamplingScene:
         others = list(others)
         content = _content_of(obj, rig, probe, others)
         scene = next((each for each in bpy.data.scenes if each.session_uid == self._uid), None)
-        if scene is None or content != self._content:
-            self.close()
-            scene = _make(obj, rig, probe, others)
-            self._uid, self._content = scene.session_uid, content
-        _keep_time_as(scene.render, bpy.context.scene.render)
         try:
+            if scene is None or content != self._content:
+                self.close()
+                scene = bpy.data.scenes.new(NAME)
+                self._uid, self._content = scene.session_uid, content
+                _fill(scene, obj, rig, probe, others)
+            _keep_time_as(scene.render, bpy.context.scene.render)
+            (follower,) = _own_objects(scene)
             with events.without_handlers():
-                yield scene, _follower(scene)
+                yield scene, follower
         except BaseException:
             self.close()
             raise
         events.soon(remove_unused, UNUSED)
 
     def close(self):
-        """Remove it, if it is there."""
+        """Remove it, if it is there; while Blender renders, a while later."""
+        if events.render_runs():
+            events.soon(remove_unused, UNUSED)
+            return
         _remove(scene for scene in bpy.data.scenes if scene.session_uid == self._uid)
         self._uid = 0
 
@@ -77,7 +82,11 @@ def remove_unused():
 
 
 def remove_kept():
-    """Remove all sampling scenes: before a file is saved, and where undo or a file have brought some back."""
+    """Remove all sampling scenes: before a file is saved, and where undo or a file have brought some back. One that is
+    there while Blender renders stays, also in a file that is saved then, and goes when that is opened.
+    """
+    if events.render_runs():
+        return
     # While add-ons are enabled Blender shows them no data.
     _remove(scene for scene in getattr(bpy.data, "scenes", ()) if scene.name.startswith(NAME))
 
@@ -98,9 +107,8 @@ def _content_of(obj, rig, probe, others) -> tuple:
     return objects, probe and (id(probe), Skinning.of(obj).settings())
 
 
-def _make(obj, rig, probe, others):
-    """A new sampling scene."""
-    scene = bpy.data.scenes.new(NAME)
+def _fill(scene, obj, rig, probe, others):
+    """Put everything into a new sampling scene."""
     scene[SHOWN] = [each.session_uid for each in (rig, *others) if each.users]
     follower = bpy.data.objects.new(NAME, probe and probe.mesh())
     follower.constraints.new("COPY_TRANSFORMS").target = obj
@@ -108,11 +116,11 @@ def _make(obj, rig, probe, others):
         probe.dress(follower, obj)
     for each in dict.fromkeys((rig, follower, *others)):  # the rig may be one of the others
         scene.collection.objects.link(each)
-    return scene
 
 
-def _follower(scene):
-    return next(each for each in scene.collection.objects if each.name.startswith(NAME))
+def _own_objects(scene) -> list:
+    """What is in a sampling scene alone: the follower."""
+    return [each for each in scene.collection.objects if each.name.startswith(NAME)]
 
 
 def _keep_time_as(render, user):
@@ -125,7 +133,7 @@ def _keep_time_as(render, user):
 def _remove(scenes: Iterable):
     """Remove sampling scenes; and what the artist has deleted meanwhile, which they kept alive."""
     for scene in list(scenes):
-        follower, shown = _follower(scene), {*scene[SHOWN]}
+        shown = {*scene.get(SHOWN, ())}
         others = [each for each in scene.collection.objects if each.session_uid in shown]
-        remove_scene(scene, follower)
+        remove_scene(scene, *_own_objects(scene))
         bpy.data.batch_remove([each for each in others if not each.users])

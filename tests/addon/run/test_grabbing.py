@@ -154,6 +154,27 @@ def test_a_copy_begins_again_where_the_rig_moves_otherwise_and_ends_with_its_mod
     assert grabbing.begin(live_arm) is not hand  # Live goes on, and so can a new hand
 
 
+def test_a_hand_in_slow_motion_pulls_as_far_and_lets_go_as_calmly(live_arm):
+    """What hardly moves from frame to frame is not at rest then."""
+    found = []
+    for each in (1.0, 0.03):
+        live_arm.dynamorph.simulation.speed = each
+        bpy.context.scene.frame_set(1)
+        still, place = shown(live_arm), softest(live_arm)
+        hand, number = held_at(live_arm, place)
+        ticks(hand, 4)
+        hand.lead(number, place + 0.05 * RIGHT)
+        frames = round(24 / each)  # a second
+        *_, pulled = ticks(hand, frames)
+        hand.let_go(number)
+        assert sum(1 for _ in range(9 * frames) if hand.tick()) < 9 * frames
+        found.append((np.abs(pulled - still).max(), np.abs(shown(live_arm) - still).max()))
+        grabbing.end()
+    (held, left), (held_slowly, left_slowly) = found
+    assert held > 0.01 and held_slowly == pytest.approx(held, rel=0.3)
+    assert left_slowly < 0.02 * held and left < 0.02 * held
+
+
 @pytest.mark.parametrize("where, busy", [(events, "is_scrubbing"), (live, "is_away")])
 def test_the_hand_waits_for_what_live_waits_for(live_arm, monkeypatch, where, busy):
     place = softest(live_arm)

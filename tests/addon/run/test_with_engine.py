@@ -3,6 +3,8 @@
 reason.
 """
 
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
@@ -85,6 +87,24 @@ def test_a_model_that_was_just_built_is_as_the_stored_one(small_arm, solver):
     assert meta == described and arrays.keys() == others.keys()
     for name, array in arrays.items():
         np.testing.assert_array_equal(array, others[name])
+
+
+def test_the_models_that_were_used_last_are_kept(addon, monkeypatch):
+    monkeypatch.setattr(model_store, "MOST", 2)
+    first, second, third = (
+        SimpleNamespace(session_uid=-number, dynamorph=SimpleNamespace(model=SimpleNamespace(content_id="id")))
+        for number in (1, 2, 3)
+    )
+    model_store.forget()
+    model_store.remember(first, "a")
+    model_store.remember(second, "b")
+    assert model_store.load_model(first) == "a"
+    model_store.remember(third, "c")
+    monkeypatch.setattr(model_store, "stored_model", lambda obj: pytest.fail("it is read") if obj == first else None)
+    assert model_store.load_model(first) == "a"
+    with pytest.raises(AssertionError):
+        model_store.load_model(second)
+    model_store.forget()
 
 
 def stiffer(obj):

@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The scene in which a rig is read stays for as long as it is used, and is found nowhere else."""
 
+import types
+
 import bpy
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.scene import rig_motion, sampling_scene
+from bl_ext.user_default.dynamic_morph_targets.run import batch
+from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene import events, rig_motion, sampling_scene
 from builders import rig_of
 
 
@@ -78,6 +82,36 @@ def test_it_goes_when_nobody_reads(begun):
 
 
 @pytest.mark.fault("G09")
+def test_nothing_is_removed_while_blender_renders(begun, soft_arm, tmp_path, monkeypatch):
+    """It would crash. What is saved then loses the scene when it is opened."""
+    rendering = [True]
+    monkeypatch.setattr(events, "render_runs", lambda: rendering[0])
+    sampling_scene.remove_kept()
+    begun.close()
+    assert sampling_scene.remove_unused() > 0.0 and len(kept()) == 1
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"), copy=True)
+    rendering[0] = False
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
+    assert left() == []
+
+
+def test_a_job_that_reads_waits_for_the_render(soft_arm, monkeypatch):
+    rendering, messages = [False], []
+    monkeypatch.setattr(events, "render_runs", lambda: rendering[0])
+    work = batch.Batch([Job(soft_arm, goal="BAKE", stored=False)], "BAKE")
+    for number, _ in enumerate(work.read(0.0)):
+        rendering[0] = number in (3, 4, 5)
+        messages.append(work.message)
+    assert messages.count("Waiting for the render to end") == 3 and left() == []
+
+
+def test_one_that_cannot_be_made_leaves_nothing(soft_arm):
+    probe = types.SimpleNamespace(mesh=lambda: 1 / 0)
+    with pytest.raises(ZeroDivisionError), sampling_scene.SamplingScene().opened(soft_arm, rig_of(soft_arm), probe):
+        pass
+    assert left() == []
+
+
 def test_what_the_artist_deletes_meanwhile_is_deleted(begun, soft_arm):
     rig = rig_of(soft_arm)
     bpy.ops.object.select_all(action="DESELECT")

@@ -230,6 +230,24 @@ def test_displaced_tissue_is_carried_as_blender_carries_it(scene, soft_arm, chan
         assert np.abs(posed[frame - 1] - theirs).max() < 1e-5 * np.ptp(theirs, axis=0).max()
 
 
+@pytest.mark.parametrize("parented", [False, True])
+def test_target_poses_are_read_where_the_armature_stands(soft_arm, parented):
+    """Live begins at any frame with one probe; while the mesh moves along, they are read once."""
+    twisting(soft_arm)
+    rig = rig_of(soft_arm)
+    soft_arm.parent = rig if parented else None
+    for frame, x in ((1, 0.0), (20, 0.7)):
+        rig.location.x, rig.rotation_euler.z = x, x
+        rig.keyframe_insert("location", frame=frame)
+        rig.keyframe_insert("rotation_euler", frame=frame)
+    (first, later), fresh = (
+        [rig_motion.sample_rig(soft_arm, frame, frame, 1, probe).target_nodes for frame in frames]
+        for probe, frames in ((skin_probe(soft_arm)[0], (1, 15)), (skin_probe(soft_arm)[0], (15,)))
+    )
+    np.testing.assert_allclose(later.points, fresh[0].points, atol=1e-5)
+    assert (first is later) == parented
+
+
 def test_bendy_bones_carry_tissue_to_first_order(scene, soft_arm):
     """The bend at a vertex depends on where it is: the error is the square of the displacement."""
     bendy(soft_arm)

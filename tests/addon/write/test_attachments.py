@@ -329,10 +329,11 @@ def test_a_duplicate_of_the_character_has_pieces_of_its_own(dressed):
     assert keys_of(worn) is None and sleeve.dynamorph.bake.keys
 
 
-def test_pieces_of_a_library_override_play_point_caches(dressed, tmp_path):
-    """They follow the body's Influence, also in the file that is saved."""
+@pytest.mark.parametrize("was_baked", [False, True])
+def test_pieces_of_a_library_override_play_point_caches(dressed, tmp_path, was_baked):
+    """They follow the body's Influence, also in the file that is saved. was_baked: in the file they are linked from."""
     obj, _ = dressed
-    OPS.build()
+    (OPS.bake if was_baked else OPS.build)()
     character = bpy.data.collections.new("Character")
     bpy.context.scene.collection.children.link(character)
     for each in list(bpy.context.scene.collection.objects):
@@ -356,6 +357,7 @@ def test_pieces_of_a_library_override_play_point_caches(dressed, tmp_path):
     plain = motion(sleeve)
     activate(obj)
     obj.dynamorph.output.format = "PC2"
+    obj.dynamorph.simulation.gravity = -3.0
     bake(obj)
     shown = motion(obj), motion(sleeve)
     assert np.abs(shown[1] - plain).max() > 1e-3
@@ -373,7 +375,7 @@ def test_pieces_of_a_library_override_play_point_caches(dressed, tmp_path):
     bpy.ops.wm.save_mainfile()
     bpy.ops.wm.open_mainfile(filepath=file)
     obj, sleeve = overrides()
-    assert sleeve.dynamorph.follows is None and len(sleeve.modifiers) == 1
+    assert sleeve.dynamorph.follows == (obj if was_baked else None) and len(sleeve.modifiers) == 1
     np.testing.assert_allclose(motion(sleeve), plain, atol=1e-6)
 
 

@@ -7,7 +7,7 @@ import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.scene import animation, staleness
 from bl_ext.user_default.dynamic_morph_targets.write import actions, reconcile
-from bl_ext.user_default.dynamic_morph_targets.write.bake import influence, reading, writer
+from bl_ext.user_default.dynamic_morph_targets.write.bake import baked_action, influence, reading, writer
 from builders import evaluated_points, fingerprint, hand_made_bake, keys_of, rig_of
 from robustness import OPS, bake, coarse, motion
 from test_attachments import add_attachment, make_sleeve
@@ -121,6 +121,27 @@ def test_pieces_of_the_body_have_slots_of_their_own(arm):
     np.testing.assert_allclose(evaluated_points(sleeve), shown[1], atol=1e-6)
     assert OPS.delete_bake() == {"FINISHED"}
     assert slots(arm) == before
+
+
+@pytest.mark.parametrize("to_rig", [False, True])
+def test_a_strip_that_the_artist_has_duplicated_goes_with_the_bake(arm, to_rig):
+    """For it Blender copies the Action, here with the performance."""
+    arm.dynamorph.output.bake_to_action = to_rig
+    before, count = state(arm), len(bpy.data.actions)
+    written(arm)
+    strip = influence.influence_strip(arm)
+    track = keys_of(arm).animation_data.nla_tracks.new()
+    twin = track.strips.new("Twin", 30, strip.action.copy())
+    twin.action_slot = next(slot for slot in twin.action.slots if slot.handle == strip.action_slot.handle)
+    writer.free(arm)
+    assert state(arm) == before and len(bpy.data.actions) == count
+
+
+def test_a_bake_without_curves_has_no_part_in_the_action(arm):
+    """Nothing of it is ever removed."""
+    record, action = arm.dynamorph.bake, rig_of(arm).animation_data.action
+    baked_action.BakedAction(action, is_shared=True).record(record)
+    assert record.action is None and baked_action.BakedAction.of(arm).slot("Dynamorph") is None
 
 
 def test_a_duplicate_keeps_the_slots_that_it_plays(arm):

@@ -182,15 +182,8 @@ class DYNAMORPH_OT_bake(JobOperator, Operator):
 
     @classmethod
     def disabled_reason(cls, context):
-        reason = super().disabled_reason(context)
-        obj = mesh_in(context)
-        if reason or not obj.override_library or on_override.is_kept(obj):
-            return reason
-        return Message(
-            "'{name}' is a library override, which keeps no shape keys: choose the Format Point Cache (PC2), or make "
-            "it local",
-            name=obj.name,
-        )
+        reason, obj = super().disabled_reason(context), mesh_in(context)
+        return reason or (on_override.refused_format(obj) if obj.override_library else "")
 
 
 class DYNAMORPH_OT_bake_all(JobOperator, Operator):
@@ -212,8 +205,9 @@ class DYNAMORPH_OT_bake_all(JobOperator, Operator):
 
 def _own_skins(scene) -> list:
     """The soft skins whose bake would be saved with the file."""
-    skins = [skin for skin in soft_skins(scene.objects) if not skin.library]
-    return [skin for skin in skins if (on_override.is_kept(skin) if skin.override_library else not skin.data.library)]
+    found = [each for each in soft_skins(scene.objects) if not each.library]
+    lost = (on_override.refused_format(each) if each.override_library else each.data.library for each in found)
+    return [each for each, why in zip(found, lost, strict=True) if not why]
 
 
 class DYNAMORPH_OT_compare_full(JobOperator, Operator):

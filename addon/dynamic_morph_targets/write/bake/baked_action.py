@@ -36,8 +36,8 @@ class BakedAction:
         return cls(bpy.data.actions.new(f"{MOTION} {obj.name}"))
 
     def record(self, record):
-        """The inverse of `of`."""
-        record.action = self.action
+        """The inverse of `of`. A shared Action in which the bake has nothing is not the bake's."""
+        record.action = None if self.is_shared and not self.handles else self.action
         record.action_slots = [self.handles.get(title, 0) for title in (SHAPES, MOTION)]
 
     def slot(self, title: str):

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A bake on a library override: a point cache, for of a linked mesh Blender saves no shape keys and no curves of them.
+"""A bake on a library override: a point cache, because Blender saves neither the shape keys of a linked mesh nor their
+curves.
 
 It saves a modifier that was added, its values, drivers and keyframes, and the properties of the Object that are
 overridable, as what is noted about the bake. The cache plays over all shape keys, so that none needs to be muted.
@@ -12,15 +13,22 @@ from pathlib import Path
 import bpy
 
 from ...core.errors import WriteError
+from ...core.message import Message
 from ...core.motion.baked import Bake
 from ...scene.skin import cache_modifier
 from .cache_player import play_cache
 from .removal import remove_modifier
 
 
-def is_kept(obj) -> bool:
-    """Whether the bakes of an override are saved."""
-    return obj.dynamorph.output.format == "PC2"
+def refused_format(obj, skin=None) -> str:
+    """Why the bakes of an override would not be saved, or ''. skin: as of `check`."""
+    if (skin or obj).dynamorph.output.format == "PC2":
+        return ""
+    return Message(
+        "'{name}' is a library override, which keeps no shape keys: choose the Format Point Cache (PC2), or make "
+        "it local",
+        name=obj.name,
+    )
 
 
 def check(obj, skin=None):
@@ -28,13 +36,10 @@ def check(obj, skin=None):
 
     skin: the soft skin that `obj` is to follow, if it is none itself.
     """
-    text = ""
-    if not is_kept(skin or obj):
-        text = (
-            "'{name}' is a library override, which keeps no shape keys: choose the Format Point Cache (PC2), or make "
-            "it local (Object > Relations > Make Local > Selected Objects and Data)"
-        )
-    elif obj.mode == "EDIT":
+    text = refused_format(obj, skin)
+    if text:
+        raise WriteError(text)
+    if obj.mode == "EDIT":
         text = "'{name}' is in Edit Mode: leave it first"
     elif obj.dynamorph.live.key.name:
         text = "'{name}' is live in the file that it is linked from: turn Live off there"
@@ -92,7 +97,7 @@ def free(obj):
     for name, prop in obj.dynamorph.bake.bl_rna.properties.items():
         if not (prop.is_readonly or prop.type in {"POINTER", "COLLECTION"}):
             setattr(obj.dynamorph.bake, name, getattr(reference.dynamorph.bake, name))
-    if obj.dynamorph.follows != reference.dynamorph.follows:
+    if reference.dynamorph.follows is None:  # otherwise it follows the override of that one
         obj.dynamorph.follows = None
 
 

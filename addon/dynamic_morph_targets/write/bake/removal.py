@@ -67,9 +67,10 @@ def _remove(obj, blocks, baked: BakedAction, new: set[str]):
     for track in list(tracks):
         for strip in list(track.strips):
             played = [each for each in (strip, *strips([strip])) if each.action]
-            for copy in {each.action for each in played} - set(actions):
-                if _is_copy(copy, action, paths, new):
-                    actions.append(copy)
+            for each in played:
+                slot = each.action_slot if baked.is_shared else None
+                if each.action not in actions and _is_copy(each.action, slot, action, paths, new):
+                    actions.append(each.action)
             ours = [each for each in played if each.action in actions and baked.holds(each.action_slot)]
             if len(ours) < len(played) or any(_others(each.action, paths, each.action_slot) for each in ours):
                 kept.update(each.action for each in ours)  # Blender cannot take one strip out of a Meta strip
@@ -94,7 +95,7 @@ def _remove(obj, blocks, baked: BakedAction, new: set[str]):
         recorded = obj.dynamorph.bake.action == each  # the record counts as a user
         if each.users > kept[each] + int(recorded):  # somebody else plays it
             continue
-        others = _others(each, paths)
+        others = [] if baked.is_shared else _others(each, paths)  # a copy of the artist's Action goes as a whole
         for bag, curve in _curves(each) if others else ():
             if curve not in others:
                 bag.fcurves.remove(curve)
@@ -135,12 +136,14 @@ def _others(action, paths: set[str], slot=None) -> list:
     return [curve for curve in found if not (curve.data_path in paths or is_baked(curve))]
 
 
-def _is_copy(copy, action, paths: set[str], new: set[str]) -> bool:
-    """Whether an Action is a copy that Blender has made and named, with a bake's curves alone."""
-    moved = _curves(copy)
+def _is_copy(copy, slot, action, paths: set[str], new: set[str]) -> bool:
+    """Whether an Action is a copy that Blender has made and named, with a bake's curves alone, or those alone in this
+    slot.
+    """
+    moved = [(bag, curve) for bag, curve in _curves(copy) if slot is None or bag.slot == slot]
     stem, original = (re.sub(r"\.\d+$", "", each.name) for each in (copy, action))
     is_named = stem == original or (
         len(copy.name.encode()) > LONG_NAME and original.startswith(stem)
     )  # Blender cuts long ones
     is_new = any(curve.data_path in new for _, curve in moved)
-    return bool(moved) and is_named and not is_new and not _others(copy, paths)
+    return bool(moved) and is_named and not is_new and not _others(copy, paths, slot)

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...core.errors import ExportError
 from ...io import glb, outputs, point_cache, whole
-from ...scene import animation, checks, skin, staleness
+from ...scene import animation, checks, identity, skin, staleness
 from ...scene.references import key_points, rig_of
 from ...scene.skin import shown_attachments
 from ...scene.skinning import meshes_on
@@ -206,8 +206,7 @@ def _write_usd(_obj, collection: str, path: Path, frames, _takes):
 
 def _write_raw(obj, _collection: str, path: Path, _frames, _takes):
     """One row per frame, whatever the bake's samples are, because players count frames."""
-    basis = key_points(obj.data.shape_keys.reference_key)
-    path.write_bytes(point_cache.raw(reading.read_back(obj), basis, _fps()))
+    path.write_bytes(point_cache.raw(reading.read_back(obj), identity.body_points(obj), _fps()))
 
 
 def _fps() -> float:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from ...core.message import Message, listed
-from ...scene import animation
+from ...scene import animation, identity
 from ...scene.references import armature_modifiers, rig_of
 from ...scene.skin import shown_attachments, unit_scale
 from ...scene.skinning import Skinning, deforming_bones
@@ -61,7 +61,8 @@ def _raw_losses(obj) -> Iterator[str]:
     names = ", ".join(f"'{each.name}'" for each in meshes_together(obj) if each != obj)
     if names:
         yield Message("A raw clip is of one mesh: {names} is left out", names=names)
-    others = [name for name in animation.moving_keys(obj) if name not in animation.baked_keys(obj)]
+    known = animation.baked_keys(obj) | identity.shifts(obj).keys()
+    others = [name for name in animation.moving_keys(obj) if name not in known]
     if others:
         yield Message("A raw clip has the bake's keys alone: {keys} is left out", keys=", ".join(others))
 
