@@ -47,7 +47,7 @@ void bind_morph_target(py::module_& m) {
            }),
            "name"_a, "displacement"_a, py::kw_only(), "young"_a, "poisson"_a, "density"_a, "mass_damping"_a = 0.0,
            "stiffness_damping"_a = 0.0, "set"_a = 0, "shifted"_a = false,
-           "The same of a Young's modulus in Pa and a Poisson's ratio from 0 to 0.495.")
+           "As above, with the material given by Young's modulus (Pa) and Poisson's ratio (0 to 0.495).")
       .def_readonly("name", &MorphTarget::name)
       .def_readonly("set", &MorphTarget::set)
       .def_readonly("shifted", &MorphTarget::shifted)

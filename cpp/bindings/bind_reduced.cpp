@@ -82,7 +82,7 @@ void bind_reduced(py::module_& m) {
         py::gil_scoped_release release;
         return reduce(model, basis.U, report);
       },
-      "model"_a, "basis"_a, "progress"_a = py::none(), "The same in what `make_basis` returns.");
+      "model"_a, "basis"_a, "progress"_a = py::none(), "As above, in the basis that `make_basis` returned.");
   m.def(
       "reduce",
       [](const FullModel& model, const ResponseBasis& basis, const py::object& progress) {

@@ -36,8 +36,8 @@ PAGE = ROOT / "docs" / "rigs.md"
 BEGIN, END = "<!-- tried -->", "<!-- end of tried -->"
 FIXTURE = "rig_families.py"
 SCALP = 0.06  # of the height: the uppermost skin, which belongs to the head
-HEAD = ("family", "file", "skin", "bones (deforming)", "click", "build", "bake", "head held", "it moves", "skin moves",
-        "in *Messages*")  # fmt: skip
+HEAD = ("family", "file", "skin", "bones (deforming)", "click", "build", "bake", "head held", "head moves",
+        "skin moves", "in *Messages*")  # fmt: skip
 FILES = {  # of ../shared/assets: the family, and the clip and frames that are played
     "mh_male_53bones.blend": ("MPFB", "gen_jump", (18, 34)),
     "mh_chubby_53bones.blend": ("MPFB", "gen_run_in_place", (40, 56)),

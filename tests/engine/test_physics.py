@@ -34,7 +34,9 @@ def cantilever(
     body = dynamorph.SoftBody(
         dynamorph.TetMesh(nodes, tets), count, count, count[:, None], nodes[:, 0] < 1e-9, np.ones((len(nodes), 1))
     )
-    target = dynamorph.MorphTarget("rest", np.zeros_like(nodes), density=density, **lame(young, poisson), **damping)
+    target = dynamorph.MorphTarget(
+        "rest", np.zeros_like(nodes), young=young, poisson=poisson, density=density, **damping
+    )
     return dynamorph.FullModel(body, [target], material_model, dynamorph.Blending.FORCES), nodes
 
 

@@ -20,7 +20,7 @@ def unknown(text: str, name: str, names: Sequence[str]) -> InputError:
     """The error for a name that does not exist. text: ends where the names that do exist belong."""
     by_letters = {each.casefold(): each for each in names}
     close = get_close_matches(name.casefold(), by_letters, n=1)
-    meant = f". Do you mean '{by_letters[close[0]]}'?" if close else ""
+    meant = f". Did you mean '{by_letters[close[0]]}'?" if close else ""
     return InputError(f"{text} {listed(names) or 'none'}{meant}")
 
 

@@ -153,7 +153,9 @@ def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -
         if lost:
             given.warnings.append(
                 Message(
-                    "The point cache of '{name}' plays over shape keys that move too: {lost}", name=mesh.name, lost=lost
+                    "The point cache of '{name}' plays over these shape keys: {lost}. Bake to Shape Keys to keep them",
+                    name=mesh.name,
+                    lost=lost,
                 )
             )
 

@@ -158,8 +158,9 @@ class DynamorphSimulation(PropertyGroup):
     )  # fmt: skip
     keep_outside: BoolProperty(
         name="Keep Other Frames",
-        description="Bake this range into the last bake and keep its other frames. The simulation starts one second "
-        "before the range, and the two are blended where they meet. Turn it on to change a few frames of a long shot",
+        description="Bake this range into the last bake and keep its other frames. The simulation starts one second, "
+        "at the Speed of the skin, before the range, and the two are blended where they meet. Turn it on to change "
+        "a few frames of a long shot",
         override=OVERRIDE,
     )  # fmt: skip
     loop: BoolProperty(

@@ -254,7 +254,7 @@ class MorphTarget:
     @typing.overload
     def __init__(self, name: str, displacement: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], *, young: typing.SupportsFloat | typing.SupportsIndex, poisson: typing.SupportsFloat | typing.SupportsIndex, density: typing.SupportsFloat | typing.SupportsIndex, mass_damping: typing.SupportsFloat | typing.SupportsIndex = 0.0, stiffness_damping: typing.SupportsFloat | typing.SupportsIndex = 0.0, set: typing.SupportsInt | typing.SupportsIndex = 0, shifted: bool = False) -> None:
         """
-        The same of a Young's modulus in Pa and a Poisson's ratio from 0 to 0.495.
+        As above, with the material given by Young's modulus (Pa) and Poisson's ratio (0 to 0.495).
         """
     @property
     def displacement(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
@@ -896,7 +896,7 @@ def reduce(model: FullModel, U: typing.Annotated[numpy.typing.ArrayLike, numpy.f
 @typing.overload
 def reduce(model: FullModel, basis: Basis, progress: typing.Any = None) -> ReducedTables:
     """
-    The same in what `make_basis` returns.
+    As above, in the basis that `make_basis` returned.
     """
 @typing.overload
 def reduce(model: FullModel, basis: ResponseBasis, progress: typing.Any = None) -> ReducedTables:

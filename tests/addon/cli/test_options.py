@@ -145,7 +145,7 @@ def test_another_scene_of_the_file(shot, run, tmp_path):
     assert code == 2 and "scene 'Other' has no object named 'Arm': its soft skins are Leg" in errors
     code, _, errors = run("check", shot, "--scene", "other")
     assert code == 2 and "--scene: the file has no scene named 'other': it has" in errors
-    assert "Do you mean 'Other'?" in errors
+    assert "Did you mean 'Other'?" in errors
 
 
 def test_quiet_leaves_warnings_and_errors_alone(fitted, run, tmp_path):

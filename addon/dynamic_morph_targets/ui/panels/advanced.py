@@ -69,7 +69,7 @@ def draw_solver(layout, _context, obj):
     layout.enabled = batch.running is None
     for name in ("speed", "substeps", "samples", "gravity", "fields"):
         draw_setting(layout, obj.dynamorph.simulation, name)
-    draw_message(layout, "A field of strength 1 pushes with 1 N/m² of skin", icon="INFO")
+    draw_message(layout, "A Wind or Force field of strength 1 pushes with 1 N/m² of skin", icon="INFO")
     draw_setting(layout, obj.dynamorph.simulation, "initial_state")
     draw_drags(layout, obj)
 

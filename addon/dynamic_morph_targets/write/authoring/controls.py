@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Control bones, which artists pose and select in rigs as Rigify's: which deforming bones follow them."""
+"""Control bones, which artists pose and select in rigs such as Rigify's: which deforming bones follow them."""
 
 from __future__ import annotations
 
