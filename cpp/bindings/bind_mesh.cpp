@@ -65,7 +65,7 @@ coordinate is NaN, a tet is flat or inside out, or a node belongs to no tet.)")
             if (self.nodes.size() && self.nodes.maxCoeff() >= matrix.rows())
               throw std::invalid_argument("values: expected one row per node, got shape " + shape_of(values));
             check_finite("values", matrix);
-            return without_gil([&] { return RowMajor(self.matrix(matrix.rows()) * matrix); });
+            return without_gil([&] { return self.interpolate(matrix); });
           },
           "values"_a, "Interpolates values (n, k) at the nodes to values (V, k) at the points.");
 }

@@ -204,7 +204,8 @@ def test_a_description_that_does_not_fit(kind, place):
 
 def test_two_models_in_one_file():
     """Each array by itself is right, but together they are of two bodies."""
-    other = building.build(replace(soft(BODIES["block"](), 120), settings=character("modes").settings)).to_arrays()[0]
+    block = replace(soft(BODIES["block"](), 120), settings=replace(character("modes").settings, cage_nodes=120))
+    other = building.build(block).to_arrays()[0]
     arrays, meta = stored("modes")
     for name in arrays:
         refused_or_usable("modes", arrays | {name: other[name]}, meta)

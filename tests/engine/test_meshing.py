@@ -6,6 +6,7 @@ import os
 import resource
 import subprocess
 import sys
+import time
 from pathlib import Path
 from unittest import mock
 
@@ -309,6 +310,70 @@ def test_another_cage_is_tried(monkeypatch, fault):
     monkeypatch.setenv("DYNAMORPH_MESHER_FAULT", fault)
     *_, mesh = dynamorph.mesh_body(*box(), 300, time_limit=6)
     assert abs(len(mesh.nodes) / 300 - 1) < 0.2
+
+
+def test_a_mesher_that_waits_is_used_once(children):
+    dynamorph.prepare_mesher()
+    dynamorph.prepare_mesher()
+    assert len(children) == 1
+    waited = dynamorph.mesh_body(*box(), 300)[2]
+    assert len(children) == 1 and children[0].returncode == 0
+    started = dynamorph.mesh_body(*box(), 300)[2]
+    assert len(children) == 2
+    np.testing.assert_array_equal(waited.nodes, started.nodes)
+
+
+def test_a_mesher_that_died_while_it_waited_is_replaced(children):
+    dynamorph.prepare_mesher()
+    children[0].kill()
+    children[0].wait()
+    dynamorph.mesh_body(*box(), 300)
+    assert len(children) == 2
+
+
+def test_a_mesher_that_gets_no_work_ends_by_itself(monkeypatch, children):
+    """In its own process a minute is another constant: it is started with a shorter one."""
+    monkeypatch.setattr(meshing, "IDLE", 0.5)
+    code = "import dynamorph.meshing as m; m.IDLE = 0.5; "
+    popen = subprocess.Popen
+
+    def sooner(command, **options):
+        return popen(
+            [*command[:-1], command[-1].replace("from dynamorph.meshing", code + "from dynamorph.meshing")], **options
+        )
+
+    monkeypatch.setattr(subprocess, "Popen", sooner)
+    dynamorph.prepare_mesher()
+    assert children[0].wait(60) == 0
+    dynamorph.dismiss_mesher()
+
+
+LEAVES_A_MESHER = """
+import os, subprocess, dynamorph
+class Child(subprocess.Popen):
+    def __init__(self, *arguments, **options):
+        super().__init__(*arguments, **options)
+        print(self.pid, flush=True)
+subprocess.Popen = Child
+dynamorph.prepare_mesher()
+os._exit(0)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs /proc")
+def test_a_mesher_that_waits_ends_with_its_parent():
+    parent = subprocess.run([sys.executable, "-c", LEAVES_A_MESHER], stdout=subprocess.PIPE, text=True, check=True)
+    child = Path("/proc") / parent.stdout.strip()
+    end = time.monotonic() + 30
+    while child.exists() and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not child.exists()
+
+
+def test_dismissed_meshers_are_gone(children):
+    dynamorph.prepare_mesher()
+    dynamorph.dismiss_mesher()
+    assert children[0].returncode is not None
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import platform
 import re
 import sys
 import tomllib
+from contextlib import suppress
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
@@ -130,6 +131,18 @@ def engine_errors() -> tuple[type[Exception], ...]:
     except Exception:
         return ()
     return (dynamorph.Error,)
+
+
+def prepare() -> None:
+    """Start what a first build waits for: the engine and the process of its mesher."""
+    with suppress(EngineNotFoundError):  # the build says so
+        load().prepare_mesher()
+
+
+def dismiss() -> None:
+    """End what `prepare` started beside this process."""
+    if loaded := sys.modules.get("dynamorph"):
+        loaded.dismiss_mesher()
 
 
 def use_threads(count: int) -> None:

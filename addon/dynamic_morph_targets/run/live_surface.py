@@ -7,13 +7,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..core.geometry import interpolated
+from ..core.engine import dynamorph
 from ..scene import skin
 from ..write.display import live_key
 
 # What displaces the points of a surface: coordinates (dofs,) -> (3 V,), float32, local space.
 Move = Callable[[np.ndarray], np.ndarray]
-POINTS = 512  # whose modes are interpolated at once, so that they stay in the processor's cache
 
 
 class LiveMesh:
@@ -44,20 +43,10 @@ class LiveMesh:
         return True
 
 
-def by_modes(modes: np.ndarray, nodes: np.ndarray, weights: np.ndarray) -> Move:
-    """The Move of a reduced simulation, whose modes displace the cage's nodes by (r, n, 3).
-
-    nodes, weights (V, 4): which carry each point.
-    """
-    by_node = np.ascontiguousarray(modes.transpose(1, 2, 0), np.float32).reshape(modes.shape[1], 3 * len(modes))
-    weights = weights.astype(np.float32)
-    shapes = np.empty((len(modes), 3 * len(nodes)), np.float32)
-    for first in range(0, len(nodes), POINTS):
-        some = slice(first, first + POINTS)
-        pairs = zip(weights[some].T, nodes[some].T, strict=True)
-        carried = sum(weight[:, None] * by_node[node] for weight, node in pairs)
-        shapes[:, 3 * first : 3 * (first + POINTS)] = carried.reshape(-1, len(modes)).T
-    return lambda coordinates: _blended(coordinates, shapes)
+def by_modes(modes: np.ndarray, embedding: dynamorph.Embedding) -> Move:
+    """The Move of a reduced simulation, whose modes displace the cage's nodes by (r, n, 3)."""
+    shapes = modes.reshape(len(modes), -1).astype(np.float32)
+    return lambda coordinates: _carried(embedding, _blended(coordinates, shapes))
 
 
 def still(count: int) -> Move:
@@ -65,19 +54,23 @@ def still(count: int) -> Move:
     return lambda _coordinates: np.zeros(3 * count, np.float32)
 
 
-def by_nodes(free: np.ndarray, nodes: np.ndarray, weights: np.ndarray, turn: np.ndarray) -> Move:
+def by_nodes(free: np.ndarray, embedding: dynamorph.Embedding, turn: np.ndarray) -> Move:
     """The Move of an unreduced simulation, whose coordinates are displacements of the `free` nodes (n,) of the cage.
 
-    nodes, weights (V, 4): which carry each point; turn (3, 3): from bind space to that of the points.
+    turn (3, 3): from bind space to that of the points.
     """
-    weights = weights.astype(np.float32)
 
     def move(coordinates: np.ndarray) -> np.ndarray:
-        moved = np.zeros((len(free), 3), np.float32)
+        moved = np.zeros((len(free), 3))
         moved[free] = np.einsum("nc,dc->nd", coordinates.reshape(-1, 3), turn)
-        return interpolated(moved, nodes, weights).ravel()
+        return _carried(embedding, moved)
 
     return move
+
+
+def _carried(embedding: dynamorph.Embedding, moved: np.ndarray) -> np.ndarray:
+    """Displacements (3 V,) of the points, of those of the nodes (3 n,)."""
+    return embedding.interpolate(moved.reshape(-1, 3)).astype(np.float32).ravel()
 
 
 def _blended(values: np.ndarray, shapes: np.ndarray) -> np.ndarray:

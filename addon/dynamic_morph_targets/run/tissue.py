@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 
 from ..core.character import Character
+from ..core.engine import dynamorph
 from ..core.errors import SceneError
 from ..core.motion import simulate
 from ..core.motion.player import Frame, Player
@@ -59,11 +60,11 @@ class Tissue:
         model = self.model
         if not len(model.tets):  # static morph targets
             return still(members.stop - members.start)
-        nodes, weights = model.embedding_nodes[members], self.player.skin.weights[members]
+        embedding = dynamorph.Embedding(model.embedding_nodes[members], self.player.skin.weights[members])
         turn = from_body @ np.linalg.inv(model.to_bind)
         if model.settings.solver == "FULL":
-            return by_nodes(model.free, nodes, weights, turn)
-        return by_modes(simulate.node_modes(model, self.player.modes.T) @ turn.T, nodes, weights)
+            return by_nodes(model.free, embedding, turn)
+        return by_modes(simulate.node_modes(model, self.player.modes.T) @ turn.T, embedding)
 
     @property
     def vertices(self) -> dict[skin.ObjectHandle, int]:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import bpy
 from bpy.app.handlers import persistent
 
+from ..core import engine
 from ..scene import body_checks, colliders, cuts, events, model_store, references, sampling_scene, skin, staleness
 from ..scene.references import rig_of
 from ..scene.skin import soft_skins
@@ -206,6 +207,7 @@ def register() -> None:
 
 def unregister() -> None:
     _before_load()
+    engine.dismiss()
     sampling_scene.remove_kept()
     bpy.msgbus.clear_by_owner(OWNER)
     events.unsubscribe(LISTENERS)

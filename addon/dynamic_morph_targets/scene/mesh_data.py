@@ -7,6 +7,8 @@ Skinning is Blender's: shape keys first, then the Armature modifier, weights nor
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
+from functools import cached_property
 from zlib import crc32
 
 import numpy as np
@@ -72,32 +74,46 @@ def group_weights(obj, names, absent: float = 0.0) -> np.ndarray:
 
 
 class VertexGroups:
-    """The vertex groups of an object, read once: Blender hands them out vertex by vertex."""
+    """The vertex groups of an object, read once, when they are first asked for: Blender hands them out vertex by
+    vertex.
+    """
 
     def __init__(self, obj):
         self._obj = obj
+
+    @cached_property
+    def _elements(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Vertex, group and weight of all elements."""
         flat = [
             part
-            for vertex, of_vertex in enumerate(obj.data.vertices)
+            for vertex, of_vertex in enumerate(self._obj.data.vertices)
             for element in of_vertex.groups
             for part in (vertex, element.group, element.weight)
         ]
-        self._vertices, self._groups, self._weights = np.array(flat, np.float64).reshape(-1, 3).T
+        vertices, groups, weights = np.array(flat, np.float64).reshape(-1, 3).T
+        return vertices.astype(np.int64), groups.astype(np.int64), weights
 
-    def weights(self, names, absent: float = 0.0) -> np.ndarray:
+    def weights(self, names: Sequence[str], absent: float = 0.0) -> np.ndarray:
         """As `group_weights`. Raises SceneError."""
-        obj = self._obj
-        weights = np.full((len(obj.data.vertices), len(names)), absent)
-        for column, name in enumerate(names):
-            if name in obj.vertex_groups:
-                members = self._groups == obj.vertex_groups[name].index
-                weights[self._vertices[members].astype(np.int64), column] = self._weights[members]
+        obj, columns = self._obj, {name: column for column, name in enumerate(dict.fromkeys(names))}
+        weights = np.full((len(obj.data.vertices), len(columns)), absent)
+        numbers = {
+            obj.vertex_groups[name].index: column for name, column in columns.items() if name in obj.vertex_groups
+        }
+        if numbers:
+            vertices, groups, values = self._elements
+            column_of = np.full(1 + max(*numbers, groups.max(initial=0)), -1)
+            column_of[list(numbers)] = list(numbers.values())
+            asked = column_of[groups] >= 0
+            weights[vertices[asked], column_of[groups[asked]]] = values[asked]
         bad = np.flatnonzero(~np.isfinite(weights).all(axis=0))
         if len(bad):
             raise SceneError(
-                "'{name}': vertex group '{group}' has weights that are not numbers", name=obj.name, group=names[bad[0]]
+                "'{name}': vertex group '{group}' has weights that are not numbers",
+                name=obj.name,
+                group=list(columns)[bad[0]],
             )
-        return weights
+        return weights if len(columns) == len(names) else weights[:, [columns[name] for name in names]]
 
 
 def modifier_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) -> np.ndarray:

@@ -4,7 +4,9 @@
 from importlib import metadata
 
 from dynamorph._core import *  # noqa: F403
+from dynamorph.meshing import dismiss_mesher as dismiss_mesher
 from dynamorph.meshing import mesh_body as mesh_body
+from dynamorph.meshing import prepare_mesher as prepare_mesher
 from dynamorph.meshing import tet_quality as tet_quality
 from dynamorph.model_file import pack_model as pack_model
 from dynamorph.model_file import pack_soft_skin as pack_soft_skin

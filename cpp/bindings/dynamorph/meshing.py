@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
 import functools
 import heapq
@@ -20,7 +21,6 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 
@@ -40,6 +40,7 @@ EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER, EXIT_MESHER, EXIT_DISK = 10, 11, 12, 13, 1
 WINDOWS_CRASH, WINDOWS_ABORT = 0xC0000000, 3
 # TetGen fails, crashes or hangs unpredictably. A slightly coarser or finer cage usually works.
 RESOLUTIONS = (1.0, 0.9, 1.12, 0.75)
+IDLE = 60.0  # seconds after which a child that got no work ends
 KILLED = 9  # SIGKILL, which Windows does not have
 # For tests only: makes the child crash, hang or allocate without end. "crash once" crashes at the first resolution
 # only.
@@ -96,14 +97,125 @@ def mesh_body(
 def _mesh_in_child(
     arrays: list[np.ndarray], arguments: list[float], progress: ProgressFn | None
 ) -> tuple[np.ndarray, np.ndarray, TetMesh]:
-    with tempfile.TemporaryFile() as request, tempfile.TemporaryFile() as answer:
-        for array in arrays:
-            np.save(request, array, allow_pickle=False)
-        request.seek(0)
-        _run_child(arguments, request, answer, progress)
-        answer.seek(0)
-        vertices, triangles, nodes, tets = (np.load(answer, allow_pickle=False) for _ in range(4))
+    request = io.BytesIO()
+    fault = os.environ.get(FAULT_VARIABLE, "")
+    for array in (np.array(fault), np.array(arguments), *arrays):
+        np.save(request, array, allow_pickle=False)
+    child = _take()
+    try:
+        child.run(request.getvalue(), arguments, progress)
+        vertices, triangles, nodes, tets = child.answer()
+    finally:  # also on KeyboardInterrupt or an exception raised by progress
+        child.end()
     return vertices, triangles, TetMesh(nodes, tets)
+
+
+# The child, which may be started before there is work for it ----------------------------------------------------------
+
+_spare: list[_Child] = []  # at most one
+
+
+def prepare_mesher() -> None:
+    """Starts the process of the next `mesh_body` now, because it takes a tenth of a second. It ends by itself if it
+    gets no work.
+    """
+    if not (_spare and _spare[0].waits):
+        dismiss_mesher()
+        with suppress(Error):  # `mesh_body` will say so
+            _spare.append(_Child())
+
+
+@atexit.register
+def dismiss_mesher() -> None:
+    """Ends what `prepare_mesher` started."""
+    while _spare:
+        _spare.pop().end()
+
+
+def _take() -> _Child:
+    """A child that waits for work."""
+    with suppress(IndexError):  # there is none
+        child = _spare.pop()
+        if child.waits:
+            return child
+        child.end()
+    return _Child()
+
+
+class _Child:
+    """A process that meshes once. Raises Error when it cannot be started."""
+
+    def __init__(self) -> None:
+        # Isolated, with our own paths: the child must not see the artist's Python environment. Inside Blender it runs
+        # Blender's bundled Python.
+        paths = [str(Path(file).absolute().parent.parent) for file in (__file__, np.__file__)]
+        code = f"import sys; sys.path[:0] = {paths!r}; from dynamorph.meshing import _child; _child()"
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # each thread reserves memory, and memory is limited
+        self._answer = tempfile.TemporaryFile()  # noqa: SIM115 - it is closed by `end`
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable or "", "-I", "-S", "-X", "utf8", "-c", code],
+                stdin=subprocess.PIPE, stdout=self._answer, stderr=subprocess.PIPE, env=environment,
+                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),  # or Windows would flash a console
+            )  # fmt: skip
+        except OSError as error:
+            self._answer.close()
+            raise Error(
+                f"The mesher could not be started with '{sys.executable}' ({error}). Let the virus scanner allow this "
+                "program, or install it again."
+            ) from error
+        self._began = time.monotonic()
+        self._talk = threading.Thread(target=self._exchange, daemon=True)
+        self._request = b""
+        self._fraction = 0.0
+        self._message: list[str] = []
+
+    @property
+    def waits(self) -> bool:
+        """Whether it takes work."""
+        return self._process.poll() is None and time.monotonic() - self._began < IDLE / 2
+
+    def run(self, request: bytes, arguments: list[float], progress: ProgressFn | None) -> None:
+        """Has it do the work. Raises as `mesh_body` does."""
+        time_limit, memory_limit_gb = arguments[1:3]
+        self._request = request
+        self._talk.start()
+        deadline = time.monotonic() + time_limit
+        while self._talk.is_alive():  # until it ends
+            if progress and not progress(self._fraction):
+                raise Cancelled("canceled")
+            if time.monotonic() > deadline:
+                raise _MesherFailed(f"Meshing took too long and was stopped. {TRY_THIS}")
+            self._talk.join(0.05)
+        _raise_failure(self._process.wait(), "\n".join(self._message), memory_limit_gb)
+
+    def answer(self) -> list[np.ndarray]:
+        """The arrays that it wrote."""
+        self._answer.seek(0)
+        return [np.load(self._answer, allow_pickle=False) for _ in range(4)]
+
+    def end(self) -> None:
+        """Ends it, whatever it does."""
+        self._process.kill()
+        self._process.wait()
+        if self._talk.ident is not None:  # it was started
+            self._talk.join()
+        for stream in (self._process.stdin, self._process.stderr, self._answer):
+            with suppress(OSError):  # what was not written is lost with the process
+                stream.close()  # type: ignore[union-attr]
+
+    def _exchange(self) -> None:
+        """Writes the request, then reads what the child reports: progress (numbers) and, at the end, a message."""
+        assert self._process.stdin and self._process.stderr  # they are pipes
+        with suppress(OSError):  # it has ended; its exit code says why
+            self._process.stdin.write(self._request)
+            self._process.stdin.close()
+        for line in self._process.stderr:
+            text = line.decode("utf-8", "replace").rstrip()
+            try:
+                self._fraction = float(text)
+            except ValueError:
+                self._message.append(text)
 
 
 def _closed(cage: Surface | None) -> Surface:
@@ -153,55 +265,6 @@ def _checked(vertices: np.ndarray, triangles: np.ndarray) -> Surface:
     return arrays
 
 
-def _run_child(arguments: list[float], request: IO[bytes], answer: IO[bytes], progress: ProgressFn | None) -> None:
-    """Runs `_child` on open files. Its standard error carries progress (numbers) and, at the end, a message."""
-    time_limit, memory_limit_gb = arguments[1:3]
-    # Isolated, with our own paths: the child must not see the artist's Python environment. Inside Blender it runs
-    # Blender's bundled Python.
-    paths = [str(Path(file).absolute().parent.parent) for file in (__file__, np.__file__)]
-    code = f"import sys; sys.path[:0] = {paths!r}; from dynamorph.meshing import _child; _child()"
-    command = [sys.executable or "", "-I", "-S", "-X", "utf8", "-c", code, *map(str, arguments)]
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # each thread reserves memory, and memory is limited
-    try:
-        child = subprocess.Popen(
-            command, stdin=request, stdout=answer, stderr=subprocess.PIPE, env=environment,
-            encoding="utf-8", errors="replace",
-            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),  # or Windows would flash a console
-        )  # fmt: skip
-    except OSError as error:
-        raise Error(
-            f"The mesher could not be started with '{sys.executable}' ({error}). Let the virus scanner allow this "
-            "program, or install it again."
-        ) from error
-    assert child.stderr is not None  # it is a pipe
-    fraction = [0.0]
-    message: list[str] = []
-    reader = threading.Thread(target=_read_reports, args=(child.stderr, fraction, message), daemon=True)
-    reader.start()
-    deadline = time.monotonic() + time_limit
-    try:
-        while child.poll() is None:
-            if progress and not progress(fraction[0]):
-                raise Cancelled("canceled")
-            if time.monotonic() > deadline:
-                raise _MesherFailed(f"Meshing took too long and was stopped. {TRY_THIS}")
-            time.sleep(0.05)
-    finally:  # also on KeyboardInterrupt or an exception raised by progress
-        child.kill()
-        child.wait()
-        reader.join()
-        child.stderr.close()
-    _raise_failure(child.returncode, "\n".join(message), memory_limit_gb)
-
-
-def _read_reports(stream: Iterable[str], fraction: list[float], message: list[str]) -> None:
-    for line in stream:
-        try:
-            fraction[0] = float(line)
-        except ValueError:
-            message.append(line.rstrip())
-
-
 def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
     if code == 0:
         return
@@ -230,12 +293,20 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
 
 def _child() -> None:
     """The child's main function: reads arrays from standard input and writes arrays to standard output."""
-    target_nodes = int(sys.argv[1])
-    time_limit, memory_limit_gb, pin_radius, resolution = map(float, sys.argv[2:])
+    unused = threading.Timer(IDLE, os._exit, [0])
+    unused.daemon = True
+    unused.start()
+    request = io.BytesIO(sys.stdin.buffer.read())
+    unused.cancel()
+    if not request.getbuffer():  # the parent has no work, or has ended
+        return
+    load = functools.partial(np.load, request, allow_pickle=False)
+    fault, (nodes, time_limit, memory_limit_gb, pin_radius, resolution) = load(), load().tolist()
+    body, cage, bones = (load(), load()), (load(), load()), load()
+    target_nodes = int(nodes)
     limit_resources(time_limit, memory_limit_gb)
     try:
-        _fault(os.environ.get(FAULT_VARIABLE, ""), resolution)
-        body, cage, bones = _load_surface(), _load_surface(), _load()
+        _fault(str(fault), resolution)
         if len(cage[1]):
             cage = _refined(cage, max(int(_surface_share(target_nodes) * target_nodes), 4))
             arrays = _filled(cage, body, bones, pin_radius, target_nodes)
@@ -260,14 +331,6 @@ def _answer(arrays: Iterable[np.ndarray]) -> None:
         np.save(content, array, allow_pickle=False)
     with open(1, "wb", closefd=False) as answer:
         answer.write(content.getbuffer())
-
-
-def _load() -> np.ndarray:
-    return np.load(sys.stdin.buffer, allow_pickle=False)
-
-
-def _load_surface() -> Surface:
-    return _load(), _load()
 
 
 def limit_resources(time_limit: float, memory_limit_gb: float) -> None:

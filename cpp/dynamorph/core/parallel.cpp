@@ -94,4 +94,10 @@ void parallel_for(int count, const std::function<void(int)>& work) {
   helpers.run(count, usable_cores() - 1, work);
 }
 
+void parallel_parts(Eigen::Index count, const std::function<void(Eigen::Index, Eigen::Index)>& work) {
+  constexpr Eigen::Index kPart = 256;
+  parallel_for(int((count + kPart - 1) / kPart),
+               [&](int part) { work(part * kPart, std::min(count, (part + 1) * kPart)); });
+}
+
 }  // namespace dynamorph

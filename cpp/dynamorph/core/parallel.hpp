@@ -93,4 +93,7 @@ void run_tasks(int count, const ProgressFn& progress, const Work& work) {
 /// sleeping threads join it if they wake in time. Nothing is reported, and work must not throw.
 void parallel_for(int count, const std::function<void(int)>& work);
 
+/// Calls work(first, end) for parts of 0..count-1, as `parallel_for` does. For items that are quickly done.
+void parallel_parts(Eigen::Index count, const std::function<void(Eigen::Index, Eigen::Index)>& work);
+
 }  // namespace dynamorph

@@ -18,6 +18,22 @@ namespace dynamorph {
 
 namespace {
 
+struct HashCorners {
+  std::size_t operator()(const Triangle& corners) const {
+    std::size_t hash = 0;
+    for (int corner : corners) hash = hash * 0x9e3779b97f4a7c15u + std::size_t(corner);
+    return hash;
+  }
+};
+
+/// Numbers of faces, in a row.
+struct Faces {
+  const int *first, *last;
+  const int* begin() const { return first; }
+  const int* end() const { return last; }
+  std::size_t size() const { return std::size_t(last - first); }
+};
+
 constexpr double kNegligible = 1e-4;  // relative to a sphere of the same area; a thinner patch has no outside
 
 class Closing {
@@ -46,18 +62,26 @@ class Closing {
   void cap_loops();
   void cap(const std::vector<int>& loop);
 
+  /// The faces at an edge, in their order.
+  Faces at(int edge) const { return {beside_.data() + first_[edge], beside_.data() + first_[edge + 1]}; }
   /// Whether face f runs along a -> b.
   bool runs_along(int f, int a, int b) const {
     const Triangle& t = faces_[f];
     return (t[0] == a && t[1] == b) || (t[1] == a && t[2] == b) || (t[2] == a && t[0] == b);
   }
-  void flip(int f) { std::swap(faces_[f][1], faces_[f][2]); }
+  void flip(int f) {
+    std::swap(faces_[f][1], faces_[f][2]);
+    std::swap(edges_of_[f][0], edges_of_[f][2]);
+  }
 
   std::vector<Vector3d> points_;  ///< in the unit box
   std::vector<Triangle> faces_;
   std::vector<std::pair<int, Edge>> soup_;  ///< of each of its triangles: the face, -1 if collapsed; the first edge
   size_t authored_ = 0;
-  std::map<Edge, std::vector<int>> edges_;  ///< each edge with its faces
+  std::vector<Edge> edges_;         ///< sorted
+  std::vector<int> first_;          ///< of the faces at each edge, in beside_
+  std::vector<int> beside_;         ///< the faces at all edges
+  std::vector<Triangle> edges_of_;  ///< the edges of each face: from each corner to the next
   Defects defects_;
 };
 
@@ -67,7 +91,7 @@ void Closing::weld_faces(const Points& vertices, const Triangles& triangles, con
   points_ = std::move(welded.points);
   defects_.stray_vertices = int(std::count(number.begin(), number.end(), -1));
   DisjointSets pieces(points_.size());
-  std::map<Triangle, int> seen;
+  std::unordered_map<Triangle, int, HashCorners> seen;
   for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
     const Triangle f{number[triangles(t, 0)], number[triangles(t, 1)], number[triangles(t, 2)]};
     pieces.join(f[0], f[1]);
@@ -91,11 +115,30 @@ void Closing::weld_faces(const Points& vertices, const Triangles& triangles, con
 }
 
 void Closing::find_edges() {
+  struct Side {
+    Edge edge;
+    int face, corner;
+    bool operator<(const Side& other) const {
+      return std::tie(edge, face, corner) < std::tie(other.edge, other.face, other.corner);
+    }
+  };
+  std::vector<Side> sides;
   for (size_t f = 0; f < faces_.size(); ++f)
-    for (int k = 0; k < 3; ++k) edges_[undirected(faces_[f][k], faces_[f][(k + 1) % 3])].push_back(int(f));
-  for (const auto& [edge, faces] : edges_) {
-    defects_.open_edges += faces.size() == 1;
-    defects_.nonmanifold_edges += faces.size() > 2;
+    for (int k = 0; k < 3; ++k) sides.push_back({undirected(faces_[f][k], faces_[f][(k + 1) % 3]), int(f), k});
+  std::sort(sides.begin(), sides.end());
+  edges_of_.resize(faces_.size());
+  for (const Side& side : sides) {
+    if (edges_.empty() || edges_.back() != side.edge) {
+      edges_.push_back(side.edge);
+      first_.push_back(int(beside_.size()));
+    }
+    edges_of_[side.face][side.corner] = int(edges_.size()) - 1;
+    beside_.push_back(side.face);
+  }
+  first_.push_back(int(beside_.size()));
+  for (int e = 0; e < int(edges_.size()); ++e) {
+    defects_.open_edges += at(e).size() == 1;
+    defects_.nonmanifold_edges += at(e).size() > 2;
   }
 }
 
@@ -110,9 +153,9 @@ void Closing::orient_patches() {
     for (size_t next = 0; next < patch.size(); ++next)
       for (int k = 0; k < 3; ++k) {
         const int f = patch[next], a = faces_[f][k], b = faces_[f][(k + 1) % 3];
-        const std::vector<int>& both = edges_.at(undirected(a, b));
+        const Faces both = at(edges_of_[f][k]);
         if (both.size() != 2) continue;
-        const int other = both[0] == f ? both[1] : both[0];
+        const int other = *both.first == f ? both.first[1] : *both.first;
         if (visited[other]) continue;
         visited[other] = true;
         if (runs_along(other, a, b)) {
@@ -141,7 +184,7 @@ double Closing::outwardness(const std::vector<int>& patch) const {
   for (int f : patch)
     for (int k = 0; k < 3; ++k) {
       const int a = faces_[f][k], b = faces_[f][(k + 1) % 3];
-      if (edges_.at(undirected(a, b)).size() == 2) continue;
+      if (at(edges_of_[f][k]).size() == 2) continue;
       const double length = (points_[b] - points_[a]).norm();
       middle += length * (points_[a] + points_[b]) / 2;
       border += length;
@@ -160,11 +203,11 @@ double Closing::outwardness(const std::vector<int>& patch) const {
 /// Splits the flow of open edges into loops that pass no vertex twice, and caps them.
 void Closing::cap_loops() {
   std::map<int, std::vector<int>> open;  // for each vertex, where the caps go next: against the faces
-  for (const auto& [edge, faces] : edges_) {
+  for (int e = 0; e < int(edges_.size()); ++e) {
+    const auto [a, b] = edges_[e];
     int net = 0;
-    for (int f : faces) net += runs_along(f, edge.first, edge.second) ? 1 : -1;
-    for (int i = 0; i < std::abs(net); ++i)
-      net > 0 ? open[edge.second].push_back(edge.first) : open[edge.first].push_back(edge.second);
+    for (int f : at(e)) net += runs_along(f, a, b) ? 1 : -1;
+    for (int i = 0; i < std::abs(net); ++i) net > 0 ? open[b].push_back(a) : open[a].push_back(b);
   }
   for (auto& [start, ends] : open)
     while (!ends.empty()) {

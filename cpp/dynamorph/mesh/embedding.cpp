@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "dynamorph/core/errors.hpp"
+#include "dynamorph/core/parallel.hpp"
 #include "dynamorph/mesh/bvh.hpp"
 #include "dynamorph/mesh/tet.hpp"
 
@@ -54,29 +55,36 @@ Embedding embed(const TetMesh& mesh, const Points& points, const MayCarry& may_c
   if (mesh.tets.rows() == 0) throw std::invalid_argument("mesh: expected at least one tet");
   const std::vector<Tet> tets = prepare(mesh);
   const Bvh tree = tree_of(tets);
+  struct Found {
+    int tet = -1;
+    Vector3d closest;
+    double squared = kInfinity;  ///< distance
+  };
+  std::vector<Found> found(points.rows());
+  const auto search = [&](Eigen::Index i, const auto& may) {
+    const Vector3d p = points.row(i);
+    Found nearest;
+    tree.nearest(p, nearest.squared, [&](int t) {
+      const Vector3d q = tets[t].closest(p);
+      const double squared = (q - p).squaredNorm();
+      if (squared < nearest.squared && may(t)) nearest = {t, q, squared};
+    });
+    return nearest;
+  };
+  parallel_parts(points.rows(), [&](Eigen::Index first, Eigen::Index end) {
+    for (Eigen::Index i = first; i < end; ++i) found[i] = search(i, [](int) { return true; });
+  });
+  for (Eigen::Index i = 0; may_carry && i < points.rows(); ++i) {
+    if (may_carry(i, found[i].tet)) continue;
+    const Found other = search(i, [&](int t) { return may_carry(i, t); });
+    if (other.tet >= 0) found[i] = other;
+  }
   Embedding e{Tets(points.rows(), 4), {points.rows(), 4}, VectorXd(points.rows())};
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
-    const Vector3d p = points.row(i);
-    double best = kInfinity;
-    int nearest = -1;
-    Vector3d closest = p;
-    const auto search = [&](bool any) {
-      best = kInfinity;
-      tree.nearest(p, best, [&](int t) {
-        const Vector3d q = tets[t].closest(p);
-        if ((q - p).squaredNorm() >= best || !(any || may_carry(i, t))) return;
-        best = (q - p).squaredNorm();
-        closest = q;
-        nearest = t;
-      });
-      return best < kInfinity;
-    };
-    search(true);
-    if (may_carry && !may_carry(i, nearest) && !search(false)) search(true);
-    assert(nearest >= 0);
-    e.nodes.row(i) = mesh.tets.row(nearest);
-    e.weights.row(i) = tets[nearest].bounded_weights(p, closest);
-    e.distances[i] = std::sqrt(best);
+    assert(found[i].tet >= 0);
+    e.nodes.row(i) = mesh.tets.row(found[i].tet);
+    e.weights.row(i) = tets[found[i].tet].bounded_weights(points.row(i), found[i].closest);
+    e.distances[i] = std::sqrt(found[i].squared);
   }
   return e;
 }
@@ -91,6 +99,14 @@ SparseMatrix Embedding::matrix(Eigen::Index node_count) const {
   return matrix;
 }
 
+RowMajor Embedding::interpolate(const RowMajor& values) const {
+  RowMajor out(nodes.rows(), values.cols());
+  for (Eigen::Index i = 0; i < nodes.rows(); ++i)
+    out.row(i) = weights(i, 0) * values.row(nodes(i, 0)) + weights(i, 1) * values.row(nodes(i, 1)) +
+                 weights(i, 2) * values.row(nodes(i, 2)) + weights(i, 3) * values.row(nodes(i, 3));
+  return out;
+}
+
 MatrixXd extend_to_nodes(const TetMesh& mesh, const Embedding& embedding, const MatrixXd& values) {
   const SparseMatrix e = embedding.matrix(mesh.nodes.rows());
   const SparseMatrix fit = e.transpose() * e, smooth = graph_laplacian(mesh);
@@ -102,7 +118,12 @@ MatrixXd extend_to_nodes(const TetMesh& mesh, const Embedding& embedding, const 
   const Eigen::SimplicialLDLT<SparseMatrix> solver(system);
   if (solver.info() != Eigen::Success)
     throw Error("Surface values could not be extended into the cage. Change the cage resolution a little.");
-  return solver.solve(e.transpose() * values);
+  const MatrixXd sums = e.transpose() * values;
+  MatrixXd at_nodes = MatrixXd::Zero(sums.rows(), sums.cols());
+  run_tasks(int(sums.cols()), {}, [&](int c, const ProgressFn&) {  // many bones move nothing of this body
+    if (!sums.col(c).isZero(0)) at_nodes.col(c) = solver.solve(sums.col(c));
+  });
+  return at_nodes;
 }
 
 }  // namespace dynamorph

@@ -21,6 +21,8 @@ struct Embedding {
 
   /// E, (V, node_count): values at the points = E * values at the nodes.
   SparseMatrix matrix(Eigen::Index node_count) const;
+  /// E values, (V, k), of values (n, k) at the nodes.
+  RowMajor interpolate(const RowMajor& values) const;
 };
 
 /// Whether a tet may carry a point.

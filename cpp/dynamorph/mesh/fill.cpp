@@ -36,11 +36,17 @@ double filled(const Tet& tet, const Surface& surface, const std::vector<Vector4d
   const double clearance = surface.distance(center);
   const bool center_inside = surface.contains(center);
   if (clearance > radius) return center_inside;  // the skin does not pass through the tet
-  const auto inside = [&](const Vector4d& weights) {
+  Eigen::Matrix3Xd near_skin(3, samples.size());
+  Eigen::Index asked = 0;
+  int inside = 0;
+  for (const Vector4d& weights : samples) {
     const Vector3d p = tet.point(weights);
-    return (p - center).norm() < clearance ? center_inside : surface.contains(p);
-  };
-  return double(std::count_if(samples.begin(), samples.end(), inside)) / double(samples.size());
+    if ((p - center).norm() < clearance)
+      inside += center_inside;
+    else
+      near_skin.col(asked++) = p;
+  }
+  return double(inside + surface.count_inside(near_skin.leftCols(asked))) / double(samples.size());
 }
 
 }  // namespace

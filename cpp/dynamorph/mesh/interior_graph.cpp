@@ -5,6 +5,7 @@
 #include <cmath>
 #include <map>
 
+#include "dynamorph/core/parallel.hpp"
 #include "dynamorph/mesh/closed_surface.hpp"
 #include "dynamorph/mesh/refine.hpp"
 #include "dynamorph/mesh/weld.hpp"
@@ -155,7 +156,12 @@ void InteriorGraph::find_buried(double off) {
     for (size_t t = 0; t < parts[part].size(); ++t)
       for (int k = 0; k < 3; ++k) triangles(t, k) = number[parts[part][t][k]];
     const Surface surface(points, triangles);
-    for (int i : members[part]) buried_[i] = surface.winding_number(points_[i] + off * normals_[i]) > 0.5;
+    parallel_parts(Eigen::Index(members[part].size()), [&](Eigen::Index first, Eigen::Index end) {
+      for (Eigen::Index k = first; k < end; ++k) {
+        const int i = members[part][k];
+        buried_[i] = surface.winding_number(points_[i] + off * normals_[i]) > 0.5;
+      }
+    });
   }
 }
 
@@ -166,8 +172,13 @@ void InteriorGraph::look_through() {
   for (size_t t = 0; t < triangles_.size(); ++t)
     for (int corner : triangles_[t]) boxes[t].extend(points_[corner]);
   bvh_ = Bvh(boxes);
+  std::vector<int> opposites(size(), -1);
+  parallel_parts(size(), [&](Eigen::Index first, Eigen::Index end) {
+    for (int i = int(first); i < end; ++i)
+      if (!buried_[i]) opposites[i] = opposite(i);
+  });
   for (int i = 0; i < size(); ++i) {
-    const int other = buried_[i] ? -1 : opposite(i);
+    const int other = opposites[i];
     if (other < 0) continue;
     const double length = (points_[i] - points_[other]).norm();
     steps_[i].push_back({other, length});

@@ -64,7 +64,7 @@ class InteriorGraph {
   std::vector<Triangle> triangles_;
   std::vector<std::vector<Step>> steps_;
   std::vector<int> part_;
-  std::vector<bool> buried_;  ///< whether a point is inside its own part, or touches it elsewhere
+  std::vector<char> buried_;  ///< whether a point is inside its own part, or touches it elsewhere
   Bvh bvh_ = Bvh({});
   Surface body_ = Surface(Points(0, 3), Triangles(0, 3));  ///< closed
 };

@@ -5,6 +5,8 @@
 #include <map>
 #include <numeric>
 
+#include "dynamorph/core/parallel.hpp"
+
 namespace dynamorph {
 
 namespace {
@@ -39,11 +41,14 @@ MeshCut::MeshCut(const TetMesh& mesh, const Points& vertices, const Triangles& t
       sizes_(sizes_of(mesh)),
       graph_(vertices, triangles, spacing_of(sizes_)),
       pairs_(face_neighbors(mesh.tets)) {
-  for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t) {
-    Vector3d center = Vector3d::Zero();
-    for (int node : mesh.tets.row(t)) center += mesh.nodes.row(node) / 4;
-    owner_.push_back(graph_.nearest(center));
-  }
+  owner_.resize(mesh.tets.rows());
+  parallel_parts(mesh.tets.rows(), [&](Eigen::Index first, Eigen::Index end) {
+    for (Eigen::Index t = first; t < end; ++t) {
+      Vector3d center = Vector3d::Zero();
+      for (int node : mesh.tets.row(t)) center += mesh.nodes.row(node) / 4;
+      owner_[t] = graph_.nearest(center);
+    }
+  });
   find_glued();
   for (int round = 0; round < kRounds && adopt_loose(); ++round) find_glued();
 }

@@ -31,6 +31,12 @@ double solid_angle(const Corners& triangle, const Vector3d& p) {
   return 2 * std::atan2(y, x);
 }
 
+double winding_number(const Dipole& dipole, const Vector3d& to, double distance2) {
+  return dipole.area_vector.dot(to) / (4 * kPi * distance2 * std::sqrt(distance2));
+}
+
+bool is_far(const Dipole& dipole, double distance2) { return distance2 > 4 * dipole.radius * dipole.radius; }
+
 /// The sum of what is seen of the triangles below a node.
 double winding_number(const Points& vertices, const Triangles& triangles, const Bvh& bvh,
                       const std::vector<Dipole>& dipoles, int index, const Vector3d& p) {
@@ -38,13 +44,45 @@ double winding_number(const Points& vertices, const Triangles& triangles, const 
   const Dipole& d = dipoles[index];
   const Vector3d to = d.centroid - p;
   const double distance2 = to.squaredNorm();
-  if (distance2 > 4 * d.radius * d.radius) return d.area_vector.dot(to) / (4 * kPi * distance2 * std::sqrt(distance2));
+  if (is_far(d, distance2)) return winding_number(d, to, distance2);
   if (!node.leaf())
     return winding_number(vertices, triangles, bvh, dipoles, index + 1, p) +
            winding_number(vertices, triangles, bvh, dipoles, node.right, p);
   double omega = 0;
   for (int i = node.begin; i < node.end; ++i) omega += solid_angle(corners(vertices, triangles, bvh.order[i]), p);
   return omega / (4 * kPi);
+}
+
+/// Points within `radius` of `center`, and the sums of what each sees.
+struct Group {
+  const Eigen::Ref<const Eigen::Matrix3Xd>& points;
+  Vector3d center;
+  double radius;
+  VectorXd sums;
+};
+
+/// Adds what a group sees of the triangles below a node. What is far from all is looked at once.
+void add_winding_numbers(const Points& vertices, const Triangles& triangles, const Bvh& bvh,
+                         const std::vector<Dipole>& dipoles, int index, Group& group) {
+  const Bvh::Node& node = bvh.nodes[index];
+  const Dipole& d = dipoles[index];
+  const double least = (d.centroid - group.center).norm() - group.radius;
+  const bool far = least > 0 && is_far(d, least * least);
+  if (!far && !node.leaf()) {
+    add_winding_numbers(vertices, triangles, bvh, dipoles, index + 1, group);
+    add_winding_numbers(vertices, triangles, bvh, dipoles, node.right, group);
+    return;
+  }
+  for (Eigen::Index k = 0; k < group.sums.size(); ++k) {
+    const Vector3d p = group.points.col(k), to = d.centroid - p;
+    const double distance2 = to.squaredNorm();
+    if (far || is_far(d, distance2)) {
+      group.sums(k) += winding_number(d, to, distance2);
+      continue;
+    }
+    for (int i = node.begin; i < node.end; ++i)
+      group.sums(k) += solid_angle(corners(vertices, triangles, bvh.order[i]), p) / (4 * kPi);
+  }
 }
 
 }  // namespace
@@ -104,9 +142,16 @@ Surface::Surface(Points vertices, Triangles triangles)
   find_dipoles(vertices_, triangles_, bvh_, dipoles_);
 }
 
-Vector3d Surface::nearest(const Vector3d& p) const {
-  double best = kInfinity;
-  Vector3d nearest = Vector3d::Constant(best);
+int Surface::count_inside(const Eigen::Ref<const Eigen::Matrix3Xd>& points) const {
+  if (bvh_.nodes.empty() || points.cols() == 0) return 0;
+  const Vector3d center = points.rowwise().mean();
+  Group group{points, center, (points.colwise() - center).colwise().norm().maxCoeff(), VectorXd::Zero(points.cols())};
+  add_winding_numbers(vertices_, triangles_, bvh_, dipoles_, 0, group);
+  return int((group.sums.array().abs() > 0.5).count());
+}
+
+Vector3d Surface::nearest(const Vector3d& p, Vector3d nearest) const {
+  double best = (nearest - p).squaredNorm();
   bvh_.nearest(p, best, [&](int t) {
     const Vector3d closest = closest_on_triangle(p, corner(t, 0), corner(t, 1), corner(t, 2));
     const double distance = (closest - p).squaredNorm();

@@ -54,12 +54,16 @@ class Surface {
   /// Unsigned distance, meters; infinite without triangles.
   double distance(const Vector3d& p) const { return (nearest(p) - p).norm(); }
   /// The point of the surface nearest to p; infinite without triangles.
-  Vector3d nearest(const Vector3d& p) const;
+  Vector3d nearest(const Vector3d& p) const { return nearest(p, Vector3d::Constant(kInfinity)); }
+  /// The same, found sooner with a point of the surface that is near p.
+  Vector3d nearest(const Vector3d& p, Vector3d guess) const;
   double winding_number(const Vector3d& p) const {
     return dynamorph::winding_number(vertices_, triangles_, bvh_, dipoles_, p);
   }
   /// Whether p is inside. This also works for a mesh that is inside out.
   bool contains(const Vector3d& p) const { return std::abs(winding_number(p)) > 0.5; }
+  /// How many of a few points (columns) that are near each other are inside.
+  int count_inside(const Eigen::Ref<const Eigen::Matrix3Xd>& points) const;
 
  private:
   Vector3d corner(int triangle, int k) const { return vertices_.row(triangles_(triangle, k)); }

@@ -14,7 +14,7 @@ namespace dynamorph {
 namespace {
 
 constexpr int kBalls = 6144;         // samples of the skin; the fingers of a body get dozens
-constexpr int kBlock = 256;          // points or balls at a time
+constexpr int kBlock = 256;          // balls at a time
 constexpr double kCovered = 1.1;     // distance from its center, in radii, within which a ball counts fully,
 constexpr double kUncovered = 1.35;  // and beyond which it does not count, so that a fin on a body is thin
 constexpr double kThinnest = 5e-3;   // relative to the size; a sheet has no thickness, but divisors must not be 0
@@ -67,20 +67,20 @@ struct Samples {
 }  // namespace
 
 Thickness::Thickness(const Points& vertices, const Triangles& triangles, const ProgressFn& progress)
-    : body_(Points(0, 3), Triangles(0, 3)), skin_(body_) {
+    : body_(Points(0, 3), Triangles(0, 3)), skin_(body_), tree_({}) {
   ClosedSurface closed = close_surface(vertices, triangles);
   body_ = Surface(closed.vertices, closed.triangles);
   size_ = body_.box().diagonal().norm();
   refine_all(closed.vertices, closed.triangles, kFacet * size_);
   const double off = kOff * size_;
   std::vector<char> kept(closed.triangles.rows());
-  parallel_for(int((kept.size() + kBlock - 1) / kBlock), [&](int block) {
-    for (size_t t = size_t(block) * kBlock; t < std::min(kept.size(), size_t(block + 1) * kBlock); ++t) {
-      const Vector3d vector = area_vector(closed.vertices, closed.triangles, Eigen::Index(t));
+  parallel_parts(closed.triangles.rows(), [&](Eigen::Index first, Eigen::Index end) {
+    for (Eigen::Index t = first; t < end; ++t) {
+      const Vector3d vector = area_vector(closed.vertices, closed.triangles, t);
       if (!(vector.norm() > 0)) continue;
       Vector3d center = Vector3d::Zero();
-      for (int k = 0; k < 3; ++k) center += closed.vertices.row(closed.triangles(Eigen::Index(t), k)) / 3;
-      kept[t] = !body_.contains(center + off * vector.normalized());
+      for (int k = 0; k < 3; ++k) center += closed.vertices.row(closed.triangles(t, k)) / 3;
+      kept[size_t(t)] = !body_.contains(center + off * vector.normalized());
     }
   });
   Triangles outside(std::count(kept.begin(), kept.end(), 1), 3);
@@ -94,6 +94,16 @@ Thickness::Thickness(const Points& vertices, const Triangles& triangles, const P
   for (size_t i = 0, found = balls_.size(); plane && i < found; ++i)
     balls_.push_back({plane->image(balls_[i].center), balls_[i].radius});
   std::stable_sort(balls_.begin(), balls_.end(), [](const Ball& a, const Ball& b) { return a.radius > b.radius; });
+  std::vector<Bvh::Box> boxes;
+  for (const Ball& ball : balls_) {
+    const Vector3d reach = Vector3d::Constant(kUncovered * ball.radius);
+    boxes.emplace_back(ball.center - reach, ball.center + reach);
+  }
+  tree_ = Bvh(boxes);
+  for (const Bvh::Node& node : tree_.nodes) {  // largest first: so is the least number
+    const auto first = tree_.order.begin();
+    largest_.push_back(balls_[*std::min_element(first + node.begin, first + node.end)].radius);
+  }
 }
 
 void Thickness::find_balls(const Points& vertices, const Triangles& triangles, const ProgressFn& progress) {
@@ -121,22 +131,37 @@ void Thickness::find_balls(const Points& vertices, const Triangles& triangles, c
 
 double Thickness::thickness(const Vector3d& p) const {
   double best = kThinnest * size_;
-  for (const Ball& ball : balls_) {
-    if (ball.radius <= best) break;
+  if (!tree_.nodes.empty()) raise(0, p, best);
+  return best;
+}
+
+void Thickness::raise(int index, const Vector3d& p, double& best) const {
+  const Bvh::Node& node = tree_.nodes[index];
+  if (largest_[index] <= best || !node.box.contains(p)) return;
+  if (!node.leaf()) {
+    const bool right_first = largest_[node.right] > largest_[index + 1];
+    raise(right_first ? node.right : index + 1, p, best);
+    raise(right_first ? index + 1 : node.right, p, best);
+    return;
+  }
+  for (int i = node.begin; i < node.end; ++i) {
+    const Ball& ball = balls_[tree_.order[i]];
     const double distance = (p - ball.center).norm();
     if (distance < kUncovered * ball.radius)
       best = std::max(best, ball.radius * smooth_step((kUncovered - distance / ball.radius) / (kUncovered - kCovered)));
   }
-  return best;
 }
 
 Thickness::Measures Thickness::at(const Points& points) const {
-  const Eigen::Index count = points.rows();
-  Measures out{VectorXd(count), VectorXd(count)};
-  parallel_for(int((count + kBlock - 1) / kBlock), [&](int block) {
-    for (Eigen::Index i = Eigen::Index(block) * kBlock; i < std::min(count, Eigen::Index(block + 1) * kBlock); ++i) {
-      const Vector3d p = points.row(i), nearest = skin_.nearest(p);
-      const bool inside = body_.contains(p);
+  Measures out{VectorXd(points.rows()), VectorXd(points.rows())};
+  parallel_parts(points.rows(), [&](Eigen::Index first, Eigen::Index end) {
+    Vector3d p = points.row(first), nearest = skin_.nearest(p);  // points follow each other closely
+    bool inside = body_.contains(p);
+    for (Eigen::Index i = first; i < end; ++i) {
+      const double apart = (points.row(i).transpose() - p).norm(), clearance = (nearest - p).norm();
+      p = points.row(i);
+      nearest = skin_.nearest(p, nearest);
+      if (!(apart < clearance)) inside = body_.contains(p);  // there may be skin between them
       out.depth(i) = inside ? (p - nearest).norm() : 0;
       out.thickness(i) = std::max(thickness(inside ? p : nearest), out.depth(i));
     }
@@ -149,9 +174,8 @@ std::vector<Thickness::Ball> Thickness::covering(const Points& points, double to
     return std::abs((points.row(p).transpose() - ball.center).norm() - ball.radius);
   };
   VectorXd most = tolerance * at(points).thickness;
-  parallel_for(int((points.rows() + kBlock - 1) / kBlock), [&](int block) {
-    for (Eigen::Index p = Eigen::Index(block) * kBlock; p < std::min(points.rows(), Eigen::Index(block + 1) * kBlock);
-         ++p) {
+  parallel_parts(points.rows(), [&](Eigen::Index first, Eigen::Index end) {
+    for (Eigen::Index p = first; p < end; ++p) {
       double nearest = kInfinity;
       for (const Ball& ball : balls_)
         if (ball.radius > 0) nearest = std::min(nearest, gap(ball, p));

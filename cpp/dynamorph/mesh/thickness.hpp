@@ -39,11 +39,15 @@ class Thickness {
  private:
   void find_balls(const Points& vertices, const Triangles& triangles, const ProgressFn& progress);
   double thickness(const Vector3d& p) const;
+  /// Raises `best` to the thickness at p by the balls below a node of the tree.
+  void raise(int index, const Vector3d& p, double& best) const;
 
   Surface body_;  ///< closed
   Surface skin_;  ///< the triangles that have no part of the body on their outer side
   double size_ = 0;
-  std::vector<Ball> balls_;  ///< largest first
+  std::vector<Ball> balls_;      ///< largest first
+  Bvh tree_;                     ///< over the space in which each counts
+  std::vector<double> largest_;  ///< radius below each node
 };
 
 }  // namespace dynamorph

@@ -3,8 +3,8 @@
 
 #include <array>
 #include <cmath>
-#include <map>
 #include <sstream>
+#include <unordered_map>
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/mesh/surface.hpp"
@@ -31,8 +31,11 @@ void check_finite(const Points& vertices) {
 class Welder {
  public:
   int number(const Vector3d& p) {
+    Cell last = cell(p, 0);
     for (int corner = 0; corner < 8; ++corner) {
-      const auto found = cells_.find(cell(p, corner));
+      const Cell next = cell(p, corner);
+      if (corner > 0 && next == last) continue;
+      const auto found = cells_.find(last = next);
       if (found == cells_.end()) continue;
       for (int i : found->second)
         if ((points[i] - p).squaredNorm() <= kWeldDistance * kWeldDistance) return i;
@@ -45,9 +48,18 @@ class Welder {
   std::vector<Vector3d> points;
 
  private:
+  using Cell = std::array<std::int64_t, 3>;
+  struct Hash {
+    std::size_t operator()(const Cell& cell) const {
+      std::size_t hash = 0;
+      for (std::int64_t number : cell) hash = hash * 0x9e3779b97f4a7c15u + std::size_t(number);
+      return hash;
+    }
+  };
+
   /// The cell of p, or (corner >= 0) of a corner of the box around p, which may hold its neighbors.
-  static std::array<std::int64_t, 3> cell(const Vector3d& p, int corner) {
-    std::array<std::int64_t, 3> c;
+  static Cell cell(const Vector3d& p, int corner) {
+    Cell c;
     for (int k = 0; k < 3; ++k) {
       const double shift = corner < 0 ? 0 : (corner >> k & 1 ? kWeldDistance : -kWeldDistance);
       c[k] = std::int64_t(std::floor((p[k] + shift) / (4 * kWeldDistance)));
@@ -55,7 +67,7 @@ class Welder {
     return c;
   }
 
-  std::map<std::array<std::int64_t, 3>, std::vector<int>> cells_;
+  std::unordered_map<Cell, std::vector<int>, Hash> cells_;
 };
 
 }  // namespace

@@ -326,8 +326,9 @@ VectorXd accelerated(const VectorXd& carried, int axis) {
   return out;
 }
 VectorXd turned(const VectorXd& carried, const VectorXd& rest, int axis) {
+  const double sum = carried.sum();
   Vector3d center = Vector3d::Zero();
-  for (Index i = 0; i < carried.size(); ++i) center += carried(i) / carried.sum() * rest.segment<3>(3 * i);
+  for (Index i = 0; i < carried.size(); ++i) center += carried(i) / sum * rest.segment<3>(3 * i);
   VectorXd out(rest.size());
   for (Index i = 0; i < carried.size(); ++i)
     out.segment<3>(3 * i) = carried(i) * Vector3d::Unit(axis).cross(rest.segment<3>(3 * i) - center);

@@ -35,7 +35,13 @@ def held():
     """How firmly each node is held, and the nodes."""
     mesh, nodes, surface = body()
     zeros, bones = np.zeros(len(nodes)), np.ones((len(nodes), 1))
-    found = hold.hold(mesh, hold.depths(mesh, bones, nodes, surface), zeros, zeros + 0.5, np.ones(len(mesh.tets)))
+    found = hold.hold(
+        mesh,
+        hold.depths(mesh, bones, hold.BodyThickness.of(nodes, surface)),
+        zeros,
+        zeros + 0.5,
+        np.ones(len(mesh.tets)),
+    )
     return found, nodes
 
 

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import hashlib
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
@@ -17,7 +19,7 @@ from ..character import Character
 from ..engine import dynamorph
 from ..geometry import diagonal, triangle_areas, without_cards
 from . import pins
-from .hold import Depths, Hold, depths, hold
+from .hold import BodyThickness, Depths, Hold, depths, hold
 from .summary import Summary
 
 ProgressFn = Callable[[float, str], bool]  # of a build: how much is done, and what is at hand
@@ -58,10 +60,11 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
     """
     surface = character.bind_points[character.coincident]
     contents = _cages(character, surface)
+    body = None
     with stages("Meshing", 0.30) as report:
         defects = dynamorph.closed_surface(surface, character.triangles)[2]
         if mesh is None or len(contents) > 1:
-            meshes = [_tetrahedra(each, surface, turn) for each, turn in _in_turn(contents.values(), report)]
+            meshes, body = _meshed(character, contents, surface, report)
         else:
             meshes = [_whole(mesh)]
     with stages("Embedding", 0.05) as report:
@@ -79,7 +82,7 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
             of_thickness = None
         else:
             pinned, warned = np.zeros(len(mesh.nodes), bool), []
-            of_thickness = held_by_thickness(character, mesh, inherited, fill)
+            of_thickness = held_by_thickness(character, mesh, inherited, fill, body)
     glued = {name: sum(cage.glued[name] for cage in cages) for name in cages[0].glued}
     warnings = (*(text for cage in cages for text in cage.warnings), *warned)
     summary = Summary(
@@ -101,17 +104,27 @@ def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stag
 _depths: dict[bytes, Depths] = {}  # of the last bodies, by what they follow from: a stroke of paint changes none
 
 
-def held_by_thickness(character: Character, mesh: dynamorph.TetMesh, inherited: Inherited, fill: np.ndarray) -> Hold:
-    """The hold of a character's cage. fill (m,)."""
-    surface = character.bind_points[character.coincident]
-    triangles = without_cards(surface, character.soft_triangles)
-    made_from = (mesh.nodes, mesh.tets, inherited.weights, surface, triangles)
+def held_by_thickness(
+    character: Character,
+    mesh: dynamorph.TetMesh,
+    inherited: Inherited,
+    fill: np.ndarray,
+    body: BodyThickness | None = None,
+) -> Hold:
+    """The hold of a character's cage. fill (m,); body: of the character, where it is known."""
+    made_from = (mesh.nodes, mesh.tets, inherited.weights, *_enclosing(character))
     key = b"".join(hashlib.sha256(array.tobytes()).digest() for array in made_from)
     if key not in _depths:
         while len(_depths) >= KEPT:
             del _depths[next(iter(_depths))]
-        _depths[key] = depths(mesh, inherited.weights, surface, triangles)
+        _depths[key] = depths(mesh, inherited.weights, body or BodyThickness.of(*_enclosing(character)))
     return hold(mesh, _depths[key], inherited.rigidity, inherited.firmness, fill)
+
+
+def _enclosing(character: Character) -> tuple[np.ndarray, np.ndarray]:
+    """The skin (V, 3), and the triangles that enclose the body."""
+    surface = character.bind_points[character.coincident]
+    return surface, without_cards(surface, character.soft_triangles)
 
 
 # Cages: of the body, and of attachments that have their own -----------------------------------------------------------
@@ -199,6 +212,29 @@ def _alike(embedding: dynamorph.Embedding, coincident: np.ndarray) -> dynamorph.
     if np.array_equal(coincident, np.arange(len(coincident))):
         return embedding
     return dynamorph.Embedding(embedding.nodes[coincident], embedding.weights[coincident])
+
+
+def _meshed(
+    character: Character, contents: dict[int, Character], surface: np.ndarray, report: Report
+) -> tuple[list[dynamorph.TetMesh], BodyThickness | None]:
+    """The tetrahedra of each cage, and the thickness of the body where that holds it. The meshers are other processes:
+    the thickness is found at the same time.
+    """
+
+    def mesh_all() -> list[dynamorph.TetMesh]:
+        return [_tetrahedra(each, surface, turn) for each, turn in _in_turn(contents.values(), report)]
+
+    if character.settings.hold == "BONES":
+        return mesh_all(), None
+    ended = threading.Event()
+    with ThreadPoolExecutor(1) as beside:
+        body = beside.submit(BodyThickness.of, *_enclosing(character), lambda _done: not ended.is_set())
+        try:
+            meshes = mesh_all()
+        except BaseException:
+            ended.set()
+            raise
+    return meshes, body.result()
 
 
 def _tetrahedra(character: Character, surface: np.ndarray, report: Report) -> dynamorph.TetMesh:

@@ -13,6 +13,7 @@ Never touches bpy.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,14 +63,29 @@ class Depths:
     at_skin: np.ndarray
 
 
-def depths(mesh: dynamorph.TetMesh, weights: np.ndarray, surface: np.ndarray, triangles: np.ndarray) -> Depths:
-    """weights (n, B): skin weights of the bones at the nodes; surface (V, 3): the skin, bind space; triangles (T, 3):
-    those that enclose the body.
-    """
-    thickness = dynamorph.Thickness(surface, triangles)
+@dataclass(frozen=True)
+class BodyThickness:
+    """How thick a body is, before it has a cage: `measured` at any point, at_skin (V,) at the skin, meters."""
+
+    measured: dynamorph.Thickness
+    at_skin: np.ndarray
+
+    @classmethod
+    def of(
+        cls, surface: np.ndarray, triangles: np.ndarray, going_on: Callable[[float], bool] | None = None
+    ) -> BodyThickness:
+        """surface (V, 3): the skin, bind space; triangles (T, 3): those that enclose the body. going_on: False raises
+        dynamorph.Cancelled. Raises dynamorph.Error.
+        """
+        thickness = dynamorph.Thickness(surface, triangles, going_on)
+        return cls(thickness, thickness.at(surface)[0])
+
+
+def depths(mesh: dynamorph.TetMesh, weights: np.ndarray, body: BodyThickness) -> Depths:
+    """weights (n, B): skin weights of the bones at the nodes."""
     points = np.einsum("qa,eac->eqc", QUADRATURE, mesh.nodes[mesh.tets])
-    radius, depth = (part.reshape(-1, len(QUADRATURE)) for part in thickness.at(points.reshape(-1, 3)))
-    return Depths(with_lent(mesh, weights, radius), depth, thickness.at(surface)[0])
+    radius, depth = (part.reshape(-1, len(QUADRATURE)) for part in body.measured.at(points.reshape(-1, 3)))
+    return Depths(with_lent(mesh, weights, radius), depth, body.at_skin)
 
 
 def with_lent(mesh: dynamorph.TetMesh, weights: np.ndarray, radius: np.ndarray) -> np.ndarray:
@@ -77,11 +93,13 @@ def with_lent(mesh: dynamorph.TetMesh, weights: np.ndarray, radius: np.ndarray) 
     bones: a breast or an udder is not held like a finger, which is as thin, but far from the trunk, nor like an arm,
     which has a bone of its own. Along the edges of the tets.
     """
-    ends = np.unique(np.sort(mesh.tets[:, EDGES].reshape(-1, 2), axis=1), axis=0)
-    ends = np.concatenate([ends, ends[:, ::-1]])
-    first, second = ends[np.argsort(ends[:, 0], kind="stable")].T
-    changed = 0.5 * np.abs(weights[first] - weights[second]).sum(axis=1)
-    fades = FADES * np.linalg.norm(mesh.nodes[first] - mesh.nodes[second], axis=1) + BONES * radius.max() * changed
+    ends = np.sort(mesh.tets[:, EDGES].reshape(-1, 2), axis=1).astype(np.int64)
+    low, high = np.divmod(np.unique(ends[:, 0] * len(mesh.nodes) + ends[:, 1]), len(mesh.nodes))
+    changed = 0.5 * np.abs(weights[low] - weights[high]).sum(axis=1)
+    fades = FADES * np.linalg.norm(mesh.nodes[low] - mesh.nodes[high], axis=1) + BONES * radius.max() * changed
+    first, second, fades = np.concatenate([low, high]), np.concatenate([high, low]), np.concatenate([fades, fades])
+    order = np.argsort(first, kind="stable")
+    first, second, fades = first[order], second[order], fades[order]
     nodes, starts = np.unique(first, return_index=True)
     lent = np.zeros(len(mesh.nodes))
     np.maximum.at(lent, mesh.tets, radius)

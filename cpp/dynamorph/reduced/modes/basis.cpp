@@ -10,6 +10,7 @@
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/parallel.hpp"
 #include "dynamorph/models/free_motion.hpp"
+#include "dynamorph/reduced/modes/gram_accumulator.hpp"
 #include "dynamorph/reduced/modes/gram_kernels.hpp"
 #include "dynamorph/reduced/modes/mass_pca.hpp"
 #include "dynamorph/reduced/modes/polynomials.hpp"
@@ -101,15 +102,16 @@ MatrixXd rigid_bone_loads(const SoftBody& body) {
   return loads * eigen.eigenvectors().rightCols(std::min(kLoads, loads.cols()));
 }
 
-/// Adds target j's part of `force_curvatures`, with the given Lame parameters.
-void add_curvatures(const FullModel& model, int j, Lame lame, const RowMajor& modes, RowMajor& sum) {
+/// Adds what tets from `first` on add to target j's part of `force_curvatures`, with the given Lame parameters.
+void add_curvatures(const FullModel& model, int j, Lame lame, const RowMajor& modes, Eigen::Index first,
+                    Eigen::Index end, RowMajor& sum) {
   const SoftBody& body = model.body();
   // Stable StVK is StVK with (lambda + mu, 0) minus mu det F. The second derivative of det F is the cross product.
   const double mu = model.material_model() == MaterialModel::stable_stvk ? lame.mu : 0;
   lame = {lame.lambda + mu, lame.mu - mu};
   const Eigen::Index r = modes.cols(), pairs = r * (r + 1) / 2;
   RowMajor G, stresses(6, r), forces(12, pairs), crosses(mu != 0 ? 9 : 0, pairs);
-  for (Eigen::Index e = 0; e < body.mesh.tets.rows(); ++e) {
+  for (Eigen::Index e = first; e < end; ++e) {
     const Element& element = model.shape(j).elements[e];
     if (element.weight == 0 || !mode_gradients(body, element, e, modes, G)) continue;
     for (int a = 0; a < 3; ++a) {
@@ -129,6 +131,17 @@ void add_curvatures(const FullModel& model, int j, Lame lame, const RowMajor& mo
       if (i >= 0) sum.middleRows<3>(3 * i) += element.weight * forces.middleRows<3>(3 * a);
     }
   }
+}
+
+/// Adds target j's part of `force_curvatures`, with the given Lame parameters.
+void add_curvatures(const FullModel& model, int j, Lame lame, const RowMajor& modes, RowMajor& sum) {
+  constexpr int kParts = 4;  // each with a sum of its own
+  const Eigen::Index tets = model.body().mesh.tets.rows();
+  std::vector<RowMajor> parts(kParts, RowMajor::Zero(sum.rows(), sum.cols()));
+  run_tasks(kParts, {}, [&](int part, const ProgressFn&) {
+    add_curvatures(model, j, lame, modes, part * tets / kParts, (part + 1) * tets / kParts, parts[part]);
+  });
+  for (const RowMajor& part : parts) sum += part;
 }
 
 /// Candidate displacements about one target.

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 
+#include "dynamorph/core/parallel.hpp"
 #include "dynamorph/reduced/modes/gram_kernels.hpp"
 
 namespace dynamorph {
@@ -61,13 +62,62 @@ double GramAccumulator::operator()(Index i, Index j) const {
   return tiles_[((start_[row] + j / kTile - first_[row]) * kTile + i % kTile) * kTile + j % kTile];
 }
 
+namespace {
+
+constexpr Index kRows = 1024;  ///< of a part of a product
+
+/// Calls work(part, first row, its end) for the parts of so many rows.
+template <class Work>
+void by_rows(Index rows, const Work& work) {
+  run_tasks(int((rows + kRows - 1) / kRows), {},
+            [&](int part, const ProgressFn&) { work(part, part * kRows, std::min(rows, (part + 1) * kRows)); });
+}
+
+/// The sum of what of_rows(first, end) gives for the parts of so many rows.
+template <class OfRows>
+MatrixXd summed(Index rows, MatrixXd sum, const OfRows& of_rows) {
+  std::vector<MatrixXd> parts((rows + kRows - 1) / kRows);
+  by_rows(rows, [&](int part, Index first, Index end) { parts[part] = of_rows(first, end); });
+  for (const MatrixXd& part : parts) sum += part;
+  return sum;
+}
+
+}  // namespace
+
+MatrixXd gram(const RowMajor& A) {
+  return summed(A.rows(), MatrixXd::Zero(A.cols(), A.cols()), [&](Index first, Index end) {
+    GramAccumulator products(A.cols());
+    for (Index row = first; row < end; ++row) products.add(A.row(row).data());
+    products.finish();
+    MatrixXd out = MatrixXd::Zero(A.cols(), A.cols());
+    for (Index j = 0; j < A.cols(); ++j)
+      for (Index i = j; i < A.cols(); ++i) out(i, j) = products(j, i);
+    return out;
+  });
+}
+
 MatrixXd inner_products(const RowMajor& A, const RowMajor& B) {
-  GramAccumulator products(A.cols(), B.cols(), [](Index) { return 0; });
-  for (Index row = 0; row < A.rows(); ++row) products.add(A.row(row).data(), B.row(row).data());
-  products.finish();
-  MatrixXd out(A.cols(), B.cols());
-  for (Index j = 0; j < B.cols(); ++j)
-    for (Index i = 0; i < A.cols(); ++i) out(i, j) = products(i, j);
+  return summed(A.rows(), MatrixXd::Zero(A.cols(), B.cols()), [&](Index first, Index end) {
+    GramAccumulator products(A.cols(), B.cols(), [](Index) { return 0; });
+    for (Index row = first; row < end; ++row) products.add(A.row(row).data(), B.row(row).data());
+    products.finish();
+    MatrixXd out(A.cols(), B.cols());
+    for (Index j = 0; j < B.cols(); ++j)
+      for (Index i = 0; i < A.cols(); ++i) out(i, j) = products(i, j);
+    return out;
+  });
+}
+
+RowMajor product(const RowMajor& A, const RowMajor& B) {
+  RowMajor out(A.rows(), B.cols());
+  by_rows(A.rows(), [&](int, Index first, Index end) {
+    const RowMajor columns = A.middleRows(first, end - first).transpose();
+    GramAccumulator products(end - first, B.cols(), [](Index) { return 0; });
+    for (Index k = 0; k < columns.rows(); ++k) products.add(columns.row(k).data(), B.row(k).data());
+    products.finish();
+    for (Index i = first; i < end; ++i)
+      for (Index j = 0; j < B.cols(); ++j) out(i, j) = products(i - first, j);
+  });
   return out;
 }
 

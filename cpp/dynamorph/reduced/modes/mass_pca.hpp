@@ -6,9 +6,6 @@
 
 namespace dynamorph {
 
-/// The lower triangle of A^T A.
-MatrixXd gram(const RowMajor& A);
-
 /// Orthonormal basis of the columns' span, with a relative rank tolerance of 1e-9.
 MatrixXd orthonormal(const MatrixXd& columns);
 

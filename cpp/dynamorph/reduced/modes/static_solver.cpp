@@ -5,6 +5,7 @@
 #include <set>
 
 #include "dynamorph/core/errors.hpp"
+#include "dynamorph/core/parallel.hpp"
 
 namespace dynamorph {
 
@@ -50,10 +51,13 @@ VectorXd StaticSolver::solve(const VectorXd& load) const {
 
 MatrixXd StaticSolver::solve_all(MatrixXd loads) const {
   constexpr Eigen::Index kBlock = 8;  // as many as the solver takes at a time
-  for (Eigen::Index first = 0; first < loads.cols(); first += kBlock) {
-    const Eigen::Index count = std::min(kBlock, loads.cols() - first);
-    solver.solve_in_place(loads.middleCols(first, count));
-    for (Eigen::Index c = 0; tick && c < count; ++c) tick();
+  constexpr Eigen::Index kTurn = 16 * kBlock;
+  for (Eigen::Index first = 0; first < loads.cols(); first += kTurn) {
+    auto turn = loads.middleCols(first, std::min(kTurn, loads.cols() - first));
+    run_tasks(int((turn.cols() + kBlock - 1) / kBlock), {}, [&](int block, const ProgressFn&) {
+      solver.solve_in_place(turn.middleCols(block * kBlock, std::min(kBlock, turn.cols() - block * kBlock)));
+    });
+    for (Eigen::Index c = 0; tick && c < turn.cols(); ++c) tick();
   }
   return loads;
 }

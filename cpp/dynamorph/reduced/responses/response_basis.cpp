@@ -178,9 +178,9 @@ ProgressFn part_of(const ProgressFn& progress, double from, double to) {
   return [=](double done) { return progress(from + (to - from) * done); };
 }
 
-void remove_span(const MatrixXd& orthonormal, RowMajor& columns) {
+void remove_span(const RowMajor& orthonormal, RowMajor& columns) {
   for (int twice = 0; twice < 2; ++twice)  // the second time for round-off
-    columns.noalias() -= orthonormal * (orthonormal.transpose() * columns);
+    columns -= product(orthonormal, inner_products(orthonormal, columns));
 }
 
 MatrixXd orthonormalized(const MatrixXd& columns) {
