@@ -81,12 +81,13 @@ golden: build
 	@PYTHONPATH=addon:tests $(python) tests/golden/kept_model.py
 	@$(python) tests/golden/motion.py
 
-# What the engine and the pipeline take, against their goals; takes about 5 minutes.
+# What the engine, the pipeline and the first click take, against their goals; takes about 7 minutes. before=FOLDER, a
+# checkout of another commit that is built, measures its clicks too.
 bench: build
 	@tools/setup.sh bench
 	@$(tools)cmake $(build) -DDYNAMORPH_BENCHMARKS=ON --log-level=WARNING >build/configure.log || { cat build/configure.log; exit 1; }
 	@$(compile) engine_benchmarks
-	@$(python) tests/benchmarks/run.py
+	@$(python) tests/benchmarks/run.py $(before)
 
 # docs/performance.md from the last `make bench`.
 bench-docs: build

@@ -76,6 +76,20 @@ def bars(axes, title: str, groups: Sequence[str], heights: Mapping[str, Sequence
     axes.legend(fontsize=8, ncols=2)
 
 
+def stacked(axes, title: str, groups: Sequence[str], parts: Mapping[str, Sequence[float]], y: str) -> None:
+    """A bar for each group, of its parts."""
+    below = [0.0] * len(groups)
+    colors = plt.get_cmap("viridis")
+    for k, (label, values) in enumerate(parts.items()):
+        axes.bar(groups, values, 0.6, bottom=below, label=label, color=colors(k / max(len(parts) - 1, 1)))
+        below = [a + b for a, b in zip(below, values, strict=True)]
+    axes.grid(visible=False, axis="x")
+    axes.set_axisbelow(True)
+    axes.set_title(title)
+    axes.set_ylabel(y)
+    axes.legend(fontsize=8, reverse=True)
+
+
 def save(drawing, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     drawing.savefig(path, metadata={"Date": None})

@@ -37,6 +37,7 @@ import bpy  # noqa: E402
 import long_runs  # noqa: E402
 import numpy as np  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.cli import commands  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.core import engine  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.write.export import exports  # noqa: E402
 from builders import activate, make_arm, make_soft, soon  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
@@ -114,10 +115,15 @@ class Walk:
             "unused data": sorted(unused_data() - orphans),
             "scenes": [scene.name for scene in bpy.data.scenes if scene != bpy.context.scene],
             "threads": [thread.name for thread in threading.enumerate() if thread.name.startswith("dynamorph")],
-            "open files": sorted(open_files() - self.files),
+            "open files": sorted(self.opened()),
             "partial files": [path.name for path in self.folder.rglob("*.part*")],
         }
         return [f"{what}: {', '.join(map(str, names))}" for what, names in found.items() if names]
+
+    def opened(self) -> set[str]:
+        """Files that are still open. A mesher that waits for its work has one, until it ends by itself."""
+        engine.dismiss()
+        return open_files() - self.files
 
 
 # What there is -----------------------------------------------------------------------------------------------------

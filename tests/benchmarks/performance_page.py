@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.append(str(ROOT / "sample_blends"))
 
 import plots  # noqa: E402
+import run  # noqa: E402
 
 REPORT = ROOT / "build" / "reports" / "bench.json"
 PAGE = ROOT / "docs" / "performance.md"
@@ -96,6 +97,16 @@ Milliseconds of the fastest of several bakes; what Blender takes to pose the rig
 """
 
 
+CLICK = """## From the click to Live
+
+What a user waits for: *Add Soft Skin*, the build that follows by itself, and *Live* until its first frame, each time in
+a process that has just opened the character. Seconds of the median of {runs} runs; those of the processor count all
+cores and the process of the mesher.{before} *Rigify* is the human of its metarig with a face, skinned with automatic
+weights.
+"""
+BEFORE = " *Before*: at commit {}, in the same run, in turn."
+
+
 def main() -> int:
     if not REPORT.exists():
         sys.exit("bench-docs: run make bench first")
@@ -108,6 +119,11 @@ def main() -> int:
     page += [RIG.format(nodes=growth_with_nodes(engine)), f"![Growth with bones and nodes]({IMAGES}/rig.svg)\n"]
     draw_step(engine)
     draw_rig(engine)
+    if clicks := measured.get("clicks"):
+        before = BEFORE.format(measured["before"]) if measured["before"] else ""
+        page += [CLICK.format(runs=run.CLICKS, before=before), waits(clicks, bool(before))]
+        page += [f"![Stages from the click to Live]({IMAGES}/click.svg)\n"]
+        draw_clicks(clicks)
     if pipeline:
         page += [about_pipeline(pipeline), bakes(pipeline), f"![Growth with frames]({IMAGES}/bake.svg)\n"]
         draw_bake(pipeline)
@@ -253,6 +269,31 @@ def draw_rig(engine: dict) -> None:
     for panel in axes:
         from_zero(panel)
     plots.save(drawing, ROOT / "docs" / IMAGES / "rig.svg")
+
+
+# The click ------------------------------------------------------------------------------------------------------------
+
+
+def waits(clicks: dict, compared: bool) -> str:
+    """A row for each character."""
+    head = ("character", "vertices", "bones", "s", "s of the processor")
+    rows = []
+    for name, runs in clicks.items():
+        now = runs["now"]
+        row = (name, f"{now['vertices']:,}", f"{now['bones']:,}", f"{now['wall']:.2f}", f"{now['cpu']:.2f}")
+        if compared:
+            then = runs["before"]
+            row += (f"{then['wall']:.2f}", f"{then['cpu']:.2f}", times(then["wall"] / now["wall"]))
+        rows.append(row)
+    return grid((*head, "before, s", "before, s of the processor", "before / now") if compared else head, rows)
+
+
+def draw_clicks(clicks: dict) -> None:
+    drawing, axes = plots.figure(1)
+    stages = list(dict.fromkeys(stage for runs in clicks.values() for stage in runs["now"]["stages"]))
+    parts = {stage: [runs["now"]["stages"].get(stage, 0.0) for runs in clicks.values()] for stage in stages}
+    plots.stacked(axes[0], "From the click to Live", list(clicks), parts, "s")
+    plots.save(drawing, ROOT / "docs" / IMAGES / "click.svg")
 
 
 # The pipeline ---------------------------------------------------------------------------------------------------------

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`make bench`: measures the engine and the pipeline, prints both against their goals, writes build/reports/bench.json.
+"""`make bench`: measures the engine, the pipeline and the first click, prints them against their goals, writes
+build/reports/bench.json. A checkout that is named, and built, is measured beside this one.
 
 Of repeated runs the fastest counts: other work on the machine only ever adds.
 """
@@ -10,6 +11,7 @@ import json
 import os
 import platform
 import re
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -21,12 +23,13 @@ import table
 ROOT = Path(__file__).parents[2]
 sys.path.append(str(ROOT / "tools"))
 
-from measured import measured_at  # noqa: E402
+from measured import git, measured_at  # noqa: E402
 
 REPORT = ROOT / "build" / "reports" / "bench.json"
 ENGINE = ROOT / "build" / "cmake" / "engine_benchmarks"
 SOLID = ROOT.parent / "shared" / "meshes" / "shoulder.npz"
 REPETITIONS = 5
+CLICKS = 5  # of each character, each in a process of its own
 COUNTERS = ("per_second", "bytes", "coefficients", "iterations", "dofs", "bones", "nodes")
 
 
@@ -36,6 +39,8 @@ def main() -> int:
         "commit": measured_at("performance.md"),
         "engine": measure_engine(),
         "pipeline": measure_pipeline(),
+        "clicks": measure_clicks(),
+        "before": git("-C", sys.argv[1], "log", "-1", "--format=%h (%cs)") if sys.argv[1:] else "",
     }
     REPORT.parent.mkdir(parents=True, exist_ok=True)
     REPORT.write_text(json.dumps(measured, indent=1))
@@ -114,6 +119,39 @@ def measure_pipeline() -> dict[str, dict]:
         }
         for run in runs
     }
+
+
+def measure_clicks() -> dict[str, dict[str, dict]]:
+    """Character -> "now", and "before" of another checkout -> the run with the median of all times; each in turn. Only
+    the characters that are here.
+    """
+    checkouts = {"now": ROOT} | ({"before": Path(sys.argv[1])} if sys.argv[1:] else {})
+    found: dict[str, dict[str, dict]] = {}
+    for name, file in table.CLICKED.items():
+        if file and not (ROOT.parent / "shared" / "assets" / file).exists():
+            print(f"bench: ../shared/assets has no {file}: it is left out")
+            continue
+        runs: dict[str, list[dict]] = {which: [] for which in checkouts}
+        for _ in range(CLICKS):
+            for which, checkout in checkouts.items():
+                runs[which].append(clicked(name, checkout))
+        found[name] = {which: median(each) for which, each in runs.items()}
+    return found
+
+
+def clicked(name: str, checkout: Path) -> dict:
+    command = [sys.executable, Path(__file__).with_name("click.py"), name, checkout]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode:
+        print(done.stdout, done.stderr)
+        raise SystemExit(done.returncode)
+    return json.loads(done.stdout.strip().rpartition("\n")[2])
+
+
+def median(runs: list[dict]) -> dict:
+    """The run of the median time, with the median of the processor times."""
+    in_order = sorted(runs, key=lambda run: run["wall"])
+    return in_order[len(runs) // 2] | {"cpu": statistics.median(run["cpu"] for run in runs)}
 
 
 if __name__ == "__main__":

@@ -344,7 +344,7 @@ def test_a_mesher_that_gets_no_work_ends_by_itself(monkeypatch, children):
 
     monkeypatch.setattr(subprocess, "Popen", sooner)
     dynamorph.prepare_mesher()
-    assert children[0].wait(60) == 0
+    assert children[0].wait(60) == meshing.EXIT_IDLE
     dynamorph.dismiss_mesher()
 
 

@@ -142,7 +142,7 @@ def prepare() -> None:
 def dismiss() -> None:
     """End what `prepare` started beside this process."""
     if loaded := sys.modules.get("dynamorph"):
-        loaded.dismiss_mesher()
+        getattr(loaded, "dismiss_mesher", lambda: None)()  # an engine of before has none
 
 
 def use_threads(count: int) -> None:

@@ -47,7 +47,15 @@ def interpolated(values: np.ndarray, nodes: np.ndarray, weights: np.ndarray) -> 
     """What a cage's nodes carry, (..., n, C), at points (..., P, C): the E u of the engine's `models/skin`, for whole
     bases at once. nodes, weights (P, 4): the corners of each point's tetrahedron and its weights there.
     """
-    return np.einsum("pa,...pac->...pc", weights, values[..., nodes, :])
+    a, b, c, d = (weights[:, [k]] * values[..., nodes[:, k], :] for k in range(4))  # several times as fast as einsum
+    return a + b + c + d
+
+
+def unique_edges(sides: np.ndarray, count: int) -> np.ndarray:
+    """The edges (E, 2) among the sides (S, 2) of elements: each once, with its smaller end first. count: of points."""
+    ends = np.sort(sides, axis=1).astype(np.int64)
+    numbers = np.unique(ends[:, 0] * count + ends[:, 1])  # one for each edge, which sorts quickly
+    return np.stack(np.divmod(numbers, count), axis=1)
 
 
 def smooth_step(x: np.ndarray, low: float = 0.0, high: float = 1.0) -> np.ndarray:

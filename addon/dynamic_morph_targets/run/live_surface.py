@@ -43,9 +43,14 @@ class LiveMesh:
         return True
 
 
-def by_modes(modes: np.ndarray, embedding: dynamorph.Embedding) -> Move:
-    """The Move of a reduced simulation, whose modes displace the cage's nodes by (r, n, 3)."""
-    shapes = modes.reshape(len(modes), -1).astype(np.float32)
+def by_modes(modes: np.ndarray, nodes: np.ndarray, weights: np.ndarray) -> Move:
+    """The Move of a reduced simulation, whose modes displace the cage's nodes by (r, n, 3).
+
+    nodes, weights (V, 4): which carry each point.
+    """
+    used, places = np.unique(nodes, return_inverse=True)
+    embedding = dynamorph.Embedding(places.reshape(nodes.shape), weights)
+    shapes = modes[:, used].reshape(len(modes), -1).astype(np.float32)
     return lambda coordinates: _carried(embedding, _blended(coordinates, shapes))
 
 
@@ -54,11 +59,12 @@ def still(count: int) -> Move:
     return lambda _coordinates: np.zeros(3 * count, np.float32)
 
 
-def by_nodes(free: np.ndarray, embedding: dynamorph.Embedding, turn: np.ndarray) -> Move:
+def by_nodes(free: np.ndarray, nodes: np.ndarray, weights: np.ndarray, turn: np.ndarray) -> Move:
     """The Move of an unreduced simulation, whose coordinates are displacements of the `free` nodes (n,) of the cage.
 
-    turn (3, 3): from bind space to that of the points.
+    nodes, weights (V, 4): which carry each point; turn (3, 3): from bind space to that of the points.
     """
+    embedding = dynamorph.Embedding(nodes, weights)
 
     def move(coordinates: np.ndarray) -> np.ndarray:
         moved = np.zeros((len(free), 3))
@@ -74,7 +80,7 @@ def _carried(embedding: dynamorph.Embedding, moved: np.ndarray) -> np.ndarray:
 
 
 def _blended(values: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """The product of (k,) and (k, 3 V), float32. `@` would wake threads; if they must wait, it takes a hundred times as
+    """The product of (k,) and (k, n), float32. `@` would wake threads; if they must wait, it takes a hundred times as
     long. Most patches of the skin are flat most of the time: runs of zeros are left out.
     """
     used = np.concatenate([[False], values != 0.0, [False]])

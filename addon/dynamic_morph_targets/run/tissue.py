@@ -10,7 +10,6 @@ import bpy
 import numpy as np
 
 from ..core.character import Character
-from ..core.engine import dynamorph
 from ..core.errors import SceneError
 from ..core.motion import simulate
 from ..core.motion.player import Frame, Player
@@ -60,11 +59,11 @@ class Tissue:
         model = self.model
         if not len(model.tets):  # static morph targets
             return still(members.stop - members.start)
-        embedding = dynamorph.Embedding(model.embedding_nodes[members], self.player.skin.weights[members])
+        nodes, weights = model.embedding_nodes[members], self.player.skin.weights[members]
         turn = from_body @ np.linalg.inv(model.to_bind)
         if model.settings.solver == "FULL":
-            return by_nodes(model.free, embedding, turn)
-        return by_modes(simulate.node_modes(model, self.player.modes.T) @ turn.T, embedding)
+            return by_nodes(model.free, nodes, weights, turn)
+        return by_modes(simulate.node_modes(model, self.player.modes.T) @ turn.T, nodes, weights)
 
     @property
     def vertices(self) -> dict[skin.ObjectHandle, int]:

@@ -35,7 +35,8 @@ from dynamorph._core import (
 )
 
 TRY_THIS = "Change the cage resolution a little, or merge vertices that are close together."
-EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER, EXIT_MESHER, EXIT_DISK = 10, 11, 12, 13, 14  # 1 and 2 are Python's own
+# 1 and 2 are Python's own.
+EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER, EXIT_MESHER, EXIT_DISK, EXIT_IDLE = 10, 11, 12, 13, 14, 15
 # On Windows exit codes from here up are exceptions, and 3 is abort; elsewhere a signal gives a negative code.
 WINDOWS_CRASH, WINDOWS_ABORT = 0xC0000000, 3
 # TetGen fails, crashes or hangs unpredictably. A slightly coarser or finer cage usually works.
@@ -113,32 +114,34 @@ def _mesh_in_child(
 # The child, which may be started before there is work for it ----------------------------------------------------------
 
 _spare: list[_Child] = []  # at most one
+_changing = threading.RLock()  # it is prepared in one thread, and taken in others
 
 
 def prepare_mesher() -> None:
     """Starts the process of the next `mesh_body` now, because it takes a tenth of a second. It ends by itself if it
     gets no work.
     """
-    if not (_spare and _spare[0].waits):
-        dismiss_mesher()
-        with suppress(Error):  # `mesh_body` will say so
-            _spare.append(_Child())
+    with _changing:
+        if not (_spare and _spare[0].waits):
+            dismiss_mesher()
+            with suppress(Error, OSError):  # `mesh_body` will say so
+                _spare.append(_Child())
 
 
 @atexit.register
 def dismiss_mesher() -> None:
     """Ends what `prepare_mesher` started."""
-    while _spare:
-        _spare.pop().end()
+    with _changing:
+        while _spare:
+            _spare.pop().end()
 
 
 def _take() -> _Child:
     """A child that waits for work."""
-    with suppress(IndexError):  # there is none
-        child = _spare.pop()
-        if child.waits:
-            return child
-        child.end()
+    with _changing:
+        if _spare and _spare[0].waits:
+            return _spare.pop()
+        dismiss_mesher()
     return _Child()
 
 
@@ -272,6 +275,8 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
         raise Error(message)
     if code == EXIT_MESHER:
         raise _MesherFailed(message)
+    if code == EXIT_IDLE:
+        raise _MesherFailed(f"The mesher got no work in {IDLE:g} seconds. Try it again.")
     if code == EXIT_CALLER:
         raise ValueError(message)
     if code == EXIT_MEMORY:
@@ -293,7 +298,7 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
 
 def _child() -> None:
     """The child's main function: reads arrays from standard input and writes arrays to standard output."""
-    unused = threading.Timer(IDLE, os._exit, [0])
+    unused = threading.Timer(IDLE, os._exit, [EXIT_IDLE])
     unused.daemon = True
     unused.start()
     request = io.BytesIO(sys.stdin.buffer.read())

@@ -78,6 +78,7 @@ int allowed_cores() {
 }  // namespace
 
 int usable_cores() {
+  if (cores_of_task > 0) return cores_of_task;
   const int limit = thread_limit, cores = std::max(1, allowed_cores());
   return limit > 0 ? std::min(limit, cores) : cores;
 }

@@ -18,9 +18,12 @@
 
 namespace dynamorph {
 
-/// Number of cores that this process may use. A scheduler on a farm, or `set_threads`, may allow fewer than the machine
-/// has.
+/// Number of cores that this thread may use. A scheduler on a farm, or `set_threads`, may allow fewer than the machine
+/// has, and a task has its share of them.
 int usable_cores();
+
+/// The share of a task's thread; 0 in others.
+inline thread_local int cores_of_task = 0;
 
 /// Limits how many cores are used from now on; 0 means all that the system gives.
 void set_threads(int limit);
@@ -28,7 +31,7 @@ void set_threads(int limit);
 /// Calls work(i, progress) for i = 0..count-1. Each call has its own progress, which asks it to stop once another call
 /// has failed. The caller's `progress` gets the mean and is called only from the calling thread. Rethrows what a call
 /// threw. If the system gives fewer threads than cores, those threads do all the work; if it gives none, the calling
-/// thread does.
+/// thread does. Tasks may run tasks.
 template <class Work>
 void run_tasks(int count, const ProgressFn& progress, const Work& work) {
   std::vector<std::atomic<double>> done(count);
@@ -61,13 +64,14 @@ void run_tasks(int count, const ProgressFn& progress, const Work& work) {
     }
   };
 
-  const int wanted = std::clamp(usable_cores(), 1, std::max(count, 1));
+  const int cores = std::max(usable_cores(), 1), wanted = std::clamp(cores, 1, std::max(count, 1));
   int ended_threads = 0;
   std::vector<std::thread> threads;
   threads.reserve(wanted);
   try {
     while (int(threads.size()) < wanted)
       threads.emplace_back([&] {
+        cores_of_task = cores / wanted;
         take([] {});
         const std::lock_guard lock(mutex);
         ++ended_threads;

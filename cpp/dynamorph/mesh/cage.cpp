@@ -51,11 +51,12 @@ Wrap wrap(const Soup& soup, double alpha) {
   return result;
 }
 
+/// The area of a soup, or of a ball that is a tenth of it across where it has hardly any, as wires.
 double area(const Soup& soup) {
   double sum = 0;
   for (const auto& [a, b, c] : soup.triangles)
     sum += std::sqrt(CGAL::squared_area(soup.points[a], soup.points[b], soup.points[c]));
-  return sum;
+  return std::max(sum, 0.01 * kPi);
 }
 
 /// A wrap with about the target's number of vertices.

@@ -18,14 +18,6 @@ namespace dynamorph {
 
 namespace {
 
-struct HashCorners {
-  std::size_t operator()(const Triangle& corners) const {
-    std::size_t hash = 0;
-    for (int corner : corners) hash = hash * 0x9e3779b97f4a7c15u + std::size_t(corner);
-    return hash;
-  }
-};
-
 /// Numbers of faces, in a row.
 struct Faces {
   const int *first, *last;
@@ -91,7 +83,7 @@ void Closing::weld_faces(const Points& vertices, const Triangles& triangles, con
   points_ = std::move(welded.points);
   defects_.stray_vertices = int(std::count(number.begin(), number.end(), -1));
   DisjointSets pieces(points_.size());
-  std::unordered_map<Triangle, int, HashCorners> seen;
+  std::unordered_map<Triangle, int, HashNumbers> seen;
   for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
     const Triangle f{number[triangles(t, 0)], number[triangles(t, 1)], number[triangles(t, 2)]};
     pieces.join(f[0], f[1]);

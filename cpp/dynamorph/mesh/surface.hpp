@@ -62,7 +62,8 @@ class Surface {
   }
   /// Whether p is inside. This also works for a mesh that is inside out.
   bool contains(const Vector3d& p) const { return std::abs(winding_number(p)) > 0.5; }
-  /// How many of a few points (columns) that are near each other are inside.
+  /// How many of a few points (columns) that are near each other are inside. Where `contains` is in doubt, as on the
+  /// surface, it may decide otherwise.
   int count_inside(const Eigen::Ref<const Eigen::Matrix3Xd>& points) const;
 
  private:

@@ -155,13 +155,11 @@ void Thickness::raise(int index, const Vector3d& p, double& best) const {
 Thickness::Measures Thickness::at(const Points& points) const {
   Measures out{VectorXd(points.rows()), VectorXd(points.rows())};
   parallel_parts(points.rows(), [&](Eigen::Index first, Eigen::Index end) {
-    Vector3d p = points.row(first), nearest = skin_.nearest(p);  // points follow each other closely
-    bool inside = body_.contains(p);
+    Vector3d nearest = skin_.nearest(points.row(first));
     for (Eigen::Index i = first; i < end; ++i) {
-      const double apart = (points.row(i).transpose() - p).norm(), clearance = (nearest - p).norm();
-      p = points.row(i);
-      nearest = skin_.nearest(p, nearest);
-      if (!(apart < clearance)) inside = body_.contains(p);  // there may be skin between them
+      const Vector3d p = points.row(i);
+      nearest = skin_.nearest(p, nearest);  // points follow each other closely
+      const bool inside = body_.contains(p);
       out.depth(i) = inside ? (p - nearest).norm() : 0;
       out.thickness(i) = std::max(thickness(inside ? p : nearest), out.depth(i));
     }

@@ -49,13 +49,6 @@ class Welder {
 
  private:
   using Cell = std::array<std::int64_t, 3>;
-  struct Hash {
-    std::size_t operator()(const Cell& cell) const {
-      std::size_t hash = 0;
-      for (std::int64_t number : cell) hash = hash * 0x9e3779b97f4a7c15u + std::size_t(number);
-      return hash;
-    }
-  };
 
   /// The cell of p, or (corner >= 0) of a corner of the box around p, which may hold its neighbors.
   static Cell cell(const Vector3d& p, int corner) {
@@ -67,7 +60,7 @@ class Welder {
     return c;
   }
 
-  std::unordered_map<Cell, std::vector<int>, Hash> cells_;
+  std::unordered_map<Cell, std::vector<int>, HashNumbers> cells_;
 };
 
 }  // namespace

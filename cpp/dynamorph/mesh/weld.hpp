@@ -2,6 +2,8 @@
 // Vertices of a triangle soup that are at the same place.
 #pragma once
 
+#include <array>
+#include <cstdint>
 #include <vector>
 
 #include "dynamorph/core/types.hpp"
@@ -17,6 +19,16 @@ struct UnitBox {
 /// Throws Error when the soup is empty, flat, not finite, or outside 1e-6 .. 1e6 m across, and std::invalid_argument
 /// when a triangle names a vertex that does not exist.
 UnitBox unit_box(const Points& vertices, const Triangles& triangles);
+
+/// For tables of indices or cells.
+struct HashNumbers {
+  template <class Number, std::size_t kCount>
+  std::size_t operator()(const std::array<Number, kCount>& numbers) const {
+    std::uint64_t hash = 0;
+    for (const Number number : numbers) hash = hash * 0x9e3779b97f4a7c15u + std::uint64_t(number);
+    return std::size_t(hash);
+  }
+};
 
 struct Welded {
   std::vector<Vector3d> points;  ///< in the unit box, in the order in which the triangles name them

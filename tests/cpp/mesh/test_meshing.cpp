@@ -61,6 +61,34 @@ TetMesh sphere_mesh(int nodes = 800) {
 
 }  // namespace
 
+TEST_CASE("points are counted inside together as one by one, wherever they are and however far from each other") {
+  CageSurface s = sphere(12);
+  for (const bool inside_out : {false, true}) {
+    if (inside_out) s.triangles.col(1).swap(s.triangles.col(2));
+    const Surface surface(s.vertices, s.triangles);
+    for (const double spread : {1e-3, 0.1, 1.5})
+      for (const Vector3d& middle : random_points(60, 1.5)) {
+        Eigen::Matrix3Xd group(3, 20);
+        int expected = 0;
+        const std::vector<Vector3d> offsets = random_points(20, spread);
+        for (int k = 0; k < 20; ++k) {
+          group.col(k) = middle + offsets[k];
+          expected += surface.contains(group.col(k));
+        }
+        CHECK(surface.count_inside(group) == expected);
+      }
+    CHECK(surface.count_inside(Eigen::Matrix3Xd(3, 0)) == 0);
+  }
+}
+
+TEST_CASE("the nearest point does not depend on the guess") {
+  const CageSurface s = sphere(12);
+  const Surface surface(s.vertices, s.triangles);
+  const std::vector<Vector3d> points = random_points(200, 1.5);
+  for (size_t i = 1; i < points.size(); ++i)
+    CHECK(surface.nearest(points[i], surface.nearest(points[i - 1])) == surface.nearest(points[i]));
+}
+
 TEST_CASE("distance to a surface equals a search through all triangles") {
   const CageSurface s = sphere(6);
   const Surface surface(s.vertices, s.triangles);

@@ -20,7 +20,7 @@ import numpy as np
 
 from .. import firmness as paint
 from ..engine import dynamorph
-from ..geometry import determinant, smooth_step
+from ..geometry import determinant, smooth_step, unique_edges
 
 FIRMNESS = 100.0  # of fully held tissue, which then moves like tissue of a tenth of its thickness
 CORE = 0.35, 0.65  # depth over thickness where the hold of the core begins, and where it is full
@@ -93,8 +93,7 @@ def with_lent(mesh: dynamorph.TetMesh, weights: np.ndarray, radius: np.ndarray) 
     bones: a breast or an udder is not held like a finger, which is as thin, but far from the trunk, nor like an arm,
     which has a bone of its own. Along the edges of the tets.
     """
-    ends = np.sort(mesh.tets[:, EDGES].reshape(-1, 2), axis=1).astype(np.int64)
-    low, high = np.divmod(np.unique(ends[:, 0] * len(mesh.nodes) + ends[:, 1]), len(mesh.nodes))
+    low, high = unique_edges(mesh.tets[:, EDGES].reshape(-1, 2), len(mesh.nodes)).T
     changed = 0.5 * np.abs(weights[low] - weights[high]).sum(axis=1)
     fades = FADES * np.linalg.norm(mesh.nodes[low] - mesh.nodes[high], axis=1) + BONES * radius.max() * changed
     first, second, fades = np.concatenate([low, high]), np.concatenate([high, low]), np.concatenate([fades, fades])

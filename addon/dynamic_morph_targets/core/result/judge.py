@@ -7,7 +7,7 @@ targets' shapes. Lengths are relative to the body's size, the diagonal of its bo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from .. import records
 from ..character import Character
-from ..geometry import determinant, diagonal, vertex_areas
+from ..geometry import determinant, diagonal, unique_edges, vertex_areas
 from ..message import Message, named_frames
 from ..model.model import Model
 from ..motion.baked import Bake
@@ -31,6 +31,7 @@ FLICKERS = 0.1  # of `flicker`; what turns more often flickers, a slow swing is 
 HELD_BACK = 2.0  # of the largest excess of a load; below, the artist is not told
 SHOWS = 1.05  # of the limits; a bake that exceeds them by more is not as requested
 SPLINTER = 1e-4  # of the size; shorter edges are not used to measure stretch
+AT_ONCE = 8  # frames whose displacements are computed together
 SHOWN = 200  # vertices that mark the worst place
 
 
@@ -204,8 +205,7 @@ def judge(
     displacement = np.linalg.norm(motion * np.linalg.norm(modes, axis=1), axis=1)
     chosen = np.sort(np.argsort(-displacement)[:LOOKED_AT])
     farthest, found = np.zeros(len(skin.rest)), []
-    for frame in chosen:
-        u = (motion[frame] @ modes).reshape(-1, 3)
+    for frame, u in zip(chosen, _displaced(motion[chosen], modes), strict=True):
         distance = np.linalg.norm(u, axis=1) / skin.size
         farthest = np.maximum(farthest, distance)
         found.append((frame, *skin.measures(u, distance)))
@@ -228,6 +228,12 @@ def judge(
     )
 
 
+def _displaced(motion: np.ndarray, modes: np.ndarray) -> Iterator[np.ndarray]:
+    """Displacements (V, 3) by each row of motion (F, r), some rows at once, so that the modes are read less often."""
+    for first in range(0, len(motion), AT_ONCE):
+        yield from (motion[first : first + AT_ONCE] @ modes).reshape(-1, modes.shape[1] // 3, 3)
+
+
 class _Skin:
     """The soft part (T, 3) of a character's surface, bind space. thickness (V,): radii, meters, or none."""
 
@@ -237,8 +243,7 @@ class _Skin:
         self.normals = self._normals(rest)
         self.areas = vertex_areas(rest, triangles)
         self.size = diagonal(rest)
-        edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
-        edges = np.unique(edges, axis=0)
+        edges = unique_edges(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), len(rest))
         lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
         kept = lengths > SPLINTER * self.size
         self.edges, self.lengths = edges[kept], lengths[kept]
@@ -327,7 +332,17 @@ def flicker_of(change: np.ndarray, weighted: np.ndarray) -> float:
 
 def quantiles(values: np.ndarray, weights: np.ndarray, shares: Sequence[float]) -> list[float]:
     """The values (n,) below which these shares of the weights (n,) are."""
-    order = np.argsort(values)
-    sums = np.cumsum(weights[order])
-    at = np.searchsorted(sums, np.array(shares) * sums[-1]).clip(max=len(values) - 1)
-    return values[order][at].tolist()
+    return [_quantile(values, weights, share, weights.sum()) for share in shares]
+
+
+def _quantile(values: np.ndarray, weights: np.ndarray, share: float, whole: float) -> float:
+    """Looks among a few values at that end first, because all of them take long to sort."""
+    few = max(len(values) // 50, 1)
+    low = share < 0.5
+    end = np.argpartition(values, few - 1)[:few] if low else np.argpartition(values, -few)[-few:]
+    before = 0.0 if low else whole - weights[end].sum()
+    if not 0.0 < share * whole - before <= weights[end].sum():
+        end, before = np.arange(len(values)), 0.0
+    order = end[np.argsort(values[end])]
+    at = int(np.searchsorted(before + np.cumsum(weights[order]), share * whole))
+    return float(values[order[min(at, len(order) - 1)]])

@@ -135,11 +135,12 @@ void add_curvatures(const FullModel& model, int j, Lame lame, const RowMajor& mo
 
 /// Adds target j's part of `force_curvatures`, with the given Lame parameters.
 void add_curvatures(const FullModel& model, int j, Lame lame, const RowMajor& modes, RowMajor& sum) {
-  constexpr int kParts = 4;  // each with a sum of its own
+  constexpr Eigen::Index kNumbers = 1 << 25;  // each part has a sum of its own, and all together this many numbers
   const Eigen::Index tets = model.body().mesh.tets.rows();
-  std::vector<RowMajor> parts(kParts, RowMajor::Zero(sum.rows(), sum.cols()));
-  run_tasks(kParts, {}, [&](int part, const ProgressFn&) {
-    add_curvatures(model, j, lame, modes, part * tets / kParts, (part + 1) * tets / kParts, parts[part]);
+  const Eigen::Index count = std::clamp<Eigen::Index>(kNumbers / std::max<Eigen::Index>(sum.size(), 1), 1, 4);
+  std::vector<RowMajor> parts(std::size_t(count), RowMajor::Zero(sum.rows(), sum.cols()));
+  run_tasks(int(count), {}, [&](int part, const ProgressFn&) {
+    add_curvatures(model, j, lame, modes, part * tets / count, (part + 1) * tets / count, parts[part]);
   });
   for (const RowMajor& part : parts) sum += part;
 }

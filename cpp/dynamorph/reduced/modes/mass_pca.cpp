@@ -44,6 +44,8 @@ RowMajor nearly_orthonormal(const RowMajor& columns) {
   MatrixXd products = gram(columns);
   products.diagonal().array() += 1e-14 * products.diagonal().sum();
   const Eigen::LLT<MatrixXd> factor(products);
+  if (factor.info() != Eigen::Success)
+    return Eigen::HouseholderQR<MatrixXd>(columns).householderQ() * MatrixXd::Identity(columns.rows(), columns.cols());
   const MatrixXd inverse = factor.matrixL().solve(MatrixXd::Identity(columns.cols(), columns.cols()));
   return product(columns, RowMajor(inverse.transpose()));
 }

@@ -18,7 +18,7 @@ constexpr Eigen::Index kManyColumns = 1200;
 
 /// The strongest combinations (columns, at most `count`) of sparse columns, strongest first: orthonormal eigenvectors
 /// of A^T A. It is meant for many more columns than `count`. The last combinations are the least exact, unless the ones
-/// that were left out are much weaker.
+/// that were left out are much weaker; what is weaker than 1e-5 of the strongest may be missing.
 MatrixXd strongest_combinations(const SparseMatrix& A, Eigen::Index count);
 
 }  // namespace dynamorph

@@ -2,6 +2,9 @@
 // The sums over rows and over pairs of modes, against their definitions.
 #include <doctest/doctest.h>
 
+#include <tuple>
+
+#include "dynamorph/core/parallel.hpp"
 #include "dynamorph/reduced/modes/gram_accumulator.hpp"
 #include "dynamorph/reduced/modes/gram_kernels.hpp"
 #include "elastic/laws.hpp"
@@ -36,6 +39,21 @@ TEST_CASE("sums of row products: the triangle of A^T A, and the wanted part of A
       CHECK(error <= 1e-13 * (1 + rows));
       CHECK((inner_products(A, B) - product).cwiseAbs().maxCoeff() <= 1e-13 * (1 + rows));
     }
+}
+
+TEST_CASE("products in parts are those of whole matrices, whatever the number of threads") {
+  for (int rows : {0, 1, 1024, 2500}) {
+    const RowMajor A = RowMajor::Random(rows, 17), B = RowMajor::Random(rows, 5), C = RowMajor::Random(17, 7);
+    const auto all = [&] { return std::make_tuple(gram(A), inner_products(A, B), product(A, C)); };
+    const auto [square, inner, multiplied] = all();
+    const MatrixXd lower = (A.transpose() * A).eval().triangularView<Eigen::Lower>();
+    CHECK((square - lower).norm() <= 1e-12 * (1 + rows));
+    CHECK((inner - A.transpose() * B).norm() <= 1e-12 * (1 + rows));
+    CHECK((multiplied - A * C).norm() <= 1e-12 * (1 + rows));
+    set_threads(1);
+    CHECK(all() == std::make_tuple(square, inner, multiplied));
+    set_threads(0);
+  }
 }
 
 TEST_CASE("curvatures of pairs are the second derivatives of StVK's nodal forces at rest") {
