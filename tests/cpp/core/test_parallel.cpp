@@ -115,6 +115,27 @@ TEST_CASE("chunks are all done once, from several threads at a time and one loop
   CHECK(other);
 }
 
+TEST_CASE("tasks that run tasks share the cores") {
+  const int cores = usable_cores();
+  for (const int count : {1, 2, 3 * cores}) {
+    std::atomic<int> busy{0}, most{0}, done{0};
+    run_tasks(count, {}, [&](int, const ProgressFn&) {
+      CHECK(usable_cores() == std::max(1, cores / std::min(cores, count)));
+      run_tasks(4, {}, [&](int, const ProgressFn&) {
+        int now = ++busy, before = most;
+        while (now > before && !most.compare_exchange_weak(before, now)) {
+        }
+        std::this_thread::sleep_for(std::chrono::milliseconds(1));
+        --busy;
+        ++done;
+      });
+    });
+    CHECK(done == 4 * count);
+    CHECK(most <= cores);
+  }
+  CHECK(usable_cores() == cores);
+}
+
 TEST_CASE("a limit on the threads holds for both kinds of work, and can be raised again") {
   const auto most_at_once = [](auto&& loop) {
     std::atomic<int> now{0}, most{0};
