@@ -10,7 +10,7 @@ import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors, records
 from bl_ext.user_default.dynamic_morph_targets.core.motion.contact import Touched
 from bl_ext.user_default.dynamic_morph_targets.core.motion.limits import Held
-from bl_ext.user_default.dynamic_morph_targets.core.result.judge import Limits, Verdict, parsed
+from bl_ext.user_default.dynamic_morph_targets.core.result.judge import Limits, Verdict, parsed, quantiles
 from bl_ext.user_default.dynamic_morph_targets.run import heat
 from bl_ext.user_default.dynamic_morph_targets.scene import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import jobs
@@ -68,6 +68,18 @@ def test_a_verdict_is_read(addon):
     older = {name: value for name, value in json.loads(FAR.record).items() if name != "touched"}
     assert parsed(json.dumps(older)) == replace(FAR, touched=None)
     assert FAR.factor == pytest.approx((0.08 / 0.05) ** 0.75)
+
+
+@pytest.mark.parametrize("count", [1, 2, 49, 50, 5000])
+@pytest.mark.parametrize("kinds", [1, 7, 10**6])
+def test_quantiles_are_those_of_all_values_in_order(addon, count, kinds):
+    random = np.random.default_rng(count)
+    values, weights = random.integers(0, kinds, count).astype(float), random.integers(1, 9, count).astype(float)
+    order = np.argsort(values)
+    sums = np.cumsum(weights[order])
+    shares = (0.0, 0.001, 0.02, 0.3, 0.5, 0.9, 0.98, 0.99, 0.999, 1.0)
+    at = np.searchsorted(sums, np.array(shares) * sums[-1]).clip(max=count - 1)
+    assert quantiles(values, weights, shares) == values[order][at].tolist()
 
 
 @pytest.mark.parametrize(
