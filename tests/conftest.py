@@ -3,7 +3,23 @@
 from which docs/reliability.md is made.
 """
 
+import subprocess
+
 import pytest
+
+
+@pytest.fixture
+def children(monkeypatch):
+    """The processes that are started."""
+    started = []
+
+    class Child(subprocess.Popen):
+        def __init__(self, *arguments, **options):
+            super().__init__(*arguments, **options)
+            started.append(self)
+
+    monkeypatch.setattr(subprocess, "Popen", Child)
+    return started
 
 
 class NameFailures:

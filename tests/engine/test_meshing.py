@@ -195,20 +195,6 @@ def with_nan():
     return vertices, triangles
 
 
-@pytest.fixture
-def children(monkeypatch):
-    """The processes that are started."""
-    started = []
-
-    class Child(subprocess.Popen):
-        def __init__(self, *arguments, **options):
-            super().__init__(*arguments, **options)
-            started.append(self)
-
-    monkeypatch.setattr(subprocess, "Popen", Child)
-    return started
-
-
 @pytest.mark.fault("M01", "M02", "M03", "M04")
 @pytest.mark.parametrize(
     ("body", "message"),
@@ -333,7 +319,6 @@ def test_a_mesher_that_died_while_it_waited_is_replaced(children):
 
 def test_a_mesher_that_gets_no_work_ends_by_itself(monkeypatch, children):
     """In its own process a minute is another constant: it is started with a shorter one."""
-    monkeypatch.setattr(meshing, "IDLE", 0.5)
     code = "import dynamorph.meshing as m; m.IDLE = 0.5; "
     popen = subprocess.Popen
 
@@ -368,6 +353,26 @@ def test_a_mesher_that_waits_ends_with_its_parent():
     while child.exists() and time.monotonic() < end:
         time.sleep(0.05)
     assert not child.exists()
+
+
+WRITES_TO_A_DEAD_MESHER = """
+import signal, subprocess, dynamorph, numpy as np
+signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+popen = subprocess.Popen
+subprocess.Popen = lambda command, **options: popen([command[0], "-c", "import os; os._exit(10)"], **options)
+try:
+    dynamorph.mesh_body(np.zeros((100000, 3)), np.zeros((1, 3), int), 300)
+except dynamorph.Error:
+    print("it goes on")
+"""
+
+
+@pytest.mark.fault("C03")
+@pytest.mark.skipif(os.name == "nt", reason="POSIX")
+def test_a_mesher_that_died_takes_nobody_along():
+    """Not even a program that started Python without its signal handlers."""
+    run = subprocess.run([sys.executable, "-c", WRITES_TO_A_DEAD_MESHER], stdout=subprocess.PIPE, text=True)
+    assert (run.returncode, run.stdout) == (0, "it goes on\n")
 
 
 def test_dismissed_meshers_are_gone(children):

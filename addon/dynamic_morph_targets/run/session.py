@@ -11,7 +11,6 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ..core import errors
 from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
 from ..core.message import Message, joined
@@ -145,11 +144,6 @@ class Session:
             if before == self.last:
                 self._advance(obj)
             values += fraction * (self.tissue.values(self._frames[before + 1]) - values)
-        if not np.isfinite(values).all():  # Python and drivers can set any value as a gain
-            raise errors.SelfCheckError(
-                "'{name}': its motion is not finite: press Reset Amounts, or set the targets' Amount to 1",
-                name=obj.name,
-            )
         return values
 
     def motions(self) -> dict[int, np.ndarray]:

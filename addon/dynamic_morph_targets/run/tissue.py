@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 
 from ..core.character import Character
-from ..core.errors import SceneError
+from ..core.errors import SceneError, SelfCheckError
 from ..core.motion import simulate
 from ..core.motion.player import Frame, Player
 from ..core.settings import SimulationSettings
@@ -90,7 +90,12 @@ class Tissue:
         live_key.add(obj, self.target_names, [surface.object.find() for surface in self.attachments])
 
     def show(self, values: np.ndarray) -> bool:
-        """Write the live keys; False when that of the skin is gone."""
+        """Write the live keys; False when that of the skin is gone. Raises SelfCheckError."""
+        if not np.isfinite(values).all():  # Python and drivers can set any value as a gain
+            raise SelfCheckError(
+                "'{name}': its motion is not finite: press Reset Amounts, or set the targets' Amount to 1",
+                name=self.skin.object.name,
+            )
         shown = self.skin.show(values)
         for surface in self.attachments:
             with suppress(SceneError):  # it was deleted

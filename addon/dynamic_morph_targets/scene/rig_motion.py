@@ -165,10 +165,8 @@ def sample_present(obj, probe=None) -> RigSamples:
     with rig_scene(obj, rig, probe) as (scene, follower):
         scene.frame_set(int(frame), subframe=frame % 1.0)
         placed = inverse(world[0]) @ rig_world
-        nodes, target_nodes = (
-            probe.in_poses(scene, follower, rig, pose),
-            probe.in_target_poses(scene, follower, rig, placed),
-        )
+        nodes = probe.in_poses(scene, follower, rig, pose)
+        target_nodes = probe.in_target_poses(scene, follower, rig, placed)
     return RigSamples(pose, rig_world[None], world, (nodes,), target_nodes)
 
 

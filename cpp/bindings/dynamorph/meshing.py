@@ -158,7 +158,7 @@ class _Child:
         try:
             self._process = subprocess.Popen(
                 [sys.executable or "", "-I", "-S", "-X", "utf8", "-c", code],
-                stdin=subprocess.PIPE, stdout=self._answer, stderr=subprocess.PIPE, env=environment,
+                stdin=subprocess.PIPE, stdout=self._answer, stderr=subprocess.PIPE, bufsize=0, env=environment,
                 creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),  # or Windows would flash a console
             )  # fmt: skip
         except OSError as error:
@@ -204,14 +204,17 @@ class _Child:
         if self._talk.ident is not None:  # it was started
             self._talk.join()
         for stream in (self._process.stdin, self._process.stderr, self._answer):
-            with suppress(OSError):  # what was not written is lost with the process
-                stream.close()  # type: ignore[union-attr]
+            stream.close()  # type: ignore[union-attr]
 
     def _exchange(self) -> None:
         """Writes the request, then reads what the child reports: progress (numbers) and, at the end, a message."""
         assert self._process.stdin and self._process.stderr  # they are pipes
+        if sys.platform != "win32":  # where Python was started without its signal handlers, it would end this process
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
+        left = memoryview(self._request)
         with suppress(OSError):  # it has ended; its exit code says why
-            self._process.stdin.write(self._request)
+            while left:
+                left = left[self._process.stdin.write(left) :]
             self._process.stdin.close()
         for line in self._process.stderr:
             text = line.decode("utf-8", "replace").rstrip()

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A registration that fails leaves nothing behind, wherever it failed; the next one is as good as the first."""
 
-import subprocess
 import sys
 
 import bpy
@@ -68,26 +67,18 @@ def switched_off(addon, scene, timers):
     assert [type(each) for each in left()] == [type(each) for each in installed] and handlers()
 
 
-def test_the_mesher_starts_with_the_click_and_ends_when_disabled(addon, scene, monkeypatch):
+def test_the_mesher_starts_with_the_click_and_ends_when_disabled(addon, scene, children):
     pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
-    started = []
-
-    class Child(subprocess.Popen):
-        def __init__(self, *arguments, **options):
-            super().__init__(*arguments, **options)
-            started.append(self)
-
-    monkeypatch.setattr(subprocess, "Popen", Child)
     activate(make_arm(scene))
     assert bpy.ops.dynamorph.add_soft_skin() == {"FINISHED"}
-    assert len(started) == 1 and started[0].poll() is None
+    assert len(children) == 1 and children[0].poll() is None
     assert bpy.ops.dynamorph.build() == {"FINISHED"}
-    assert len(started) == 1 and started[0].returncode == 0
+    assert len(children) == 1 and children[0].returncode == 0
     activate(make_arm(scene, "Other"))
     assert bpy.ops.dynamorph.add_soft_skin() == {"FINISHED"}
     addon.unregister()
     addon.register()
-    assert len(started) == 2 and started[1].returncode is not None
+    assert len(children) == 2 and children[1].returncode is not None
 
 
 def test_each_module_may_fail(switched_off, monkeypatch):

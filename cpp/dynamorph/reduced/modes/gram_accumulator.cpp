@@ -64,20 +64,24 @@ double GramAccumulator::operator()(Index i, Index j) const {
 
 namespace {
 
-constexpr Index kRows = 1024;  ///< of a part of a product
+constexpr Index kRows = 1024;  ///< of a part of a product, at least
+constexpr Index kSums = 8;     ///< at most, because each takes the memory of the result
 
-/// Calls work(part, first row, its end) for the parts of so many rows.
+Index parts_of(Index rows, Index each) { return (rows + each - 1) / each; }
+
+/// Calls work(part, first row, its end) for parts of `each` rows.
 template <class Work>
-void by_rows(Index rows, const Work& work) {
-  run_tasks(int((rows + kRows - 1) / kRows), {},
-            [&](int part, const ProgressFn&) { work(part, part * kRows, std::min(rows, (part + 1) * kRows)); });
+void by_rows(Index rows, Index each, const Work& work) {
+  run_tasks(int(parts_of(rows, each)), {},
+            [&](int part, const ProgressFn&) { work(part, part * each, std::min(rows, (part + 1) * each)); });
 }
 
-/// The sum of what of_rows(first, end) gives for the parts of so many rows.
+/// The sum of what of_rows(first, end) gives for parts of so many rows.
 template <class OfRows>
 MatrixXd summed(Index rows, MatrixXd sum, const OfRows& of_rows) {
-  std::vector<MatrixXd> parts((rows + kRows - 1) / kRows);
-  by_rows(rows, [&](int part, Index first, Index end) { parts[part] = of_rows(first, end); });
+  const Index each = std::max(kRows, parts_of(rows, kSums));
+  std::vector<MatrixXd> parts(parts_of(rows, each));
+  by_rows(rows, each, [&](int part, Index first, Index end) { parts[part] = of_rows(first, end); });
   for (const MatrixXd& part : parts) sum += part;
   return sum;
 }
@@ -110,7 +114,7 @@ MatrixXd inner_products(const RowMajor& A, const RowMajor& B) {
 
 RowMajor product(const RowMajor& A, const RowMajor& B) {
   RowMajor out(A.rows(), B.cols());
-  by_rows(A.rows(), [&](int, Index first, Index end) {
+  by_rows(A.rows(), kRows, [&](int, Index first, Index end) {
     const RowMajor columns = A.middleRows(first, end - first).transpose();
     GramAccumulator products(end - first, B.cols(), [](Index) { return 0; });
     for (Index k = 0; k < columns.rows(); ++k) products.add(columns.row(k).data(), B.row(k).data());
