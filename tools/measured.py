@@ -22,7 +22,8 @@ ADDON = ("addon/dynamic_morph_targets", *(f":!addon/dynamic_morph_targets/{name}
 # What each generated page is made from, as git's path specifications.
 PAGES = {
     "results.md": (*ENGINE, *ADDON, "sample_blends"),
-    "performance.md": (*ENGINE, *ADDON, "tests/benchmarks/engine.cpp", "tests/benchmarks/test_pipeline.py"),
+    "performance.md": (*ENGINE, *ADDON, "tests/benchmarks/engine.cpp", "tests/benchmarks/test_pipeline.py",
+                       "tests/benchmarks/click.py"),
     "robustness.md": (*ENGINE, *ADDON, "tests/benchmarks/robustness_page.py", "tests/addon/characters.py"),
     "bakes.md": (*ENGINE, *ADDON, "tests/benchmarks/bakes.py", "tests/benchmarks/walks.py"),
     "accuracy.md": (*ENGINE, *ADDON, "tests/benchmarks/accuracy_shots.py", "tests/benchmarks/motion_error.py",

@@ -104,7 +104,7 @@ a process that has just opened the character. Seconds of the median of {runs} ru
 cores and the process of the mesher.{before} *Rigify* is the human of its metarig with a face, skinned with automatic
 weights.
 """
-BEFORE = " *Before*: at commit {}, in the same run, in turn."
+BEFORE = " *Before*: at commit `{}`, in the same run, in turn."
 
 
 def main() -> int:
@@ -283,7 +283,7 @@ def waits(clicks: dict, compared: bool) -> str:
         row = (name, f"{now['vertices']:,}", f"{now['bones']:,}", f"{now['wall']:.2f}", f"{now['cpu']:.2f}")
         if compared:
             then = runs["before"]
-            row += (f"{then['wall']:.2f}", f"{then['cpu']:.2f}", times(then["wall"] / now["wall"]))
+            row += (f"{then['wall']:.2f}", f"{then['cpu']:.2f}", f"{then['wall'] / now['wall']:.2f}")
         rows.append(row)
     return grid((*head, "before, s", "before, s of the processor", "before / now") if compared else head, rows)
 

@@ -40,7 +40,7 @@ def main() -> int:
         "engine": measure_engine(),
         "pipeline": measure_pipeline(),
         "clicks": measure_clicks(),
-        "before": git("-C", sys.argv[1], "log", "-1", "--format=%h (%cs)") if sys.argv[1:] else "",
+        "before": git("-C", sys.argv[1], "log", "-1", "--format=%h", "--abbrev=7") if sys.argv[1:] else "",
     }
     REPORT.parent.mkdir(parents=True, exist_ok=True)
     REPORT.write_text(json.dumps(measured, indent=1))
