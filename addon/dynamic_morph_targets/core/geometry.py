@@ -47,8 +47,14 @@ def interpolated(values: np.ndarray, nodes: np.ndarray, weights: np.ndarray) -> 
     """What a cage's nodes carry, (..., n, C), at points (..., P, C): the E u of the engine's `models/skin`, for whole
     bases at once. nodes, weights (P, 4): the corners of each point's tetrahedron and its weights there.
     """
-    a, b, c, d = (weights[:, [k]] * values[..., nodes[:, k], :] for k in range(4))  # several times as fast as einsum
-    return a + b + c + d
+    out = np.empty((*values.shape[:-2], len(nodes), values.shape[-1]))
+    corners = np.ascontiguousarray(nodes.T)
+    shares = [np.repeat(weights[:, [k]], values.shape[-1], axis=1) for k in range(4)]
+    for basis in np.ndindex(values.shape[:-2]):  # one by one they stay in the cache: five times as fast as at once
+        np.multiply(shares[0], values[basis].take(corners[0], axis=0), out=out[basis])
+        for k in (1, 2, 3):
+            out[basis] += shares[k] * values[basis].take(corners[k], axis=0)
+    return out
 
 
 def unique_edges(sides: np.ndarray, count: int) -> np.ndarray:

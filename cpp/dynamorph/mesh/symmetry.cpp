@@ -4,11 +4,13 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cmath>
 #include <map>
 #include <utility>
 #include <vector>
 
+#include "dynamorph/core/parallel.hpp"
 #include "dynamorph/mesh/bvh.hpp"
 #include "dynamorph/mesh/surface.hpp"
 
@@ -226,9 +228,11 @@ std::optional<MirrorPlane> mirror_plane(const Points& vertices, const Triangles&
   const std::vector<bool> used = used_by(triangles, vertices.rows());
   for (int axis = 0; axis < 3 && triangles.rows() > 0; ++axis) {
     const MirrorPlane plane{axis, box.center()[axis]};
-    bool same = true;
-    for (Eigen::Index v = 0; same && v < vertices.rows(); ++v)
-      same = !used[v] || skin.distance(plane.image(vertices.row(v))) <= kTolerance * box.diagonal().norm();
+    std::atomic<bool> same{true};
+    parallel_parts(vertices.rows(), [&](Eigen::Index first, Eigen::Index end) {
+      for (Eigen::Index v = first; same && v < end; ++v)
+        if (used[v] && skin.distance(plane.image(vertices.row(v))) > kTolerance * box.diagonal().norm()) same = false;
+    });
     if (same) return plane;
   }
   return std::nullopt;
@@ -249,14 +253,16 @@ std::vector<int> mirror_images(const Points& vertices, const Triangles& triangle
     whole.extend(boxes.back());
   }
   const Bvh tree(boxes);
-  for (int v : points) {
-    const Vector3d place = plane->image(vertices.row(v));
-    double best = std::pow(kTolerance * whole.diagonal().norm(), 2);
-    tree.nearest(place, best, [&](int item) {
-      const double square = (boxes[item].min() - place).squaredNorm();
-      if (square < best) best = square, images[v] = points[item];
-    });
-  }
+  parallel_parts(Eigen::Index(points.size()), [&](Eigen::Index first, Eigen::Index end) {
+    for (Eigen::Index k = first; k < end; ++k) {
+      const Vector3d place = plane->image(vertices.row(points[k]));
+      double best = std::pow(kTolerance * whole.diagonal().norm(), 2);
+      tree.nearest(place, best, [&](int item) {
+        const double square = (boxes[item].min() - place).squaredNorm();
+        if (square < best) best = square, images[points[k]] = points[item];
+      });
+    }
+  });
   return images;
 }
 

@@ -9,6 +9,7 @@
 #include <string>
 
 #include "dynamorph/core/errors.hpp"
+#include "dynamorph/core/parallel.hpp"
 #include "dynamorph/mesh/surface.hpp"
 #include "dynamorph/mesh/symmetry.hpp"
 #include "dynamorph/reduced/modes/polynomial_kernels.hpp"
@@ -231,7 +232,9 @@ Embedding of_points(const Embedding& all, const std::vector<int>& chosen) {
 
 /// The edges of a bone; none of one that has no edge of its own, or hardly any tissue.
 struct CriticalEdges {
-  std::set<int> edges;  ///< that its loads stretch most: places in skin.edges
+  std::vector<int> own;  ///< where it has weight: places in skin.edges
+  VectorXd strain;       ///< of each of these: the largest stretch by a load over that of the critical one, at most 1
+  std::set<int> edges;   ///< that its loads stretch most: places in skin.edges
   /// That are pulled back too, each with its largest stretch over that of those.
   std::vector<std::pair<int, double>> between;
   /// Twice that of the static answer in which they reach their limit, the least of the loads.
@@ -239,30 +242,31 @@ struct CriticalEdges {
   bool any() const { return energy < kInfinity; }
 };
 
-/// Adds the edge, of a bone's `own` (places in skin.edges), whose stretch under an answer u (3P) is at the percentile,
-/// where `weight` (P) counts. strain (of all edges): raised to each one's stretch over that. Returns the percentile
-/// over the limit.
+/// Adds the edge, of a bone's own, whose stretch under an answer u (3P) is at the percentile, where `weight` (P) counts,
+/// and raises the strain of each of them to its stretch over that. Returns the percentile over the limit.
 double add_critical(const VectorXd& u, const SoftSkin& skin, const SkinLimits& limits, const VectorXd& weight,
-                    const std::vector<int>& own, std::set<int>& critical, std::vector<double>& strain) {
-  const Points& rest = limits.rest;
-  std::vector<std::pair<double, int>> stretch;
-  double total = 0;
-  const auto length = [&](int e) { return (rest.row(skin.edges[e].first) - rest.row(skin.edges[e].second)).norm(); };
-  const auto part = [&](int e) { return length(e) * (weight(skin.edges[e].first) + weight(skin.edges[e].second)); };
-  for (int e : own) {
-    const auto [a, b] = skin.edges[e];
-    const Vector3d along = (rest.row(a) - rest.row(b)).transpose() / length(e);
-    stretch.push_back({std::abs(along.dot(u.segment<3>(3 * a) - u.segment<3>(3 * b))) / length(e), e});
-    total += part(e);
+                    CriticalEdges& of_bone) {
+  VectorXd stretch(Index(of_bone.own.size())), part(stretch.size());
+  std::vector<std::pair<double, int>> largest;  // a heap, with places in of_bone.own
+  for (Index k = 0; k < stretch.size(); ++k) {
+    const auto [a, b] = skin.edges[std::size_t(of_bone.own[std::size_t(k)])];
+    const Vector3d edge = (limits.rest.row(a) - limits.rest.row(b)).transpose();
+    const double length = edge.norm();
+    stretch(k) = std::abs(edge.dot(u.segment<3>(3 * a) - u.segment<3>(3 * b))) / (length * length);
+    part(k) = length * (weight(a) + weight(b));
+    largest.push_back({stretch(k), int(k)});
   }
-  std::sort(stretch.begin(), stretch.end());
-  double sum = 0;
-  std::size_t at = 0;
-  while (at + 1 < stretch.size() && (sum += part(stretch[at].second)) < kEdgePercentile * total) ++at;
-  critical.insert(stretch[at].second);
-  for (const auto& [of_edge, e] : stretch)
-    strain[e] = std::max(strain[e], std::min(of_edge / std::max(stretch[at].first, 1e-300), 1.0));
-  return stretch[at].first / limits.constants.stretch;
+  std::make_heap(largest.begin(), largest.end());
+  double beyond = (1 - kEdgePercentile) * part.sum();
+  while (largest.size() > 1 && (beyond -= part(largest.front().second)) >= 0) {
+    std::pop_heap(largest.begin(), largest.end());
+    largest.pop_back();
+  }
+  const auto [critical, at] = largest.front();
+  of_bone.edges.insert(of_bone.own[std::size_t(at)]);
+  const auto relative = (stretch / std::max(critical, 1e-300)).cwiseMin(1.0);
+  of_bone.strain = of_bone.strain.cwiseMax(relative).eval();
+  return critical / limits.constants.stretch;
 }
 
 /// The mass (free) of the nodes at the neutral targets.
@@ -272,19 +276,23 @@ VectorXd neutral_mass(const SoftBody& body, const std::vector<MorphTarget>& targ
   return body.volumes * densities.density;
 }
 
-/// Solves K x = b.
+/// Solves K x = b, in any thread.
 class NeutralFactor {
  public:
   bool compute(const SparseMatrix& K) { return nodal_.factorize(K); }
   bool compute(const ArrowMatrix& K) { return modal_.compute(K); }
-  void solve(const SparseMatrix&, const VectorXd& b, VectorXd& x) { nodal_.solve(b, x, scratch_); }
-  void solve(const ArrowMatrix&, const VectorXd& b, VectorXd& x) { modal_.solve(b, x); }
+  void solve(const SparseMatrix&, const VectorXd& b, VectorXd& x) const {
+    std::vector<float> scratch;
+    nodal_.solve(b, x, scratch);
+  }
+  void solve(const ArrowMatrix&, const VectorXd& b, VectorXd& x) const {
+    ArrowFactor(modal_).solve(b, x);  // small, and has its own scratch
+  }
   BlockCholesky<float> nodal() && { return std::move(nodal_); }
 
  private:
   BlockCholesky<float> nodal_;
   ArrowFactor modal_;
-  std::vector<float> scratch_;
 };
 
 /// The tissue at the neutral targets.
@@ -310,9 +318,14 @@ struct Neutral {
   }
 
   /// The static answer (dofs) to a load on the free nodes (3 free).
-  VectorXd answer(const VectorXd& nodal) {
-    VectorXd load, q;
+  VectorXd answer(const VectorXd& nodal) const {
+    VectorXd load;
     model.project_force(nodal, load);
+    return solved(load);
+  }
+  /// The same to a load on the coordinates (dofs).
+  VectorXd solved(const VectorXd& load) const {
+    VectorXd q;
     factor.solve(K, load, q);
     return q;
   }
@@ -335,35 +348,80 @@ VectorXd turned(const VectorXd& carried, const VectorXd& rest, int axis) {
   return out;
 }
 
-/// weight (P): of the bone; carried (free): its part of the mass; of_body: the answers to accelerations of the whole
-/// body; strain (of all edges): raised to what the loads do to them, compared with the critical ones.
+/// Displacements of some points of a skin by those of the few nodes that carry them.
 template <class Model>
-CriticalEdges critical_edges(Neutral<Model>& neutral, const SkinLimits& limits, const SoftSkin& skin,
-                             const VectorXd& weight, const VectorXd& carried, const std::array<VectorXd, 3>& of_body,
-                             std::vector<double>& strain) {
-  std::vector<int> own, vertices;
+class Carried {
+ public:
+  Carried(const Model& model, const Embedding& embedding, std::vector<int> points)
+      : embedding_(embedding), points_(std::move(points)), at_nodes_(model.skin_points(used_nodes(model))) {}
+
+  /// By coordinates (dofs), in u (3P).
+  void displace(const VectorXd& coordinates, VectorXd& u) {
+    at_nodes_.displacement(coordinates, of_nodes_);
+    for (int p : points_) {
+      u.segment<3>(3 * p).setZero();
+      for (int k = 0; k < 4; ++k) {
+        const int place = place_[std::size_t(embedding_.nodes(p, k))];
+        u.segment<3>(3 * p) += embedding_.weights(p, k) * of_nodes_.segment<3>(3 * place);
+      }
+    }
+  }
+
+ private:
+  /// The nodes of the points, as points themselves.
+  Embedding used_nodes(const Model& model) {
+    std::vector<int> used;
+    for (int p : points_)
+      for (int node : embedding_.nodes.row(p)) used.push_back(node);
+    make_unique(used);
+    place_.assign(std::size_t(model.body().mesh.nodes.rows()), -1);
+    const auto count = Index(used.size());
+    Embedding out{Tets::Zero(count, 4), {}, VectorXd::Zero(count)};
+    out.weights.setZero(count, 4);
+    for (Index k = 0; k < count; ++k) {
+      place_[std::size_t(used[std::size_t(k)])] = int(k);
+      out.nodes.row(k).setConstant(used[std::size_t(k)]);
+      out.weights(k, 0) = 1;
+    }
+    return out;
+  }
+
+  const Embedding& embedding_;
+  std::vector<int> points_, place_;  ///< place_: of each node among those that are used
+  typename Model::SkinPoints at_nodes_;
+  VectorXd of_nodes_;
+};
+
+/// weight (P): of the bone; carried (free): its part of the mass; of_body: the answers to accelerations of the whole
+/// body.
+template <class Model>
+CriticalEdges critical_edges(const Neutral<Model>& neutral, const SkinLimits& limits, const SoftSkin& skin,
+                             const VectorXd& weight, const VectorXd& carried,
+                             const std::array<VectorXd, 3>& of_body) {
+  CriticalEdges out;
+  std::vector<int> vertices;
   for (std::size_t e = 0; e < skin.edges.size(); ++e)
     if (const auto [a, b] = skin.edges[e]; weight(a) + weight(b) > 2 * kOwn) {
-      own.push_back(int(e));
+      out.own.push_back(int(e));
       vertices.insert(vertices.end(), {a, b});
     }
+  if (out.own.empty()) return out;
+  out.strain.setZero(Index(out.own.size()));
   make_unique(vertices);
-  const auto points = neutral.model.skin_points(of_points(limits.embedding, vertices));
-  CriticalEdges out;
-  VectorXd moved, u = VectorXd::Zero(3 * limits.rest.rows());
+  Carried points(neutral.model, limits.embedding, std::move(vertices));
+  VectorXd u(3 * limits.rest.rows());
   const auto add = [&](const VectorXd& answer) {
-    points.displacement(answer, moved);
-    for (std::size_t v = 0; v < vertices.size(); ++v) u.segment<3>(3 * vertices[v]) = moved.segment<3>(3 * Index(v));
-    return add_critical(u, skin, limits, weight, own, out.edges, strain);
+    points.displace(answer, u);
+    return add_critical(u, skin, limits, weight, out);
   };
-  for (int axis = 0; axis < 3 && !own.empty(); ++axis) {
+  for (int axis = 0; axis < 3; ++axis) {
     add(of_body[std::size_t(axis)]);
-    for (const VectorXd& load : {accelerated(carried, axis), turned(carried, neutral.model.body().rest, axis)}) {
-      const VectorXd answer = neutral.answer(load);
+    for (const VectorXd& nodal : {accelerated(carried, axis), turned(carried, neutral.model.body().rest, axis)}) {
+      VectorXd load;
+      neutral.model.project_force(nodal, load);
+      const VectorXd answer = neutral.solved(load);
       const double stretch = add(answer);
-      VectorXd u_nodes;
-      neutral.model.displacement(answer, u_nodes);
-      out.energy = std::min(out.energy, u_nodes.dot(load) / std::max(stretch * stretch, 1e-300));
+      out.energy = std::min(out.energy, answer.dot(load) / std::max(stretch * stretch, 1e-300));
     }
   }
   return out;
@@ -437,25 +495,50 @@ void add_between(const SkinLimits& limits, const std::vector<double>& strain, co
   Points middles(Index(edges.size()), 3);
   for (std::size_t e = 0; e < edges.size(); ++e)
     middles.row(Index(e)) = 0.5 * (limits.rest.row(edges[e].first) + limits.rest.row(edges[e].second));
-  VectorXd nearest = VectorXd::Constant(Index(edges.size()), tissue.skin.size * tissue.skin.size);
-  const auto take = [&](int e) {
-    nearest = nearest.cwiseMin((middles.rowwise() - middles.row(e)).rowwise().squaredNorm());
-  };
+  std::vector<int> taken;
   for (const CriticalEdges& critical : tissue.edges)
-    for (int e : critical.edges) take(e);
-  const auto square = Eigen::Map<const VectorXd>(strain.data(), Index(strain.size())).cwiseAbs2();
+    taken.insert(taken.end(), critical.edges.begin(), critical.edges.end());
+
+  // Square distances from the nearest of those that were taken. They only shrink, so an old one is a bound: only edges
+  // that may be next are compared with what was taken since.
+  VectorXd nearest = VectorXd::Constant(Index(edges.size()), tissue.skin.size * tissue.skin.size);
+  std::vector<std::size_t> compared(edges.size(), 0);
+  const auto score = [&](int e) { return strain[std::size_t(e)] * strain[std::size_t(e)] * nearest(e); };
+  const auto update = [&](int e) {
+    for (std::size_t& k = compared[std::size_t(e)]; k < taken.size(); ++k)
+      nearest(e) = std::min(nearest(e), (middles.row(e) - middles.row(taken[k])).squaredNorm());
+  };
+  parallel_parts(nearest.size(), [&](Index first, Index end) {
+    for (Index e = first; e < end; ++e) update(int(e));
+  });
+  std::vector<std::pair<double, int>> next;  // a heap; of equal scores the first edge is next
+  for (int e = 0; e < int(edges.size()); ++e)
+    if (score(e) > 0) next.push_back({score(e), -e});
+  std::make_heap(next.begin(), next.end());
+
   int count = 0;
   const auto hold = [&](int e, int b) {
     tissue.edges[std::size_t(b)].between.push_back({e, strain[std::size_t(e)]});
-    take(e);
+    taken.push_back(e);
     ++count;
   };
-  while (count < limits.constants.edges_between) {
-    Index best = 0;
-    if (edges.empty() || !(square.cwiseProduct(nearest).maxCoeff(&best) > 0)) return;
-    const int b = bone[std::size_t(best)], image = mirror.edge(int(best)), other = mirror.bone(b);
-    hold(int(best), b);
-    if (image >= 0 && other >= 0 && nearest(image) > 0) hold(image, tissue.edges[std::size_t(other)].any() ? other : b);
+  while (count < limits.constants.edges_between && !next.empty()) {
+    std::pop_heap(next.begin(), next.end());
+    const int best = -next.back().second;
+    const bool is_new = compared[std::size_t(best)] == taken.size();
+    next.pop_back();
+    if (!is_new) {
+      update(best);
+      if (!(score(best) > 0)) continue;
+      next.push_back({score(best), -best});
+      std::push_heap(next.begin(), next.end());
+      continue;
+    }
+    const int b = bone[std::size_t(best)], image = mirror.edge(best), other = mirror.bone(b);
+    hold(best, b);
+    if (image < 0 || other < 0) continue;
+    update(image);
+    if (nearest(image) > 0) hold(image, tissue.edges[std::size_t(other)].any() ? other : b);
   }
 }
 
@@ -476,7 +559,7 @@ void make_symmetric(const Mirror& mirror, std::vector<CriticalEdges>& of_bones) 
 }
 
 template <class Model>
-Tissue tissue_of(Neutral<Model>& neutral, const SkinLimits& limits) {
+Tissue tissue_of(const Neutral<Model>& neutral, const SkinLimits& limits) {
   const Model& model = neutral.model;
   Tissue out;
   out.mass = neutral.mass;
@@ -499,18 +582,25 @@ Tissue tissue_of(Neutral<Model>& neutral, const SkinLimits& limits) {
   const Mirror mirror(limits, out.skin);
   Sampling sampling(limits.rest, out.skin.areas, mirror);
   sampling.add(kPoints);
+  std::vector<int> with_tissue;
+  for (Index b = 0; b < out.carried_mass.size(); ++b)
+    if (out.carried_mass(b) > kTissue * out.mass.sum()) with_tissue.push_back(int(b));
   out.edges.resize(std::size_t(out.carried_mass.size()));
+  run_tasks(int(with_tissue.size()), {}, [&](int k, const ProgressFn&) {
+    const int b = with_tissue[std::size_t(k)];
+    const VectorXd part = out.carried.col(b).cwiseProduct(out.mass);
+    out.edges[std::size_t(b)] = critical_edges(neutral, limits, out.skin, limits.weights.col(b), part, of_body);
+  });
   std::vector<double> strain(out.skin.edges.size(), 0.0);
   std::vector<int> strained_by(strain.size(), 0);
-  for (Index b = 0; b < out.carried_mass.size(); ++b) {
-    if (out.carried_mass(b) <= kTissue * out.mass.sum()) continue;
-    const VectorXd weight = limits.weights.col(b), part = out.carried.col(b).cwiseProduct(out.mass);
-    sampling.add(weight, kLeastPoints);
-    std::vector<double> more = strain;
-    out.edges[std::size_t(b)] = critical_edges(neutral, limits, out.skin, weight, part, of_body, more);
-    for (std::size_t e = 0; e < strain.size(); ++e)
-      if (more[e] > strain[e]) strained_by[e] = int(b);
-    strain = std::move(more);
+  for (int b : with_tissue) {
+    sampling.add(limits.weights.col(b), kLeastPoints);
+    const CriticalEdges& critical = out.edges[std::size_t(b)];
+    for (std::size_t k = 0; k < critical.own.size(); ++k)
+      if (const auto e = std::size_t(critical.own[k]); critical.strain(Index(k)) > strain[e]) {
+        strain[e] = critical.strain(Index(k));
+        strained_by[e] = b;
+      }
   }
   make_symmetric(mirror, out.edges);
   add_between(limits, strain, strained_by, mirror, out);
