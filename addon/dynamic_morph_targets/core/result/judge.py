@@ -7,7 +7,9 @@ targets' shapes. Lengths are relative to the body's size, the diagonal of its bo
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 
@@ -204,13 +206,11 @@ def judge(
     modes = (bake.modes @ character.to_bind.T).reshape(len(bake.modes), -1)
     displacement = np.linalg.norm(motion * np.linalg.norm(modes, axis=1), axis=1)
     chosen = np.sort(np.argsort(-displacement)[:LOOKED_AT])
-    farthest, found = np.zeros(len(skin.rest)), []
-    for frame, u in zip(chosen, _displaced(motion[chosen], modes), strict=True):
-        distance = np.linalg.norm(u, axis=1) / skin.size
-        farthest = np.maximum(farthest, distance)
-        found.append((frame, *skin.measures(u, distance)))
-    frames, largest, percentile, low, high, flipped = np.array(found).T
-    worst = int(frames[(largest / max(largest.max(), 1e-300) + flipped / max(flipped.max(), TURNED)).argmax()])
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # NumPy computes beside Python
+        found = list(pool.map(skin.measures, _displaced(motion[chosen], modes)))
+    farthest = np.max([distance for distance, _ in found], axis=0)
+    largest, percentile, low, high, flipped = np.array([measures for _, measures in found]).T
+    worst = int(chosen[(largest / max(largest.max(), 1e-300) + flipped / max(flipped.max(), TURNED)).argmax()])
     u = (motion[worst] @ modes).reshape(-1, 3)
     return Verdict(
         limits,
@@ -239,34 +239,34 @@ class _Skin:
 
     def __init__(self, character: Character, triangles: np.ndarray, thickness: np.ndarray):
         self.rest = rest = character.bind_points
-        self.triangles = triangles
+        self._corners = np.ascontiguousarray(triangles.T)
         self.normals = self._normals(rest)
         self.areas = vertex_areas(rest, triangles)
         self.size = diagonal(rest)
         edges = unique_edges(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), len(rest))
         lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
         kept = lengths > SPLINTER * self.size
-        self.edges, self.lengths = edges[kept], lengths[kept]
+        self._ends, self.lengths = np.ascontiguousarray(edges[kept].T), lengths[kept]
         begins = [0, *(each.members.start for each in character.attachments)]
-        mesh = np.searchsorted(begins, self.edges[:, 0], side="right")
+        mesh = np.searchsorted(begins, self._ends[0], side="right")
         self.meshes = [np.flatnonzero(mesh == number) for number in np.unique(mesh)]  # small patches are visible too
         self.thickness = 2.0 * thickness if len(thickness) else np.zeros(0)
 
     def _normals(self, points: np.ndarray) -> np.ndarray:
-        a, b, c = points[self.triangles].swapaxes(0, 1)
+        a, b, c = (points.take(corner, axis=0) for corner in self._corners)
         return np.cross(b - a, c - a)
 
-    def measures(self, u: np.ndarray, distance: np.ndarray) -> tuple[float, ...]:
-        """For displacements u (V, 3): the largest, its 99.9th percentile, the shortest and longest edges, and the
-        flipped share.
+    def measures(self, u: np.ndarray) -> tuple[np.ndarray, tuple[float, ...]]:
+        """Of displacements u (V, 3): how far they are (V,), of the size; the largest, its 99.9th percentile, the
+        shortest and longest edges, and the flipped share.
         """
-        used = self.areas > 0.0
+        distance, used = np.linalg.norm(u, axis=1) / self.size, self.areas > 0.0
         moved = self.rest + u
-        ratio = np.linalg.norm(moved[self.edges[:, 0]] - moved[self.edges[:, 1]], axis=1) / self.lengths
+        ratio = np.linalg.norm(moved.take(self._ends[0], axis=0) - moved.take(self._ends[1], axis=0), axis=1) / self.lengths
         stretches = [quantiles(ratio[edges], self.lengths[edges], [0.001, 0.999]) for edges in self.meshes]
         normals = self._normals(moved)
         over = np.einsum("tc,tc->t", normals, self.normals) < 0.0
-        return (
+        return distance, (
             float(distance[used].max()),
             quantiles(distance[used], self.areas[used], [0.999])[0],
             min(low for low, _ in stretches),
