@@ -262,7 +262,8 @@ class _Skin:
         """
         distance, used = np.linalg.norm(u, axis=1) / self.size, self.areas > 0.0
         moved = self.rest + u
-        ratio = np.linalg.norm(moved.take(self._ends[0], axis=0) - moved.take(self._ends[1], axis=0), axis=1) / self.lengths
+        first, second = (moved.take(ends, axis=0) for ends in self._ends)
+        ratio = np.linalg.norm(first - second, axis=1) / self.lengths
         stretches = [quantiles(ratio[edges], self.lengths[edges], [0.001, 0.999]) for edges in self.meshes]
         normals = self._normals(moved)
         over = np.einsum("tc,tc->t", normals, self.normals) < 0.0
