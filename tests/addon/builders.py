@@ -238,7 +238,7 @@ class StandIn:
         self.playing = threading.Event()  # bake has begun
 
     class Model:
-        tets, thickness = (), np.zeros(0)
+        tets, thickness, only_cage = (), np.zeros(0), False
 
         def __init__(self, arrays, dependencies, summary):
             self.arrays, self.dependencies, self.summary = arrays, dependencies, summary

@@ -15,7 +15,7 @@ from ..core import errors
 from ..core.errors import SceneError
 from ..core.message import joined
 from ..core.model import build
-from ..core.model.model import Model
+from ..core.model.model import CAGE, Model, first_part
 from ..io import model_file
 from . import extract
 
@@ -102,6 +102,15 @@ def stale_reasons(obj, character) -> list[str]:
     except errors.ModelFileError as error:
         return [errors.sentence(error)]
     return ["not built yet"] if model is None else build.stale_reasons(model, character)
+
+
+def stale_part(obj, character) -> str:
+    """The first part of the model of `obj` that a build makes (again)."""
+    try:
+        model = load_model(obj)
+    except errors.ModelFileError:
+        model = None
+    return CAGE if model is None else first_part(build.changes(model, character))
 
 
 def current_model(obj):

@@ -22,7 +22,7 @@ from ..core import records
 from ..core.character import Character
 from ..core.errors import RecordError, SceneError, sentence
 from ..core.message import Message
-from ..core.model.model import array_hash
+from ..core.model.model import CAGE, array_hash, first_part
 from ..core.painted_map import EXCLUDED, MAX_DISTANCE
 from ..core.settings import ENGINE, FREE_SETTINGS, SimulationSettings
 from ..io import whole
@@ -35,6 +35,7 @@ from .skinning import Skinning
 BAKED_MAPS = (MAX_DISTANCE, EXCLUDED)  # on which a bake depends, but no model
 SCULPT = "sculpt"  # in the records of targets; identifies a renamed target
 PAINTED = ("Firmness changed", "what is rigid changed")  # for both of which a stroke of paint is enough
+DEPENDENCY = {"firmness_group": "Firmness", "unit_scale": "object scale"}  # of settings that have another name there
 # Properties of targets on which no result depends: the stiffness and the region contain them, or they only steer the
 # add-on.
 UNUSED = ("rig_world", "frequency", "by_hand", "auto_region", "auto_bones")
@@ -99,16 +100,37 @@ def lost_caches(obj) -> list[Message]:
 
 def model_changes(obj) -> list[str]:
     """The settings that have changed since the model of `obj` was built. Reads no mesh: fit for drawing."""
-    built = obj.dynamorph.model.built
-    if not built:
+    if not obj.dynamorph.model.built:
         return []
     try:
-        then, now = records.build_inputs(built), model_inputs(obj)
+        return _changes(obj, *_built_and_now(obj))
     except RecordError as error:
         return [sentence(error)]
+
+
+def _built_and_now(obj) -> tuple[dict, dict]:
+    """The settings with which the model of `obj` was built, and as they are. Raises RecordError."""
+    then, now = records.build_inputs(obj.dynamorph.model.built), model_inputs(obj)
     if then.get("model", {}).get("solver") == "REDUCED":  # such a model serves unreduced simulations too
         del now["model"]["solver"]
-    return _changes(obj, then, now)
+    return then, now
+
+
+def part_to_build(obj) -> str:
+    """The first part of the model of `obj`, which is out of date, that a build makes again: CAGE, HOLD or MODES; ''
+    where that is not known. Reads no mesh: fit for drawing.
+    """
+    if not obj.dynamorph.model.built or not model_changes(obj):
+        return obj.dynamorph.model.stale_part
+    try:
+        then, now = _built_and_now(obj)
+    except RecordError:
+        return ""
+    if "STATIC" in (then["model"]["method"], now["model"]["method"]):  # which has no cage
+        return CAGE
+    known = ((name, then.get(kind, {}), now[kind]) for kind in ("model", "groups", "scene") for name in now[kind])
+    changed = [name for name, before, after in known if before.get(name, after[name]) != after[name]]
+    return first_part(DEPENDENCY.get(name, name.replace("_", " ")) for name in changed)
 
 
 def model_age(obj) -> list[str]:

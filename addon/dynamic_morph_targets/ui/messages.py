@@ -10,6 +10,7 @@ import bpy
 from ..core import engine
 from ..core.errors import RecordError
 from ..core.message import Message, joined
+from ..core.model.model import CAGE, HOLD, MODES
 from ..core.result import judge
 from ..run import bake_time, batch, live
 from ..scene import body_checks, checks, colliders, cuts, run_settings, staleness
@@ -18,6 +19,11 @@ from ..scene.skinning import Skinning
 from ..write.display import comparison
 
 MOST_REASONS = 3  # of those for which something is out of date
+MADE_AGAIN = {
+    CAGE: "Build Model makes all of it again",
+    HOLD: "Build Model keeps the cage, and makes its hold and the modes again",
+    MODES: "Build Model keeps the cage and its hold, and makes the modes again",
+}
 CHARACTER = 15  # deforming bones, from which a body may be expected to have a head
 
 
@@ -125,7 +131,9 @@ def texts(obj, said: Set[str]) -> Iterator[str]:
     if reasons and not batch.running:  # while a job runs they are outdated themselves
         more = len(reasons) - MOST_REASONS
         text = "Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}"
-        yield Message(text, reasons=joined(", ", reasons[:MOST_REASONS]), count=more)
+        outdated = Message(text, reasons=joined(", ", reasons[:MOST_REASONS]), count=more)
+        part = staleness.part_to_build(obj) if staleness.model_age(obj) else ""
+        yield joined(". ", [outdated, *([MADE_AGAIN[part]] if part else [])])
     found = verdict(obj)
     for warning in filter(None, (*model.warnings.split("\n"), *bake.warnings.split("\n"))):
         if not (found and warning.startswith(found.text)):  # which the section Result says

@@ -11,7 +11,7 @@ from ..core import engine, errors
 from ..core.errors import SceneError
 from ..io import model_file
 from ..scene import extract, staleness
-from ..scene.model_store import PACKED, blend_folder, stale_reasons
+from ..scene.model_store import PACKED, blend_folder, stale_part, stale_reasons
 from ..scene.skin import attached_meshes
 from .reconcile import reconcile
 
@@ -74,13 +74,15 @@ def forget_model(obj):
 def show_stale(obj):
     """Examine the mesh, and make the panel say why the model and the bake of `obj` are out of date."""
     reconcile(obj)
-    stale = ""
+    stale, part = "", ""
     if not staleness.model_changes(obj):  # they say enough
         try:
             character = extract.character(obj)
             stale = "; ".join(stale_reasons(obj, character))
+            part = stale_part(obj, character) if stale else ""
             staleness.look_at_map(obj, character)
         except engine.expected_errors() as error:
             stale = errors.sentence(error)
-    if obj.dynamorph.model.stale != stale:
-        obj.dynamorph.model.stale = stale
+    record = obj.dynamorph.model
+    if (record.stale, record.stale_part) != (stale, part):
+        record.stale, record.stale_part = stale, part

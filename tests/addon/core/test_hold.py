@@ -35,13 +35,8 @@ def held():
     """How firmly each node is held, and the nodes."""
     mesh, nodes, surface = body()
     zeros, bones = np.zeros(len(nodes)), np.ones((len(nodes), 1))
-    found = hold.hold(
-        mesh,
-        hold.depths(mesh, bones, hold.BodyThickness.of(nodes, surface)),
-        zeros,
-        zeros + 0.5,
-        np.ones(len(mesh.tets)),
-    )
+    depths = hold.depths(mesh, hold.BodyThickness.of(nodes, surface)).with_lent(mesh, bones)
+    found = hold.hold(mesh, depths, zeros, zeros + 0.5, np.ones(len(mesh.tets)))
     return found, nodes
 
 

@@ -155,6 +155,32 @@ def test_the_model_s_settings_are_named_until_they_are_reset(baked, name, value)
     assert model_changes(baked) == []
 
 
+@pytest.mark.parametrize(
+    "path, value, kept",
+    [
+        ("model.cage_nodes", 900, "makes all of it again"),
+        ("model.method", "STATIC", "makes all of it again"),
+        ("firmness_group", "lower", "keeps the cage, and makes its hold and the modes again"),
+        ("model.modes", 7, "keeps the cage and its hold, and makes the modes again"),
+        ("targets[1].region", "lower", "keeps the cage and its hold, and makes the modes again"),
+    ],
+)
+def test_messages_say_which_part_is_built_again(baked, path, value, kept):
+    owner, _, name = path.rpartition(".")
+    setattr(baked.dynamorph.path_resolve(owner) if owner else baked.dynamorph, name, value)
+    assert f"changed. Build Model {kept}" in " ".join(drawn(baked))
+
+
+def test_messages_say_which_part_an_edit_of_the_mesh_concerns(baked):
+    baked.data.shape_keys.key_blocks["flexed"].points[0].co.x += 0.1
+    storage.show_stale(baked)
+    assert "shape of 'flexed' changed. Build Model keeps the cage and its hold" in " ".join(drawn(baked))
+    baked.data.vertices[0].co.x += 0.1
+    baked.data.shape_keys.key_blocks[0].points[0].co.x += 0.1
+    storage.show_stale(baked)
+    assert "Build Model makes all of it again" in " ".join(drawn(baked))
+
+
 def test_another_quality_makes_only_the_bake_old(baked):
     baked.dynamorph.model.solver = "FULL"
     assert model_changes(baked) == [] and outdated(baked) == ["Quality changed"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeGuard
 
 import numpy as np
 
@@ -27,6 +27,12 @@ SimulateShot = Callable[[Model, Report], tuple[np.ndarray, np.ndarray]]
 FITTED_IN_FULL = 1500  # degrees of freedom up to which a shot is simulated unreduced, to fit modes to it
 FEW = 1e-3  # fraction of the tetrahedra that may fall back without a warning
 CAGE_SHARE = 0.35  # of the time of a build
+# What a model takes over from an earlier one with the same tissue, and what the summary says of that.
+TISSUE = (
+    "nodes", "tets", "fill", "stiffness", "pinned", "hold_strength", "hold", "thickness", "unpainted_stiffness",
+    "unpainted_hold", "node_weights", "embedding_nodes", "embedding_weights",
+)  # fmt: skip
+CAGE_FACTS = ("nodes", "tets", "pinned", "held", "held_parts", "defects", "quality", "glued")
 PAINT = {"Firmness", "what is rigid"}  # the dependencies on the Firmness map: soft paint frees the head
 
 
@@ -39,7 +45,7 @@ def build(
     """Builds the model of a character.
 
     progress(fraction, message) -> bool; False raises dynamorph.Cancelled. previous: a model of the same character,
-    whose tetrahedra are used again if nothing that they depend on has changed. simulate_shot(model, report):
+    whose parts are used again where nothing that they depend on has changed. simulate_shot(model, report):
     coordinates (F, dofs) and target weights (F, J) of the shot to which modes are fitted. Raises dynamorph.Error or
     SceneError with advice when the mesh or the targets cannot be used.
     """
@@ -47,10 +53,10 @@ def build(
     if character.settings.method == "STATIC":
         return _static_model(character, hashes)
     stages = Stages(progress)
-    model, embedding = _with_tissue(character, hashes, _reusable(previous, hashes), stages)
+    model = _with_tissue(character, hashes, previous, stages)
     body = model.soft_body()
     with stages("Target shapes", 0.10):
-        _shape_targets(model, body, embedding, character.targets)
+        _shape_targets(model, body, character.targets)
     targets = morph_targets(character, model.displacements)
     full = _full_model(body, targets, character.settings)
     basis: Basis
@@ -82,18 +88,8 @@ def build_cage(character: Character, progress: ProgressFn | None = None, previou
         raise SceneError("'{name}' needs no cage: with the Method Static nothing is simulated", name=character.name)
     hashes = dependencies(character)
     stages = Stages(progress, CAGE_SHARE)
-    mesh = _reusable(previous, hashes)
     of_cage = {name: hashes[name] for name in CAGE_DEPENDENCIES if name in hashes}
-    model, _ = _with_tissue(character, of_cage, mesh, stages)
-    return model.with_summary(seconds=stages.seconds)
-
-
-def _reusable(previous: Model | None, hashes: dict[str, str]) -> dynamorph.TetMesh | None:
-    """The tetrahedra of an earlier model, if there are any and nothing they depend on has changed."""
-    if previous is None or not len(previous.tets):
-        return None
-    fits = all(previous.dependencies.get(name) == hashes.get(name) for name in MESH_DEPENDENCIES)
-    return dynamorph.TetMesh(previous.nodes, previous.tets) if fits else None
+    return _with_tissue(character, of_cage, previous, stages).with_summary(seconds=stages.seconds)
 
 
 Basis: TypeAlias = "np.ndarray | dynamorph.ResponseBasis"  # modes (3 free, r), or modes and responses
@@ -188,8 +184,7 @@ def _static_model(character: Character, hashes: dict[str, str]) -> Model:
 
 def only_paint_changed(model: Model, character: Character) -> bool:
     """Whether `repainted` makes `model` fit `character` again."""
-    now, then = dependencies(character), model.dependencies
-    changed = {name for name in {**now, **then} if now.get(name) != then.get(name)}
+    changed = set(changes(model, character))
     return bool(changed) and changed <= PAINT and character.settings.hold == "THICKNESS" and not model.only_cage
 
 
@@ -198,8 +193,7 @@ def repainted(model: Model, character: Character) -> Model:
     Only what depends on the stiffness is computed again. A build finds modes for the map, so this is never stored.
     """
     mesh = dynamorph.TetMesh(model.nodes, model.tets)
-    embedding = dynamorph.Embedding(model.embedding_nodes, model.embedding_weights)
-    inherited = cage.inherit(character, mesh, embedding)
+    inherited = cage.inherit(character, mesh, model.embedding)
     hold = cage.held_by_thickness(character, mesh, inherited, model.fill)
     model = replace(
         model,
@@ -247,13 +241,13 @@ def _model(character: Character, hashes: dict[str, str], **known: Any) -> Model:
     return Model(**(empty | taken | known))
 
 
-def _with_tissue(
-    character: Character, hashes: dict[str, str], mesh: dynamorph.TetMesh | None, stages: Stages
-) -> tuple[Model, dynamorph.Embedding]:
+def _with_tissue(character: Character, hashes: dict[str, str], previous: Model | None, stages: Stages) -> Model:
     """The tetrahedra around the skin with everything that they inherit from it; the targets' shapes are added later."""
-    tissue = cage.make_cage(character, mesh, stages)
+    if _fits(previous, hashes, CAGE_DEPENDENCIES):
+        return _with_tissue_of(previous, character, hashes, stages)
+    tissue = cage.make_cage(character, previous if _fits(previous, hashes, MESH_DEPENDENCIES) else None, stages)
     hold, painted = tissue.hold, bool((tissue.firmness != firmness.NEUTRAL).any())
-    model = _model(
+    return _model(
         character,
         hashes,
         nodes=tissue.mesh.nodes,
@@ -274,17 +268,34 @@ def _with_tissue(
         residual_shapes=np.zeros((len(character.targets), len(character.vertices), 3)),
         summary=tissue.summary,
     )
-    return model, tissue.embedding
 
 
-def _shape_targets(
-    model: Model, body: dynamorph.SoftBody, embedding: dynamorph.Embedding, targets: list[Target]
-) -> None:
+def _with_tissue_of(previous: Model, character: Character, hashes: dict[str, str], stages: Stages) -> Model:
+    """The same of an earlier model that fits. Only the regions may be others."""
+    with stages("Embedding", CAGE_SHARE):
+        region_weights = cage.region_weights(character, previous)
+    summary = previous.summary
+    own_texts = _fallback_warnings(summary.fallbacks, summary.tets)
+    return _model(
+        character,
+        hashes,
+        **{name: getattr(previous, name) for name in TISSUE},
+        region_weights=region_weights,
+        displacements=np.zeros((len(character.targets), len(previous.nodes), 3)),
+        residual_shapes=np.zeros((len(character.targets), len(character.vertices), 3)),
+        summary=Summary(
+            **{name: getattr(summary, name) for name in CAGE_FACTS},
+            warnings=tuple(text for text in summary.warnings if text not in own_texts),
+        ),
+    )
+
+
+def _shape_targets(model: Model, body: dynamorph.SoftBody, targets: list[Target]) -> None:
     """Extends each sculpted shape to the nodes. What the cage cannot represent becomes a residual shape."""
     sculpted = [j for j, target in enumerate(targets) if target.shape.any()]
     if sculpted:
         shapes = np.array([targets[j].shape for j in sculpted])
-        model.displacements[sculpted] = body.extend_shapes(embedding, shapes @ model.to_bind.T)
+        model.displacements[sculpted] = body.extend_shapes(model.embedding, shapes @ model.to_bind.T)
         model.residual_shapes[sculpted] = shapes - model.surface(model.displacements[sculpted])
 
 
@@ -349,16 +360,22 @@ def dependencies(character: Character) -> dict[str, str]:
     return {"engine": engine_hash(ENGINE)} | {name: array_hash(arrays) for name, arrays in parts.items()}
 
 
-def stale_reasons(model: Model, character: Character) -> list[str]:
-    """Why `model` no longer fits `character`, for the artist; empty when it does."""
-    vertices, before = len(character.vertices), model.residual_shapes.shape[1]
-    if vertices != before:  # then everything else differs too
-        return [f"the mesh has {vertices} vertices instead of {before}"]
+def changes(model: Model, character: Character) -> list[str]:
+    """The dependencies by which `model` no longer fits `character`."""
     now, then = dependencies(character), model.dependencies
     considered = CAGE_DEPENDENCIES if model.only_cage else {**now, **then}
     changed = [name for name in considered if now.get(name) != then.get(name)]
     if model.settings.solver == "REDUCED" and "solver" in changed:  # it serves unreduced simulations too
         changed.remove("solver")
+    return changed
+
+
+def stale_reasons(model: Model, character: Character) -> list[str]:
+    """Why `model` no longer fits `character`, for the artist; empty when it does."""
+    vertices, before = len(character.vertices), model.residual_shapes.shape[1]
+    if vertices != before:  # then everything else differs too
+        return [f"the mesh has {vertices} vertices instead of {before}"]
+    changed = changes(model, character)
     names = TITLES | {f"shape {j}": f"shape of '{target.name}'" for j, target in enumerate(character.authored_targets)}
     if "number of targets" in changed:
         changed = [name for name in changed if not name.startswith("shape ")]
@@ -367,5 +384,11 @@ def stale_reasons(model: Model, character: Character) -> list[str]:
 
 def has_cage(model: Model, character: Character) -> bool:
     """Whether `model` has the tetrahedra, and the hold, that `character` requires."""
-    now = dependencies(character)
-    return len(model.tets) > 0 and all(model.dependencies.get(name) == now.get(name) for name in CAGE_DEPENDENCIES)
+    return _fits(model, dependencies(character), CAGE_DEPENDENCIES)
+
+
+def _fits(model: Model | None, hashes: dict[str, str], names: tuple[str, ...]) -> TypeGuard[Model]:
+    """Whether there are tetrahedra, and nothing of these names has changed since they were built."""
+    if model is None or not len(model.tets):
+        return False
+    return all(model.dependencies.get(name) == hashes.get(name) for name in names)

@@ -20,6 +20,7 @@ from ..engine import dynamorph
 from ..geometry import diagonal, triangle_areas, without_cards
 from . import pins
 from .hold import BodyThickness, Depths, Hold, depths, hold
+from .model import Model
 from .summary import Summary
 
 ProgressFn = Callable[[float, str], bool]  # of a build: how much is done, and what is at hand
@@ -54,54 +55,60 @@ class Cage:
     summary: Summary
 
 
-def make_cage(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages) -> Cage:
-    """The tetrahedra of a character; mesh: those of an earlier build, to be used again. Raises dynamorph.Error with
+def make_cage(character: Character, previous: Model | None, stages: Stages) -> Cage:
+    """The cage of a character; previous: an earlier model whose tetrahedra are used again. Raises dynamorph.Error with
     advice when the skin cannot be filled or nothing holds it.
     """
     surface = character.bind_points[character.coincident]
     contents = _cages(character, surface)
+    if previous and character.settings.hold == "BONES" and len(contents) > 1:
+        previous = None  # the model does not tell which nodes are whose
     body = None
     with stages("Meshing", 0.30) as report:
-        defects = dynamorph.closed_surface(surface, character.triangles)[2]
-        if mesh is None or len(contents) > 1:
+        if not previous:
             meshes, body = _meshed(character, contents, surface, report)
-        else:
-            meshes = [_whole(mesh)]
     with stages("Embedding", 0.05) as report:
-        each_filled = _in_turn(zip(contents.values(), meshes, strict=True), report)
-        cages = [_filled(*each, surface, turn) for each, turn in each_filled]
-        mesh, embedding = _together(character.cage_index, list(contents), cages)
-        embedding = _alike(embedding, character.coincident)
-        fill = np.concatenate([cage.fill for cage in cages])
+        filled = (
+            _filled_before(contents, previous, surface)
+            if previous
+            else _all_filled(character, contents, meshes, surface, report)
+        )
+        mesh, embedding = filled.mesh, filled.embedding
         inherited = inherit(character, mesh, embedding)
         if character.settings.hold == "BONES":
             painted = (inherited.firmness - paint.NEUTRAL) / (1.0 - paint.NEUTRAL)
             firm = np.maximum(inherited.rigidity, painted)
-            by_bones = np.concatenate([cage.pinned for cage in cages])
-            pinned, warned = pins.all_pinned(character, mesh, embedding, inherited.weights, by_bones, firm)
+            pinned, warned = pins.all_pinned(character, mesh, embedding, inherited.weights, filled.pinned, firm)
             of_thickness = None
         else:
-            pinned, warned = np.zeros(len(mesh.nodes), bool), []
-            of_thickness = held_by_thickness(character, mesh, inherited, fill, body)
-    glued = {name: sum(cage.glued[name] for cage in cages) for name in cages[0].glued}
-    warnings = (*(text for cage in cages for text in cage.warnings), *warned)
+            pinned, warned = filled.pinned, []
+            of_thickness = held_by_thickness(character, mesh, inherited, filled.fill, body)
+        facts = previous.summary if previous else _facts(character, filled, surface)
     summary = Summary(
         nodes=len(mesh.nodes),
         tets=len(mesh.tets),
         pinned=int(pinned.sum()),
         held=float(of_thickness.phi.mean() if of_thickness else pinned.mean()),
-        defects=defects,
-        quality=dynamorph.tet_quality(mesh),
-        glued=glued,
+        defects=facts.defects,
+        quality=facts.quality,
+        glued=facts.glued,
         held_parts=len(warned),
-        warnings=warnings,
+        warnings=(*filled.warnings, *warned),
     )
     stiffness = of_thickness.stiffness if of_thickness else np.ones(len(mesh.tets))
     firmness, weights, _, region_weights = inherited
-    return Cage(mesh, embedding, fill, stiffness, firmness, region_weights, pinned, weights, of_thickness, summary)
+    return Cage(
+        mesh, embedding, filled.fill, stiffness, firmness, region_weights, pinned, weights, of_thickness, summary
+    )
 
 
-_depths: dict[bytes, Depths] = {}  # of the last bodies, by what they follow from: a stroke of paint changes none
+def _facts(character: Character, filled: _Filled, surface: np.ndarray) -> Summary:
+    """What is known of a new cage and its skin."""
+    defects = dynamorph.closed_surface(surface, character.triangles)[2]
+    return Summary(defects=defects, quality=dynamorph.tet_quality(filled.mesh), glued=filled.glued)
+
+
+_depths: dict[bytes, Depths] = {}  # of the last bodies, by what they follow from: neither paint nor weights
 
 
 def held_by_thickness(
@@ -112,13 +119,13 @@ def held_by_thickness(
     body: BodyThickness | None = None,
 ) -> Hold:
     """The hold of a character's cage. fill (m,); body: of the character, where it is known."""
-    made_from = (mesh.nodes, mesh.tets, inherited.weights, *_enclosing(character))
+    made_from = (mesh.nodes, mesh.tets, *_enclosing(character))
     key = b"".join(hashlib.sha256(array.tobytes()).digest() for array in made_from)
     if key not in _depths:
         while len(_depths) >= KEPT:
             del _depths[next(iter(_depths))]
-        _depths[key] = depths(mesh, inherited.weights, body or BodyThickness.of(*_enclosing(character)))
-    return hold(mesh, _depths[key], inherited.rigidity, inherited.firmness, fill)
+        _depths[key] = depths(mesh, body or BodyThickness.of(*_enclosing(character)))
+    return hold(mesh, _depths[key].with_lent(mesh, inherited.weights), inherited.rigidity, inherited.firmness, fill)
 
 
 def _enclosing(character: Character) -> tuple[np.ndarray, np.ndarray]:
@@ -168,8 +175,8 @@ def _in_turn(steps: Iterable[Step], report: Report) -> list[tuple[Step, Report]]
 
 @dataclass(frozen=True)
 class _Filled:
-    """One cage of n nodes and m tets, cut where skin merely touches. embedding: of all V vertices; fill (m,); pinned
-    (n,) bool: by bones; glued: counts, as in the summary.
+    """One cage, or all of them, of n nodes and m tets, cut where skin merely touches. embedding: of all V vertices;
+    fill (m,); pinned (n,) bool: by bones; glued: counts, as in the summary.
     """
 
     mesh: dynamorph.TetMesh
@@ -184,9 +191,40 @@ def _filled(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray, repor
     warnings = _outside(cage, mesh, surface)  # first: skin far larger than its cage would take all memory to part
     mesh, embedding, glued = _parted(cage, mesh, surface)
     fill = dynamorph.fill_fractions(mesh, surface, cage.triangles, progress=report)
+    return _Filled(mesh, embedding, fill, _pinned(cage, mesh, surface), glued, warnings)
+
+
+def _all_filled(
+    character: Character,
+    contents: dict[int, Character],
+    meshes: list[dynamorph.TetMesh],
+    surface: np.ndarray,
+    report: Report,
+) -> _Filled:
+    each_filled = _in_turn(zip(contents.values(), meshes, strict=True), report)
+    cages = [_filled(*each, surface, turn) for each, turn in each_filled]
+    mesh, embedding = _together(character.cage_index, list(contents), cages)
+    return _Filled(
+        mesh,
+        _alike(embedding, character.coincident),
+        np.concatenate([cage.fill for cage in cages]),
+        np.concatenate([cage.pinned for cage in cages]),
+        {name: sum(cage.glued[name] for cage in cages) for name in cages[0].glued},
+        [text for cage in cages for text in cage.warnings],
+    )
+
+
+def _filled_before(contents: dict[int, Character], model: Model, surface: np.ndarray) -> _Filled:
+    """The cages of an earlier model."""
+    mesh = dynamorph.TetMesh(model.nodes, model.tets)
+    cage = next(iter(contents.values()))
+    warnings = _outside(cage, mesh, surface)
+    return _Filled(mesh, model.embedding, model.fill, _pinned(cage, mesh, surface), model.summary.glued, warnings)
+
+
+def _pinned(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> np.ndarray:
     by_bones = cage.settings.hold == "BONES"
-    pinned = pins.pinned(cage, mesh, surface) if by_bones else np.zeros(len(mesh.nodes), bool)
-    return _Filled(mesh, embedding, fill, pinned, glued, warnings)
+    return pins.pinned(cage, mesh, surface) if by_bones else np.zeros(len(mesh.nodes), bool)
 
 
 def _together(
@@ -291,13 +329,6 @@ def _parted(
     return cut, mesh_cut.embed(cut), {"tets": tets, "split_nodes": len(cut.nodes) - len(mesh.nodes)}
 
 
-def _whole(mesh: dynamorph.TetMesh) -> dynamorph.TetMesh:
-    """A mesh as it was before it was cut: doubled nodes are merged."""
-    _, first, place = np.unique(mesh.nodes, axis=0, return_index=True, return_inverse=True)
-    kept = np.sort(first)
-    return dynamorph.TetMesh(mesh.nodes[kept], np.searchsorted(kept, first[place.ravel()])[mesh.tets])
-
-
 # What the cage inherits from the skin --------------------------------------------------------------------------------
 
 
@@ -321,11 +352,21 @@ def inherit(character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.
     at_nodes = dynamorph.extend_to_nodes(mesh, embedding, values)
     firmness = paint.NEUTRAL + at_nodes[:, 0].clip(painted.min(), painted.max())
     bones = character.weights.shape[1]
-    weights, rigidity, region_weights = np.split(at_nodes[:, 1:].clip(0.0), np.cumsum([bones, 1]), axis=1)
-    region_weights = region_weights[mesh.tets].mean(axis=1)
+    weights, rigidity, regions = np.split(at_nodes[:, 1:].clip(0.0), np.cumsum([bones, 1]), axis=1)
     weights /= weights.sum(axis=1, keepdims=True)
-    region_weights /= region_weights.sum(axis=1, keepdims=True)
-    return Inherited(firmness, weights, rigidity[:, 0].clip(max=1.0), region_weights)
+    return Inherited(firmness, weights, rigidity[:, 0].clip(max=1.0), _of_tets(regions, mesh.tets))
+
+
+def region_weights(character: Character, model: Model) -> np.ndarray:
+    """The same (m, S) in the cage of an earlier model."""
+    values = np.column_stack([target_set.region_weights for target_set in character.target_sets])
+    return _of_tets(model.at_nodes(values).clip(0.0), model.tets)
+
+
+def _of_tets(regions: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Weights (m, S) of the tets in the regions, which add up to one, from those (n, S) of the nodes."""
+    of_tets = regions[tets].mean(axis=1)
+    return of_tets / of_tets.sum(axis=1, keepdims=True)
 
 
 class Stages:

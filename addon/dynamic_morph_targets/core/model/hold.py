@@ -14,7 +14,7 @@ Never touches bpy.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,6 +62,10 @@ class Depths:
     depth: np.ndarray
     at_skin: np.ndarray
 
+    def with_lent(self, mesh: dynamorph.TetMesh, weights: np.ndarray) -> Depths:
+        """The same with what thick tissue lends to thin one. weights (n, B): of the bones at the nodes."""
+        return replace(self, thickness=with_lent(mesh, weights, self.thickness))
+
 
 @dataclass(frozen=True)
 class BodyThickness:
@@ -81,11 +85,11 @@ class BodyThickness:
         return cls(thickness, thickness.at(surface)[0])
 
 
-def depths(mesh: dynamorph.TetMesh, weights: np.ndarray, body: BodyThickness) -> Depths:
-    """weights (n, B): skin weights of the bones at the nodes."""
+def depths(mesh: dynamorph.TetMesh, body: BodyThickness) -> Depths:
+    """Of a body with such tetrahedra."""
     points = np.einsum("qa,eac->eqc", QUADRATURE, mesh.nodes[mesh.tets])
     radius, depth = (part.reshape(-1, len(QUADRATURE)) for part in body.measured.at(points.reshape(-1, 3)))
-    return Depths(with_lent(mesh, weights, radius), depth, body.at_skin)
+    return Depths(radius, depth, body.at_skin)
 
 
 def with_lent(mesh: dynamorph.TetMesh, weights: np.ndarray, radius: np.ndarray) -> np.ndarray:

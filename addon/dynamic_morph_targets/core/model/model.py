@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, TypeAlias
 
@@ -19,12 +19,22 @@ from ..settings import Material, ModelSettings
 from . import schema
 from .summary import Summary
 
-# The tetrahedra of a model depend on these, named as in `Model.dependencies`.
+# The tetrahedra of a model, and the skin's place in them, depend on these, named as in `Model.dependencies`.
 MESH_DEPENDENCIES = (
     "mesh", "object scale", "bones at rest", "cage nodes", "cage object", "pin radius", "attachments", "engine", "hold",
 )  # fmt: skip
-# The tetrahedra together with what holds them depend on these.
-CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "Firmness", "what is rigid")
+# The tetrahedra together with what holds them depend on these; shapes, modes and polynomials on everything.
+CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "skin weights", "Firmness", "what is rigid")
+
+# What a build makes again, and the rest after it: the parts of a model in the order in which they are built.
+CAGE, HOLD, MODES = "CAGE", "HOLD", "MODES"
+
+
+def first_part(changed: Iterable[str]) -> str:
+    """The first part that depends on what has changed, of names as in `Model.dependencies`."""
+    names = set(changed)
+    return CAGE if names & set(MESH_DEPENDENCIES) else HOLD if names & set(CAGE_DEPENDENCIES) else MODES
+
 
 EngineModel: TypeAlias = "dynamorph.ReducedModel | dynamorph.FullModel"
 EngineSimulation: TypeAlias = "dynamorph.ReducedSimulation | dynamorph.FullSimulation"
@@ -159,10 +169,14 @@ class Model:
         strength, pinned = self.hold_strength if self.hold_strength.size else None, (~self.free).tolist()
         return dynamorph.SoftBody(mesh, self.fill, self.stiffness, self.region_weights, pinned, weights, strength)
 
+    @property
+    def embedding(self) -> dynamorph.Embedding:
+        """Of the surface vertices (V,) in the tetrahedra."""
+        return dynamorph.Embedding(self.embedding_nodes, self.embedding_weights)
+
     def at_nodes(self, values: np.ndarray) -> np.ndarray:
         """Values (n, k) at the nodes from values (V, k) of the skin, smooth inside; may overshoot slightly."""
-        embedding = dynamorph.Embedding(self.embedding_nodes, self.embedding_weights)
-        return dynamorph.extend_to_nodes(dynamorph.TetMesh(self.nodes, self.tets), embedding, values)
+        return dynamorph.extend_to_nodes(dynamorph.TetMesh(self.nodes, self.tets), self.embedding, values)
 
     def engine(self, character: Character, probed: bool = False) -> EngineModel:
         """The engine's model with the materials and blending of `character`. Raises SceneError if the model is not that

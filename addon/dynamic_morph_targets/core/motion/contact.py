@@ -199,7 +199,7 @@ def _local_responses(model: Model, surface: ContactPoints) -> tuple[Any, np.ndar
         model.modes,
         places.rest,
         places.normals,
-        dynamorph.Embedding(model.embedding_nodes, model.embedding_weights),
+        model.embedding,
         spread(places.rest, places.normals, PATCHES).tolist(),
         places.vertices,
         places.weights,

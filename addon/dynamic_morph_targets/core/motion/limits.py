@@ -42,7 +42,7 @@ def motion_limit(model: Model, engine: EngineModel, character: Character, settin
     return kind(
         engine,
         character.bind_points,
-        dynamorph.Embedding(model.embedding_nodes, model.embedding_weights),
+        model.embedding,
         soft,
         character.weights,
         distances,
