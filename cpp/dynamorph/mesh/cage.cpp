@@ -51,12 +51,21 @@ Wrap wrap(const Soup& soup, double alpha) {
   return result;
 }
 
-/// Finds the wrap with a number of vertices nearest to the target.
+/// The area of a soup, or of a ball that is a tenth of it across where it has hardly any, as wires.
+double area(const Soup& soup) {
+  double sum = 0;
+  for (const auto& [a, b, c] : soup.triangles)
+    sum += std::sqrt(CGAL::squared_area(soup.points[a], soup.points[b], soup.points[c]));
+  return std::max(sum, 0.01 * kPi);
+}
+
+/// A wrap with about the target's number of vertices.
 Wrap wrap_with_vertices(const Soup& soup, int target, const ProgressFn& progress) {
   constexpr int kTries = 8;
   constexpr double kCloseEnough = 0.07;
-  double slope = -2;  // d log(count) / d log(alpha) for a smooth surface
-  double x = std::log(1 / std::sqrt(double(target))), last_x = 0, last_y = 0;
+  constexpr double kAreaOfVertex = 1.15;  // in alpha^2; bodies have 1 to 1.5
+  double slope = -2;                      // d log(count) / d log(alpha) for a smooth surface
+  double x = 0.5 * std::log(area(soup) / (kAreaOfVertex * target)), last_x = 0, last_y = 0;
   Wrap best;
   double best_error = HUGE_VAL;
   for (int i = 0; i < kTries && best_error > kCloseEnough; ++i) {

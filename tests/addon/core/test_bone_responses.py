@@ -143,8 +143,15 @@ KINDS = pytest.mark.parametrize("change", [as_it_is, with_a_region, with_preserv
 
 @KINDS
 def test_it_is_closer_to_unreduced_than_the_modes_of_before(skin, change):
-    """The same shot, in the same cage."""
+    """The same shot, in the same cage. How close depends on the cage: the middle one of three counts."""
     change(skin)
+    responses, modes = np.median([off_by_basis(skin, change, nodes) for nodes in (570, 600, 630)], axis=0)
+    assert responses < 0.5 * modes and responses < 0.12
+
+
+def off_by_basis(skin, change, nodes: int) -> tuple[float, float]:
+    """How far the motion with responses, and that with modes, is from the unreduced one."""
+    skin.dynamorph.model.cage_nodes = nodes
     baked = bake(skin)
     assert len(baked.outcome.character.target_sets) == 1 + (change == with_a_region)
     assert baked.outcome.character.probed == (change == with_preserve_volume)
@@ -156,8 +163,7 @@ def test_it_is_closer_to_unreduced_than_the_modes_of_before(skin, change):
         return displacement(bake)
 
     full = motion(solver="FULL", modes=len(baked.input.settings.frames))
-    responses, modes = motion(), motion(basis="MODES", modes=20)
-    assert off(responses, full) < 0.5 * off(modes, full) and off(responses, full) < 0.12
+    return off(motion(), full), off(motion(basis="MODES", modes=20), full)
 
 
 @KINDS

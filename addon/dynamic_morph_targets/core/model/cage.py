@@ -66,6 +66,7 @@ def make_cage(character: Character, previous: Model | None, stages: Stages) -> C
     body = None
     with stages("Meshing", 0.30) as report:
         if not previous:
+            defects = dynamorph.closed_surface(surface, character.triangles)[2]  # first: it refuses with advice
             meshes, body = _meshed(character, contents, surface, report)
     with stages("Embedding", 0.05) as report:
         filled = (
@@ -83,15 +84,14 @@ def make_cage(character: Character, previous: Model | None, stages: Stages) -> C
         else:
             pinned, warned = filled.pinned, []
             of_thickness = held_by_thickness(character, mesh, inherited, filled.fill, body)
-        facts = previous.summary if previous else _facts(character, filled, surface)
     summary = Summary(
         nodes=len(mesh.nodes),
         tets=len(mesh.tets),
         pinned=int(pinned.sum()),
         held=float(of_thickness.phi.mean() if of_thickness else pinned.mean()),
-        defects=facts.defects,
-        quality=facts.quality,
-        glued=facts.glued,
+        defects=previous.summary.defects if previous else defects,
+        quality=dynamorph.tet_quality(mesh),
+        glued=filled.glued,
         held_parts=len(warned),
         warnings=(*filled.warnings, *warned),
     )
@@ -100,12 +100,6 @@ def make_cage(character: Character, previous: Model | None, stages: Stages) -> C
     return Cage(
         mesh, embedding, filled.fill, stiffness, firmness, region_weights, pinned, weights, of_thickness, summary
     )
-
-
-def _facts(character: Character, filled: _Filled, surface: np.ndarray) -> Summary:
-    """What is known of a new cage and its skin."""
-    defects = dynamorph.closed_surface(surface, character.triangles)[2]
-    return Summary(defects=defects, quality=dynamorph.tet_quality(filled.mesh), glued=filled.glued)
 
 
 _depths: dict[bytes, Depths] = {}  # of the last bodies, by what they follow from: neither paint nor weights

@@ -105,7 +105,8 @@ def runs(
             baked, report = simulate.bake(made, varied, rig, settings, baking)
         if made.summary.tets:
             model = model or made
-            made = made.with_summary(seconds=made.summary.seconds | {"meshing": model.summary.seconds["meshing"]})
+            of_cage = {stage: model.summary.seconds[stage] for stage in ("meshing", "embedding")}
+            made = made.with_summary(seconds=of_cage | made.summary.seconds | of_cage)
         yield name, Run(varied, made, baked, report)
 
 
