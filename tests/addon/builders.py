@@ -269,7 +269,7 @@ class StandIn:
         now = self.dependencies(character)
         return [f"{name} changed" for name in now if model.dependencies.get(name) != now[name]]
 
-    def build_for(self, character, rig, settings, progress=None, previous=None):
+    def build_for(self, character, rig, settings, progress=None, previous=None, draft=None):
         from bl_ext.user_default.dynamic_morph_targets.core.model.summary import Summary
 
         self.built += 1

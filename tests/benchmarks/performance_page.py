@@ -100,9 +100,10 @@ Milliseconds of the fastest of several bakes; what Blender takes to pose the rig
 CLICK = """## From the click to Live
 
 What a user waits for: *Add Soft Skin*, the build that follows by itself, and *Live* until its first frame, each time in
-a process that has just opened the character. Seconds of the median of {runs} runs; those of the processor count all
-cores and the process of the mesher.{before} *Rigify* is the human of its metarig with a face, skinned with automatic
-weights.
+a process that has just opened the character. Live begins with a draft of few modes; *whole model* is when it goes on
+with all of them. Seconds of the median of {runs} runs; those of the processor count all cores and the process of the
+mesher.{before} *Stroke*: from the end of a stroke of Firmness to Live. *Bake*: the first one of 250 frames; *rig* is
+what reading the rig takes of it. *Rigify* is the human of its metarig with a face, skinned with automatic weights.
 """
 BEFORE = " *Before*: at commit `{}`, in the same run, in turn."
 
@@ -276,16 +277,17 @@ def draw_rig(engine: dict) -> None:
 
 def waits(clicks: dict, compared: bool) -> str:
     """A row for each character."""
-    head = ("character", "vertices", "bones", "s", "s of the processor")
+    columns = {"wall": "Live, s", "cpu": "of the processor", "whole": "whole model, s", "stroke": "stroke, s",
+               "bake": "bake, s", "evaluation": "rig, s"}  # fmt: skip
+    head = ("character", "vertices", "bones", *columns.values())
     rows = []
     for name, runs in clicks.items():
-        now = runs["now"]
-        row = (name, f"{now['vertices']:,}", f"{now['bones']:,}", f"{now['wall']:.2f}", f"{now['cpu']:.2f}")
-        if compared:
-            then = runs["before"]
-            row += (f"{then['wall']:.2f}", f"{then['cpu']:.2f}", f"{then['wall'] / now['wall']:.2f}")
+        now, then = runs["now"], runs.get("before")
+        row = (name, f"{now['vertices']:,}", f"{now['bones']:,}", *(f"{now[column]:.2f}" for column in columns))
         rows.append(row)
-    return grid((*head, "before, s", "before, s of the processor", "before / now") if compared else head, rows)
+        if compared:
+            rows.append(("before", "", "", *(f"{then[column]:.2f}" for column in columns)))
+    return grid(head, rows)
 
 
 def draw_clicks(clicks: dict) -> None:

@@ -55,7 +55,7 @@ class Request:
     simulation. solver: its quality, REDUCED or FULL, if not that of the object's bakes. folder: where large models go.
     rebuild: build even when the model is up to date. cache_dir: where built models and unfinished bakes are kept for
     other processes. cache_files: where point caches go, by mesh, if not where they go by default. whole: the shot is
-    one chunk. stored: the result goes into Blender.
+    one chunk. stored: the result goes into Blender. drafts: as in `BakeInput`.
     """
 
     target: ObjectHandle
@@ -71,6 +71,7 @@ class Request:
     cache_files: Mapping[str, Path] = field(default_factory=dict)
     whole: bool = False
     stored: bool = True
+    drafts: bool = False
     changes: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -87,6 +88,7 @@ def read(request: Request) -> BakeInput:
     source = Source.of(skinned(obj))
     character = extract.read(source, without_targets=request.goal == "BUILD_CAGE")
     given = BakeInput(request.name, request.goal, character, cache_files=dict(request.cache_files))
+    given.drafts = request.drafts
     if given.is_bake:
         check_bake(obj)
         for each in handles(character.attachments):

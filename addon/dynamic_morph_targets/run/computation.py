@@ -63,6 +63,7 @@ class Computation:
             self.outcome.model = given.model
         self.rig: RigSamples | None = None
         self.shot: Shot | None = None
+        self.draft: tuple[Model, Character] | None = None  # to be played while the rest is built
         self.previous = given.previous  # a model whose cage may be used again
         self.together: Together | None = None  # with the computations of others, whose bodies press on this one
         self.read_from = 0.0  # of the job, the part that is done before the rig is read
@@ -133,18 +134,32 @@ class Computation:
             if not model:
                 progress = self.progress.part(READ, built if given.is_bake else 1.0)
                 settings = given.settings if given.has_shot else None
-                model = simulate.build_for(given.character, self.rig, settings, progress, self.previous)
+                draft = self._offer if given.drafts else None
+                model = simulate.build_for(given.character, self.rig, settings, progress, self.previous, draft)
                 if given.cache_dir and given.caches_model:
                     outcome.model_files.append(given.cache_dir.keep_model(model))
         self._take_model(model)
-        with self.progress.stage("measure"):
-            for reference in calibration.references(model, given.character):
-                outcome.references.append(reference)
-                if self.progress.canceled:
-                    return
+        self._measure(model)
+        if self.progress.canceled:
+            return
         adopt(outcome, calibration.calibrated(given.character, outcome.references))
         self.progress.fraction = self._shot_from = built
         outcome.warnings += model.summary.warnings
+
+    def _measure(self, model: Model) -> None:
+        """What its targets' frequencies follow from. That does not depend on the modes: a draft's are the model's."""
+        if self.outcome.references:
+            return
+        with self.progress.stage("measure"):
+            for reference in calibration.references(model, self.given.character):
+                self.outcome.references.append(reference)
+                if self.progress.canceled:
+                    return
+
+    def _offer(self, draft: Model) -> None:
+        self._measure(draft)
+        if not self.progress.canceled:
+            self.draft = draft, calibration.calibrated(self.given.character, self.outcome.references)
 
     def _take_model(self, model: Model) -> None:
         with self.progress.stage("store model"):

@@ -12,8 +12,10 @@ import bpy
 import numpy as np
 
 from ..core import blas, engine
+from ..core.character import Character
 from ..core.errors import Cancelled
 from ..core.message import Message
+from ..core.model.model import Model
 from ..core.motion.rig_samples import RigSamples
 from ..scene import events
 from ..scene.skin import ObjectHandle, SceneHandle
@@ -57,6 +59,11 @@ class Job:
     @property
     def outcome(self) -> Outcome:
         return self.computation.outcome
+
+    @property
+    def draft(self) -> tuple[Model, Character] | None:
+        """A model with few modes that can be played, and its character, once there is one."""
+        return self.computation.draft if self.thread.ident else None
 
     @property
     def warnings(self) -> list[str]:
@@ -161,6 +168,9 @@ class Job:
         """
         if events.render_runs():
             self.progress.message = "Waiting for the render to end"
+            return True
+        if self.request.drafts and self.request.target.find().dynamorph.live.lent:
+            self.progress.message = "Waiting for the test to end"  # an undo step would store the rig as it shakes it
             return True
         handles = (self.request.target, *bake_input.handles(self.input.character.attachments))
         if self.input.is_bake and any(handle.find().mode == "EDIT" for handle in handles):

@@ -22,7 +22,8 @@ STAGES = {
     "Meshing": "Wrapping a cage",
     "Embedding": "Placing the skin in it",
     "Target shapes": "Carrying over the sculpts",
-    "Modes": "Finding how it swings",
+    "Draft": "Finding how it swings",
+    "Modes": "Finding how it swings in detail",
     "Polynomials": "Preparing its motion",
     "Rehearsal": "Rehearsing the shot",
 }
@@ -87,6 +88,7 @@ class BakeInput:
     caches_model: bool = False
     reasons: list[str] = field(default_factory=list)  # why the model must be built
     built_from: str = ""  # the settings, as JSON
+    drafts: bool = False  # whether a draft of the model is asked for, to be played while the rest is built
     # The shot.
     has_shot: bool = False  # otherwise only a model is built, no rig is read, and the fields below are not set
     settings: SimulationSettings = field(init=False)

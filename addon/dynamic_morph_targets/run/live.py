@@ -16,7 +16,7 @@ from ..core import engine, errors, logger
 from ..core.message import Message, joined
 from ..core.motion.coupling import refusal
 from ..core.settings import SimulationSettings
-from ..scene import colliders, events, references, staleness
+from ..scene import colliders, events, model_store, references, staleness
 from ..scene.skin import shown_attachments, soft_skins
 from ..write import reconcile, storage
 from ..write.authoring import regions, targets
@@ -51,6 +51,8 @@ def disabled_reason(obj: bpy.types.Object) -> str:
     """Why the soft skin of an object cannot be shown, or ''. Reasons that take longer to find are raised by
     `turn_on`.
     """
+    if obj.session_uid in model_store.drafts:
+        return ""
     age = staleness.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]
     return Message("Press Build Model first: {reasons}", reasons=joined("; ", age)) if age else ""
 
@@ -127,10 +129,13 @@ def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) 
 
 def _session(obj: bpy.types.Object, scene: bpy.types.Scene) -> Session:
     """That of a live object, a new one where it does not fit any more. Raises what prevents it from playing."""
-    session = sessions.get(obj.session_uid)
-    if session is None or not session.fits(obj, simulation_settings(obj, scene)):
-        session = sessions[obj.session_uid] = Session(obj, scene)
-        muting.show_target(obj, "")  # a target of another build, which Live now shows
+    before = sessions.get(obj.session_uid)
+    if before and before.fits(obj, simulation_settings(obj, scene)):
+        return before
+    session = sessions[obj.session_uid] = Session(obj, scene)
+    if before:
+        session.take_over(before)
+    muting.show_target(obj, "")  # a target of another build, which Live now shows
     return session
 
 

@@ -126,6 +126,15 @@ class Session:
             return False  # the nodes were posed as the targets were captured
         return same and self.content_id == obj.dynamorph.model.content_id
 
+    def take_over(self, before: Session) -> None:
+        """Go on with the motion of an earlier session, where that is the motion of the same cage by the same steps."""
+        now, player = before.now, self.tissue.player
+        state = None if now is None else before.state_at(now)
+        if now is None or state is None or not player.continues(before.tissue.player):
+            return
+        self._start(now, player.take_over(before.tissue.player, state, before._frames[now]))
+        self.now, self.rig = now, before.rig
+
     def values(self, obj: bpy.types.Object, settings: SimulationSettings, time: float, arrives: bool) -> np.ndarray:
         """What `Tissue.show` asks for, at a frame or between two. arrives: at the start of the range
         the motion begins again; otherwise the start only shows.

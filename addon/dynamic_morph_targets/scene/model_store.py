@@ -12,6 +12,7 @@ import numpy as np
 
 from .. import preferences
 from ..core import errors
+from ..core.character import Character
 from ..core.errors import SceneError
 from ..core.message import joined
 from ..core.model import build
@@ -21,6 +22,9 @@ from . import extract
 
 MOST = 4  # models that are kept in memory
 _models: dict[tuple[int, str], Model] = {}  # by Object.session_uid and content id, the last used last
+
+# By Object.session_uid: models that can be played while those that replace them are built, with their characters.
+drafts: dict[int, tuple[Model, Character]] = {}
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes, as whole numbers after their count
 
@@ -80,6 +84,7 @@ def remember(obj, model: Model):
 def forget():
     """Free the models that are kept in memory: their objects are going away."""
     _models.clear()
+    drafts.clear()
 
 
 def _loaded(obj) -> Model:
@@ -130,7 +135,9 @@ def _current(obj, character):
 
 
 def live_model(obj):
-    """`current_model` for Live, which shows the Firmness map as it is painted, without a build."""
+    """`current_model` for Live, which shows the Firmness map as it is painted, without a build, and drafts."""
+    if obj.session_uid in drafts:
+        return drafts[obj.session_uid]
     character, model = extract.character(obj), None
     with suppress(errors.ModelFileError):  # `_current` says so
         model = load_model(obj)

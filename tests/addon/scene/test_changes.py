@@ -160,6 +160,7 @@ def test_the_model_s_settings_are_named_until_they_are_reset(baked, name, value)
     [
         ("model.cage_nodes", 900, "makes all of it again"),
         ("model.method", "STATIC", "makes all of it again"),
+        ("model.hold_head", False, "keeps the cage, and makes its hold and the modes again"),
         ("firmness_group", "lower", "keeps the cage, and makes its hold and the modes again"),
         ("model.modes", 7, "keeps the cage and its hold, and makes the modes again"),
         ("targets[1].region", "lower", "keeps the cage and its hold, and makes the modes again"),

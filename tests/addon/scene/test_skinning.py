@@ -486,7 +486,7 @@ def test_a_cage_is_made_before_the_rig_is_read_and_serves_the_model(small_arm):
     job = run_job.Job(small_arm, "BAKE")
     seen = []
     batch.run(job, lambda work: seen.append(work.fraction))
-    assert seen == sorted(seen) and job.outcome.model.summary.seconds["meshing"] < 0.01
+    assert seen == sorted(seen) and "meshing" not in job.outcome.model.summary.seconds
     stages = {"build", "sample rig", "measure", "simulate", "judge", "make keys", "store model", "write keys"}
     assert set(job.progress.seconds) == stages
     for goal in ("BUILD", "BAKE"):

@@ -27,6 +27,7 @@ SimulateShot = Callable[[Model, Report], tuple[np.ndarray, np.ndarray]]
 FITTED_IN_FULL = 1500  # degrees of freedom up to which a shot is simulated unreduced, to fit modes to it
 FEW = 1e-3  # fraction of the tetrahedra that may fall back without a warning
 CAGE_SHARE = 0.35  # of the time of a build
+DRAFT = 40  # modes of a draft
 # What a model takes over from an earlier one with the same tissue, and what the summary says of that.
 TISSUE = (
     "nodes", "tets", "fill", "stiffness", "pinned", "hold_strength", "hold", "thickness", "unpainted_stiffness",
@@ -41,13 +42,15 @@ def build(
     progress: ProgressFn | None = None,
     previous: Model | None = None,
     simulate_shot: SimulateShot | None = None,
+    draft: Callable[[Model], None] | None = None,
 ) -> Model:
     """Builds the model of a character.
 
     progress(fraction, message) -> bool; False raises dynamorph.Cancelled. previous: a model of the same character,
     whose parts are used again where nothing that they depend on has changed. simulate_shot(model, report):
-    coordinates (F, dofs) and target weights (F, J) of the shot to which modes are fitted. Raises dynamorph.Error or
-    SceneError with advice when the mesh or the targets cannot be used.
+    coordinates (F, dofs) and target weights (F, J) of the shot to which modes are fitted. draft(model): is called with
+    a model of few modes, which can be played while the others are found, where there are many. Raises dynamorph.Error
+    or SceneError with advice when the mesh or the targets cannot be used.
     """
     hashes = dependencies(character)
     if character.settings.method == "STATIC":
@@ -64,6 +67,10 @@ def build(
         if character.settings.fits_shot:
             basis = _fitted_basis(model, body, full, character, simulate_shot, stages)
         else:
+            if draft and character.settings.basis == "RESPONSES" and character.settings.modes > DRAFT:
+                with stages("Draft", 0.10) as report:
+                    few = _basis(full, len(targets), replace(character.settings, modes=DRAFT), report)
+                    draft(_reduced(model, full, few, report))
             with stages("Modes", 0.35) as report:
                 basis = _basis(full, len(targets), character.settings, report)
         with stages("Polynomials", 0.20) as report:

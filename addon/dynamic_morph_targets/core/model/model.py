@@ -24,7 +24,7 @@ MESH_DEPENDENCIES = (
     "mesh", "object scale", "bones at rest", "cage nodes", "cage object", "pin radius", "attachments", "engine", "hold",
 )  # fmt: skip
 # The tetrahedra together with what holds them depend on these; shapes, modes and polynomials on everything.
-CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "skin weights", "Firmness", "what is rigid")
+CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "skin weights", "Firmness", "what is rigid", "hold head")
 
 # What a build makes again, and the rest after it: the parts of a model in the order in which they are built.
 CAGE, HOLD, MODES = "CAGE", "HOLD", "MODES"

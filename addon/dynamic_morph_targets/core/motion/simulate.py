@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
@@ -66,11 +66,12 @@ def build_for(
     settings: SimulationSettings | None,
     progress: ProgressFn | None = None,
     previous: Model | None = None,
+    draft: Callable[[Model], None] | None = None,
 ) -> Model:
     """`build.build` for a character and, if its modes are fitted, for this shot."""
 
     if rig is None or settings is None:
-        return build(character, progress, previous)
+        return build(character, progress, previous, draft=draft)
 
     def simulate_shot(model: Model, report: Report) -> tuple[np.ndarray, np.ndarray]:
         frames = list(simulate(model, character, rig, settings, lambda fraction, _message: report(fraction)))

@@ -21,6 +21,7 @@ from ...core.character import target_labels
 from ...core.errors import SceneError
 from ...core.result import compare
 from ...run import live, preview, task
+from ...run.first_look import FirstLook
 from ...run.preview import SECONDS, SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
 from ...scene import animation, events, model_store, rig_motion, skin
 from ...scene.registration import of_classes
@@ -40,7 +41,10 @@ class TissueOperator(SoftSkinOperator):
 
     @classmethod
     def disabled_reason(cls, context):
-        return super().disabled_reason(context) or live.disabled_reason(skin.mesh_in(context))
+        obj = skin.mesh_in(context)
+        if obj and obj.session_uid in model_store.drafts:  # it can be played while the rest of its model is built
+            return ""
+        return super().disabled_reason(context) or live.disabled_reason(obj)
 
 
 class DYNAMORPH_OT_live(SoftSkinOperator, Operator):
@@ -69,8 +73,6 @@ class DYNAMORPH_OT_live(SoftSkinOperator, Operator):
 class EndsLive(JobOperator):
     """Mixin: builds a model. In a window it then turns Live on."""
 
-    hops = False  # whether the armature hops then, and the artist's animation plays after that
-
     def modal(self, context, event):
         result = super().modal(context, event)
         if result == {"FINISHED"}:
@@ -85,9 +87,8 @@ class EndsLive(JobOperator):
         disabled_reason = live.disabled_reason(obj)
         if disabled_reason:
             raise SceneError(disabled_reason)
-        live.turn_on(obj, context.scene)
-        if self.hops and skin.mesh_in(context) == obj and not context.screen.is_animation_playing:
-            press(self, "dynamorph.shake_test", kind="HOP", seconds=FIRST_LOOK, then_plays=True)
+        if not live.is_on(obj):
+            live.turn_on(obj, context.scene)
 
 
 class DYNAMORPH_OT_first_look(EndsLive, Operator):
@@ -96,7 +97,29 @@ class DYNAMORPH_OT_first_look(EndsLive, Operator):
     bl_idname = "dynamorph.first_look"
     bl_label = "Build Soft Skin"
     bl_options = {"REGISTER", "UNDO", "INTERNAL"}
-    hops = True
+
+    def _batch(self, obj):
+        self.look, self.hopped = FirstLook(obj), False
+        return self.look
+
+    def _tick(self, context):
+        result = super()._tick(context)
+        if self.look.shows and result == {"RUNNING_MODAL"}:
+            self._hop(context)
+        return result
+
+    def _look(self, context):
+        super()._look(context)
+        self._hop(context)
+
+    def _hop(self, context):
+        """Once, as soon as Live shows something."""
+        obj = self.look.jobs[0].request.target.find()
+        if self.hopped or not live.is_on(obj):
+            return
+        self.hopped = True
+        if skin.mesh_in(context) == obj and not context.screen.is_animation_playing:
+            press(self, "dynamorph.shake_test", kind="HOP", seconds=FIRST_LOOK, then_plays=True)
 
 
 class DYNAMORPH_OT_build_live(EndsLive, Operator):
@@ -154,7 +177,7 @@ class PreviewOperator(TissueOperator):
                 self._end(context)
         if result == {"FINISHED"}:
             self.finished(context)
-        return result
+        return {"PASS_THROUGH"} if result == {"RUNNING_MODAL"} else result  # others have timers too
 
     def cancel(self, context):
         self._end(context)

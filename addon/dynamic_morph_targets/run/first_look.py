@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The build of a new soft skin, which moves in Live before all of its modes are found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+
+import bpy
+import numpy as np
+
+from ..core import engine
+from ..core.errors import SceneError, WriteError
+from ..scene import model_store
+from . import live
+from .batch import Batch
+from .job import Job
+
+
+class FirstLook(Batch):
+    """Builds the model of a new soft skin. Live shows a draft of it while the rest is built, and goes on with the
+    whole.
+
+    The draft is never stored: where the build ends without a model, Live is off again. shows: whether the draft is
+    shown.
+    """
+
+    def __init__(self, obj: bpy.types.Object):
+        super().__init__([Job(obj, "BUILD", rebuild=True, drafts=True)], "BUILD")
+        self.shows = False
+
+    def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
+        for _ in super().steps(seconds, pause):
+            if not self.shows and self.jobs[0].draft:
+                self._show()
+            yield
+        self._withdraw()
+
+    def _show(self) -> None:
+        """Turn Live on. What prevents that is said when the model is there."""
+        self.shows, request = True, self.jobs[0].request
+        if request.scene.find() != bpy.context.scene:  # the artist has gone on in another one
+            return
+        with suppress(*engine.expected_errors()):
+            obj, draft = request.target.find(), self.jobs[0].draft
+            assert draft is not None  # otherwise there is nothing to show
+            model_store.drafts[obj.session_uid] = draft
+            live.turn_on(obj, bpy.context.scene)
+
+    def abandon(self) -> None:
+        super().abandon()
+        self._withdraw()
+
+    def stop(self) -> None:
+        super().stop()
+        self._withdraw()
+
+    def _withdraw(self) -> None:
+        """Nothing plays the draft any more."""
+        if not model_store.drafts.pop(self.jobs[0].request.target.session_uid, None):
+            return
+        with suppress(SceneError, WriteError):  # it was deleted; or is edited now, and Live says what is missing
+            obj = self.jobs[0].request.target.find()
+            if obj.dynamorph.model.content_id:
+                live.refresh(obj)
+            elif live.is_on(obj):
+                live.turn_off(obj)

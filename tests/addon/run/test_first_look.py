@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A new soft skin moves in Live with few modes while the others are found, and goes on with all of them."""
+
+import bpy
+import numpy as np
+import pytest
+from bl_ext.user_default.dynamic_morph_targets.core.errors import Cancelled
+from bl_ext.user_default.dynamic_morph_targets.core.model import build
+from bl_ext.user_default.dynamic_morph_targets.io import model_file
+from bl_ext.user_default.dynamic_morph_targets.run import live
+from bl_ext.user_default.dynamic_morph_targets.run.first_look import FirstLook
+from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store, references
+from bl_ext.user_default.dynamic_morph_targets.ui.operators import playback
+from pressed import Pressed
+
+pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+
+SIZE = 2.4  # meters, of the arm
+
+
+@pytest.fixture
+def new_arm(arm):
+    """A soft skin that was just added, with a coarse cage and more modes than a draft has."""
+    bpy.ops.dynamorph.add_soft_skin()
+    model = arm.dynamorph.model
+    model.cage_nodes, model.basis, model.modes = 200, "RESPONSES", 80
+    arm.dynamorph.simulation.gravity = 0.0
+    arm.dynamorph.targets[0].frequency = 1.5
+    return arm
+
+
+def until_it_shows(obj):
+    """A first look up to where Live shows the draft, and its steps that are left."""
+    work = FirstLook(obj)
+    steps = work.steps(pause=0.001)
+    for _ in steps:
+        if work.shows:
+            return work, steps
+    raise AssertionError("there was no draft")
+
+
+def shown_at(frame) -> np.ndarray:
+    """Points (V, 3) that the live key makes."""
+    bpy.context.scene.frame_set(frame)
+    return references.key_points(bpy.data.objects["Arm"].data.shape_keys.key_blocks["Dynamorph Live"]).astype(float)
+
+
+def farthest(first, second) -> float:
+    """Fraction of the arm's size."""
+    return float(np.linalg.norm(first - second, axis=1).max() / SIZE)
+
+
+def test_live_goes_on_with_all_modes_where_the_draft_was(new_arm):
+    _, steps = until_it_shows(new_arm)
+    assert live.is_on(new_arm) and live.problem(new_arm) == "" and not new_arm.dynamorph.model.content_id
+    assert live.sessions[new_arm.session_uid].tissue.modes == build.DRAFT
+    played = [shown_at(frame) for frame in range(1, 13)]
+    for _ in steps:
+        pass
+    assert new_arm.dynamorph.model.content_id and live.is_on(new_arm) and live.problem(new_arm) == ""
+    assert live.sessions[new_arm.session_uid].tissue.modes == 80
+    after, following = shown_at(12), shown_at(13)
+    jump = farthest(played[-1], after)
+    before_step, step = farthest(played[-2], played[-1]), farthest(after, following)
+    assert 0.2 * before_step < step < 3.0 * before_step  # it swings on
+    new_arm.dynamorph.simulation.substeps = 9  # another step: it begins again
+    assert jump < 1e-3 and jump < 0.1 * farthest(after, shown_at(12))
+
+
+def test_the_model_is_that_of_a_plain_build(new_arm):
+    plain = build.build(extract.character(new_arm))
+    for _ in FirstLook(new_arm).steps():
+        pass
+    assert model_store.stored_model(new_arm) == model_file.pack(*plain.to_arrays())
+
+
+def test_nothing_of_a_draft_stays_where_the_build_ends(new_arm):
+    work, steps = until_it_shows(new_arm)
+    work.cancel()
+    with pytest.raises(Cancelled):
+        for _ in steps:
+            pass
+    work.abandon()
+    assert not live.is_on(new_arm) and not new_arm.dynamorph.model.content_id and not model_store.drafts
+    assert "Dynamorph Live" not in new_arm.data.shape_keys.key_blocks
+
+
+def test_a_deleted_soft_skin_has_no_draft(new_arm):
+    work, _ = until_it_shows(new_arm)
+    bpy.data.objects.remove(new_arm)
+    work.stop()
+    assert not model_store.drafts
+
+
+def test_the_model_is_written_when_the_hop_has_ended(new_arm):
+    """Blender stores an undo step then, which must not have the rig where the hop shakes it."""
+    work, steps = until_it_shows(new_arm)
+    new_arm.dynamorph.live.lent = True  # as while a preview shows something
+    while work.message != "Waiting for the test to end":
+        next(steps)
+    for _ in range(5):
+        next(steps)
+    assert not new_arm.dynamorph.model.content_id
+    new_arm.dynamorph.live.lent = False
+    for _ in steps:
+        pass
+    assert new_arm.dynamorph.model.content_id
+
+
+def test_it_hops_once_and_as_soon_as_it_shows(new_arm, monkeypatch):
+    pressed = []
+    monkeypatch.setattr(
+        playback, "press", lambda _by, name, **_: pressed.append((name, bool(new_arm.dynamorph.model.content_id)))
+    )
+    seen = Pressed(new_arm, operator="DYNAMORPH_OT_first_look")
+    assert seen.result == {"FINISHED"} and live.is_on(new_arm)
+    assert pressed == [("dynamorph.shake_test", False)]
+
+
+def test_few_modes_need_no_draft(new_arm, monkeypatch):
+    new_arm.dynamorph.model.modes = build.DRAFT
+    monkeypatch.setattr(playback, "press", lambda *_, **__: None)
+    work = FirstLook(new_arm)
+    for _ in work.steps():
+        assert not work.shows
+    assert new_arm.dynamorph.model.content_id
