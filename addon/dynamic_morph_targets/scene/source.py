@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -24,6 +26,19 @@ from .references import rest_skeleton
 from .rig_motion import worlds_at_start
 from .skinning import Skinning
 
+_sources: dict[tuple[int, int, int], Source] | None = None  # within `read_once`: by mesh, rig and body
+
+
+@contextmanager
+def read_once() -> Iterator[None]:
+    """Nothing that sources read changes within: each mesh is read once, whoever asks."""
+    global _sources
+    _sources = {}
+    try:
+        yield
+    finally:
+        _sources = None
+
 
 @dataclass(frozen=True, eq=False)
 class Source:
@@ -39,13 +54,21 @@ class Source:
     body: Source | None = None
 
     @classmethod
-    def of(cls, skinning: Skinning) -> Source:
-        """The source of a soft skin's own mesh, which an armature skins."""
-        return cls(skinning, skinning.rig, rest_skeleton(skinning.rig.data))
+    def of(cls, skinning: Skinning, rig: Any = None) -> Source:
+        """The source of a soft skin's own mesh, which an armature skins: by default its own."""
+        rig = rig or skinning.rig
+        return cls(skinning, rig, rest_skeleton(rig.data))._shared()
 
     def attachment(self, skinning: Skinning) -> Source:
         """The source of another mesh that this one carries along."""
-        return Source(skinning, self.rig, self.skeleton, self)
+        return Source(skinning, self.rig, self.skeleton, self)._shared()
+
+    def _shared(self) -> Source:
+        """Itself, or within `read_once` the first one of the same mesh."""
+        if _sources is None:
+            return self
+        body = self.body.obj.session_uid if self.body else 0
+        return _sources.setdefault((self.obj.session_uid, self.rig.session_uid, body), self)
 
     @property
     def obj(self):

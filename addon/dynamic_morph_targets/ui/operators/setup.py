@@ -18,6 +18,7 @@ from ...scene import body_checks, checks, cuts, extract, references, rig_motion,
 from ...scene.references import armature_modifiers
 from ...scene.registration import of_classes
 from ...scene.skinning import Skinning
+from ...scene.source import read_once
 from ...write.authoring import attachments
 from ...write.authoring.fixes import FIXES
 from ...write.bake import writer
@@ -43,6 +44,10 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         return disabled_reason
 
     def apply(self, obj):
+        with read_once():
+            self._add(obj)
+
+    def _add(self, obj):
         chosen = _body_meant(obj)
         if chosen != obj:
             text = rpt_("'{name}' becomes the soft skin: it has the largest soft surface on its armature")

@@ -173,7 +173,7 @@ def _may_be_soft(other, rig) -> bool:
 def _soft_area(other, rig) -> float:
     """The area of the skin of a mesh that no single bone carries, in Blender units."""
     try:
-        source = Source(checks.skinned(other), rig, references.rest_skeleton(rig.data))
+        source = Source.of(checks.skinned(other), rig)
         labels = loose_parts(source.points, source.triangles)
         hard, _ = rigid.rigid_parts(labels, source.weights)
     except errors.SceneError:
