@@ -104,6 +104,11 @@ def _head(skinning: Skinning) -> Iterator[Problem]:
         )
 
 
+def made_again(obj) -> str:
+    """Which parts of the model of `obj` the next build makes, where that is out of date; otherwise ''."""
+    return MADE_AGAIN.get(staleness.part_to_build(obj), "") if staleness.model_age(obj) else ""
+
+
 def verdict(obj) -> judge.Verdict | None:
     """That on the bake; None without one that can be read."""
     try:
@@ -132,8 +137,7 @@ def texts(obj, said: Set[str]) -> Iterator[str]:
         more = len(reasons) - MOST_REASONS
         text = "Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}"
         outdated = Message(text, reasons=joined(", ", reasons[:MOST_REASONS]), count=more)
-        part = staleness.part_to_build(obj) if staleness.model_age(obj) else ""
-        yield joined(". ", [outdated, *([MADE_AGAIN[part]] if part else [])])
+        yield joined(". ", [text for text in (outdated, made_again(obj)) if text])
     found = verdict(obj)
     for warning in filter(None, (*model.warnings.split("\n"), *bake.warnings.split("\n"))):
         if not (found and warning.startswith(found.text)):  # which the section Result says

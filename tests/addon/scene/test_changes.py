@@ -160,7 +160,7 @@ def test_the_model_s_settings_are_named_until_they_are_reset(baked, name, value)
     [
         ("model.cage_nodes", 900, "makes all of it again"),
         ("model.method", "STATIC", "makes all of it again"),
-        ("model.hold_head", False, "keeps the cage, and makes its hold and the modes again"),
+        ("model.hold_head", True, "keeps the cage, and makes its hold and the modes again"),
         ("firmness_group", "lower", "keeps the cage, and makes its hold and the modes again"),
         ("model.modes", 7, "keeps the cage and its hold, and makes the modes again"),
         ("targets[1].region", "lower", "keeps the cage and its hold, and makes the modes again"),
@@ -170,6 +170,7 @@ def test_messages_say_which_part_is_built_again(baked, path, value, kept):
     owner, _, name = path.rpartition(".")
     setattr(baked.dynamorph.path_resolve(owner) if owner else baked.dynamorph, name, value)
     assert f"changed. Build Model {kept}" in " ".join(drawn(baked))
+    assert kept in bpy.types.DYNAMORPH_OT_build.description(bpy.context, None)
 
 
 def test_messages_say_which_part_an_edit_of_the_mesh_concerns(baked):

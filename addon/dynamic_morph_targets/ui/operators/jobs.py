@@ -7,6 +7,7 @@ import time
 
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
+from bpy.app.translations import pgettext_tip as tip_
 from bpy.types import Operator
 
 from ...core.message import Message, joined, translated
@@ -18,6 +19,7 @@ from ...scene.registration import of_classes
 from ...scene.skin import is_shown_on, mesh_in, soft_skins
 from ...write.bake import on_override, writer
 from ...write.display import beside, live_key
+from .. import messages
 from ..base import SoftSkinOperator, at_work, reconciled, report_errors, reported
 
 TICK = 0.05  # seconds from one turn of a job to the next
@@ -165,6 +167,13 @@ class DYNAMORPH_OT_build(JobOperator, Operator):
 
     bl_idname = "dynamorph.build"
     bl_label = "Build Model"
+
+    @classmethod
+    def description(cls, context, _given):
+        """With the parts that it makes again now."""
+        obj = mesh_in(context)
+        texts = [cls.__doc__, messages.made_again(obj) if obj and obj.dynamorph.model.content_id else ""]
+        return ".\n".join(tip_(text) for text in texts if text)
 
     def _done(self, batch):
         for job in batch.jobs:
