@@ -16,6 +16,7 @@ from editors import (
     ADDON,
     addon,
     baked,
+    job,
     job_done,
     keys,
     moved,
@@ -102,11 +103,17 @@ def open_tab():
 @step("Add Soft Skin")
 def add_soft_skin():
     """It ends with Live on, after a hop in which other clicks do nothing, and the animation plays."""
+    clicked = time.monotonic()  # with the way of the mouse
     yield from sidebar.press("dynamorph.add_soft_skin")
     yield from until(lambda: settings().targets, "a neutral target")
+    seen = time.monotonic()
     yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on", 60.0)
+    shown, modes = time.monotonic(), addon("run.live").sessions[skin().session_uid].tissue.modes
     yield from until(lambda: addon("run.preview").preview is None, "the end of the hop")
     yield from until(frames.is_playing, "the animation to play")
+    yield from until(lambda: job() is None, "all of its modes")
+    assert modes < addon("scene.model_store").load_model(skin()).modes.shape[1] and frames.is_playing()
+    measure("From Add Soft Skin to its progress, to Live", f"{seen - clicked:.1f} s, {shown - clicked:.1f} s")
     task.done()
 
 

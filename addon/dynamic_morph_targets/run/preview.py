@@ -74,11 +74,14 @@ class Preview:
 
 
 def end_recovered() -> None:
-    """Put back what a preview showed when the loaded file was saved by Blender itself (autosave, quit.blend), which
-    calls no handler that would have ended it.
+    """Put back what a preview, or the draft of a model, showed when the loaded file was saved: by Blender itself
+    (autosave, quit.blend), which calls no handler that would have ended a preview, or while the model was built.
     """
     for obj in [obj for obj in bpy.data.objects if obj.library is None]:
         record = obj.dynamorph.live
+        if record.key.name and not (obj.dynamorph.model.content_id or obj.dynamorph.follows):
+            with suppress(WriteError):
+                live_key.remove(obj)
         if record.moved:
             _move_back(obj)
         if record.lent:

@@ -85,6 +85,17 @@ def test_nothing_of_a_draft_stays_where_the_build_ends(new_arm):
     assert "Dynamorph Live" not in new_arm.data.shape_keys.key_blocks
 
 
+def test_a_file_that_is_saved_meanwhile_has_nothing_of_the_draft(new_arm, tmp_path):
+    work, _ = until_it_shows(new_arm)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "draft.blend"), copy=True)
+    assert live.is_on(new_arm) and not model_store.stored_model(new_arm)
+    work.stop()
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "draft.blend"))
+    (arm,) = (obj for obj in bpy.data.objects if obj.dynamorph.targets)
+    assert arm.data.shape_keys.key_blocks.keys() == ["Basis", "flexed", "smile"]
+    assert not live.is_on(arm) and not arm.dynamorph.model.content_id and not model_store.drafts
+
+
 def test_a_deleted_soft_skin_has_no_draft(new_arm):
     work, _ = until_it_shows(new_arm)
     bpy.data.objects.remove(new_arm)
