@@ -92,9 +92,7 @@ class Model:
     summary: Summary
 
     def __post_init__(self) -> None:
-        """Lays the arrays out as a stored model's are. NumPy sums another layout in another order, and a bake would
-        differ in its last digits.
-        """
+        """Lays the arrays out as a stored model's are: of another layout NumPy's sums have other last digits."""
         for name in self.array_names():
             object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name)))
 
