@@ -14,7 +14,7 @@ import numpy as np
 from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
 from ..core.message import Message, joined
-from ..core.motion import rig_samples
+from ..core.motion import handover, rig_samples
 from ..core.motion.contact import Touched, touched
 from ..core.motion.grab import Grab, together
 from ..core.motion.loops import begin_again
@@ -122,18 +122,16 @@ class Session:
         mine = self.tissue.player.settings
         same = (mine.step, mine.substeps) == (settings.step, settings.substeps)
         same &= self.tissue.model.settings.solver == obj.dynamorph.model.solver
-        if self.tissue.probe and _placing(obj) != self._placing:
-            return False  # the nodes were posed as the targets were captured
+        same &= not self.tissue.probe or _placing(obj) == self._placing  # nodes are posed as targets are captured
         return same and self.content_id == obj.dynamorph.model.content_id
 
     def take_over(self, before: Session) -> None:
-        """Go on with the motion of an earlier session, where that is the motion of the same cage by the same steps."""
-        now, player = before.now, self.tissue.player
-        state = None if now is None else before.state_at(now)
-        if now is None or state is None or not player.continues(before.tissue.player):
+        """Go on with the motion of an earlier session, where that is of the same cage and by the same steps."""
+        if before.now is None or (state := before.state_at(before.now)) is None:
             return
-        self._start(now, player.take_over(before.tissue.player, state, before._frames[now]))
-        self.now, self.rig = now, before.rig
+        if frame := handover.hand_over(before.tissue.player, state, before._frames[before.now], self.tissue.player):
+            self._start(before.now, frame)
+            self.now, self.rig = before.now, before.rig
 
     def values(self, obj: bpy.types.Object, settings: SimulationSettings, time: float, arrives: bool) -> np.ndarray:
         """What `Tissue.show` asks for, at a frame or between two. arrives: at the start of the range
@@ -156,9 +154,7 @@ class Session:
         return values
 
     def motions(self) -> dict[int, np.ndarray]:
-        """How far the points (V, 3) of each mesh are, at the frame that shows, from where the targets' shapes alone
-        would have them: local space, by session_uid. Empty before the first frame.
-        """
+        """`Tissue.motions` at the frame that shows. Empty before the first frame."""
         return self.tissue.motions(self._frames[self.now]) if self.now in self._frames else {}
 
     def touched(self) -> Touched | None:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain, islice
 
 import numpy as np
@@ -245,28 +245,6 @@ class Player:
             other._begin_with(self.first)
             other.state = self.state
         return other
-
-    def continues(self, other: Player) -> bool:
-        """Whether `take_over` can go on with the motion of `other`: reduced ones of the same cage and the same steps,
-        without collision.
-        """
-        mine, its = self.model, other.model
-        same = np.array_equal(mine.nodes, its.nodes) and np.array_equal(mine.tets, its.tets)
-        same &= (self.settings.step, self.settings.substeps) == (other.settings.step, other.settings.substeps)
-        reduced = mine.settings.solver == its.settings.solver == "REDUCED" and bool(mine.modes.size and its.modes.size)
-        return same and reduced and not (self.collision or other.collision) and len(self._shapes) == len(other._shapes)
-
-    def take_over(self, other: Player, state: State, frame: Frame) -> Frame:
-        """Go on from a `state` of another player, and its frame, with the modes of this one: the nearest displacement
-        in the metric of the volume. Only where it `continues`.
-        """
-        weighted = np.repeat(self.model.soft_body().volumes.sum(axis=1), 3)[:, None] * self.model.modes
-        into = np.linalg.solve(weighted.T @ self.model.modes, weighted.T @ other.model.modes)
-        coordinates, bones, excess, contact = state
-        assert other.first is not None  # it has begun
-        self.number, self.passes = int(frame.number), other.passes
-        self.resume(other.first, ([into @ past for past in coordinates], bones, excess, contact))
-        return replace(frame, coordinates=self.coordinates)
 
     def follow(self, settings: SimulationSettings, motion_amounts: np.ndarray) -> None:
         """Go on with settings of the same physics; motion_amounts (J,): those of the targets from now on."""

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A motion that goes on in a model of other modes. Never touches bpy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from .player import Frame, Player, State
+
+
+def _is_possible(before: Player, after: Player) -> bool:
+    """For reduced models of the same cage, with the same steps, without collision."""
+    mine, its = after.model, before.model
+    if not (mine.settings.solver == its.settings.solver == "REDUCED" and mine.modes.size and its.modes.size):
+        return False
+    if after.collision or before.collision or len(after.character.targets) != len(before.character.targets):
+        return False
+    steps = [(player.settings.step, player.settings.substeps) for player in (before, after)]
+    return steps[0] == steps[1] and np.array_equal(mine.nodes, its.nodes) and np.array_equal(mine.tets, its.tets)
+
+
+def hand_over(before: Player, state: State, frame: Frame, after: Player) -> Frame | None:
+    """Let `after` go on from a state of `before` and its frame: with the nearest displacements, in the metric of the
+    volume, that its modes have. Returns the frame as they have it, or None where only a new beginning is possible.
+    """
+    if before.first is None or not _is_possible(before, after):
+        return None
+    weighted = np.repeat(after.model.soft_body().volumes.sum(axis=1), 3)[:, None] * after.model.modes
+    into = np.linalg.solve(weighted.T @ after.model.modes, weighted.T @ before.model.modes)
+    coordinates, bones, excess, contact = state
+    after.number, after.passes = int(frame.number), before.passes
+    after.resume(before.first, ([into @ past for past in coordinates], bones, excess, contact))
+    return replace(frame, coordinates=after.coordinates)
