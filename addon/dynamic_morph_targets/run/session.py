@@ -127,7 +127,7 @@ class Session:
 
     def take_over(self, before: Session) -> None:
         """Go on with the motion of an earlier session, where that is of the same cage and by the same steps."""
-        if before.now is None or (state := before.state_at(before.now)) is None:
+        if before.now is None or before.now not in before._frames or not (state := before.state_at(before.now)):
             return
         if frame := handover.hand_over(before.tissue.player, state, before._frames[before.now], self.tissue.player):
             self._start(before.now, frame)
