@@ -107,7 +107,7 @@ def add_soft_skin():
     yield from sidebar.press("dynamorph.add_soft_skin")
     yield from until(lambda: settings().targets, "a neutral target")
     seen = time.monotonic()
-    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on", 60.0)
+    yield from until(lambda: settings().live.key.name, "Live to be on", 60.0)  # and lent to the hop at once
     shown, modes = time.monotonic(), addon("run.live").sessions[skin().session_uid].tissue.modes
     yield from until(lambda: addon("run.preview").preview is None, "the end of the hop")
     yield from until(frames.is_playing, "the animation to play")
