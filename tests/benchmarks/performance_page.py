@@ -278,7 +278,7 @@ def draw_rig(engine: dict) -> None:
 def waits(clicks: dict, compared: bool) -> str:
     """A row for each character."""
     columns = {"wall": "Live, s", "cpu": "of the processor", "whole": "whole model, s", "stroke": "stroke, s",
-               "bake": "bake, s", "evaluation": "rig, s"}  # fmt: skip
+               "bake": "bake, s", "rig": "rig, s"}  # fmt: skip
     head = ("character", "vertices", "bones", *columns.values())
     rows = []
     for name, runs in clicks.items():

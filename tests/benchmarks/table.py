@@ -72,8 +72,8 @@ def click(name: str, what: str = "wall") -> Callable[[dict, dict], float]:
     return lambda _, clicks: clicks[name]["now"][what]
 
 
-def beyond_evaluation(name: str) -> Callable[[dict, dict], float]:
-    return lambda _, clicks: clicks[name]["now"]["bake"] - clicks[name]["now"]["evaluation"]
+def beyond_reading(name: str) -> Callable[[dict, dict], float]:
+    return lambda _, clicks: clicks[name]["now"]["bake"] - clicks[name]["now"]["rig"]
 
 
 def outside_pose_evaluation(_, pipeline: dict) -> float:
@@ -132,7 +132,7 @@ ROWS = [
         "first bake of 250 frames, 120 modes, all but reading the rig, MakeHuman",
         "s",
         0.3,
-        beyond_evaluation("MakeHuman"),
+        beyond_reading("MakeHuman"),
     ),
     Row("live: our share of a frame, 4 substeps", "ms", 2, lambda _, p: p["live"]["median"]),
     Row("live: a frame with Blender's evaluation", "ms", None, lambda _, p: p["live"]["whole"]),
