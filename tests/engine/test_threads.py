@@ -56,7 +56,7 @@ def report(digest, most: int):
 
 @pytest.mark.fault("S02")
 @pytest.mark.skipif(len(CORES) < 2, reason="one core, or a system that does not pin threads")
-@pytest.mark.parametrize("module", ["test_threads", "test_responses"])
+@pytest.mark.parametrize("module", ["test_threads", "test_responses", "test_motion_limit"])
 def test_one_core_and_all_make_the_same_bytes(module):
     def on(cores, most=0) -> tuple[str, int]:
         found, threads = run(

@@ -11,9 +11,10 @@ from pathlib import Path
 import bpy
 
 from ..core import logger, records
+from ..core.character import Character
 from ..core.errors import SceneError
 from ..core.material import calibration
-from ..core.model.model import Model
+from ..core.model.model import MODES, Model
 from ..core.motion import baked
 from ..io import disk
 from ..scene import skin, staleness, target_properties
@@ -191,7 +192,7 @@ class Writer:
         with self.request.scene.as_context():
             with self.progress.stage("store model"):
                 self._store_model(obj)
-                self._store_materials(obj)
+                store_materials(obj, self.outcome.character)
             if self.given.is_bake:
                 self._record(obj)
 
@@ -229,22 +230,11 @@ class Writer:
             record.warnings = "\n".join(model.summary.warnings)
         if given.reasons or not given.only_cage:
             record.stale, record.built = "only the cage is built" if given.only_cage else "", given.built_from
+            record.stale_part = MODES if given.only_cage else ""
         if given.reasons and not given.only_cage:
             obj.dynamorph.live.checks = ""
             fit_modes(obj, model.summary.tabulated)
             self._store_references(obj)
-
-    def _store_materials(self, obj: bpy.types.Object) -> None:
-        """Store what a build has made of the targets' frequencies."""
-        character = self.outcome.character
-        for target in obj.dynamorph.targets:
-            index = index_in(character, obj, target)
-            if index is None:
-                continue
-            with target_properties.as_computed():
-                for name, value in calibration.stored(character.targets[index]).items():
-                    if getattr(target, name) != value:
-                        setattr(target, name, value)
 
     def _store_references(self, obj: bpy.types.Object) -> None:
         character, references = self.outcome.character, self.outcome.references
@@ -268,6 +258,18 @@ class Writer:
         bake_time.learn(obj, given, self.progress.seconds["simulate"])
         staleness.look_at_animation(obj)
         staleness.look_at_map(obj, outcome.character)
+
+
+def store_materials(obj: bpy.types.Object, character: Character) -> None:
+    """Store what a build has made of the targets' frequencies."""
+    for target in obj.dynamorph.targets:
+        index = index_in(character, obj, target)
+        if index is None:
+            continue
+        with target_properties.as_computed():
+            for name, value in calibration.stored(character.targets[index]).items():
+                if getattr(target, name) != value:
+                    setattr(target, name, value)
 
 
 # For the artist ------------------------------------------------------------------------------------------------------

@@ -9,10 +9,11 @@ from contextlib import suppress
 import bpy
 import numpy as np
 
-from ..core import engine
+from ..core import engine, logger
 from ..core.errors import SceneError, WriteError
-from ..scene import model_store
-from . import live
+from ..scene import events, model_store
+from . import live, preview
+from .bake_result import store_materials
 from .batch import Batch
 from .job import Job
 
@@ -31,21 +32,38 @@ class FirstLook(Batch):
 
     def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
         for _ in super().steps(seconds, pause):
-            if not self.shows and self.jobs[0].draft:
+            if not self.shows and self.jobs[0].draft and not events.render_runs():
                 self._show()
             yield
         self._withdraw()
 
+    def write(self) -> Iterator[None]:
+        """When the hop has ended: an undo step would store the rig as that shakes it."""
+        while self._preview and self._preview.moves_rig:
+            self.jobs[0].progress.message = "Waiting for the test to end"
+            yield from self._turn()
+        yield from super().write()
+
+    @property
+    def _preview(self) -> preview.Preview | None:
+        """The one of this soft skin that runs."""
+        running, target = preview.preview, self.jobs[0].request.target
+        return running if running and running.object.session_uid == target.session_uid else None
+
     def _show(self) -> None:
         """Turn Live on. What prevents that is said when the model is there."""
-        self.shows, request = True, self.jobs[0].request
-        if request.scene.find() != bpy.context.scene:  # the artist has gone on in another one
+        self.shows, request, draft = True, self.jobs[0].request, self.jobs[0].draft
+        if request.scene.find() != bpy.context.scene or draft is None:  # the artist has gone on in another one
             return
-        with suppress(*engine.expected_errors()):
-            obj, draft = request.target.find(), self.jobs[0].draft
-            assert draft is not None  # otherwise there is nothing to show
+        try:
+            obj = request.target.find()
+            store_materials(obj, draft[1])
             model_store.drafts[obj.session_uid] = draft
             live.turn_on(obj, bpy.context.scene)
+        except engine.expected_errors():
+            pass
+        except Exception as bug:
+            logger.log_bug(bug)
 
     def abandon(self) -> None:
         super().abandon()
@@ -63,5 +81,8 @@ class FirstLook(Batch):
             obj = self.jobs[0].request.target.find()
             if obj.dynamorph.model.content_id:
                 live.refresh(obj)
-            elif live.is_on(obj):
+                return
+            if self._preview:
+                preview.end_preview()
+            if obj.dynamorph.live.key.name and not events.render_runs():
                 live.turn_off(obj)

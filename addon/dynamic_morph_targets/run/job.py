@@ -169,9 +169,6 @@ class Job:
         if events.render_runs():
             self.progress.message = "Waiting for the render to end"
             return True
-        if self.request.drafts and self.request.target.find().dynamorph.live.lent:
-            self.progress.message = "Waiting for the test to end"  # an undo step would store the rig as it shakes it
-            return True
         handles = (self.request.target, *bake_input.handles(self.input.character.attachments))
         if self.input.is_bake and any(handle.find().mode == "EDIT" for handle in handles):
             self.progress.message = "Waiting for you to leave Edit Mode"

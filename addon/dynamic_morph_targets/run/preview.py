@@ -58,6 +58,10 @@ class Preview:
             for mover in self._movers:
                 mover.move(transform)
 
+    @property
+    def moves_rig(self) -> bool:
+        return bool(self._movers)
+
     def end(self) -> None:
         """Put everything back."""
         live.suspended.discard(self.object.session_uid)

@@ -131,7 +131,7 @@ class Session:
             return
         if frame := handover.hand_over(before.tissue.player, state, before._frames[before.now], self.tissue.player):
             self._start(before.now, frame)
-            self.now, self.rig = before.now, before.rig
+            self.now = before.now
 
     def values(self, obj: bpy.types.Object, settings: SimulationSettings, time: float, arrives: bool) -> np.ndarray:
         """What `Tissue.show` asks for, at a frame or between two. arrives: at the start of the range

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -137,7 +138,8 @@ def _current(obj, character):
 def live_model(obj):
     """`current_model` for Live, which shows the Firmness map as it is painted, without a build, and drafts."""
     if obj.session_uid in drafts:
-        return drafts[obj.session_uid]
+        draft, of_draft = drafts[obj.session_uid]
+        return draft.with_settings(replace(draft.settings, solver=obj.dynamorph.model.solver)), of_draft
     character, model = extract.character(obj), None
     with suppress(errors.ModelFileError):  # `_current` says so
         model = load_model(obj)

@@ -31,13 +31,18 @@ _sources: dict[tuple[int, int, int], Source] | None = None  # within `read_once`
 
 @contextmanager
 def read_once() -> Iterator[None]:
-    """Nothing that sources read changes within: each mesh is read once, whoever asks."""
+    """Each mesh is read once within, whoever asks, until `read_again` says that what sources read has changed."""
     global _sources
     _sources = {}
     try:
         yield
     finally:
         _sources = None
+
+
+def read_again() -> None:
+    if _sources is not None:
+        _sources.clear()
 
 
 @dataclass(frozen=True, eq=False)

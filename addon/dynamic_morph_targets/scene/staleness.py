@@ -22,7 +22,7 @@ from ..core import records
 from ..core.character import Character
 from ..core.errors import RecordError, SceneError, sentence
 from ..core.message import Message
-from ..core.model.model import CAGE, array_hash, first_part
+from ..core.model.model import CAGE, HOLD, MODES, array_hash, first_part
 from ..core.painted_map import EXCLUDED, MAX_DISTANCE
 from ..core.settings import ENGINE, FREE_SETTINGS, SimulationSettings
 from ..io import whole
@@ -120,17 +120,23 @@ def part_to_build(obj) -> str:
     """The first part of the model of `obj`, which is out of date, that a build makes again: CAGE, HOLD or MODES; ''
     where that is not known. Reads no mesh: fit for drawing.
     """
-    if not obj.dynamorph.model.built or not model_changes(obj):
-        return obj.dynamorph.model.stale_part
+    settings = obj.dynamorph
+    record = settings.model
+    if not record.built:
+        return record.stale_part
     try:
         then, now = _built_and_now(obj)
     except RecordError:
         return ""
-    if "STATIC" in (then["model"]["method"], now["model"]["method"]):  # which has no cage
+    several = any(each.attached_by == "OWN_CAGE" for each in own_attachments(obj))
+    if "STATIC" in (then.get("model", {}).get("method"), record.method):  # which has no cage
+        return CAGE
+    if several and (record.hold == "BONES" or record.cage_object):  # no model says which nodes are whose
         return CAGE
     known = ((name, then.get(kind, {}), now[kind]) for kind in ("model", "groups", "scene") for name in now[kind])
     changed = [name for name, before, after in known if before.get(name, after[name]) != after[name]]
-    return first_part(DEPENDENCY.get(name, name.replace("_", " ")) for name in changed)
+    parts = [record.stale_part, first_part(DEPENDENCY.get(name, name.replace("_", " ")) for name in changed)]
+    return next((part for part in (CAGE, HOLD) if part in parts), MODES)
 
 
 def model_age(obj) -> list[str]:

@@ -75,14 +75,15 @@ def show_stale(obj):
     """Examine the mesh, and make the panel say why the model and the bake of `obj` are out of date."""
     reconcile(obj)
     stale, part = "", ""
-    if not staleness.model_changes(obj):  # they say enough
-        try:
-            character = extract.character(obj)
-            stale = "; ".join(stale_reasons(obj, character))
-            part = stale_part(obj, character) if stale else ""
-            staleness.look_at_map(obj, character)
-        except engine.expected_errors() as error:
-            stale = errors.sentence(error)
+    changes = staleness.model_changes(obj)
+    try:
+        character = extract.character(obj)
+        reasons = stale_reasons(obj, character)
+        part = stale_part(obj, character) if reasons else ""
+        stale = "" if changes else "; ".join(reasons)  # otherwise they say enough
+        staleness.look_at_map(obj, character)
+    except engine.expected_errors() as error:
+        stale = "" if changes else errors.sentence(error)
     record = obj.dynamorph.model
     if (record.stale, record.stale_part) != (stale, part):
         record.stale, record.stale_part = stale, part

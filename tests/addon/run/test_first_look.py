@@ -7,10 +7,12 @@ import pytest
 from bl_ext.user_default.dynamic_morph_targets.core.errors import Cancelled
 from bl_ext.user_default.dynamic_morph_targets.core.model import build
 from bl_ext.user_default.dynamic_morph_targets.io import model_file
-from bl_ext.user_default.dynamic_morph_targets.run import live
+from bl_ext.user_default.dynamic_morph_targets.run import live, preview
 from bl_ext.user_default.dynamic_morph_targets.run.first_look import FirstLook
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store, references
+from bl_ext.user_default.dynamic_morph_targets.scene import events, extract, model_store, references
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import playback
+from builders import rig_of
+from mathutils import Matrix
 from pressed import Pressed
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
@@ -103,16 +105,67 @@ def test_a_deleted_soft_skin_has_no_draft(new_arm):
     assert not model_store.drafts
 
 
+def hopping(obj) -> preview.Preview:
+    """A preview that has moved the rig, as the hop does."""
+    running = preview.begin_preview(obj, bpy.types.DYNAMORPH_OT_shake_test)
+    running.show(np.zeros(running.tissue.dofs + 1), Matrix.Translation((0.0, 0.0, 0.3)))
+    return running
+
+
 def test_the_model_is_written_when_the_hop_has_ended(new_arm):
     """Blender stores an undo step then, which must not have the rig where the hop shakes it."""
     work, steps = until_it_shows(new_arm)
-    new_arm.dynamorph.live.lent = True  # as while a preview shows something
+    hopping(new_arm)
     while work.message != "Waiting for the test to end":
         next(steps)
     for _ in range(5):
         next(steps)
     assert not new_arm.dynamorph.model.content_id
-    new_arm.dynamorph.live.lent = False
+    preview.end_preview()
+    for _ in steps:
+        pass
+    assert new_arm.dynamorph.model.content_id and live.is_on(new_arm)
+
+
+def test_a_build_that_ends_in_the_hop_leaves_nothing(new_arm):
+    work, steps = until_it_shows(new_arm)
+    hopping(new_arm)
+    work.cancel()
+    with pytest.raises(Cancelled):
+        for _ in steps:
+            pass
+    work.abandon()
+    assert preview.preview is None and rig_of(new_arm).delta_location.length == 0.0
+    assert not live.is_on(new_arm) and "Dynamorph Live" not in new_arm.data.shape_keys.key_blocks
+
+
+def test_a_draft_keeps_its_bounce_when_settings_change(new_arm):
+    """Blender's targets have the stiffness that the draft plays with."""
+    work, _ = until_it_shows(new_arm)
+    before = live.sessions[new_arm.session_uid].tissue.character.material(0).stiffness
+    new_arm.dynamorph.simulation.gravity = 1.0
+    shown_at(2)
+    after = live.sessions[new_arm.session_uid].tissue.character.material(0).stiffness
+    assert after == pytest.approx(before, rel=1e-6)
+    session = live.sessions[new_arm.session_uid]
+    new_arm.dynamorph.model.solver = "FULL"
+    shown_at(3), shown_at(4)
+    assert live.sessions[new_arm.session_uid] is not session and live.problem(new_arm) == ""
+    session = live.sessions[new_arm.session_uid]
+    shown_at(5)
+    assert live.sessions[new_arm.session_uid] is session
+    work.stop()
+
+
+def test_a_render_sees_no_draft(new_arm, monkeypatch):
+    work = FirstLook(new_arm)
+    steps = work.steps(pause=0.001)
+    next(steps)  # it has read the character
+    monkeypatch.setattr(events, "render_runs", lambda: True)
+    while work.message != "Waiting for the render to end":
+        next(steps)
+    assert not work.shows and not live.is_on(new_arm)
+    monkeypatch.undo()
     for _ in steps:
         pass
     assert new_arm.dynamorph.model.content_id
@@ -135,3 +188,17 @@ def test_few_modes_need_no_draft(new_arm, monkeypatch):
     for _ in work.steps():
         assert not work.shows
     assert new_arm.dynamorph.model.content_id
+
+
+def test_live_begins_again_where_other_nodes_are_pinned(new_arm):
+    """The cage stays, but its modes move other nodes."""
+    new_arm.dynamorph.model.hold = "BONES"
+    bpy.ops.dynamorph.build()
+    bpy.ops.dynamorph.live()
+    first = shown_at(1)
+    group = new_arm.vertex_groups.new(name="Firmness")
+    group.add([vertex.index for vertex in new_arm.data.vertices if vertex.co.z > 1.5], 1.0, "REPLACE")
+    new_arm.dynamorph.firmness_group = group.name
+    bpy.ops.dynamorph.build()
+    assert live.is_on(new_arm) and live.problem(new_arm) == ""
+    assert np.isfinite(shown_at(2)).all() and farthest(first, shown_at(1)) < 0.1

@@ -67,11 +67,12 @@ def build(
         if character.settings.fits_shot:
             basis = _fitted_basis(model, body, full, character, simulate_shot, stages)
         else:
-            if draft and character.settings.basis == "RESPONSES" and character.settings.modes > DRAFT:
+            drafts = draft and character.settings.basis == "RESPONSES" and character.settings.modes > DRAFT
+            if draft and drafts:
                 with stages("Draft", 0.10) as report:
                     few = _basis(full, len(targets), replace(character.settings, modes=DRAFT), report)
-                    draft(_reduced(model, full, few, report))
-            with stages("Modes", 0.35) as report:
+                    draft(_reduced(model, full, few, lambda _done: True))
+            with stages("Modes", 0.25 if drafts else 0.35) as report:
                 basis = _basis(full, len(targets), character.settings, report)
         with stages("Polynomials", 0.20) as report:
             model = _reduced(model, full, basis, report)
@@ -250,7 +251,7 @@ def _model(character: Character, hashes: dict[str, str], **known: Any) -> Model:
 
 def _with_tissue(character: Character, hashes: dict[str, str], previous: Model | None, stages: Stages) -> Model:
     """The tetrahedra around the skin with everything that they inherit from it; the targets' shapes are added later."""
-    if _fits(previous, hashes, CAGE_DEPENDENCIES):
+    if _fits(previous, hashes, CAGE_DEPENDENCIES) and not _cage_warnings(previous):  # which names may have outdated
         return _with_tissue_of(previous, character, hashes, stages)
     tissue = cage.make_cage(character, previous if _fits(previous, hashes, MESH_DEPENDENCIES) else None, stages)
     hold, painted = tissue.hold, bool((tissue.firmness != firmness.NEUTRAL).any())
@@ -281,8 +282,6 @@ def _with_tissue_of(previous: Model, character: Character, hashes: dict[str, str
     """The same of an earlier model that fits. Only the regions may be others."""
     with stages("Embedding", CAGE_SHARE):
         region_weights = cage.region_weights(character, previous)
-    summary = previous.summary
-    own_texts = _fallback_warnings(summary.fallbacks, summary.tets)
     return _model(
         character,
         hashes,
@@ -290,11 +289,14 @@ def _with_tissue_of(previous: Model, character: Character, hashes: dict[str, str
         region_weights=region_weights,
         displacements=np.zeros((len(character.targets), len(previous.nodes), 3)),
         residual_shapes=np.zeros((len(character.targets), len(character.vertices), 3)),
-        summary=Summary(
-            **{name: getattr(summary, name) for name in CAGE_FACTS},
-            warnings=tuple(text for text in summary.warnings if text not in own_texts),
-        ),
+        summary=Summary(**{name: getattr(previous.summary, name) for name in CAGE_FACTS}),
     )
+
+
+def _cage_warnings(model: Model) -> list[str]:
+    """The warnings that do not come from the targets' shapes."""
+    of_shapes = _fallback_warnings(model.summary.fallbacks, model.summary.tets)
+    return [text for text in model.summary.warnings if text not in of_shapes]
 
 
 def _shape_targets(model: Model, body: dynamorph.SoftBody, targets: list[Target]) -> None:

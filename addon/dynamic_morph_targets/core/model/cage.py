@@ -61,7 +61,7 @@ def make_cage(character: Character, previous: Model | None, stages: Stages) -> C
     """
     surface = character.bind_points[character.coincident]
     contents = _cages(character, surface)
-    if previous and character.settings.hold == "BONES" and len(contents) > 1:
+    if previous and len(contents) > 1 and (character.settings.hold == "BONES" or character.cage):
         previous = None  # the model does not tell which nodes are whose
     body = None
     with stages("Meshing", 0.30) as report:

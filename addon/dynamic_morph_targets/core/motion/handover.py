@@ -11,14 +11,18 @@ from .player import Frame, Player, State
 
 
 def _is_possible(before: Player, after: Player) -> bool:
-    """For reduced models of the same cage, with the same steps, without collision."""
+    """For reduced models of the same cage and bones, with the same steps, without collision; the first sample of nodes
+    that Blender poses belongs to the poses of the targets then.
+    """
     mine, its = after.model, before.model
     if not (mine.settings.solver == its.settings.solver == "REDUCED" and mine.modes.size and its.modes.size):
         return False
-    if after.collision or before.collision or len(after.character.targets) != len(before.character.targets):
+    if after.collision or before.collision or after.probed or before.probed:
         return False
     steps = [(player.settings.step, player.settings.substeps) for player in (before, after)]
-    return steps[0] == steps[1] and np.array_equal(mine.nodes, its.nodes) and np.array_equal(mine.tets, its.tets)
+    names = [(player.model.bone_names, len(player.character.targets)) for player in (before, after)]
+    same = (np.array_equal(getattr(mine, name), getattr(its, name)) for name in ("nodes", "tets", "pinned"))
+    return steps[0] == steps[1] and names[0] == names[1] and all(same)
 
 
 def hand_over(before: Player, state: State, frame: Frame, after: Player) -> Frame | None:

@@ -206,8 +206,10 @@ def judge(
     modes = (bake.modes @ character.to_bind.T).reshape(len(bake.modes), -1)
     displacement = np.linalg.norm(motion * np.linalg.norm(modes, axis=1), axis=1)
     chosen = np.sort(np.argsort(-displacement)[:LOOKED_AT])
-    with ThreadPoolExecutor(os.cpu_count()) as pool:  # NumPy computes beside Python
-        found = list(pool.map(skin.measures, _displaced(motion[chosen], modes)))
+    found: list[tuple[np.ndarray, tuple[float, ...]]] = []
+    with ThreadPoolExecutor(min(AT_ONCE, os.cpu_count() or 1)) as pool:  # NumPy computes beside Python
+        for displaced in _displaced(motion[chosen], modes):
+            found += pool.map(skin.measures, displaced)
     farthest = np.max([distance for distance, _ in found], axis=0)
     largest, percentile, low, high, flipped = np.array([measures for _, measures in found]).T
     worst = int(chosen[(largest / max(largest.max(), 1e-300) + flipped / max(flipped.max(), TURNED)).argmax()])
@@ -229,9 +231,9 @@ def judge(
 
 
 def _displaced(motion: np.ndarray, modes: np.ndarray) -> Iterator[np.ndarray]:
-    """Displacements (V, 3) by each row of motion (F, r), some rows at once, so that the modes are read less often."""
+    """Displacements (k, V, 3) by rows of motion (F, r), some at once, so that the modes are read less often."""
     for first in range(0, len(motion), AT_ONCE):
-        yield from (motion[first : first + AT_ONCE] @ modes).reshape(-1, modes.shape[1] // 3, 3)
+        yield (motion[first : first + AT_ONCE] @ modes).reshape(-1, modes.shape[1] // 3, 3)
 
 
 class _Skin:

@@ -18,7 +18,7 @@ from ...scene import body_checks, checks, cuts, extract, references, rig_motion,
 from ...scene.references import armature_modifiers
 from ...scene.registration import of_classes
 from ...scene.skinning import Skinning
-from ...scene.source import read_once
+from ...scene.source import read_again, read_once
 from ...write.authoring import attachments
 from ...write.authoring.fixes import FIXES
 from ...write.bake import writer
@@ -107,6 +107,7 @@ def _find_attachments(obj) -> list[str]:
         return []
     try:
         attachments.find(obj)
+        read_again()  # they have groups of their own
         extract.character(obj, without_targets=True)
     except SceneError as error:
         return [sentence(error)]
