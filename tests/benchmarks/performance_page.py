@@ -102,8 +102,9 @@ CLICK = """## From the click to Live
 What a user waits for: *Add Soft Skin*, the build that follows by itself, and *Live* until its first frame, each time in
 a process that has just opened the character. Live begins with a draft of few modes; *whole model* is when it goes on
 with all of them. Seconds of the median of {runs} runs; those of the processor count all cores and the process of the
-mesher.{before} *Stroke*: from the end of a stroke of Firmness to Live. *Bake*: the first one of 250 frames; *rig* is
-what reading the rig takes of it. *Rigify* is the human of its metarig with a face, skinned with automatic weights.
+mesher. *Stroke*: from the end of a stroke of Firmness to Live. *Bake*: the first one of 250 frames; *rig* is what
+reading the rig takes of it. *Rigify* is the human of its metarig with a face, skinned with automatic
+weights.{before}
 """
 BEFORE = " *Before*: at commit `{}`, in the same run, in turn."
 
