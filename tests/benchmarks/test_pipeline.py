@@ -23,7 +23,7 @@ import pytest
 import real_character
 from dynamic_morph_targets.run import batch, job, live
 from dynamic_morph_targets.run.job import Job
-from dynamic_morph_targets.scene import extract, sampling_scene
+from dynamic_morph_targets.scene import events, extract, sampling_scene
 
 SUBSTEPS = 4
 ROUNDS = 7
@@ -37,6 +37,12 @@ def registered():
     dynamic_morph_targets.register()
     yield
     dynamic_morph_targets.unregister()
+
+
+@pytest.fixture(autouse=True)
+def in_playback(monkeypatch):
+    """Live writes as it does while a window plays."""
+    monkeypatch.setattr(events, "is_playing", lambda: True)
 
 
 def open_body(subdivided: bool = False):

@@ -18,11 +18,11 @@ from ..core.motion.coupling import refusal
 from ..core.settings import SimulationSettings
 from ..scene import colliders, events, model_store, references, staleness
 from ..scene.skin import shown_attachments, soft_skins
-from ..write import reconcile, storage
-from ..write.authoring import regions, targets
-from ..write.bake import muting, writer
+from ..write import reconcile
+from ..write.bake import muting
 from ..write.display import live_key
 from .live_group import LiveGroup
+from .live_surface import ahead, catch_up, evaluated_next, frame_evaluated
 from .session import Session, painted, way_to_skin
 from .tissue import simulation_settings
 
@@ -104,8 +104,15 @@ def _stated(obj: bpy.types.Object) -> tuple[str, ...]:
     return obj.dynamorph.model.content_id, *staleness.model_age(obj)
 
 
-def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) -> None:
-    """Show the state of the soft skin at the scene's time. Problems are recorded, see `problem`."""
+def follow(
+    obj: bpy.types.Object,
+    scene: bpy.types.Scene,
+    arrives: bool = True,
+    depsgraph: bpy.types.Depsgraph | None = None,
+) -> None:
+    """Show the state of the soft skin at the scene's time. depsgraph: that Blender evaluates next. Problems are
+    recorded, see `problem`.
+    """
     if problem(obj) or is_away(obj):
         return
     try:
@@ -119,7 +126,7 @@ def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) 
             return
         if obj.data.library and live_key.is_hidden(obj):  # it was linked since: as it was saved
             live_key.hide(obj, False)
-        session.tissue.show(session.values(obj, settings, scene.frame_float, arrives))
+        session.tissue.show(session.values(obj, settings, scene.frame_float, arrives), depsgraph)
     except engine.expected_errors() as error:
         stop(obj, errors.sentence(error))
     except Exception as bug:  # raised in a handler, it would be printed at every frame
@@ -218,7 +225,7 @@ def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | Non
         if scrubbing and not (session and session.knows(scene.frame_float)):
             events.soon(_after_scrubbing, SCRUBBED)
         else:
-            follow(obj, scene, arrives=not scrubbing)
+            follow(obj, scene, not scrubbing, evaluated_next())
 
 
 def _after_scrubbing() -> float | None:
@@ -247,6 +254,8 @@ def _edited(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     updates = list(depsgraph.updates)
     if updates:
         _problems.clear()  # try again
+    if any(isinstance(update.id, bpy.types.Key) for update in updates):
+        catch_up()
     moved = any(_moves(update) for update in updates)
     reskinned = any(_may_reskin(update) for update in updates)
     here = soft_skins(scene.objects)
@@ -320,6 +329,7 @@ def _before_save(*_args: object) -> None:
 
     In a file that is opened without the extension, the skin would stay frozen at the last frame.
     """
+    catch_up()
     skins = soft_skins(bpy.data.objects)
     for obj in [each for skin in skins for each in (skin, *shown_attachments(skin))]:
         block = live_key.find(obj)
@@ -367,6 +377,8 @@ def _wake_late() -> None:
 
 HANDLERS = {
     "frame_change_pre": _frame_changed,
+    "frame_change_post": frame_evaluated,
+    "animation_playback_post": catch_up,
     "render_init": _render_begins,
     "depsgraph_update_post": _edited,
     "undo_post": _undone,
@@ -403,17 +415,6 @@ def _forget() -> None:
     global _any_live
     _any_live = None
     sessions.clear()
+    ahead.clear()
     _problems.clear()
     _frozen.clear()
-
-
-def remove_soft_skin(obj: bpy.types.Object) -> None:
-    """Remove its targets, model and bake; shape keys and settings stay. Raises WriteError."""
-    turn_off(obj)
-    writer.free(obj)
-    targets.show_as_before(obj)
-    muting.show_target(obj, "")
-    left = regions.automatic_regions(obj, obj.dynamorph.targets)
-    obj.dynamorph.targets.clear()
-    regions.update(obj, left)
-    storage.forget_model(obj)

@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Set
+from contextlib import suppress
 
+import bpy
 import numpy as np
+from bpy.app.handlers import persistent
 
 from ..core.engine import dynamorph
-from ..scene import skin
+from ..core.errors import SceneError
+from ..scene import events, skin
 from ..write.display import live_key
 
 # What displaces the points of a surface: coordinates (dofs,) -> (3 V,), float32, local space.
@@ -19,12 +23,15 @@ class LiveMesh:
     """A mesh whose live key shows the motion: the soft skin's own, or one that follows it.
 
     vertices (V, 3), residual_shapes (J, V, 3): local space. move: see Move. written (3 V,): the points of the key.
+    ahead: those that show without having been written to it.
     """
 
     def __init__(self, handle: skin.ObjectHandle, vertices: np.ndarray, move: Move, residual_shapes: np.ndarray):
         self.object = handle
         self.move = move
         self.written: np.ndarray | None = None
+        self.ahead: np.ndarray | None = None
+        self._stands_still = False  # but for what Live moves
         self._rest = vertices.astype(np.float32).ravel()
         self._residual_shapes = residual_shapes.reshape(len(residual_shapes), -1).astype(np.float32)
 
@@ -33,14 +40,68 @@ class LiveMesh:
         coordinates, weights = np.split(values, [len(values) - len(self._residual_shapes)])
         return self._rest + self.move(coordinates) + _blended(weights, self._residual_shapes)
 
-    def show(self, values: np.ndarray) -> bool:
-        """Write the key; False when it is gone, or the mesh has other vertices now. Raises SceneError."""
+    def show(self, values: np.ndarray, depsgraph: bpy.types.Depsgraph | None = None) -> bool:
+        """Write the key; False when it is gone, or the mesh has other vertices now. depsgraph: that is evaluated next,
+        if the mesh moves by itself. Raises SceneError.
+        """
         block = live_key.find(self.object.find(), self.written)
         if block is None or 3 * len(block.points) != len(self._rest):
             return False
-        self.written = self.points(values)
-        live_key.write(block, self.written)
+        points = self.points(values)
+        if depsgraph and not self._stands_still and live_key.write_evaluated(block, points, depsgraph):
+            self.ahead = points
+            ahead[self.object.session_uid] = self
+        else:
+            self._write(block, points)
         return True
+
+    def follow_up(self, evaluated: Set[int]) -> None:
+        """After a frame. A mesh that Blender has not evaluated (session ids) stands still but for what Live moves."""
+        if self.ahead is not None and self.object.session_uid not in evaluated:
+            self._stands_still = True
+            self.catch_up()
+
+    def catch_up(self) -> None:
+        """Write to the key what shows already. Raises SceneError."""
+        block = live_key.find(self.object.find(), self.written)
+        if self.ahead is not None and block is not None and len(self.ahead) == 3 * len(block.points):
+            self._write(block, self.ahead)
+        self.ahead = None
+
+    def _write(self, block: bpy.types.ShapeKey, points: np.ndarray) -> None:
+        live_key.write(block, points)
+        self.written, self.ahead = points, None
+
+
+ahead: dict[int, LiveMesh] = {}  # by Object.session_uid: those with points `ahead`
+
+
+@persistent
+def catch_up(*_args: object) -> None:
+    """animation_playback_post: the keys get what shows already, before Blender copies them for another reason."""
+    for surface in [*ahead.values()]:
+        with suppress(SceneError):  # it was deleted
+            surface.catch_up()
+    ahead.clear()
+
+
+def evaluated_next() -> bpy.types.Depsgraph | None:
+    """What Blender evaluates after the handlers while it plays; None where that may not be all that shows the skin."""
+    layers = {(window.scene, window.view_layer) for window in bpy.context.window_manager.windows}
+    plays = events.is_playing() and not events.render_runs() and len(layers) <= 1
+    return bpy.context.view_layer.depsgraph if plays else None
+
+
+@persistent
+def frame_evaluated(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    """frame_change_post: ask Blender to show what moves in Live alone."""
+    if not ahead or depsgraph is None:
+        return
+    updates = [update for update in depsgraph.updates if update.is_updated_geometry]
+    evaluated = {update.id.original.session_uid for update in updates if isinstance(update.id, bpy.types.Object)}
+    for surface in [*ahead.values()]:
+        with suppress(SceneError):  # it was deleted
+            surface.follow_up(evaluated)
 
 
 def by_modes(modes: np.ndarray, nodes: np.ndarray, weights: np.ndarray) -> Move:

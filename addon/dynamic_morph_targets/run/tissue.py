@@ -89,17 +89,19 @@ class Tissue:
             comparison.show(obj, False)
         live_key.add(obj, self.target_names, [surface.object.find() for surface in self.attachments])
 
-    def show(self, values: np.ndarray) -> bool:
-        """Write the live keys; False when that of the skin is gone. Raises SelfCheckError."""
+    def show(self, values: np.ndarray, depsgraph: bpy.types.Depsgraph | None = None) -> bool:
+        """Write the live keys; False when that of the skin is gone. depsgraph: as in `LiveMesh.show`. Raises
+        SelfCheckError.
+        """
         if not np.isfinite(values).all():  # Python and drivers can set any value as a gain
             raise SelfCheckError(
                 "'{name}': its motion is not finite: press Reset Amounts, or set the targets' Amount to 1",
                 name=self.skin.object.name,
             )
-        shown = self.skin.show(values)
+        shown = self.skin.show(values, depsgraph)
         for surface in self.attachments:
             with suppress(SceneError):  # it was deleted
-                surface.show(values)
+                surface.show(values, depsgraph)
         return shown
 
     def moved(self, values: np.ndarray) -> float:

@@ -13,7 +13,7 @@ from ...core import engine
 from ...core.errors import SceneError, sentence
 from ...core.material.feel import FEELS
 from ...core.message import translated
-from ...run.live import remove_soft_skin
+from ...run.removal import remove_soft_skin
 from ...scene import body_checks, checks, cuts, extract, references, rig_motion, skin, target_properties
 from ...scene.references import armature_modifiers
 from ...scene.registration import of_classes

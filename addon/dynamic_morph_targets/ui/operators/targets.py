@@ -10,7 +10,7 @@ from bpy.types import Operator
 
 from ...core.errors import SceneError
 from ...run import task
-from ...run.live import remove_soft_skin
+from ...run.removal import remove_soft_skin
 from ...scene import checks, rig_motion, skin
 from ...scene.references import rest_skeleton
 from ...scene.registration import of_classes

@@ -13,7 +13,7 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ...core.errors import SetupError
 from ...io import paths
-from ...run.live import remove_soft_skin
+from ...run.removal import remove_soft_skin
 from ...scene import skin
 from ...scene.registration import of_classes
 from ...write import storage
