@@ -242,8 +242,8 @@ struct CriticalEdges {
   bool any() const { return energy < kInfinity; }
 };
 
-/// Adds the edge, of a bone's own, whose stretch under an answer u (3P) is at the percentile, where `weight` (P) counts,
-/// and raises the strain of each of them to its stretch over that. Returns the percentile over the limit.
+/// Adds the edge, of a bone's own, whose stretch under an answer u (3P) is at the percentile, where `weight` (P)
+/// counts, and raises the strain of each of them to its stretch over that. Returns the percentile over the limit.
 double add_critical(const VectorXd& u, const SoftSkin& skin, const SkinLimits& limits, const VectorXd& weight,
                     CriticalEdges& of_bone) {
   VectorXd stretch(Index(of_bone.own.size())), part(stretch.size());
@@ -396,8 +396,7 @@ class Carried {
 /// body.
 template <class Model>
 CriticalEdges critical_edges(const Neutral<Model>& neutral, const SkinLimits& limits, const SoftSkin& skin,
-                             const VectorXd& weight, const VectorXd& carried,
-                             const std::array<VectorXd, 3>& of_body) {
+                             const VectorXd& weight, const VectorXd& carried, const std::array<VectorXd, 3>& of_body) {
   CriticalEdges out;
   std::vector<int> vertices;
   for (std::size_t e = 0; e < skin.edges.size(); ++e)
