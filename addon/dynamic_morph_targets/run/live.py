@@ -21,8 +21,8 @@ from ..scene.skin import shown_attachments, soft_skins
 from ..write import reconcile
 from ..write.bake import muting
 from ..write.display import live_key
+from . import live_surface
 from .live_group import LiveGroup
-from .live_surface import ahead, catch_up, evaluated_next, frame_evaluated
 from .session import Session, painted, way_to_skin
 from .tissue import simulation_settings
 
@@ -225,7 +225,7 @@ def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | Non
         if scrubbing and not (session and session.knows(scene.frame_float)):
             events.soon(_after_scrubbing, SCRUBBED)
         else:
-            follow(obj, scene, not scrubbing, evaluated_next())
+            follow(obj, scene, not scrubbing, live_surface.evaluated_next())
 
 
 def _after_scrubbing() -> float | None:
@@ -249,13 +249,13 @@ def _edited(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     global _any_live
     if depsgraph.id_type_updated("OBJECT"):
         _any_live = None  # one may have been added
+    updates = list(depsgraph.updates)
+    if live_surface.ahead and any(isinstance(update.id, bpy.types.Key) for update in updates):
+        live_surface.catch_up()
     if not (sessions or _problems) or scene != bpy.context.scene:
         return
-    updates = list(depsgraph.updates)
     if updates:
         _problems.clear()  # try again
-    if any(isinstance(update.id, bpy.types.Key) for update in updates):
-        catch_up()
     moved = any(_moves(update) for update in updates)
     reskinned = any(_may_reskin(update) for update in updates)
     here = soft_skins(scene.objects)
@@ -314,6 +314,7 @@ def _undone(*_args: object) -> None:
     _problems.clear()
     for session in sessions.values():
         session.rig_changed()
+    events.soon(_after_scrubbing, 0.0)  # the key may be that of an earlier frame
 
 
 @persistent
@@ -329,7 +330,7 @@ def _before_save(*_args: object) -> None:
 
     In a file that is opened without the extension, the skin would stay frozen at the last frame.
     """
-    catch_up()
+    live_surface.catch_up()
     skins = soft_skins(bpy.data.objects)
     for obj in [each for skin in skins for each in (skin, *shown_attachments(skin))]:
         block = live_key.find(obj)
@@ -375,10 +376,8 @@ def _wake_late() -> None:
         _wake()
 
 
-HANDLERS = {
+HANDLERS = live_surface.HANDLERS | {
     "frame_change_pre": _frame_changed,
-    "frame_change_post": frame_evaluated,
-    "animation_playback_post": catch_up,
     "render_init": _render_begins,
     "depsgraph_update_post": _edited,
     "undo_post": _undone,
@@ -405,6 +404,7 @@ def register() -> None:
 def unregister() -> None:
     events.unsubscribe(LISTENERS)
     events.remove(HANDLERS)
+    live_surface.catch_up()
     for look in (_after_scrubbing, _after_stroke, _wake_late):
         events.forget(look)
     _forget()
@@ -415,6 +415,6 @@ def _forget() -> None:
     global _any_live
     _any_live = None
     sessions.clear()
-    ahead.clear()
+    live_surface.ahead.clear()
     _problems.clear()
     _frozen.clear()

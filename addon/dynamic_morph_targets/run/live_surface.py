@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Set
 from contextlib import suppress
 
@@ -12,7 +13,8 @@ from bpy.app.handlers import persistent
 
 from ..core.engine import dynamorph
 from ..core.errors import SceneError
-from ..scene import events, skin
+from ..scene import colliders, events, skin
+from ..scene.references import key_points
 from ..write.display import live_key
 
 # What displaces the points of a surface: coordinates (dofs,) -> (3 V,), float32, local space.
@@ -23,7 +25,7 @@ class LiveMesh:
     """A mesh whose live key shows the motion: the soft skin's own, or one that follows it.
 
     vertices (V, 3), residual_shapes (J, V, 3): local space. move: see Move. written (3 V,): the points of the key.
-    ahead: those that show without having been written to it.
+    ahead: those that show without having been written to it, because that makes Blender copy all keys of the mesh.
     """
 
     def __init__(self, handle: skin.ObjectHandle, vertices: np.ndarray, move: Move, residual_shapes: np.ndarray):
@@ -31,7 +33,7 @@ class LiveMesh:
         self.move = move
         self.written: np.ndarray | None = None
         self.ahead: np.ndarray | None = None
-        self._stands_still = False  # but for what Live moves
+        self._goes_ahead = True  # until something prevents that they show
         self._rest = vertices.astype(np.float32).ravel()
         self._residual_shapes = residual_shapes.reshape(len(residual_shapes), -1).astype(np.float32)
 
@@ -44,41 +46,57 @@ class LiveMesh:
         """Write the key; False when it is gone, or the mesh has other vertices now. depsgraph: that is evaluated next,
         if the mesh moves by itself. Raises SceneError.
         """
-        block = live_key.find(self.object.find(), self.written)
+        obj = self.object.find()
+        block = live_key.find(obj, self.written)
         if block is None or 3 * len(block.points) != len(self._rest):
             return False
         points = self.points(values)
-        if depsgraph and not self._stands_still and live_key.write_evaluated(block, points, depsgraph):
-            self.ahead = points
-            ahead[self.object.session_uid] = self
-        else:
+        shown = None
+        if depsgraph and self._goes_ahead and not colliders.is_collider(obj):  # those are read elsewhere
+            shown = live_key.evaluated(block, depsgraph)
+        if shown is None or not self._still_shows(shown):
             self._write(block, points)
+        else:
+            shown.points.foreach_set("co", points)
+            self.ahead, ahead[obj.session_uid] = points, self
         return True
 
-    def follow_up(self, evaluated: Set[int]) -> None:
-        """After a frame. A mesh that Blender has not evaluated (session ids) stands still but for what Live moves."""
-        if self.ahead is not None and self.object.session_uid not in evaluated:
-            self._stands_still = True
+    def follow_up(self, depsgraph: bpy.types.Depsgraph, evaluated: Set[int]) -> None:
+        """After a frame, in which Blender has evaluated meshes (session ids): what does not show is written."""
+        block = live_key.find(self.object.find(), self.written)
+        shown = block and live_key.evaluated(block, depsgraph)
+        if shown is None or self.object.session_uid not in evaluated or not self._still_shows(shown):
+            self._goes_ahead = False
             self.catch_up()
 
     def catch_up(self) -> None:
         """Write to the key what shows already. Raises SceneError."""
-        block = live_key.find(self.object.find(), self.written)
-        if self.ahead is not None and block is not None and len(self.ahead) == 3 * len(block.points):
+        obj = self.object.find()
+        block = live_key.find(obj, self.written)
+        if self.ahead is not None and block is not None and obj.mode not in EDITED:
             self._write(block, self.ahead)
         self.ahead = None
+
+    def _still_shows(self, shown: bpy.types.ShapeKey) -> bool:
+        """Whether nobody has made Blender copy the keys again since points went ahead."""
+        if self.ahead is None:
+            return True
+        self._goes_ahead = np.array_equal(key_points(shown).ravel(), self.ahead)
+        return self._goes_ahead
 
     def _write(self, block: bpy.types.ShapeKey, points: np.ndarray) -> None:
         live_key.write(block, points)
         self.written, self.ahead = points, None
+        ahead.pop(self.object.session_uid, None)
 
 
+EDITED = {"EDIT", "SCULPT"}  # modes with a mesh of their own
 ahead: dict[int, LiveMesh] = {}  # by Object.session_uid: those with points `ahead`
 
 
 @persistent
 def catch_up(*_args: object) -> None:
-    """animation_playback_post: the keys get what shows already, before Blender copies them for another reason."""
+    """animation_playback_post, object_bake_pre: the keys get what shows already, for whoever reads them."""
     for surface in [*ahead.values()]:
         with suppress(SceneError):  # it was deleted
             surface.catch_up()
@@ -88,20 +106,33 @@ def catch_up(*_args: object) -> None:
 def evaluated_next() -> bpy.types.Depsgraph | None:
     """What Blender evaluates after the handlers while it plays; None where that may not be all that shows the skin."""
     layers = {(window.scene, window.view_layer) for window in bpy.context.window_manager.windows}
-    plays = events.is_playing() and not events.render_runs() and len(layers) <= 1
-    return bpy.context.view_layer.depsgraph if plays else None
+    in_main = threading.current_thread() is threading.main_thread()  # exports evaluate in others
+    if in_main and events.is_playing() and not events.render_runs() and len(layers) <= 1:
+        return bpy.context.view_layer.depsgraph
+    catch_up()
+    return None
 
 
 @persistent
-def frame_evaluated(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
-    """frame_change_post: ask Blender to show what moves in Live alone."""
-    if not ahead or depsgraph is None:
+def frame_evaluated(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    """frame_change_post: see that what went ahead shows."""
+    if not ahead or depsgraph is None or scene != bpy.context.scene:
+        return
+    if depsgraph != bpy.context.view_layer.depsgraph:  # of an export, or of a render that a script asked for
+        catch_up()
         return
     updates = [update for update in depsgraph.updates if update.is_updated_geometry]
     evaluated = {update.id.original.session_uid for update in updates if isinstance(update.id, bpy.types.Object)}
     for surface in [*ahead.values()]:
         with suppress(SceneError):  # it was deleted
-            surface.follow_up(evaluated)
+            surface.follow_up(depsgraph, evaluated)
+
+
+HANDLERS = {
+    "frame_change_post": frame_evaluated,
+    "animation_playback_post": catch_up,
+    "object_bake_pre": catch_up,
+}
 
 
 def by_modes(modes: np.ndarray, nodes: np.ndarray, weights: np.ndarray) -> Move:

@@ -847,6 +847,48 @@ def test_an_edit_of_a_key_in_playback_does_not_bring_back_an_old_shape(in_playba
     assert frames == [5] and farthest_moved(evaluated_points(playing), shown) < 1e-6
 
 
+@pytest.mark.parametrize("handlers", ["frame_change_pre", "frame_change_post"])
+def test_where_others_make_blender_copy_the_keys_they_are_written(in_playback, handlers):
+    """Another add-on that sets a key for each frame."""
+    playing, frames = in_playback
+
+    def tags(*_):
+        playing.data.shape_keys.update_tag()
+
+    getattr(bpy.app.handlers, handlers).append(tags)
+    try:
+        for frame in range(2, 7):
+            bpy.context.scene.frame_set(frame)
+            bpy.context.view_layer.update()
+    finally:
+        getattr(bpy.app.handlers, handlers).remove(tags)
+    assert frames[-3:] == [4, 5, 6]
+    shown = evaluated_points(playing)
+    playing.data.shape_keys.update_tag()
+    assert farthest_moved(evaluated_points(playing), shown) == 0.0
+
+
+def test_what_others_collide_with_is_written(in_playback):
+    """They are read in a scene of ours, which has the key itself."""
+    playing, frames = in_playback
+    playing.modifiers.new("Collision", "COLLISION")
+    playing.collision.use = True
+    for frame in range(2, 5):
+        bpy.context.scene.frame_set(frame)
+    assert frames == [2, 3, 4]
+
+
+def test_another_depsgraph_gets_the_key_itself(in_playback, tmp_path):
+    """An export while it plays."""
+    playing, frames = in_playback
+    for frame in range(2, 5):
+        bpy.context.scene.frame_set(frame)
+    assert frames == [] and live_surface.ahead
+    playing.select_set(True)
+    bpy.ops.wm.alembic_export(filepath=str(tmp_path / "a.abc"), start=5, end=7, as_background_job=False)
+    assert frames and not live_surface.ahead
+
+
 def test_what_moves_in_live_alone_is_written(in_playback):
     """Where the rig stands nothing else evaluates the mesh."""
     playing, frames = in_playback

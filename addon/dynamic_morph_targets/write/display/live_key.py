@@ -138,13 +138,8 @@ def write(block, points: np.ndarray):
     block.id_data.update_tag()
 
 
-def write_evaluated(block, points: np.ndarray, depsgraph) -> bool:
-    """Show points in one depsgraph only, if it evaluates the mesh for another reason. False where that has no such key.
-
-    Writing to the key itself makes Blender copy all keys of the mesh, which takes milliseconds where there are many.
-    """
+def evaluated(block, depsgraph):
+    """The copy of the key in a depsgraph; None where that has none like it."""
     shown = block.id_data.evaluated_get(depsgraph).key_blocks.get(block.name)
-    if shown is None or shown.id_data == block.id_data or len(shown.points) != len(block.points):
-        return False
-    shown.points.foreach_set("co", points)
-    return True
+    alike = shown is not None and shown.id_data != block.id_data and len(shown.points) == len(block.points)
+    return shown if alike else None
