@@ -261,13 +261,18 @@ class Writer:
 
 
 def store_materials(obj: bpy.types.Object, character: Character) -> None:
-    """Store what a build has made of the targets' frequencies."""
+    """Store what a build has made of the targets' frequencies. One that was set since the build began stays."""
     for target in obj.dynamorph.targets:
         index = index_in(character, obj, target)
         if index is None:
             continue
+        built = character.targets[index]
+        if (target.frequency, target.by_hand) != (built.frequency, built.by_hand):
+            if target.frequency:
+                target.set_frequency(target.frequency, (target.mass_damping, target.stiffness_damping))
+            continue
         with target_properties.as_computed():
-            for name, value in calibration.stored(character.targets[index]).items():
+            for name, value in calibration.stored(built).items():
                 if getattr(target, name) != value:
                     setattr(target, name, value)
 

@@ -63,7 +63,6 @@ class Computation:
             self.outcome.model = given.model
         self.rig: RigSamples | None = None
         self.shot: Shot | None = None
-        self.draft: tuple[Model, Character] | None = None  # to be played while the rest is built
         self.previous = given.previous  # a model whose cage may be used again
         self.together: Together | None = None  # with the computations of others, whose bodies press on this one
         self.read_from = 0.0  # of the job, the part that is done before the rig is read
@@ -159,7 +158,7 @@ class Computation:
     def _offer(self, draft: Model) -> None:
         self._measure(draft)
         if not self.progress.canceled:
-            self.draft = draft, calibration.calibrated(self.given.character, self.outcome.references)
+            self.progress.draft = draft, calibration.calibrated(self.given.character, self.outcome.references)
 
     def _take_model(self, model: Model) -> None:
         with self.progress.stage("store model"):

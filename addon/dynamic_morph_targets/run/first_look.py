@@ -10,7 +10,9 @@ import bpy
 import numpy as np
 
 from ..core import engine, logger
+from ..core.character import Character
 from ..core.errors import SceneError, WriteError
+from ..core.model.model import Model
 from ..scene import events, model_store
 from . import live, preview
 from .bake_result import store_materials
@@ -22,8 +24,8 @@ class FirstLook(Batch):
     """Builds the model of a new soft skin. Live shows a draft of it while the rest is built, and goes on with the
     whole.
 
-    The draft is never stored: where the build ends without a model, Live is off again. shows: whether the draft is
-    shown.
+    The draft is never stored: where the build ends without a model, Live is off again. shows: whether the draft was
+    shown, or cannot be.
     """
 
     def __init__(self, obj: bpy.types.Object):
@@ -32,8 +34,10 @@ class FirstLook(Batch):
 
     def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
         for _ in super().steps(seconds, pause):
-            if not self.shows and self.jobs[0].draft and not events.render_runs():
-                self._show()
+            draft = self.jobs[0].progress.draft
+            if draft and not self.shows and not events.render_runs():
+                self.shows = True
+                self._show(draft)
             yield
         self._withdraw()
 
@@ -50,10 +54,10 @@ class FirstLook(Batch):
         running, target = preview.preview, self.jobs[0].request.target
         return running if running and running.object.session_uid == target.session_uid else None
 
-    def _show(self) -> None:
+    def _show(self, draft: tuple[Model, Character]) -> None:
         """Turn Live on. What prevents that is said when the model is there."""
-        self.shows, request, draft = True, self.jobs[0].request, self.jobs[0].draft
-        if request.scene.find() != bpy.context.scene or draft is None:  # the artist has gone on in another one
+        request = self.jobs[0].request
+        if request.scene.find() != bpy.context.scene:  # the artist has gone on in another one
             return
         try:
             obj = request.target.find()

@@ -12,10 +12,8 @@ import bpy
 import numpy as np
 
 from ..core import blas, engine
-from ..core.character import Character
 from ..core.errors import Cancelled
 from ..core.message import Message
-from ..core.model.model import Model
 from ..core.motion.rig_samples import RigSamples
 from ..scene import events
 from ..scene.skin import ObjectHandle, SceneHandle
@@ -59,11 +57,6 @@ class Job:
     @property
     def outcome(self) -> Outcome:
         return self.computation.outcome
-
-    @property
-    def draft(self) -> tuple[Model, Character] | None:
-        """A model with few modes that can be played, and its character, once there is one."""
-        return self.computation.draft if self.thread.ident else None
 
     @property
     def warnings(self) -> list[str]:

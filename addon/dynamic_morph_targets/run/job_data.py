@@ -37,6 +37,7 @@ class Progress:
         self.message = ""
         self.canceled = False
         self.seconds: dict[str, float] = {}  # by stage
+        self.draft: tuple[Model, Character] | None = None  # to be played while the rest is built
         self.waited = 0.0  # seconds of the job's turns, with all that Blender did between their slices
 
     @contextmanager

@@ -28,7 +28,6 @@ from .tissue import simulation_settings
 
 STROKE = 0.2  # seconds without an edit after which a stroke of paint shows
 SCRUBBED = 0.02  # seconds between two checks whether the artist still drags through the timeline
-AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 sessions: dict[int, Session] = {}  # by Object.session_uid
 _problems: dict[int, tuple[str, tuple[str, ...]]] = {}  # why an object does not play, and the state of its model then
 suspended: set[int] = (
@@ -173,7 +172,7 @@ def _way(session: Session) -> tuple[str, SimulationSettings]:
 def is_away(obj: bpy.types.Object) -> bool:
     """Whether the artist edits the mesh or the rig, which Live then leaves alone."""
     rig = references.rig_of(obj)
-    return obj.mode in AWAY or bool(rig and rig.mode == "EDIT")
+    return obj.mode in live_surface.AWAY or bool(rig and rig.mode == "EDIT")
 
 
 def stop(obj: bpy.types.Object, why: str) -> None:
@@ -223,13 +222,13 @@ def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | Non
     for obj in live:
         session = sessions.get(obj.session_uid)
         if scrubbing and not (session and session.knows(scene.frame_float)):
-            events.soon(_after_scrubbing, SCRUBBED)
+            events.soon(_show_present, SCRUBBED)
         else:
             follow(obj, scene, not scrubbing, live_surface.evaluated_next())
 
 
-def _after_scrubbing() -> float | None:
-    """By a timer: show the frame that was scrubbed to, when the mouse is up."""
+def _show_present() -> float | None:
+    """By a timer: show the frame that was scrubbed to, when the mouse is up, or that an undo has brought back."""
     if events.is_scrubbing():
         return SCRUBBED  # seconds from now
     for obj in soft_skins(bpy.context.scene.objects):
@@ -314,7 +313,7 @@ def _undone(*_args: object) -> None:
     _problems.clear()
     for session in sessions.values():
         session.rig_changed()
-    events.soon(_after_scrubbing, 0.0)  # the key may be that of an earlier frame
+    events.soon(_show_present, 0.0)  # the key may be that of an earlier frame
 
 
 @persistent
@@ -405,7 +404,7 @@ def unregister() -> None:
     events.unsubscribe(LISTENERS)
     events.remove(HANDLERS)
     live_surface.catch_up()
-    for look in (_after_scrubbing, _after_stroke, _wake_late):
+    for look in (_show_present, _after_stroke, _wake_late):
         events.forget(look)
     _forget()
     _hide()

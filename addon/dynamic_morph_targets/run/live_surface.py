@@ -17,6 +17,7 @@ from ..scene import colliders, events, skin
 from ..scene.references import key_points
 from ..write.display import live_key
 
+AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 # What displaces the points of a surface: coordinates (dofs,) -> (3 V,), float32, local space.
 Move = Callable[[np.ndarray], np.ndarray]
 
@@ -73,7 +74,7 @@ class LiveMesh:
         """Write to the key what shows already. Raises SceneError."""
         obj = self.object.find()
         block = live_key.find(obj, self.written)
-        if self.ahead is not None and block is not None and obj.mode not in EDITED:
+        if self.ahead is not None and block is not None and obj.mode not in AWAY:
             self._write(block, self.ahead)
         self.ahead = None
 
@@ -90,7 +91,6 @@ class LiveMesh:
         ahead.pop(self.object.session_uid, None)
 
 
-EDITED = {"EDIT", "SCULPT"}  # modes with a mesh of their own
 ahead: dict[int, LiveMesh] = {}  # by Object.session_uid: those with points `ahead`
 
 
@@ -104,7 +104,9 @@ def catch_up(*_args: object) -> None:
 
 
 def evaluated_next() -> bpy.types.Depsgraph | None:
-    """What Blender evaluates after the handlers while it plays; None where that may not be all that shows the skin."""
+    """What Blender evaluates after the handlers while it plays. None where that may not be all that shows the skin:
+    then the keys catch up.
+    """
     layers = {(window.scene, window.view_layer) for window in bpy.context.window_manager.windows}
     in_main = threading.current_thread() is threading.main_thread()  # exports evaluate in others
     if in_main and events.is_playing() and not events.render_runs() and len(layers) <= 1:

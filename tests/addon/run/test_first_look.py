@@ -157,6 +157,18 @@ def test_a_draft_keeps_its_bounce_when_settings_change(new_arm):
     work.stop()
 
 
+def test_a_bounce_that_is_set_while_the_draft_plays_stays(new_arm):
+    """And the build makes its stiffness, as it would of one that was there before."""
+    _, steps = until_it_shows(new_arm)
+    target = new_arm.dynamorph.targets[0]
+    before = target.stiffness
+    target.bounce = 3.0
+    for _ in steps:
+        pass
+    assert target.bounce == pytest.approx(3.0, rel=1e-5)
+    assert target.stiffness == pytest.approx(4.0 * before, rel=0.05)  # of 1.5 Hz; damping changes it a little
+
+
 def test_a_render_sees_no_draft(new_arm, monkeypatch):
     work = FirstLook(new_arm)
     steps = work.steps(pause=0.001)

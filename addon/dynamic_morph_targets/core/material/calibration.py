@@ -87,23 +87,3 @@ def _stiffness_of(target: Target, reference: float) -> float:
     if not (target.frequency and reference):
         return target.material.stiffness
     return stiffness_for(reference, target.material, target.frequency)
-
-
-def stiffened(character: Character, factor: float) -> Character:
-    """The character with the frequency multiplied by `factor` at all targets that are not set by hand. The damping
-    ratio stays.
-    """
-
-    def stiffer(_index: int, target: Target) -> Target:
-        if target.by_hand or not target.frequency:
-            return target
-        old = target.material
-        material = replace(
-            old,
-            stiffness=as_stored(old.stiffness * factor**2),
-            mass_damping=as_stored(old.mass_damping * factor),
-            stiffness_damping=as_stored(old.stiffness_damping / factor),
-        )
-        return replace(target, material=material, frequency=as_stored(target.frequency * factor))
-
-    return character.with_targets(stiffer)

@@ -63,18 +63,12 @@ def make_cage(character: Character, previous: Model | None, stages: Stages) -> C
     contents = _cages(character, surface)
     if previous and len(contents) > 1 and (character.settings.hold == "BONES" or character.cage):
         previous = None  # the model does not tell which nodes are whose
-    body = None
-    with stages("Meshing", 0.30) as report:
-        if not previous:
-            defects = dynamorph.closed_surface(surface, character.triangles)[2]  # first: it refuses with advice
-            meshes, body = _meshed(character, contents, surface, report)
-    with stages("Embedding", 0.05) as report:
-        filled = (
-            _filled_before(contents, previous, surface)
-            if previous
-            else _all_filled(character, contents, meshes, surface, report)
-        )
-        mesh, embedding = filled.mesh, filled.embedding
+    if previous:
+        filled, defects, body = _filled_before(contents, previous, surface), previous.summary.defects, None
+    else:
+        filled, defects, body = _new(character, contents, surface, stages)
+    mesh, embedding = filled.mesh, filled.embedding
+    with stages("Embedding", 0.35 if previous else 0.02):
         inherited = inherit(character, mesh, embedding)
         if character.settings.hold == "BONES":
             painted = (inherited.firmness - paint.NEUTRAL) / (1.0 - paint.NEUTRAL)
@@ -89,7 +83,7 @@ def make_cage(character: Character, previous: Model | None, stages: Stages) -> C
         tets=len(mesh.tets),
         pinned=int(pinned.sum()),
         held=float(of_thickness.phi.mean() if of_thickness else pinned.mean()),
-        defects=previous.summary.defects if previous else defects,
+        defects=defects,
         quality=dynamorph.tet_quality(mesh),
         glued=filled.glued,
         held_parts=len(warned),
@@ -188,24 +182,26 @@ def _filled(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray, repor
     return _Filled(mesh, embedding, fill, _pinned(cage, mesh, surface), glued, warnings)
 
 
-def _all_filled(
-    character: Character,
-    contents: dict[int, Character],
-    meshes: list[dynamorph.TetMesh],
-    surface: np.ndarray,
-    report: Report,
-) -> _Filled:
-    each_filled = _in_turn(zip(contents.values(), meshes, strict=True), report)
-    cages = [_filled(*each, surface, turn) for each, turn in each_filled]
-    mesh, embedding = _together(character.cage_index, list(contents), cages)
-    return _Filled(
-        mesh,
-        _alike(embedding, character.coincident),
-        np.concatenate([cage.fill for cage in cages]),
-        np.concatenate([cage.pinned for cage in cages]),
-        {name: sum(cage.glued[name] for cage in cages) for name in cages[0].glued},
-        [text for cage in cages for text in cage.warnings],
-    )
+def _new(
+    character: Character, contents: dict[int, Character], surface: np.ndarray, stages: Stages
+) -> tuple[_Filled, dict[str, int], BodyThickness | None]:
+    """New cages, the defects of the skin, and the thickness of the body where that holds it."""
+    with stages("Meshing", 0.30) as report:
+        defects = dynamorph.closed_surface(surface, character.triangles)[2]  # first: it refuses with advice
+        meshes, body = _meshed(character, contents, surface, report)
+    with stages("Embedding", 0.03) as report:
+        each_filled = _in_turn(zip(contents.values(), meshes, strict=True), report)
+        cages = [_filled(*each, surface, turn) for each, turn in each_filled]
+        mesh, embedding = _together(character.cage_index, list(contents), cages)
+        filled = _Filled(
+            mesh,
+            _alike(embedding, character.coincident),
+            np.concatenate([cage.fill for cage in cages]),
+            np.concatenate([cage.pinned for cage in cages]),
+            {name: sum(cage.glued[name] for cage in cages) for name in cages[0].glued},
+            [text for cage in cages for text in cage.warnings],
+        )
+    return filled, defects, body
 
 
 def _filled_before(contents: dict[int, Character], model: Model, surface: np.ndarray) -> _Filled:
@@ -385,5 +381,6 @@ class Stages:
 
         report(0.0)
         yield report
-        self.seconds[message.lower()] = time.perf_counter() - began
+        name = message.lower()
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
         self.done += share

@@ -105,6 +105,7 @@ def runs(
             baked, report = simulate.bake(made, varied, rig, settings, baking)
         if made.summary.tets:
             model = model or made
+            # The stages of the cage, which is shared, before the others.
             of_cage = {stage: model.summary.seconds[stage] for stage in ("meshing", "embedding")}
             made = made.with_summary(seconds=of_cage | made.summary.seconds | of_cage)
         yield name, Run(varied, made, baked, report)
