@@ -195,7 +195,7 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     expected_from: StringProperty(name="Error Of", description="Hash of what the expected error was measured with")
     stale: StringProperty(name="Out of Date", description="Why a change of the mesh requires another build")
-    stale_part: StringProperty(name="Made Again", description="The first part of the model that this build makes again")
+    stale_part: StringProperty(name="Rebuilt From", description="The first part of the model that this build rebuilds")
 
     def settings(self) -> ModelSettings:
         """As the panels show them."""

@@ -19,10 +19,10 @@ from ..scene.skinning import Skinning
 from ..write.display import comparison
 
 MOST_REASONS = 3  # of those for which something is out of date
-MADE_AGAIN = {
-    CAGE: "Build Model makes all of it again",
-    HOLD: "Build Model keeps the cage, and makes its hold and the modes again",
-    MODES: "Build Model keeps the cage and its hold, and makes the modes again",
+REBUILT = {
+    CAGE: "Build Model rebuilds everything",
+    HOLD: "Build Model keeps the cage and rebuilds its hold and the modes",
+    MODES: "Build Model keeps the cage and its hold, and rebuilds the modes",
 }
 CHARACTER = 15  # deforming bones, from which a body may be expected to have a head
 
@@ -104,9 +104,9 @@ def _head(skinning: Skinning) -> Iterator[Problem]:
         )
 
 
-def made_again(obj) -> str:
-    """Which parts of the model of `obj` the next build makes, where that is out of date; otherwise ''."""
-    return MADE_AGAIN.get(staleness.part_to_build(obj), "") if staleness.model_age(obj) else ""
+def rebuilt(obj) -> str:
+    """Which parts of the model of `obj` the next build makes again, where that is out of date; otherwise ''."""
+    return REBUILT.get(staleness.part_to_build(obj), "") if staleness.model_age(obj) else ""
 
 
 def verdict(obj) -> judge.Verdict | None:
@@ -137,7 +137,7 @@ def texts(obj, said: Set[str]) -> Iterator[str]:
         more = len(reasons) - MOST_REASONS
         text = "Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}"
         outdated = Message(text, reasons=joined(", ", reasons[:MOST_REASONS]), count=more)
-        yield joined(". ", [text for text in (outdated, made_again(obj)) if text])
+        yield joined(". ", [text for text in (outdated, rebuilt(obj)) if text])
     found = verdict(obj)
     for warning in filter(None, (*model.warnings.split("\n"), *bake.warnings.split("\n"))):
         if not (found and warning.startswith(found.text)):  # which the section Result says

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.motion.player import Player
-from bl_ext.user_default.dynamic_morph_targets.run import batch, live_surface
+from bl_ext.user_default.dynamic_morph_targets.run import batch
 from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
 from bl_ext.user_default.dynamic_morph_targets.run import preview as run_preview
 from bl_ext.user_default.dynamic_morph_targets.run import session as run_session
@@ -27,7 +27,7 @@ from bl_ext.user_default.dynamic_morph_targets.scene import (
 )
 from bl_ext.user_default.dynamic_morph_targets.scene import events as scene_events
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import playback
-from bl_ext.user_default.dynamic_morph_targets.write.display import comparison, live_key
+from bl_ext.user_default.dynamic_morph_targets.write.display import comparison
 from builders import activate, evaluated_points, fingerprint, refused, rig_of, skinning_of, soon
 from built import BuiltOnce
 from installed import MODULE
@@ -801,113 +801,6 @@ def test_two_characters_and_a_copy(playing):
     bpy.ops.dynamorph.live()
     assert run_live.is_on(playing) and not run_live.is_on(copy)
     assert apart(play(playing, [5]), baked(playing)[4]) < 1e-6
-
-
-@pytest.fixture
-def in_playback(playing, monkeypatch):
-    """As if it played in a window; with a list of the frames for which the key was written."""
-    monkeypatch.setattr(scene_events, "is_playing", lambda: True)
-    frames, write = [], live_key.write
-    monkeypatch.setattr(
-        live_key, "write", lambda *given: frames.append(bpy.context.scene.frame_current) or write(*given)
-    )
-    return playing, frames
-
-
-def test_playback_shows_the_same_without_a_copy_of_the_keys(in_playback, monkeypatch):
-    playing, frames = in_playback
-    scene, shown = bpy.context.scene, []
-    for frame in range(2, 8):
-        scene.frame_set(frame)
-        shown.append(evaluated_points(playing))
-    assert frames == []
-    last = shown[-1]
-    live_surface.catch_up()  # as at the end of playback
-    assert frames == [7] and farthest_moved(evaluated_points(playing), last) == 0.0
-    monkeypatch.setattr(scene_events, "is_playing", lambda: False)
-    for frame, points in zip(range(2, 8), shown, strict=True):
-        scene.frame_set(frame)
-        assert farthest_moved(evaluated_points(playing), points) == 0.0
-    assert frames == [7, 2, 3, 4, 5, 6, 7]
-
-
-def farthest_moved(first, second) -> float:
-    return float(np.abs(first - second).max())
-
-
-def test_an_edit_of_a_key_in_playback_does_not_bring_back_an_old_shape(in_playback):
-    """Blender copies the keys then."""
-    playing, frames = in_playback
-    for frame in range(2, 6):
-        bpy.context.scene.frame_set(frame)
-    shown = evaluated_points(playing)
-    playing.data.shape_keys.key_blocks["smile"].slider_max = 2.0
-    bpy.context.view_layer.update()
-    bpy.context.view_layer.update()
-    assert frames == [5] and farthest_moved(evaluated_points(playing), shown) < 1e-6
-
-
-@pytest.mark.parametrize("handlers", ["frame_change_pre", "frame_change_post"])
-def test_where_others_make_blender_copy_the_keys_they_are_written(in_playback, handlers):
-    """Another add-on that sets a key for each frame."""
-    playing, frames = in_playback
-
-    def tags(*_):
-        playing.data.shape_keys.update_tag()
-
-    getattr(bpy.app.handlers, handlers).append(tags)
-    try:
-        for frame in range(2, 7):
-            bpy.context.scene.frame_set(frame)
-            bpy.context.view_layer.update()
-    finally:
-        getattr(bpy.app.handlers, handlers).remove(tags)
-    assert frames[-3:] == [4, 5, 6]
-    shown = evaluated_points(playing)
-    playing.data.shape_keys.update_tag()
-    assert farthest_moved(evaluated_points(playing), shown) == 0.0
-
-
-def test_what_others_collide_with_is_written(in_playback):
-    """They are read in a scene of ours, which has the key itself."""
-    playing, frames = in_playback
-    playing.modifiers.new("Collision", "COLLISION")
-    playing.collision.use = True
-    for frame in range(2, 5):
-        bpy.context.scene.frame_set(frame)
-    assert frames == [2, 3, 4]
-
-
-def test_another_depsgraph_gets_the_key_itself(in_playback, tmp_path):
-    """An export while it plays."""
-    playing, frames = in_playback
-    for frame in range(2, 5):
-        bpy.context.scene.frame_set(frame)
-    assert frames == [] and live_surface.ahead
-    playing.select_set(True)
-    bpy.ops.wm.alembic_export(filepath=str(tmp_path / "a.abc"), start=5, end=7, as_background_job=False)
-    assert frames and not live_surface.ahead
-
-
-def test_what_moves_in_live_alone_is_written(in_playback):
-    """Where the rig stands nothing else evaluates the mesh."""
-    playing, frames = in_playback
-    rig_of(playing).animation_data_clear()
-    session(playing).rig_changed()
-    for frame in (2, 3):
-        bpy.context.scene.frame_set(frame)
-        bpy.context.view_layer.update()
-    frames.clear()
-    before = evaluated_points(playing)
-    skin, key = session(playing).tissue.skin, surface(playing)
-    for frame in (4, 5, 6):
-        key[:, 2] += 0.01
-        moved = key.astype(np.float32).ravel()
-        skin.points = lambda _values, moved=moved: moved
-        bpy.context.scene.frame_set(frame)
-        bpy.context.view_layer.update()
-        assert farthest_moved(evaluated_points(playing), before) == pytest.approx(0.01 * (frame - 3), rel=1e-3)
-    assert frames == [4, 5, 6]
 
 
 def test_rendering_in_the_background_simulates(playing):

@@ -158,12 +158,12 @@ def test_the_model_s_settings_are_named_until_they_are_reset(baked, name, value)
 @pytest.mark.parametrize(
     "path, value, kept",
     [
-        ("model.cage_nodes", 900, "makes all of it again"),
-        ("model.method", "STATIC", "makes all of it again"),
-        ("model.hold_head", True, "keeps the cage, and makes its hold and the modes again"),
-        ("firmness_group", "lower", "keeps the cage, and makes its hold and the modes again"),
-        ("model.modes", 7, "keeps the cage and its hold, and makes the modes again"),
-        ("targets[1].region", "lower", "keeps the cage and its hold, and makes the modes again"),
+        ("model.cage_nodes", 900, "rebuilds everything"),
+        ("model.method", "STATIC", "rebuilds everything"),
+        ("model.hold_head", True, "keeps the cage and rebuilds its hold and the modes"),
+        ("firmness_group", "lower", "keeps the cage and rebuilds its hold and the modes"),
+        ("model.modes", 7, "keeps the cage and its hold, and rebuilds the modes"),
+        ("targets[1].region", "lower", "keeps the cage and its hold, and rebuilds the modes"),
     ],
 )
 def test_messages_say_which_part_is_built_again(baked, path, value, kept):
@@ -180,7 +180,7 @@ def test_messages_say_which_part_an_edit_of_the_mesh_concerns(baked):
     baked.data.vertices[0].co.x += 0.1
     baked.data.shape_keys.key_blocks[0].points[0].co.x += 0.1
     storage.show_stale(baked)
-    assert "Build Model makes all of it again" in " ".join(drawn(baked))
+    assert "Build Model rebuilds everything" in " ".join(drawn(baked))
 
 
 def test_another_quality_makes_only_the_bake_old(baked):

@@ -170,9 +170,9 @@ class DYNAMORPH_OT_build(JobOperator, Operator):
 
     @classmethod
     def description(cls, context, _given):
-        """With the parts that it makes again now."""
+        """The tooltip, with the parts that it would make again now."""
         obj = mesh_in(context)
-        texts = [cls.__doc__, messages.made_again(obj) if obj and obj.dynamorph.model.content_id else ""]
+        texts = [cls.__doc__, messages.rebuilt(obj) if obj and obj.dynamorph.model.content_id else ""]
         return ".\n".join(tip_(text) for text in texts if text)
 
     def _done(self, batch):
