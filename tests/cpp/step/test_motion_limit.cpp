@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "check_term.hpp"
+#include "dynamorph/step/limited_tissue.hpp"
 #include "dynamorph/step/simulation.hpp"
 #include "scenes.hpp"
 
@@ -57,6 +58,41 @@ void check_far_term(std::shared_ptr<const Model> model) {
   CHECK(far.hessian().stiffness.size() == 0);
 }
 
+/// Of which edges between the critical ones are held, the oracle: at each turn all edges are compared with all that
+/// were taken, and the one with the largest product of squared strain and squared distance is next.
+std::vector<std::vector<std::pair<int, double>>> chosen_by_comparison(const Tissue& tissue, const SkinLimits& limits) {
+  const auto& edges = tissue.skin.edges;
+  std::vector<double> strain(edges.size(), 0.0);
+  std::vector<std::size_t> by(edges.size(), 0);
+  std::vector<int> taken;
+  for (std::size_t b = 0; b < tissue.edges.size(); ++b) {
+    const CriticalEdges& critical = tissue.edges[b];
+    taken.insert(taken.end(), critical.edges.begin(), critical.edges.end());
+    for (std::size_t k = 0; k < critical.own.size(); ++k)
+      if (const auto e = std::size_t(critical.own[k]); critical.strain(Eigen::Index(k)) > strain[e]) {
+        strain[e] = critical.strain(Eigen::Index(k));
+        by[e] = b;
+      }
+  }
+  const auto middle = [&](std::size_t e) -> Vector3d {
+    return 0.5 * (limits.rest.row(edges[e].first) + limits.rest.row(edges[e].second));
+  };
+  std::vector<std::vector<std::pair<int, double>>> out(tissue.edges.size());
+  for (int count = 0; count < limits.constants.edges_between; ++count) {
+    double most = 0;
+    std::size_t best = 0;
+    for (std::size_t e = 0; e < edges.size(); ++e) {
+      double nearest = tissue.skin.size * tissue.skin.size;
+      for (int t : taken) nearest = std::min(nearest, (middle(e) - middle(std::size_t(t))).squaredNorm());
+      if (strain[e] * strain[e] * nearest > most) most = strain[e] * strain[e] * nearest, best = e;
+    }
+    if (most == 0) break;
+    out[by[best]].push_back({int(best), strain[best]});
+    taken.push_back(int(best));
+  }
+  return out;
+}
+
 }  // namespace
 
 TEST_CASE("the scale of a load is one up to half of the limit, and what it lets through saturates smoothly") {
@@ -93,6 +129,23 @@ TEST_CASE("the pull of points that are far out has the derivatives of its energy
   check_far_term(std::make_shared<const FullModel>(body, all, MaterialModel::stable_stvk, Blending::even));
   check_far_term(reduced_model(body, all, MaterialModel::stable_stvk, Blending::even, 10));
   check_far_term(ResponseScene(body, all, MaterialModel::stable_stvk, Blending::even).model);
+}
+
+TEST_CASE("edges between the critical ones are those that a comparison of all with all chooses") {
+  const auto body = two_bone_bar();
+  const FullModel model(body, targets(*body), MaterialModel::linear, Blending::even);
+  SkinLimits limits = limits_of(*body, 0.02);
+  const VectorXd shifts = random_vector(limits.rest.size(), 0.02, 7);  // without a mirror plane
+  for (Eigen::Index i = 0; i < limits.rest.rows(); ++i) limits.rest.row(i) += shifts.segment<3>(3 * i);
+  limits.constants.edges_between = 25;
+  const Tissue tissue = tissue_of(Neutral<FullModel>(model), limits);
+  const auto expected = chosen_by_comparison(tissue, limits);
+  std::size_t count = 0;
+  for (std::size_t b = 0; b < expected.size(); ++b) {
+    CHECK(tissue.edges[b].between == expected[b]);
+    count += expected[b].size();
+  }
+  CHECK(count == 25);
 }
 
 TEST_CASE("limits that do not fit are refused") {
