@@ -128,8 +128,17 @@ DYNAMORPH_INLINE Double4 mul_sub(const Double4& c, const Double4& a, const Doubl
 #endif
 }
 
-DYNAMORPH_INLINE Float8 all_of(float x) { return Float8{x, x, x, x, x, x, x, x}; }
-DYNAMORPH_INLINE Double4 all_of(double x) { return Double4{x, x, x, x}; }
+// By way of one of the baseline's registers: GCC would write eight numbers to memory, and wait for them there.
+DYNAMORPH_INLINE Float8 all_of(float x) {
+  typedef float Float4 __attribute__((vector_size(16)));
+  const Float4 four = {x, x, x, x};
+  return __builtin_shufflevector(four, four, 0, 1, 2, 3, 0, 1, 2, 3);
+}
+DYNAMORPH_INLINE Double4 all_of(double x) {
+  typedef double Double2 __attribute__((vector_size(16)));
+  const Double2 two = {x, x};
+  return __builtin_shufflevector(two, two, 0, 1, 0, 1);
+}
 DYNAMORPH_INLINE Float8 mul_add(const Float8& c, float a, const Float8& b) { return mul_add(c, all_of(a), b); }
 DYNAMORPH_INLINE Float8 mul_sub(const Float8& c, float a, const Float8& b) { return mul_sub(c, all_of(a), b); }
 DYNAMORPH_INLINE Double4 mul_add(const Double4& c, double a, const Double4& b) { return mul_add(c, all_of(a), b); }
