@@ -25,18 +25,31 @@ DYNAMORPH_INLINE void add_block(const double* J, const double* d, Index k, Index
     }
 }
 
-/// Writes 4 kVectors rows of C = A B from row i on, in the `width` columns from j on; `width` is at most four.
-template <int kVectors>
-DYNAMORPH_INLINE void multiply_block(const double* A, Index m, Index k, const double* B, Index i, Index j, Index width,
-                                     double* C) {
-  Double4 sums[4][kVectors] = {};
+/// Writes 4 kVectors rows of C = A B from row i on, in kColumns columns. B and C: from the first of these on.
+template <int kVectors, int kColumns>
+DYNAMORPH_INLINE void multiply_block(const double* A, Index m, Index k, const double* B, Index i, double* C) {
+  Double4 sums[kColumns][kVectors] = {};
   for (Index p = 0; p < k; ++p)
     for (int v = 0; v < kVectors; ++v) {
       const Double4 entries = load(A + p * m + i + 4 * v);
-      for (Index c = 0; c < width; ++c) sums[c][v] = mul_add(sums[c][v], B[(j + c) * k + p], entries);
+      for (int c = 0; c < kColumns; ++c) sums[c][v] = mul_add(sums[c][v], B[c * k + p], entries);
     }
-  for (Index c = 0; c < width; ++c)
-    for (int v = 0; v < kVectors; ++v) store(sums[c][v], C + (j + c) * m + i + 4 * v);
+  for (int c = 0; c < kColumns; ++c)
+    for (int v = 0; v < kVectors; ++v) store(sums[c][v], C + c * m + i + 4 * v);
+}
+
+/// Writes kColumns columns of C = A B.
+template <int kColumns>
+DYNAMORPH_INLINE void multiply_columns(const double* A, Index m, Index k, const double* B, double* C) {
+  Index i = 0;
+  for (; kManyRegisters && i + 8 <= m; i += 8) multiply_block<2, kColumns>(A, m, k, B, i, C);
+  for (; i + 4 <= m; i += 4) multiply_block<1, kColumns>(A, m, k, B, i, C);
+  for (; i < m; ++i)
+    for (int c = 0; c < kColumns; ++c) {
+      double sum = 0;
+      for (Index p = 0; p < k; ++p) sum = mul_add(sum, B[c * k + p], A[p * m + i]);
+      C[c * m + i] = sum;
+    }
 }
 
 /// Subtracts from kRows rows and kColumns columns of A, from (i, j) on, those of B^T diag(d) B, but above the diagonal.
@@ -65,18 +78,9 @@ DYNAMORPH_INLINE void subtract_block(const double* B, const double* d, Index k, 
 
 void multiply_dense(const double* __restrict A, Index m, Index k, const double* __restrict B, Index n,
                     double* __restrict C) {
-  for (Index j = 0; j < n; j += 4) {
-    const Index width = n - j < 4 ? n - j : 4;
-    Index i = 0;
-    for (; width == 4 && i + 8 <= m; i += 8) multiply_block<2>(A, m, k, B, i, j, 4, C);
-    for (; i + 4 <= m; i += 4) multiply_block<1>(A, m, k, B, i, j, width, C);
-    for (; i < m; ++i)
-      for (Index c = j; c < j + width; ++c) {
-        double sum = 0;
-        for (Index p = 0; p < k; ++p) sum = mul_add(sum, B[c * k + p], A[p * m + i]);
-        C[c * m + i] = sum;
-      }
-  }
+  Index j = 0;
+  for (; j + 4 <= n; j += 4) multiply_columns<4>(A, m, k, B + j * k, C + j * m);
+  for (; j < n; ++j) multiply_columns<1>(A, m, k, B + j * k, C + j * m);
 }
 
 void subtract_squares(const double* __restrict B, const double* __restrict d, Index k, Index n, double* __restrict A) {

@@ -35,6 +35,13 @@ typedef double UnalignedDouble4 __attribute__((vector_size(32), aligned(8), may_
 static_assert(sizeof(UnalignedFloat8) == 32 && alignof(UnalignedFloat8) == 4, "read from any array of floats");
 static_assert(sizeof(UnalignedDouble4) == 32 && alignof(UnalignedDouble4) == 8, "read from any array of doubles");
 
+/// Whether the registers hold a dozen of these vectors. The baseline of x86-64 has them for eight.
+#if defined(__FMA__) || defined(__ARM_NEON)
+constexpr bool kManyRegisters = true;
+#else
+constexpr bool kManyRegisters = false;
+#endif
+
 DYNAMORPH_INLINE Float8 load(const float* from) { return *reinterpret_cast<const UnalignedFloat8*>(from); }
 DYNAMORPH_INLINE Double4 load(const double* from) { return *reinterpret_cast<const UnalignedDouble4*>(from); }
 DYNAMORPH_INLINE void store(const Float8& v, float* to) { *reinterpret_cast<UnalignedFloat8*>(to) = v; }
@@ -128,7 +135,7 @@ DYNAMORPH_INLINE Double4 mul_sub(const Double4& c, const Double4& a, const Doubl
 #endif
 }
 
-// By way of one of the baseline's registers: GCC would write eight numbers to memory, and wait for them there.
+// By way of one of the baseline's registers: GCC would write the numbers to memory one by one, and wait to read them.
 DYNAMORPH_INLINE Float8 all_of(float x) {
   typedef float Float4 __attribute__((vector_size(16)));
   const Float4 four = {x, x, x, x};

@@ -50,12 +50,7 @@ DYNAMORPH_INLINE Real weighted(const Real& constant, const Real& linear, const R
   return mul_add(mul_add(constant, 1 / f, linear), 1 / g, quadratic);
 }
 
-/// Pairs of modes that `couple` takes together, as many as there are registers for.
-#if defined(__FMA__) || defined(__ARM_NEON)
-constexpr int kTogether = 3;
-#else
-constexpr int kTogether = 1;
-#endif
+constexpr int kTogether = kManyRegisters ? 3 : 1;  ///< pairs of modes that `couple` takes together
 
 /// `couple` for a mode k and kPairs modes after it, or for k itself (kSame): they share what is loaded of k and y.
 template <int kPairs, bool kSame>
