@@ -2,7 +2,7 @@
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build module test gui-test demo gallery figures materials bench bench-docs robustness believable \
 	believable-docs convergence accuracy bakes farm-demo golden fuzz soak faults coverage sanitize stubs format lint wheels \
-	platforms extension repository sdist version reliability feels limit collision rigs clean
+	platforms extension repository sdist version reliability feels limit collision rigs site clean
 
 started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
@@ -255,6 +255,13 @@ sdist: setup
 	@$(python) -c 'from scikit_build_core.build import build_sdist; print("dist/" + build_sdist("dist"))' \
 		>build/sdist.log 2>&1 || { cat build/sdist.log; exit 1; }
 	@tail -n 1 build/sdist.log
+
+# The website in build/site/html: docs/, references of the Python package and the C++ headers, and the playground.
+# serve=1 also serves it to this machine.
+serve ?=
+site: setup
+	@tools/setup.sh site
+	@.venv/site/bin/python tools/site.py $(if $(serve),--serve)
 
 # The version. new=0.2.0 opens that version in CHANGELOG.md, or dates it if it is open; then it is ready to be tagged.
 new ?=
