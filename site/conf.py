@@ -68,7 +68,8 @@ def link_out_of_docs(app, name, source):
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(target, copy)
             return f"[{text}]({up}files/{place.as_posix()})"
-        return f"[{text}]({REPOSITORY}/tree/main/{place.as_posix()})" if REPOSITORY else f"{text} (`{place.as_posix()}`)"
+        at = place.as_posix()
+        return f"[{text}]({REPOSITORY}/tree/main/{at})" if REPOSITORY else f"{text} (`{at}`)"
 
     if not name.startswith(("python_reference", "cpp/")):
         source[0] = re.sub(r"(?<!!)\[([^\]]+)\]\(((?!\w+:)[^)#\s]+)(#[^)\s]*)?\)", replaced, source[0])

@@ -90,7 +90,7 @@ def header_section(header: Path) -> str:
     """What a header says of itself at its head, and all that it declares."""
     lines = itertools.takewhile(lambda line: line.startswith("//"), header.read_text("utf-8").splitlines()[1:])
     about = "\n".join(line.removeprefix("//").removeprefix(" ") for line in lines)
-    about = re.sub(r"(?m)(?:^  .*\n?)+", lambda block: f"\n```text\n{block[0].rstrip()}\n```\n", about)  # equations, lists
+    about = re.sub(r"(?m)(?:^  .*\n?)+", lambda block: f"\n```text\n{block[0].rstrip()}\n```\n", about)  # equations
     included = f'`#include "{header.relative_to(ROOT / "cpp").as_posix()}"`'
     return f"## {header.stem}\n\n{included}\n\n{about}\n\n```{{doxygenfile}} {header.name}\n```\n"
 

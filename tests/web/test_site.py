@@ -32,7 +32,7 @@ class Page(HTMLParser):
 def test_all_pages_are_in_the_navigation():
     """Also where Sphinx, which refuses others, is not installed."""
     start = (ROOT / "site/index.md").read_text("utf-8")
-    listed = {line.strip() for block in re.findall(r"```{toctree}\n(.*?)```", start, re.DOTALL) for line in block.split()}
+    listed = {word for block in re.findall(r"```{toctree}\n(.*?)```", start, re.DOTALL) for word in block.split()}
     pages = {page.relative_to(ROOT / "docs").with_suffix("").as_posix() for page in (ROOT / "docs").rglob("*.md")}
     below = {page for page in pages if "/" in page and page.split("/")[0] + "/index" in listed}
     assert not pages - below - listed
