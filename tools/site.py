@@ -16,6 +16,7 @@ import re
 import shutil
 import subprocess
 import sys
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -95,6 +96,17 @@ def header_section(header: Path) -> str:
     return f"## {header.stem}\n\n{included}\n\n{about}\n\n```{{doxygenfile}} {header.name}\n```\n"
 
 
+def drop_details(page: Path) -> None:
+    """Leave out of Doxygen's page of a class what is private, and its header, which the website's page names itself."""
+    tree = ElementTree.parse(page)
+    for parent in tree.iter("compounddef"):
+        for child in list(parent):
+            kind = child.get("kind", "") if child.tag == "sectiondef" else child.get("prot", "")
+            if child.tag == "includes" or kind.startswith("private"):
+                parent.remove(child)
+    tree.write(page, "utf-8", xml_declaration=True)
+
+
 def run(*command: str | Path) -> None:
     if code := subprocess.run(command, cwd=ROOT, check=False).returncode:
         sys.exit(code)
@@ -103,8 +115,8 @@ def run(*command: str | Path) -> None:
 def build() -> None:
     assemble()
     run("doxygen", SOURCE / "Doxyfile")
-    for page in (DOXYGEN / "xml").glob("*.xml"):  # a page names its header itself
-        page.write_text(re.sub(r"<includes .*?</includes>", "", page.read_text("utf-8")), "utf-8")
+    for page in (DOXYGEN / "xml").glob("*.xml"):
+        drop_details(page)
     sphinx = Path(sys.executable).parent / "sphinx-build"
     run(sphinx, "-q", "-n", "-W", "--keep-going", "-b", "html", "-d", BUILD / "doctrees", SOURCE, HTML)
     if PLAYGROUND.exists():
