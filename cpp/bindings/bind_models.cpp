@@ -16,11 +16,13 @@ void check_embedding(const Embedding& embedding, Eigen::Index nodes) {
 }
 
 void bind_morph_target(py::module_& m) {
-  py::enum_<MaterialModel>(m, "MaterialModel")
-      .value("LINEAR", MaterialModel::linear)
-      .value("STVK", MaterialModel::stvk)
-      .value("STABLE_STVK", MaterialModel::stable_stvk);
-  py::enum_<Blending>(m, "Blending").value("FORCES", Blending::forces).value("EVEN", Blending::even);
+  py::enum_<MaterialModel>(m, "MaterialModel", "How stress follows from strain.")
+      .value("LINEAR", MaterialModel::linear, "small strains: the fastest, but large rotations swell the body")
+      .value("STVK", MaterialModel::stvk, "St. Venant-Kirchhoff: Green strains, which rotations leave alone")
+      .value("STABLE_STVK", MaterialModel::stable_stvk, "the same, and a body that is crushed pushes back");
+  py::enum_<Blending>(m, "Blending", "How targets blend between their poses. Both are exact at each target's own pose.")
+      .value("FORCES", Blending::forces, "the weighted sum of the targets' forces: the stiffer shape dominates")
+      .value("EVEN", Blending::even, "also blends the shapes: halfway in pose is halfway in shape");
 
   const auto target = [](std::string name, const FloatArray& displacement, Lame lame, double density,
                          double mass_damping, double stiffness_damping, int set, bool shifted) {

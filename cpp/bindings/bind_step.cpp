@@ -362,7 +362,10 @@ void bind_coupling_of(py::module_& m, const char* name) {
 }  // namespace
 
 void bind_step(py::module_& m) {
-  py::enum_<Integrator>(m, "Integrator").value("EULER", Integrator::implicit_euler).value("BDF2", Integrator::bdf2);
+  py::enum_<Integrator>(m, "Integrator", "How a step goes on in time. Both are implicit.")
+      .value("EULER", Integrator::implicit_euler,
+             "first order: it damps motion of itself, the more the longer the step")
+      .value("BDF2", Integrator::bdf2, "second order: it damps motion much less");
   bind_grabs(m);
   bind_limit<FullModel>(m, "FullMotionLimit");
   bind_limit<ReducedModel>(m, "ReducedMotionLimit");
