@@ -235,7 +235,7 @@ class RigSampling:
             if self.probe and self._nodes is None:
                 self._nodes = self.probe.empty_samples(self.count)
             while self.done < self.count:
-                self._read(scene, obj, rig, sources)
+                self._read(scene, obj, follower, rig, sources)
                 for collider, reader in zip(stopping, self._colliders, strict=True):
                     reader.read(self.done, collider.evaluated_get(scene.view_layers[0].depsgraph), self.frame)
                 if self.probe:
@@ -263,14 +263,14 @@ class RigSampling:
             raise SceneError("'{name}' was removed, or its Collision, while it was read: start again", name=name)
         return found
 
-    def _read(self, scene, obj, rig, sources):
+    def _read(self, scene, obj, follower, rig, sources):
         s = self.done
         scene.frame_set(self.frame, subframe=s % self.substeps / self.substeps)
         depsgraph = scene.view_layers[0].depsgraph  # None before the first frame_set
         evaluated = rig.evaluated_get(depsgraph)
         _read_pose(evaluated, self._columns[s])
         self._rig_world[s] = _rows(evaluated.matrix_world)
-        self._object_world[s] = _rows(obj.evaluated_get(depsgraph).matrix_world)
+        self._object_world[s] = _rows(follower.evaluated_get(depsgraph).matrix_world)
         for source, field in zip(sources, self._fields, strict=True):
             moved = source.evaluated_get(depsgraph)
             field.world[s] = _rows(moved.matrix_world)
@@ -344,12 +344,12 @@ def worlds_at_start(obj, rig) -> list[np.ndarray]:
     SceneError.
     """
     user = bpy.context.scene
-    with rig_scene(obj, rig) as (scene, _follower):
+    with rig_scene(obj, rig) as (scene, follower):
 
         def worlds_at(frame: int) -> list[np.ndarray]:
             scene.frame_set(frame)
             depsgraph = scene.view_layers[0].depsgraph
-            worlds = [np.array(moving.evaluated_get(depsgraph).matrix_world) for moving in (obj, rig)]
+            worlds = [np.array(moving.evaluated_get(depsgraph).matrix_world) for moving in (follower, rig)]
             for moving, world in zip((obj, rig), worlds, strict=True):
                 refuse_overflow(world[None, None], [moving.name], lambda _: frame)
             return worlds
