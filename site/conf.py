@@ -9,6 +9,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]  # HERE is build/site/source
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+BLENDS = (ROOT / "dist/recipes", ROOT / "dist/gallery")  # whose files can be downloaded where a page names them
 REPOSITORY = PROJECT.get("urls", {}).get("Repository", "")
 
 project = "Dynamorph"
@@ -49,7 +50,8 @@ html_theme_options = {"navigation_with_keys": True}
 
 def link_out_of_docs(app, name, source):
     """Links to files beside docs/: the project's own pages are pages here too, other files can be downloaded, and a
-    folder is at the project's repository, once that has an address."""
+    folder is at the project's repository, once that has an address. The .blend files of recipes and gallery become
+    downloads where they are named, if they have been made."""
     up = "../" * name.count("/")
 
     def replaced(match):
@@ -71,7 +73,16 @@ def link_out_of_docs(app, name, source):
         at = place.as_posix()
         return f"[{text}]({REPOSITORY}/tree/main/{at})" if REPOSITORY else f"{text} (`{at}`)"
 
+    def download(match):
+        found = next((folder / match[1] for folder in BLENDS if (folder / match[1]).exists()), None)
+        if not found:
+            return match[0]
+        (HERE / "files").mkdir(exist_ok=True)
+        shutil.copy2(found, HERE / "files")
+        return f"[{match[1]}]({up}files/{match[1]})"
+
     if not name.startswith(("python_reference", "cpp/")):
+        source[0] = re.sub(r"`(\w+\.blend)`", download, source[0])
         source[0] = re.sub(r"(?<!!)\[([^\]]+)\]\(((?!\w+:)[^)#\s]+)(#[^)\s]*)?\)", replaced, source[0])
 
 
