@@ -20,7 +20,7 @@ def texts(urls: dict[str, str]) -> dict[str, str]:
     if not urls:
         return {
             "README.md": "Nothing is published yet: downloads will be on the project's release page, and Blender will "
-            "install and update\nDynamorph from an address that will be printed here. Until then, one command on Linux "
+            "install and update\nDynamorph from an address that will be printed here. Until then, one command on Linux"
             "\n[builds the zip](docs/install.md#build-the-zip), for Windows and macOS too.\n",
             "docs/install.md": "This repository is not public yet; its address will be printed here. Until then, "
             "[build the zip](#build-the-zip)\nor [serve a repository of your own](#serve-a-repository).\n",
