@@ -22,8 +22,8 @@ def texts(urls: dict[str, str]) -> dict[str, str]:
             "README.md": "Nothing is published yet: downloads will be on the project's release page, and Blender will "
             "install and update\nDynamorph from an address that will be printed here. Until then, one command on Linux"
             "\n[builds the zip](docs/install.md#build-the-zip), for Windows and macOS too.\n",
-            "docs/install.md": "Dynamorph's repository is not public yet; its address will be printed here. Until then, "
-            "[build the zip](#build-the-zip)\nor [serve a repository of your own](#serve-a-repository).\n",
+            "docs/install.md": "Dynamorph's repository is not public yet; its address will be printed here. Until then,"
+            " [build the zip](#build-the-zip)\nor [serve a repository of your own](#serve-a-repository).\n",
             "SUPPORT.md": "The project has no public address yet. Issues will be on its code host, where the forms ask "
             "for what is listed below.\n",
             "addon/pyproject.toml": "",
