@@ -57,7 +57,8 @@ EVENTS = (
     Event("flexed", "shaken", (66, 80)),
     Event("relaxed", "shaken", (136, 150)),
 )
-# Of the loop, in each pose: a push, and a shake until the relaxed limb is calm. Flexed it then bends, so it stands still.
+# Of the loop, in each pose: a push, and a shake until the relaxed limb is calm. The flexed one then opens, so its last
+# frame is repeated.
 LOOPED = {
     "flexed": [*range(45, 61), *range(64, 86), *[85] * 5],
     "relaxed": [*range(113, 129), *range(134, 161)],
@@ -192,7 +193,7 @@ def in_short(single: Variant, targets: Variant) -> str:
     soft, hard, same = targets.swing(push["relaxed"]), targets.swing(push["flexed"]), single.swing(push["flexed"])
     return (
         f"In short: the same push moves the relaxed limb by {soft:.1f} mm and the flexed one by {hard:.1f} mm, "
-        f"because its target 'Flexed' is stiffer. With a single material, it moves the flexed limb by {same:.1f} mm, too."
+        f"because the target 'Flexed' is stiffer. With a single material, the flexed limb moves by {same:.1f} mm."
     )
 
 

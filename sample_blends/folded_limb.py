@@ -11,7 +11,7 @@ import bulging_cylinder
 from stage import add_camera, add_touched_skin, paint_for_workbench, save_scene, set_up_scene
 
 FRAMES = 84
-BENDS = ((1, 0), (5, 0), (20, 172), (38, 172), (50, 0), (84, 0))  # (frame, bend of the whole elbow in degrees)
+BENDS = ((1, 0), (5, 0), (20, 150), (36, 150), (50, 0), (84, 0))  # (frame, bend of the whole elbow in degrees)
 
 README = """Folded limb
 

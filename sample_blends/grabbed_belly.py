@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Grabbed belly: the torso of the rolling ball, whose belly is pulled up and let go, twice, by recorded drags. Meters."""
+"""Grabbed belly: the torso of the rolling ball, whose belly recorded drags pull up and aside. Meters."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FRAMES = 72
 GRABBED = np.array([0.46, 0.0, 0.5])  # above it is the belly's top
 RADIUS = 0.05  # of what the hand takes hold of
 # The frames in which the hand takes hold, has arrived, and lets go; and how far it pulls.
-PULLS = ((4, 13, 18, (0.02, 0.0, 0.13)), (36, 45, 50, (-0.14, 0.0, 0.05)))
+PULLS = ((4, 13, 18, (0.02, 0.0, 0.11)), (38, 46, 50, (-0.09, 0.0, 0.05)))
 HANDLE = 0.022  # radius of the ball that shows where the hand is
 AWAY = np.array([0.0, 0.0, 3.0])  # where it is meanwhile, out of the picture
 
