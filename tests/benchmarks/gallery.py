@@ -56,8 +56,8 @@ LOOPS = {
     loop.name: loop
     for loop in (
         Loop(
-            "bulging_cylinder", "Bulging cylinder", "Bent, a limb bulges as it was sculpted and hardly moves when it is "
-            "pushed and shaken; straight, it is soft again.", "bulge", "Limb", TARGETS, (28, 150), 0.012,
+            "bulging_cylinder", "Bulging cylinder", "Bent, a limb bulges as it was sculpted and hardly moves when it is pushed "
+            "and shaken; straight, it is soft again.", "bulge", "Limb", TARGETS, (28, 150), 0.012,
         ),
         Loop(
             "shoulder", "Shoulder", "The elbow folds with the arm raised: a single material lets the biceps run into "

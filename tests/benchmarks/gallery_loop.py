@@ -191,9 +191,10 @@ def points_in(frame: int, soft: Sequence[Soft]) -> np.ndarray:
 def film(soft: Sequence[Soft], frames: range, red: float, zoom: float = 1.0) -> Iterator[Image.Image]:
     """Every frame through the scene's camera, colored by the motion. red: the motion that is red, meters; zoom: the
     part of the picture around what is soft, which it follows without what shakes it."""
-    shading = bpy.context.scene.display.shading
-    shading.color_type, shading.show_shadows = "VERTEX", False  # shadows have teeth on skin that bulges
-    middles = np.array([points_in(frame, soft).mean(axis=0) for frame in frames])
+    display = bpy.context.scene.display
+    display.render_aa = "5"  # takes half the time of 8
+    display.shading.color_type, display.shading.show_shadows = "VERTEX", False  # shadows have teeth on skin that bulges
+    middles = np.array([points_in(frame, soft).mean(axis=0) if zoom < 1 else np.zeros(3) for frame in frames])
     for k, frame in enumerate(frames):
         bpy.context.scene.frame_set(frame)
         for each in soft:
