@@ -19,6 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / "tests/addon"), str(ROOT / "tools")]
 
+from assets import require  # noqa: E402
 from characters import attribution  # noqa: E402
 from measured import measured_at  # noqa: E402
 from run import machine  # noqa: E402
@@ -27,7 +28,6 @@ PAGE = ROOT / "docs" / "gallery.md"
 IMAGES = "images/gallery"
 FILMED = ROOT / "build" / "gallery"
 BLENDS = ROOT / "dist" / "gallery"
-ASSETS = ROOT.parent / "shared" / "assets"
 LARGEST = 600e3  # bytes of a loop
 
 # What the panes of a scene differ in: the section of the page.
@@ -56,8 +56,8 @@ LOOPS = {
     loop.name: loop
     for loop in (
         Loop(
-            "bulging_cylinder", "Bulging cylinder", "Bent, a limb bulges as it was sculpted and hardly moves when it is pushed "
-            "and shaken; straight, it is soft again.", "bulge", "Limb", TARGETS, (28, 150), 0.012,
+            "bulging_cylinder", "Bulging cylinder", "Bent, a limb bulges as it was sculpted and hardly moves when it "
+            "is pushed and shaken; straight, it is soft again.", "bulge", "Limb", TARGETS, (28, 150), 0.012,
         ),
         Loop(
             "shoulder", "Shoulder", "The elbow folds with the arm raised: a single material lets the biceps run into "
@@ -150,15 +150,14 @@ def main() -> int:
     if not chosen:
         parser.error(f"no loop's name begins with {arguments.only}")
     if not arguments.page:
-        for loop in chosen:
-            if loop.body or ASSETS.is_dir():
-                print(film(loop), flush=True)
-            else:
-                print(f"{loop.name}: skipped, there is no ../shared/assets")
+        for loop in sorted(chosen, key=lambda loop: bool(loop.file)):  # scenes need nothing else
+            if loop.file:
+                require("gallery", [loop.file])
+            print(film(loop), flush=True)
     missing = [name for name in LOOPS if not (FILMED / f"{name}.json").exists()]
     if missing:
         print(f"gallery: {', '.join(missing)} not filmed yet: no page is written")
-        return 0
+        return 1
     PAGE.write_text(page(), encoding="utf-8")
     print(f"written to {PAGE.relative_to(ROOT)}")
     return 0
