@@ -30,13 +30,14 @@ GRABBED = np.array([0.46, 0.0, 0.5])  # above it is the belly's top
 RADIUS = 0.05  # of what the hand takes hold of
 # The frames in which the hand takes hold, has arrived, and lets go; and how far it pulls.
 PULLS = ((4, 13, 18, (0.02, 0.0, 0.11)), (38, 46, 50, (-0.09, 0.0, 0.05)))
+FARTHEST = 0.15  # of the body's size: what the hand pulls goes far
 HANDLE = 0.022  # radius of the ball that shows where the hand is
 AWAY = np.array([0.0, 0.0, 3.0])  # where it is meanwhile, out of the picture
 
 README = """Grabbed belly
 
 A torso of three bones lies on its back. A hand pulls the belly up and lets it go, then pulls it aside. The drags were
-recorded, as Record Drags does it; a ball shows where the hand is. The torso has Quality Full.
+recorded, as Record Drags does it; a ball shows where the hand is. The torso has Feel Cartoon and Quality Full.
 
 Select Torso, press Bake in the Dynamorph tab, then Play.
 """
@@ -78,6 +79,8 @@ def make(path: Path) -> None:
     add_camera((0.45, -1.9, 0.85), (0.42, 0, 0.34), 66)
     paint_for_workbench()
     add_touched_skin(torso, [])
+    bpy.ops.dynamorph.apply_feel(feel="CARTOON")
+    torso.dynamorph.simulation.max_displacement = FARTHEST
     bpy.context.view_layer.update()
     write_curves(handle, "Hand", {"location": record(torso)}, cuts=range(1, FRAMES))
     save_scene(path)

@@ -58,6 +58,6 @@ def save_loop(pictures: Sequence[Image.Image], path: Path) -> None:
     """Write pictures as a WebP that repeats, in the scene's frames per second."""
     render = bpy.context.scene.render
     pictures[0].save(
-        path, save_all=True, append_images=pictures[1:], loop=0, quality=QUALITY, method=6,
+        path, save_all=True, append_images=pictures[1:], loop=0, quality=QUALITY, method=4,
         duration=round(1000 * render.fps_base / render.fps),
     )  # fmt: skip

@@ -31,7 +31,7 @@ BLENDS = ROOT / "dist" / "gallery"
 LARGEST = 600e3  # bytes of a loop
 
 # What the panes of a scene differ in: the section of the page.
-TARGETS, COLLISION, SELF_COLLISION, FEEL = "targets", "collision", "self-collision", "feel"
+TARGETS, COLLISION, SELF_COLLISION, QUALITY = "targets", "collision", "self-collision", "quality"
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ LOOPS = {
         ),
         Loop(
             "grabbed_belly", "Grabbed belly", "A hand pulls a belly up and aside and lets it go, as *Record Drags* "
-            "recorded it.", "grab", "Torso", FEEL, (1, 72), 0.05,
+            "recorded it.", "grab", "Torso", QUALITY, (1, 72), 0.05,
         ),
         Loop("Husky", "Husky", "A dog gallops, and its fur and belly follow.", "jiggle", file="zoo/Husky.glb"),
         Loop("Velociraptor", "Velociraptor", "A dinosaur lands from a jump.", "jiggle", file="zoo/Velociraptor.glb"),
@@ -115,7 +115,7 @@ The tables give what was baked, and the seconds that building the model and baki
 {targets}
 ## Collision
 
-The scenes of this section and of the next two are baked in Full Quality.
+The scenes of this section and of the next two are baked with *Quality* Full.
 
 {collision}
 ## Self-collision
@@ -123,9 +123,9 @@ The scenes of this section and of the next two are baked in Full Quality.
 {selfcollision}
 ## Grab
 
-The same grab with two presets of *Feel*.
+The same drags in both qualities: *Full* follows the hand more closely than *Reduced*.
 
-{feel}
+{quality}
 ## Characters
 
 *Add Soft Skin* and *Bake*, with no other setting, beside plain skinning. The clips are the liveliest of their files.
@@ -183,14 +183,14 @@ def film(loop: Loop) -> str:
 def page() -> str:
     found = {name: json.loads((FILMED / f"{name}.json").read_text(encoding="utf-8")) for name in LOOPS}
     files = [loop.file.rpartition("/")[2] for loop in LOOPS.values() if loop.file]
-    sections = {differs: section(found, differs) for differs in (TARGETS, COLLISION, SELF_COLLISION, FEEL, "")}
+    sections = {differs: section(found, differs) for differs in (TARGETS, COLLISION, SELF_COLLISION, QUALITY, "")}
     return PAGE_TEXT.format(
         commit="; ".join(dict.fromkeys(each["commit"] for each in found.values())),
         machine="; ".join(dict.fromkeys(each["machine"] for each in found.values())),
         targets=sections[TARGETS],
         collision=sections[COLLISION],
         selfcollision=sections[SELF_COLLISION],
-        feel=sections[FEEL],
+        quality=sections[QUALITY],
         characters=sections[""],
         attribution=attribution(files),
     )

@@ -32,7 +32,7 @@ from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from dynamic_morph_targets.core.geometry import diagonal  # noqa: E402
 from dynamic_morph_targets.run import batch  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402
-from gallery import COLLISION, FEEL, LOOPS, SELF_COLLISION, TARGETS, Loop  # noqa: E402
+from gallery import COLLISION, LOOPS, QUALITY, SELF_COLLISION, TARGETS, Loop  # noqa: E402
 from heat import beside, paint, save_loop  # noqa: E402
 from measures import own_motion  # noqa: E402
 from PIL import Image  # noqa: E402
@@ -48,7 +48,7 @@ WAYS = {
     TARGETS: {"single material": "SINGLE", "dynamic morph targets": "DYNAMIC"},
     COLLISION: {"without collision": False, "with collision": True},
     SELF_COLLISION: {"without self-collision": False, "with self-collision": True},
-    FEEL: {"Subtle": "SUBTLE", "Cartoon": "CARTOON"},
+    QUALITY: {"Reduced": "REDUCED", "Full": "FULL"},
 }
 
 
@@ -111,9 +111,8 @@ def choose(obj, differs: str, way) -> None:
     """Set a soft skin up in one way of WAYS."""
     if differs == TARGETS:
         obj.dynamorph.model.method = way
-    elif differs == FEEL:
-        bpy.context.view_layer.objects.active = obj
-        bpy.ops.dynamorph.apply_feel(feel=way)
+    elif differs == QUALITY:
+        obj.dynamorph.model.solver = way
     else:
         obj.dynamorph.collision.use = way
 
