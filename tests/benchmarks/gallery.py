@@ -61,7 +61,7 @@ LOOPS = {
         ),
         Loop(
             "shoulder", "Shoulder", "The elbow folds with the arm raised: a single material lets the biceps run into "
-            "the forearm, and the target *Folded* does not.", "bulge", "Body", TARGETS, (38, 104), 0.008,
+            "the forearm, and the target *Folded* does not.", "bulge", "Shoulder", TARGETS, (38, 104), 0.008,
         ),
         Loop(
             "herbert", "Herbert", "Herbert's belly swings while he is upright, and is stiff in the tuck of his dive.",
