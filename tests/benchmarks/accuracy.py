@@ -20,6 +20,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from assets import require
 from motion_error import REGIONS, TORSO
 from performance_page import grid
 from run import machine
@@ -33,7 +34,6 @@ from measured import measured_at  # noqa: E402
 CACHE = ROOT / "build" / "accuracy"
 PAGE = ROOT / "docs" / "accuracy.md"
 PLOT = "images/accuracy/accuracy.svg"
-ASSETS = ROOT.parent / "shared" / "assets"
 LONGEST = 3600  # seconds that a character may take
 FRAMES = 48  # of a clip at most
 MODES, RESPONSES, FITTED = "MODES", "RESPONSES", "FITTED"
@@ -166,9 +166,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=1, help="characters at a time; more than one distorts the times")
     parser.add_argument("--page", action="store_true", help="write the page from what was measured before")
     arguments = parser.parse_args()
-    if not ASSETS.is_dir():
-        print("accuracy: there is no ../shared/assets: nothing is written")
-        return 0
+    require("accuracy", (subject.file for subject in SUBJECTS.values() if not subject.is_scene))
     beginnings = tuple(begin.lower() for begin in arguments.only.split()) or ("",)
     chosen = [name for name in SUBJECTS if name.lower().startswith(beginnings)]
     if not chosen:

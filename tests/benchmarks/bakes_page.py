@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from assets import require
 from performance_page import grid
 from run import machine
 
@@ -28,7 +29,7 @@ FIGURES = PAGE.with_suffix(".json")
 FARM = ROOT / "build" / "farm" / "farm.json"
 LOGS = ROOT / "build" / "reports"
 PYTHONS = ROOT / ".venv"
-ASSETS = ROOT.parent / "shared" / "assets"
+CHARACTERS = ("mh_shoulder_arm_4bones.blend", "mh_male_53bones.blend", "Fox.glb", "Quaternius_Trex.glb")
 IMAGES = "images/bakes"
 SAME = 1e-6  # body sizes: surfaces nearer than this are one
 
@@ -53,9 +54,7 @@ def main() -> int:
     chosen = arguments.parse_args().sections or list(SECTIONS)
     if unknown := set(chosen) - set(SECTIONS):
         arguments.error(f"no such section: {', '.join(sorted(unknown))}")
-    if not ASSETS.is_dir():
-        print("bakes: there is no ../shared/assets: nothing is written")
-        return 0
+    require("bakes", CHARACTERS)
     figures = json.loads(FIGURES.read_text(encoding="utf-8")) if FIGURES.exists() else {}
     for section in chosen:
         last = figures.get(section, {})

@@ -27,7 +27,8 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / folder) for folder in ("addon", "tests/addon", "sample_blends", "tools")]
 
 import numpy as np  # noqa: E402
-from characters import ASSETS, attribution  # noqa: E402
+from assets import ASSETS, require  # noqa: E402
+from characters import SHOTS, attribution  # noqa: E402
 from contact_sheet import Row, compose, save  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from measured import measured_at  # noqa: E402
@@ -210,9 +211,7 @@ def main() -> int:
         "--before", metavar="REVISION", help="compare how alive they are with the page of this revision"
     )
     arguments = parser.parse_args()
-    if not ASSETS.is_dir():
-        print("believable: there is no ../shared/assets: nothing is written")
-        return 0
+    require("believable", (*(shot.file for shot in SHOTS.values()), "zoo"))
     chosen = find(arguments.only.split())
     if not chosen:
         parser.error(f"no character's name begins with {arguments.only}")

@@ -24,7 +24,7 @@ import collision_grab
 import collision_pair
 import collision_press
 import numpy as np
-from characters import ASSETS
+from assets import ASSETS, require
 from collision_press import DRAGS, LAST, RESTS, ROOT
 from contact_sheet import Row, compose, save
 from dynamic_morph_targets.__main__ import leave
@@ -116,9 +116,7 @@ above; seconds for {last} frames, ours with the build of the model.
 
 
 def main() -> int:
-    if not ASSETS.is_dir():
-        print("collision: there is no ../shared/assets: nothing is written")
-        return 0
+    require("collision", CHARACTERS)
     if "--page" not in sys.argv:
         peers = [] if "--ours" in sys.argv else [(PEERS_BODY, way) for way in PEERS]
         ours = [] if "--peers" in sys.argv else [(body, way) for body in CHARACTERS for way in OURS]

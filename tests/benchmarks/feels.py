@@ -17,6 +17,7 @@ import believable_bake
 import bpy
 import characters
 import numpy as np
+from assets import require
 from believable_bake import ROOT, aim, belongs, click, render, seen
 from believable_measure import (
     baked_keys,
@@ -67,9 +68,7 @@ Each body is baked with the liveliest 48 frames of its clips, or a hop and a twi
 def main() -> int:
     if sys.argv[1:]:
         return bake(Path(sys.argv[1]), Path(sys.argv[2]))
-    if not characters.ASSETS.is_dir():
-        print("feels: there is no ../shared/assets: nothing is written")
-        return 0
+    require("feels", BODIES)
     with ThreadPoolExecutor(2) as pool:
         found = list(pool.map(measured, BODIES))
     write_page(found)

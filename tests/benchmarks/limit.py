@@ -16,6 +16,7 @@ import characters
 import dynamorph
 import numpy as np
 import plots
+from assets import require
 from believable_bake import choose_clip
 from dynamic_morph_targets.__main__ import leave
 from dynamic_morph_targets.core.geometry import diagonal
@@ -102,9 +103,7 @@ class Played:
 
 
 def main() -> int:
-    if not characters.ASSETS.is_dir():
-        print("limit: there is no ../shared/assets: nothing is written")
-        return 0
+    require("limit", CLIPS)
     dynamic_morph_targets.register()
     dynamorph.set_threads(1)
     panels, costs, steps, tried = [], [], [], []

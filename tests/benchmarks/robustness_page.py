@@ -24,6 +24,7 @@ import dynamorph  # noqa: E402
 import heat  # noqa: E402
 import numpy as np  # noqa: E402
 import test_defects  # noqa: E402
+from assets import require  # noqa: E402
 from contact_sheet import Row, compose, quiet, render, save  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from dynamic_morph_targets.core.geometry import diagonal  # noqa: E402
@@ -112,10 +113,7 @@ class Tally:
 
 
 def main() -> int:
-    missing = [shot.file for shot in characters.SHOTS.values() if not shot.path.exists()]
-    if missing:
-        print(f"robustness: ../shared/assets has no {', '.join(missing)}: nothing is written")
-        return 0
+    require("robustness", (shot.file for shot in characters.SHOTS.values()))
     dynamic_morph_targets.register()
     write_page()
     print(f"written to {PAGE.relative_to(ROOT)}")
