@@ -196,19 +196,20 @@ def cloth_dynamics(body) -> dict:
     ball = bpy.data.objects["Sphere"]
     ball.modifiers.clear()
     ball.modifiers.new("Collider", "NODES").node_group = collider
-    _set_socket(ball.modifiers[0], "Friction", FRICTION)
+    set_socket(ball.modifiers[0], "Friction", FRICTION)
     effectors = bpy.data.collections.new("Effectors")
     effectors.objects.link(ball)
     group = body.vertex_groups.new(name="Held")
     group.add(range(len(body.data.vertices)), HELD, "REPLACE")
     modifier = body.modifiers.new("Cloth Dynamics", "NODES")
     modifier.node_group = dynamics
-    _set_socket(modifier, "Pin Group", group.name)
-    _set_socket(modifier, "Effectors Collection", effectors)
+    set_socket(modifier, "Pin Group", group.name)
+    set_socket(modifier, "Effectors Collection", effectors)
     return {}
 
 
-def _set_socket(modifier, name: str, value) -> None:
+def set_socket(modifier, name: str, value) -> None:
+    """Set an input of a modifier with nodes: a value, or the name of an attribute."""
     items = modifier.node_group.interface.items_tree
     found = next(item for item in items if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name == name)
     socket = getattr(modifier.properties.inputs, found.identifier)
