@@ -189,10 +189,7 @@ def cloth(body) -> dict:
 
 def cloth_dynamics(body) -> dict:
     """The asset of Blender 5.2, whose colliders have a modifier of their own."""
-    assets = Path(bpy.utils.system_resource("DATAFILES")) / "assets/nodes/geometry_nodes_dynamics_assets.blend"
-    with bpy.data.libraries.load(str(assets), link=False) as (_, wanted):
-        wanted.node_groups = ["Cloth Dynamics (Experimental)", "Collider"]
-    dynamics, collider = wanted.node_groups
+    dynamics, collider = dynamics_assets("Cloth Dynamics (Experimental)", "Collider")
     ball = bpy.data.objects["Sphere"]
     ball.modifiers.clear()
     ball.modifiers.new("Collider", "NODES").node_group = collider
@@ -206,6 +203,14 @@ def cloth_dynamics(body) -> dict:
     set_socket(modifier, "Pin Group", group.name)
     set_socket(modifier, "Effectors Collection", effectors)
     return {}
+
+
+def dynamics_assets(*names: str) -> list[bpy.types.NodeTree]:
+    """Node groups of the assets that Blender 5.2 brings along."""
+    assets = Path(bpy.utils.system_resource("DATAFILES")) / "assets/nodes/geometry_nodes_dynamics_assets.blend"
+    with bpy.data.libraries.load(str(assets), link=False) as (_, wanted):
+        wanted.node_groups = list(names)
+    return wanted.node_groups
 
 
 def set_socket(modifier, name: str, value) -> None:
