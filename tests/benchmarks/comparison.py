@@ -132,13 +132,13 @@ def saved(folder: str) -> int:
     return path.stat().st_size
 
 
-def held(limb: bpy.types.Object) -> str:
-    """A vertex group that holds the limb to its shapes, as softly as HELD says but where the stand grips it."""
+def held(limb: bpy.types.Object, softly: float = HELD) -> str:
+    """A vertex group that holds the limb to its shapes, by so much but where the stand grips it."""
     firmness = limb.vertex_groups["Firmness"].index
     group = limb.vertex_groups.new(name=GRIPPED)
     for vertex in limb.data.vertices:
         firm = next((each.weight for each in vertex.groups if each.group == firmness), 0.5)
-        group.add([vertex.index], HELD + (1.0 - HELD) * (2.0 * firm - 1.0), "REPLACE")
+        group.add([vertex.index], softly + (1.0 - softly) * (2.0 * firm - 1.0), "REPLACE")
     return group.name
 
 
@@ -155,26 +155,32 @@ def soft_body(limb: bpy.types.Object) -> bpy.types.SoftBodySettings:
     modifier.point_cache.frame_end = LAST
     settings = modifier.settings
     settings.vertex_group_goal, settings.goal_default = held(limb), 1.0
-    settings.goal_spring, settings.goal_friction, settings.mass, settings.use_edges = 0.9, 1.0, 0.1, False
+    settings.goal_spring, settings.goal_friction = 0.9, 1.0
+    settings.mass, settings.use_edges = 0.1, False
     return settings
 
 
-def soft_body_with_edges(limb: bpy.types.Object) -> None:
-    soft_body(limb).use_edges = True
-
-
 def soft_body_by_pose(limb: bpy.types.Object) -> None:
-    settings = soft_body(limb)
-    by_pose = {FIRST: 0.9, BENT - TURN: 0.9, BENT: 0.99, FALLS: 0.99, FALLS + TURN: 0.9}
-    for frame, strength in by_pose.items():
-        settings.goal_spring = strength
-        settings.keyframe_insert("goal_spring", frame=frame)
+    key_by_pose(soft_body(limb), "goal_spring", 0.9, 0.99)
 
 
-def cloth(limb: bpy.types.Object) -> None:
+def cloth(limb: bpy.types.Object, softly: float = HELD) -> bpy.types.ClothSettings:
     modifier = limb.modifiers.new("Cloth", "CLOTH")
     modifier.point_cache.frame_end = LAST
-    modifier.settings.vertex_group_mass, modifier.settings.use_dynamic_mesh = held(limb), True
+    settings = modifier.settings
+    settings.vertex_group_mass, settings.use_dynamic_mesh = held(limb, softly), True
+    return settings
+
+
+def cloth_by_pose(limb: bpy.types.Object) -> None:
+    key_by_pose(cloth(limb, 0.4), "pin_stiffness", 0.1, 10.0)
+
+
+def key_by_pose(settings: bpy.types.bpy_struct, name: str, straight: float, flexed: float) -> None:
+    values = {FIRST: straight, BENT - TURN: straight, BENT: flexed, FALLS: flexed, FALLS + TURN: straight}
+    for frame, value in values.items():
+        setattr(settings, name, value)
+        settings.keyframe_insert(name, frame=frame)
 
 
 def cloth_dynamics(limb: bpy.types.Object) -> None:
@@ -187,9 +193,11 @@ WAYS = {
     "reduced": Way("Dynamorph, Reduced Quality", ours("REDUCED"), "as in the file"),
     "full": Way("Dynamorph, Full Quality", ours("FULL"), "as in the file"),
     "soft_body": Way("Soft Body", soft_body, "Goal Stiffness 0.9, Damping 1, Mass 0.1, Edges off"),
-    "soft_body_with_edges": Way("Soft Body", soft_body_with_edges, "the same, Edges on"),
-    "soft_body_by_pose": Way("Soft Body", soft_body_by_pose, "Edges off, Goal Stiffness keyed to 0.99 where flexed"),
+    "soft_body_by_pose": Way("Soft Body", soft_body_by_pose, "the same, Goal Stiffness keyed to 0.99 where flexed"),
     "cloth": Way("Cloth", cloth, "Dynamic Mesh on"),
+    "cloth_by_pose": Way(
+        "Cloth", cloth_by_pose, "Dynamic Mesh on, pinned by 0.4, Pin Stiffness 0.1, keyed to 10 where flexed"
+    ),
     "cloth_dynamics": Way("Cloth Dynamics (experimental)", cloth_dynamics),
 }
 
