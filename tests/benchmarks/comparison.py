@@ -35,6 +35,7 @@ from contact_sheet import quiet  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from dynamic_morph_targets.run import batch  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402
+from how_long import busy  # noqa: E402
 from measured import measured_at  # noqa: E402
 from measures import volume  # noqa: E402
 from performance_page import grid  # noqa: E402
@@ -66,7 +67,7 @@ def main() -> int:
     if len(sys.argv) > 1:
         return measure(sys.argv[1])
     newest = sorted((ROOT / ".venv").glob("3.*/bin/python"))[-1]  # of Blender too
-    found = {}
+    found, load = {}, os.getloadavg()[0]
     for name in WAYS:
         command = [newest, __file__, name]
         try:
@@ -78,7 +79,7 @@ def main() -> int:
             sys.exit(f"comparison: {name}: {done.stdout}{done.stderr}")
         found[name] = json.loads(done.stdout.strip().rpartition("\n")[2])
         print(f"comparison: {name}: {found[name]}", flush=True)
-    write(found)
+    write(found, load)
     print(f"written to {PAGE.relative_to(ROOT)}")
     return 0
 
@@ -205,7 +206,7 @@ WAYS = {
 # The page -------------------------------------------------------------------------------------------------------------
 
 
-def write(found: dict[str, dict | None]) -> None:
+def write(found: dict[str, dict | None], load: float) -> None:
     """Put the table between the marks of the page. Raises ValueError without them."""
     before, begin, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
     _, end, after = rest.partition(END)
@@ -217,9 +218,9 @@ def write(found: dict[str, dict | None]) -> None:
     one = next(each for each in found.values() if each)
     about = (
         f"{measured_at(PAGE.name)}. Blender {one['blender']}; {machine()}; {one['vertices']:,} vertices, "
-        f"{LAST + 1 - FIRST} frames."
+        f"{LAST + 1 - FIRST} frames. {busy(load)}"
     )
-    PAGE.write_text(f"{before}{begin}\n{about}\n\n{table}{end}{after}", encoding="utf-8")
+    PAGE.write_text(f"{before}{begin}\n{about.rstrip()}\n\n{table}{end}{after}", encoding="utf-8")
 
 
 def row(way: Way, found: dict | None) -> list[str]:

@@ -48,7 +48,7 @@ FRAMES = 250
 PLAYED = 60  # frames
 MEGABYTE = 1024 * 1024
 BUSY = 0.5  # load before anything is measured
-BUSY_TEXT = "\n**The machine had other work (load {:.1f}), so these times are longer than on an idle one.**"
+BUSY_TEXT = "**The machine had other work (load {:.1f}), so these times are longer than on an idle one.**"
 BALL, PRESSED = 0.1, 0.8  # meters; where its middle is in front of the belly, of its radius
 
 PAGE_TEXT = """# How long will my character take?
@@ -58,7 +58,7 @@ to your character, then the settings that you changed. A machine of today with m
 than the one that these figures come from; compare the columns with each other rather than with your own clock.
 
 `make how-long` measures and writes this page; nothing on it is typed by hand. {commit}.
-Blender {blender}; {machine}.{busy}
+Blender {blender}; {machine}. {busy}
 
 ## By the number of vertices
 
@@ -285,11 +285,10 @@ def status(name: str) -> int:
 def write_page(found: dict) -> None:
     sizes = list(found["sizes"].values())
     compared = found["sizes"][str(COMPARED)]
-    busy = BUSY_TEXT.format(found["load"]) if found["load"] > BUSY else ""
     PAGE.write_text(
         PAGE_TEXT.format(
-            commit=found["commit"], blender=found["blender"], machine=found["machine"], busy=busy, runs=found["runs"],
-            frames=FRAMES,
+            commit=found["commit"], blender=found["blender"], machine=found["machine"],
+            busy=busy(found["load"]), runs=found["runs"], frames=FRAMES,
             bones=f"{compared['bones']:.0f}", nodes=round(compared["nodes"], -2), compared=COMPARED,
             sizes=grid(["vertices", "click to Live", "whole model", "Build Model", "bake", "frame, rig only",
                         "frame, Live", "frame, baked", "memory", "file, model", "file, bake"], map(size_row, sizes)),
@@ -298,6 +297,11 @@ def write_page(found: dict) -> None:
         ),
         encoding="utf-8",
     )  # fmt: skip
+
+
+def busy(load: float) -> str:
+    """What to say of times that were measured under a load."""
+    return BUSY_TEXT.format(load) if load > BUSY else ""
 
 
 def size_row(each: dict[str, float]) -> list[str]:
