@@ -35,6 +35,8 @@ PAGES = {
     "limit.md": (*ENGINE, *ADDON, "tests/benchmarks/limit.py"),
     "rigs.md": (*ENGINE, *ADDON, "tests/benchmarks/rigs_page.py", "tests/addon/rig_families.py",
                 "tests/addon/human.py"),
+    "how_long.md": (*ENGINE, *ADDON, "tests/benchmarks/how_long.py", "sample_blends/herbert.blend"),
+    "comparison.md": (*ENGINE, *ADDON, "tests/benchmarks/comparison.py", "sample_blends/bulging_cylinder.blend"),
     "gallery.md": (*ENGINE, *ADDON, "tests/benchmarks/gallery_loop.py", "sample_blends"),
     "coverage.md": ("cpp", "addon/dynamic_morph_targets", "tests/engine", "tests/addon", "tests/cpp",
                     "tools/coverage_page.py"),

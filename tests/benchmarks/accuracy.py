@@ -113,8 +113,17 @@ class Goal:
 
 PAGE_TEXT = """# Accuracy of the reduced model
 
-How far the motion of the reduced model is from that of the unreduced one, and what a step takes, over *Detail*. `make
-accuracy` measures and writes this page and its plot; nothing on it is written by hand but the goals.
+What you lose with *Quality: Reduced*, and what you gain. Reduced Quality simulates a number of modes (**Detail**)
+instead of every node of the cage, and is many times faster. This page compares its motion with that of Full Quality,
+the unreduced model. `make accuracy` measures and writes this page and its plot; nothing on it is written by hand but
+the goals.
+
+**What an error means.** The error is relative to the motion of the soft tissue itself, not to the body. An error of 10%
+says that, on average, the skin is a tenth of its own swing away from where Full Quality has it: 2 mm where it swings by
+20 mm. Reduced Quality keeps the bulk of the motion. It loses local ripples, and exaggerates motion that is larger than
+the tissue is thick. Where these matter, bake with *Quality: Full*. Goals that are missed are bold; [decision
+4](decisions/0004-where-the-error-of-responses-is.md) explains where the rest of the error comes from, and why a higher
+Detail removes little of it.
 
 {commit}.
 Blender {blender}; {machine}.

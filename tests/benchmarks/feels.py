@@ -48,7 +48,11 @@ PLAIN = "plain"  # the picture of what the bones alone do
 
 PAGE_TEXT = """# Subtle, Natural and Cartoon
 
-The presets of *Feel* on six bodies, side by side. `make feels` bakes them and writes this page.
+Which *Feel* to choose: the three presets on six bodies, side by side. `make feels` bakes them and writes this page.
+
+*Subtle* is for firm, athletic bodies, *Natural*, the default, for average ones, and *Cartoon* swings farther and
+longer. The verdicts at the right are those that Blender shows after the bake. The clips are the liveliest of their
+files, so a livelier preset may squeeze or press a body too far: take the next calmer preset there, or raise *Bounce*.
 
 {commit}
 
