@@ -91,12 +91,13 @@ without reading the rig and writing.
 - **Detail** is the number of modes: each simulated step takes longer, and a bake writes as many shape keys. Lower it
   first when Live is too slow.
 - **Cage Nodes** makes the build longer, and every step in Full Quality. Reduced Quality uses the modes only.
-- **Samples Per Frame** stores several states of each frame for motion blur, and the rig is read that many times.
+- **Samples Per Frame** stores several states of each frame for motion blur. The substeps are rounded up to a multiple
+  of it, so more of them are simulated, and more states of the rig are read.
 - **Quality: Full** simulates every node instead of modes. Use it for the last bake.
 - **Collision** is baked in Full Quality unless you turn that off, which explains most of its price. Here a ball is
-  pressed into the belly in every frame; where nothing touches, it costs far less.
+  pressed into the belly in every frame.
 
-The rig matters too. Blender has to evaluate it for every sample: a rig with hundreds of bones, constraints and
+The rig matters too. Blender has to evaluate it for every substep: a rig with hundreds of bones, constraints and
 drivers, such as Rigify's, can take longer to read than the skin takes to simulate. [Performance](performance.md) lists
 such a rig and shows where the time goes, stage by stage.
 """
