@@ -187,7 +187,9 @@ def key_by_pose(settings: bpy.types.bpy_struct, name: str, straight: float, flex
 def cloth_dynamics(limb: bpy.types.Object) -> None:
     modifier = limb.modifiers.new("Cloth Dynamics", "NODES")
     (modifier.node_group,) = dynamics_assets("Cloth Dynamics (Experimental)")
-    set_socket(modifier, "Pin Group", held(limb))
+    set_socket(modifier, "Pin Group", held(limb, 0.9))
+    for name in ("Stretchiness", "Bendiness"):
+        set_socket(modifier, name, 1.0)
 
 
 WAYS = {
@@ -199,7 +201,9 @@ WAYS = {
     "cloth_by_pose": Way(
         "Cloth", cloth_by_pose, "Dynamic Mesh on, pinned by 0.4, Pin Stiffness 0.1, keyed to 10 where flexed"
     ),
-    "cloth_dynamics": Way("Cloth Dynamics (experimental)", cloth_dynamics),
+    "cloth_dynamics": Way(
+        "Cloth Dynamics (experimental)", cloth_dynamics, "Stretchiness and Bendiness 1, pinned by 0.9"
+    ),
 }
 
 

@@ -43,12 +43,13 @@ KEPT = ROOT / "build" / "reports" / "how_long.json"
 SCENE = ROOT / "sample_blends" / "herbert.blend"
 SIZES = (5_000, 15_000, 50_000)  # vertices
 COMPARED = SIZES[1]  # with which the settings are tried
-RUNS = 3  # of each measurement unless --runs says otherwise; the median counts
+RUNS = 3  # of each size unless --runs says otherwise; the median counts. Of each setting one must do
 FRAMES = 250
 PLAYED = 60  # frames
 MEGABYTE = 1024 * 1024
 BUSY = 0.5  # load before anything is measured
 BUSY_TEXT = "**The machine had other work (load {:.1f}), so these times are longer than on an idle one.**"
+RUN_TEXTS = ("Medians of {} runs each", "One run each")
 BALL, PRESSED = 0.1, 0.8  # meters; where its middle is in front of the belly, of its radius
 
 PAGE_TEXT = """# How long will my character take?
@@ -63,8 +64,8 @@ Blender {blender}; {machine}. {busy}
 ## By the number of vertices
 
 The character is Herbert from `sample_blends`: one mesh, {bones} bones, animated with a walk, a dive and a run. His mesh
-is subdivided and decimated to each size. Everything is as *Add Soft Skin* sets it. Medians of {runs} runs, each in a
-Blender that has just started.
+is subdivided and decimated to each size. Everything is as *Add Soft Skin* sets it. {runs}, in a Blender that has just
+started.
 
 {sizes}
 - *Click to Live*: from **Add Soft Skin** to the first frame that Live shows. Live starts with a coarse draft.
@@ -83,18 +84,20 @@ depend on its vertices. Memory and file size do grow with them, because each key
 ## What makes it longer
 
 The same character with {compared:,} vertices and one setting changed at a time: how many times as long as with the
-defaults it takes. *Work inside the skin* shows why: it is the simulation alone, without reading the rig and writing.
+defaults it takes, in one run each. *Build* is the whole model after the click. *Simulation* is the part of the bake
+without reading the rig and writing.
 
 {settings}
-- **Detail** is the number of modes. Time for a simulated step grows faster than Detail, and a bake of shape keys writes
-  as many keys. Lower it first when Live is too slow.
-- **Cage Nodes** affects the build much more than the bake, because a bake in Reduced Quality uses the modes only.
-- **Samples Per Frame** stores several states of each frame for motion blur, and the rig is read that many times.
+- **Detail** is the number of modes: each simulated step takes longer, and a bake writes as many shape keys. Lower it
+  first when Live is too slow.
+- **Cage Nodes** makes the build longer, and every step in Full Quality. Reduced Quality uses the modes only.
+- **Samples Per Frame** stores several states of each frame for motion blur. The substeps are rounded up to a multiple
+  of it, so more of them are simulated, and more states of the rig are read.
 - **Quality: Full** simulates every node instead of modes. Use it for the last bake.
 - **Collision** is baked in Full Quality unless you turn that off, which explains most of its price. Here a ball is
-  pressed into the belly in every frame; where nothing touches, it costs far less.
+  pressed into the belly in every frame.
 
-The rig matters too. Blender has to evaluate it for every sample: a rig with hundreds of bones, constraints and
+The rig matters too. Blender has to evaluate it for every substep: a rig with hundreds of bones, constraints and
 drivers, such as Rigify's, can take longer to read than the skin takes to simulate. [Performance](performance.md) lists
 such a rig and shows where the time goes, stage by stage.
 """
@@ -104,7 +107,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("one", nargs="*", metavar="VERTICES SETTING", help="measure one character in this process")
     parser.add_argument("--page", action="store_true", help="write the page from what was measured before")
-    parser.add_argument("--runs", type=int, default=RUNS, help=f"of each measurement; default: {RUNS}")
+    parser.add_argument("--runs", type=int, default=RUNS, help=f"of each size; default: {RUNS}")
     arguments = parser.parse_args()
     if arguments.one:
         return measure(int(arguments.one[0]), arguments.one[1])
@@ -114,9 +117,10 @@ def main() -> int:
             "machine": machine(),
             "blender": bpy.app.version_string,
             "load": os.getloadavg()[0],
+            "runs": arguments.runs,
         }
         found["sizes"] = {str(size): median(size, DEFAULT, arguments.runs) for size in SIZES}
-        found["settings"] = {name: median(COMPARED, name, arguments.runs) for name in SETTINGS if name != DEFAULT}
+        found["settings"] = {name: median(COMPARED, name, 1) for name in SETTINGS if name != DEFAULT}
         KEPT.parent.mkdir(parents=True, exist_ok=True)
         KEPT.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     if not KEPT.exists():
@@ -288,11 +292,11 @@ def write_page(found: dict) -> None:
     PAGE.write_text(
         PAGE_TEXT.format(
             commit=found["commit"], blender=found["blender"], machine=found["machine"],
-            busy=busy(found["load"]), runs=found["runs"], frames=FRAMES,
+            busy=busy(found["load"]), runs=RUN_TEXTS[found["runs"] == 1].format(found["runs"]), frames=FRAMES,
             bones=f"{compared['bones']:.0f}", nodes=round(compared["nodes"], -2), compared=COMPARED,
             sizes=grid(["vertices", "click to Live", "whole model", "Build Model", "bake", "frame, rig only",
                         "frame, Live", "frame, baked", "memory", "file, model", "file, bake"], map(size_row, sizes)),
-            settings=grid(["", "build", "bake", "work inside the skin", "frame, Live", "file, bake"],
+            settings=grid(["", "build", "bake", "simulation", "frame, Live", "file, bake"],
                           [setting_row(name, each, compared) for name, each in found["settings"].items()]),
         ),
         encoding="utf-8",
@@ -314,7 +318,7 @@ def size_row(each: dict[str, float]) -> list[str]:
 
 
 def setting_row(name: str, each: dict[str, float], defaults: dict[str, float]) -> list[str]:
-    factors = (each[key] / defaults[key] for key in ("build", "bake", "simulate", "live_frame", "bake_bytes"))
+    factors = (each[key] / defaults[key] for key in ("whole", "bake", "simulate", "live_frame", "bake_bytes"))
     return [name, *(f"{factor:.2g} times" for factor in factors)]
 
 
