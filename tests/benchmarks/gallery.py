@@ -81,7 +81,7 @@ LOOPS = {
         ),
         Loop(
             "folded_limb", "Folded limb", "A limb folds until its halves flatten each other instead of passing through "
-            "each other.", "collision", "Limb", SELF_COLLISION, (1, 72), 0.03,
+            "each other.", "collision", "Limb", SELF_COLLISION, (1, 84), 0.02,
         ),
         Loop(
             "grabbed_belly", "Grabbed belly", "A hand pulls a belly up and aside and lets it go, as *Record Drags* "
