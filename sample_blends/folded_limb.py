@@ -11,7 +11,7 @@ import bulging_cylinder
 from stage import add_camera, add_touched_skin, paint_for_workbench, save_scene, set_up_scene
 
 FRAMES = 84
-BENDS = ((1, 0), (5, 0), (20, 150), (36, 150), (50, 0), (84, 0))  # (frame, bend of the whole elbow in degrees)
+BENDS = ((1, 0), (5, 0), (20, 166), (36, 166), (50, 0), (84, 0))  # (frame, bend of the whole elbow in degrees)
 
 README = """Folded limb
 
@@ -42,5 +42,6 @@ def make(path: Path) -> None:
     paint_for_workbench()
     add_touched_skin(limb, [])
     limb.dynamorph.collision.use = limb.dynamorph.collision.use_self = True
+    limb.dynamorph.simulation.gravity = 0.0  # what moves when the limb is still was pressed
     limb.dynamorph.firmness_group = bulging_cylinder.FIRMNESS
     save_scene(path)

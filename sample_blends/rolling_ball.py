@@ -130,7 +130,7 @@ def add_torso(rig: bpy.types.Object) -> bpy.types.Object:
     return torso
 
 
-def add_panelled_ball(path: np.ndarray) -> bpy.types.Object:
+def add_beach_ball(path: np.ndarray) -> bpy.types.Object:
     ball = add_ball("Ball", BALL, *(add_material("Panel", color, 0.3) for color in PANELS))
     for polygon in ball.data.polygons:
         polygon.material_index = int((math.atan2(polygon.center.y, polygon.center.x) / math.pi + 1) * 3) % 3
@@ -146,7 +146,7 @@ def make(path: Path) -> None:
     rig = add_straight_rig(BONES, JOINTS, TIP)
     rig.location.z = HEIGHT
     torso = add_torso(rig)
-    ball = add_panelled_ball(ball_path(torso_mesh()[0]))
+    ball = add_beach_ball(ball_path(torso_mesh()[0]))
     add_box("Mat", (-0.25, -0.4, 0), (2.2, 0.4, MAT), add_material("Mat", (0.10, 0.30, 0.25), 0.7))
     add_studio((0.4, 0, 0.3))
     add_camera((0.5, -1.9, 1.0), (0.5, 0, 0.30), 62)
