@@ -9,7 +9,7 @@ program, 75 a file could not be read or written, or memory was short (a full dis
 again), 130 Ctrl-C. A file that can never be written (no such folder, no permission) is bad input, and found before the
 work.
 
---report writes the outcome of a command as JSON, even after a failure. Its keys: docs/file_format.md.
+--report writes the outcome of a command as JSON, even after a failure. Its keys: docs/report.md.
 """
 
 from __future__ import annotations
