@@ -403,14 +403,14 @@ def renewed(name: str) -> str:
 
 def main() -> None:
     import dynamic_morph_targets
-
-    dynamic_morph_targets.register()
-    if bpy.app.version[:2] != VERSION:
-        sys.exit(f"reference: the pages are made with Blender {'.'.join(map(str, VERSION))}")
-    for name in PAGES:
-        (ROOT / "docs" / name).write_text(renewed(name), encoding="utf-8")
     from dynamic_morph_targets.__main__ import leave
 
+    if bpy.app.version[:2] != VERSION:
+        print(f"reference: the pages are made with Blender {'.'.join(map(str, VERSION))}", file=sys.stderr)
+        leave(2)
+    dynamic_morph_targets.register()
+    for name in PAGES:
+        (ROOT / "docs" / name).write_text(renewed(name), encoding="utf-8")
     leave(0)
 
 
