@@ -9,7 +9,7 @@ program, 75 a file could not be read or written, or memory was short (a full dis
 again), 130 Ctrl-C. A file that can never be written (no such folder, no permission) is bad input, and found before the
 work.
 
---report writes the outcome of a command as JSON, even after a failure. Its keys: docs/file_format.md.
+--report writes the outcome of a command as JSON, even after a failure. Its keys: docs/report.md.
 """
 
 from __future__ import annotations
@@ -217,8 +217,8 @@ def add_bake(command: Callable[..., argparse.ArgumentParser]) -> None:
                       help=f"the file of such a format; {paths.OBJECT} in it stands for the object's name; default: "
                       "that name, beside the .blend")  # fmt: skip
     bake.add_argument("--clips", choices=("scene", "actions"), default="scene",
-                      help="actions, for gltf and fbx: one animation per Action of the armature, each simulated on its "
-                      "own, instead of the scene's frames; default: %(default)s")  # fmt: skip
+                      help="which animations a gltf or fbx has: that of the scene's frames, or one per Action of the "
+                      "armature, each simulated on its own; default: %(default)s")  # fmt: skip
     add_settings(bake, "output", OUTPUT_SETTINGS)
     bake.add_argument("--compare-full", action="store_true",
                       help="also say how far the reduced motion is from that of --solver full")  # fmt: skip

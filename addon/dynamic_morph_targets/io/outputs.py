@@ -76,7 +76,7 @@ def try_folder(folder: Path) -> None:
     nearest = _existing(folder)
     if not nearest.is_dir():
         raise OSError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(nearest))
-    try_file(nearest / "dynamorph")
+    try_file(nearest / f"{secrets.token_hex(8)}.dynamorph")  # a name that nothing in it has
 
 
 def check_space(path: Path, size: int) -> None:

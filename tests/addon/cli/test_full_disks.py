@@ -681,6 +681,8 @@ def test_a_folder_that_is_missing_is_neither_made_nor_removed(addon, tmp_path):
     (tmp_path / "caches").mkdir()
     outputs.try_folder(tmp_path / "caches")
     assert names(tmp_path) == ["caches"] and names(tmp_path / "caches") == []
+    (tmp_path / "dynamorph").mkdir()  # where the wheels may be installed
+    outputs.try_folder(tmp_path / "models")
 
 
 @pytest.mark.parametrize("name", ["out", "shot.blend1"])
