@@ -240,7 +240,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "self_contact"_a, "friction"_a = 0.5,
           "Where the skin touches itself, from the distance of `set_contact` on, which comes first and drops it; None: "
           "nowhere. friction: of skin on skin.")
-      .def_property_readonly("model", &Sim::shared_model)
+      .def_property_readonly("model", &Sim::shared_model, "The model that it steps.")
       .def_property_readonly(
           "coordinates", [](const Sim& s) { return in_turn(s, [&] { return VectorXd(s.coordinates()); }); },
           "A copy of the coordinates after the last step. The unit is meters times the square root of cubic meters for "
