@@ -45,10 +45,15 @@ PAGES = {
     "reliability.md": (*ENGINE, "addon/dynamic_morph_targets", "tests/faults.toml"),
     "window_test.md": (*ENGINE, "addon/dynamic_morph_targets", "tests/gui", "tools/gui_test.py"),
 }  # fmt: skip
+PAGES |= {
+    f"recipes/{name}.md": (*ENGINE, *ADDON, "sample_blends/recipes", "sample_blends/*.blend")
+    for name in ("bulge", "clothes", "collision", "firm_parts", "grab", "jiggle", "mixamo", "motion_blur", "repair",
+                 "rigify", "vrm", "walk_cycle")
+}  # fmt: skip
 # Pages that are written by hand.
 WRITTEN = ("architecture.md", "attribution.md", "cpp.md", "decisions/", "file_format.md", "glossary.md", "install.md",
-           "limitations.md", "python.md", "releasing.md", "theory.md", "troubleshooting.md", "upgrading.md",
-           "user_guide.md")  # fmt: skip
+           "limitations.md", "python.md", "recipes/index.md", "releasing.md", "theory.md", "troubleshooting.md",
+           "upgrading.md", "user_guide.md")  # fmt: skip
 
 
 def measured_at(page: str) -> str:
@@ -65,10 +70,15 @@ def measured_at(page: str) -> str:
 
 def stamp(page: Path) -> None:
     """Write the present commit into the line that the page has. Raises ValueError without one."""
-    text, count = LINE.subn(measured_at(page.name), page.read_text(encoding="utf-8"))
+    text, count = LINE.subn(measured_at(name_of(page)), page.read_text(encoding="utf-8"))
     if not count:
         raise ValueError(f"{page.name}: there is no line that names a commit")
     page.write_text(text, encoding="utf-8")
+
+
+def name_of(page: Path) -> str:
+    """As PAGES names it."""
+    return page.relative_to(DOCS).as_posix() if page.is_relative_to(DOCS) else page.name
 
 
 def commits(page: Path) -> list[tuple[str, bool]]:
@@ -78,16 +88,16 @@ def commits(page: Path) -> list[tuple[str, bool]]:
 
 def aged(page: Path) -> str:
     """What has changed in a page's sources since it was measured, in one line; empty if nothing has."""
-    reasons, last = [], ""
+    reasons, last, name = [], "", name_of(page)
     for commit, changes in dict.fromkeys(commits(page)):
         if changes:
             reasons.append(f"measured at {commit} with changes that no commit has")
         if not git("cat-file", "-t", commit):
             reasons.append(f"measured at {commit}, which is not in this history")
-        elif since := git("log", "--oneline", "--no-merges", f"{commit}..HEAD", "--", *PAGES[page.name]).splitlines():
+        elif since := git("log", "--oneline", "--no-merges", f"{commit}..HEAD", "--", *PAGES[name]).splitlines():
             reasons.append(f"commits to its sources since {commit}: {len(since)}")
             last = f" (last: {since[0]})"
-    return f"docs/{page.name}: {'; '.join(reasons)}{last}" if reasons else ""
+    return f"docs/{name}: {'; '.join(reasons)}{last}" if reasons else ""
 
 
 def git(*words: str) -> str:
