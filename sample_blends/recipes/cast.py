@@ -14,12 +14,13 @@ import bpy
 import numpy as np
 from contact_sheet import quiet
 from herbert_action import quaternions
-from herbert_skeleton import SIDES, SPINE, Skeleton, about, arm_turns
+from herbert_skeleton import SIDES, SPINE, Skeleton, about, arm_turns, curve
 from mathutils import Matrix, Vector
-from stage import add_box, add_camera, add_material, look_through_camera, write_curves
+from stage import add_box, add_camera, add_material, look_through_camera, smoothstep, write_curves
 
 SAMPLES = Path(__file__).resolve().parents[1]
 FPS = 24
+KNEES = 0.02  # meters by which they are never quite straight
 HEAD_BONES = ("neck_01", "head")
 SHIRT, SHORTS = (0.02, 0.14, 0.35), (0.75, 0.55, 0.1)  # colors
 
@@ -83,7 +84,7 @@ def herbert(clip: Callable[[Skeleton], tuple[np.ndarray, Turns]], name: str) -> 
     animate(rig, name, *clip(skeleton(rig)))
     add_box("Floor", (-9, -6, -0.1), (9, 14, 0), add_material("Floor", (0.30, 0.33, 0.36), 0.8))
     bpy.context.scene.world.color = (0.25, 0.28, 0.32)
-    add_camera((1.0, -4.6, 1.35), (0, 0, 0.86), 68)
+    add_camera((2.5, -3.9, 1.3), (0, 0, 0.86), 68)
     look_through_camera()
     activate(body)
     return body
@@ -124,20 +125,32 @@ def crouched(bones: Skeleton, drop: np.ndarray) -> Turns:
     return turns
 
 
+def hop_height() -> np.ndarray:
+    """How high he is (F,) above where he stands: he crouches, pushes himself off, falls back, and rises. 48 frames."""
+    crouch, fast = 0.17, 4 / FPS  # meters, and seconds in which he pushes himself off, or is stopped
+    speed = 2 * crouch / fast
+    flight = 2 * speed / 9.81
+    times = np.arange(48) / FPS
+    down, off = 4 / FPS, 12 / FPS  # he begins to crouch, and to push
+    up, landed = off + fast, off + fast + flight
+    t = times - up
+    height = -crouch * smoothstep((times - down) / (off - down))
+    height = np.where(times > off, -crouch + 0.5 * speed / fast * (times - off) ** 2, height)
+    height = np.where(times > up, speed * t - 0.5 * 9.81 * t**2, height)
+    height = np.where(times > landed, -crouch + 0.5 * speed / fast * (landed + fast - times) ** 2, height)
+    return np.where(times > landed + fast, -crouch * (1 - smoothstep((times - landed - fast) / 0.5)), height)
+
+
 def hop(bones: Skeleton) -> tuple[np.ndarray, Turns]:
-    """He crouches, jumps, lands and stands: 40 frames."""
-    frames = np.arange(40)
-    keys = ((0, 0.02), (3, 0.02), (8, 0.2), (11, 0.02), (17, 0.04), (21, 0.22), (27, 0.02), (39, 0.02))
-    drop = np.interp(frames, *np.transpose(keys))
-    drop = np.convolve(np.pad(drop, 1, "edge"), (0.25, 0.5, 0.25), "valid")
-    air = np.clip((frames - 11) / 7, 0, 1)
-    height = 0.32 * 4 * air * (1 - air)
-    arms = 25 - 320 * (drop - 0.02) + 160 * height
-    turns = crouched(bones, drop)
+    """A hop, with arms that swing along."""
+    height, frames = hop_height(), np.arange(48)
+    turns = crouched(bones, KNEES + np.maximum(-height, 0))
+    forward = curve(frames, (0, 0), (11, -40), (19, 45), (27, 15), (32, -25), (44, 0))
+    outward = curve(frames, (0, 16), (11, 22), (19, 50), (30, 24), (44, 16))
     for side in SIDES:
-        turns |= arm_turns(bones, side, -0.4 * arms + 30, np.maximum(arms, 12), np.full(40, 20.0))
-    turns |= {bone: about(0, 25 * (drop - 0.02)) for bone in SPINE}
-    return np.stack([0 * drop, 0 * drop, height - drop], 1), turns
+        turns |= arm_turns(bones, side, forward, outward, np.full(48, 20.0))
+    turns |= {bone: about(0, 25 * np.maximum(-height, 0)) for bone in SPINE}
+    return np.stack([0 * height, 0 * height, height - KNEES], 1), turns
 
 
 def walk(bones: Skeleton) -> tuple[np.ndarray, Turns]:
@@ -266,9 +279,9 @@ def mixamo() -> bpy.types.Object:
     rig.matrix_world = into
     rig.name = "Armature"
     hips = 'pose.bones["mixamorig:Hips"].location'
-    for curve in curves_of(rig):
-        if curve.data_path == hips:
-            for key in curve.keyframe_points:
+    for fcurve in curves_of(rig):
+        if fcurve.data_path == hips:
+            for key in fcurve.keyframe_points:
                 for point in (key.co, key.handle_left, key.handle_right):
                     point.y *= 100
     bpy.context.scene.frame_set(1)
@@ -363,22 +376,21 @@ def fit(meta: bpy.types.Object, joints: Skeleton) -> None:
 
 
 def key_controls(rig: bpy.types.Object) -> None:
-    """A hop of 40 frames with Rigify's controls: the torso and both feet, and arms that swing."""
-    pose, scene = rig.pose.bones, bpy.context.scene
-    for frame, down, up in ((1, 0.03, 0), (4, 0.03, 0), (9, 0.16, 0), (12, 0.02, 0.02), (15, 0.04, 0.26),
-                            (19, 0.04, 0), (22, 0.18, 0), (28, 0.03, 0), (40, 0.03, 0)):  # fmt: skip
-        for name, rise in (("torso", up - down), ("foot_ik.L", up), ("foot_ik.R", up)):
+    """The hop with Rigify's controls: the torso and both feet, and arms that swing."""
+    pose, scene, height = rig.pose.bones, bpy.context.scene, hop_height()
+    for frame, up in enumerate(height, 1):
+        for name, rise in (("torso", up - KNEES), ("foot_ik.L", max(up, 0)), ("foot_ik.R", max(up, 0))):
             bone = pose[name]
             bone.location = bone.bone.matrix_local.to_3x3().inverted() @ Vector((0, 0, rise))
             bone.keyframe_insert("location", frame=frame)
     for side, sign in (("L", 1), ("R", -1)):
         pose[f"upper_arm_parent.{side}"]["IK_FK"] = 1.0
         bone = pose[f"upper_arm_fk.{side}"]
+        bone.rotation_mode = "QUATERNION"
         rest = bone.bone.matrix_local.to_3x3()
-        for frame, lift in ((1, 25), (9, 10), (15, 70), (22, 5), (30, 25)):
+        for frame, lift in ((1, 25), (12, 10), (20, 60), (30, 10), (42, 25)):
             turn = Matrix.Rotation(math.radians(sign * (25 - lift)), 3, "Y")
-            bone.rotation_mode = "QUATERNION"
             bone.rotation_quaternion = (rest.inverted() @ turn @ rest).to_quaternion()
             bone.keyframe_insert("rotation_quaternion", frame=frame)
-    scene.frame_start, scene.frame_end = 1, 40
+    scene.frame_start, scene.frame_end = 1, len(height)
     scene.frame_set(1)

@@ -18,7 +18,7 @@ PANE = (400, 400)
 GAP, HEAD, FOOT = 6, 30, 30  # pixels between the views, above and below them
 THUMB = 160  # pixels
 QUALITY = 82  # of WebP, at most 100
-BLUR_FRAME = 19  # he falls
+BLUR_FRAME = 25  # he falls
 SAMPLES = 32  # of Cycles
 MAP = {0.0: (0.03, 0.1, 0.8), 0.5: (0.1, 0.6, 0.1), 0.9: (0.95, 0.35, 0.03), 1.0: (0.8, 0.02, 0.01)}  # of Firmness
 
@@ -82,6 +82,7 @@ def views(
         return blurred(recipe), ""
     if first is None:
         red, frame = farthest(moved)
+        frame = recipe.frame or frame
     right = view(recipe, frame, moved, red)
     legend = f"frame {frame}; the skin's own motion: gray none, red {1000 * red:.0f} mm"
     if first is not None:

@@ -57,8 +57,8 @@ class Hands:
 @dataclass(frozen=True)
 class Recipe:
     """start: makes the scene of NAME_start.blend, and returns its body; steps: all that the page says then. draft: the
-    frames that a draft bakes, all if none are given. close: the part of the camera's picture that is shown, around
-    `focus`, world space.
+    frames that a draft bakes, all if none are given. Of the picture, frame: by default that of the largest motion;
+    close: the part of what the camera sees, around `focus`, world space. export: suffix of a file beside the .blend.
     """
 
     start: Callable[[Hands], bpy.types.Object]
@@ -66,10 +66,11 @@ class Recipe:
     title: str
     about: str
     draft: tuple[int, int] | None = None
+    frame: int = 0
     close: float = 0.62
     focus: Sequence[float] = (0.0, 0.0, 0.95)
     panes: tuple[str, str] = ("plain skinning", "baked")
-    export: str = ""  # suffix of a file beside the .blend
+    export: str = ""
 
 
 def jiggle(hands: Hands, body: bpy.types.Object) -> None:
@@ -142,6 +143,13 @@ def select_bones(rig: bpy.types.Object, beginnings: tuple[str, ...]) -> None:
         (bone if hasattr(bone, "select") else bone.bone).select = bone.name.startswith(beginnings)
 
 
+def ball(_hands: Hands) -> bpy.types.Object:
+    """The torso and the ball that falls on it, until the ball has rolled over the belly."""
+    body = cast.opened("rolling_ball", "Torso")
+    bpy.context.scene.frame_end = 48
+    return body
+
+
 def collision(hands: Hands, body: bpy.types.Object) -> None:
     hands.add_soft_skin(body)
     cast.activate(body, bpy.data.objects["Ball"])
@@ -172,7 +180,7 @@ def drag(body: bpy.types.Object) -> None:
             hand = grabbing.begin(body)
             number = hand.take(place, points)
         if hand and frame in DRAG:
-            hand.lead(number, place + (frame - DRAG[0] + 1) / len(DRAG) * np.array((0.1, -0.16, 0.0)))
+            hand.lead(number, place + (frame - DRAG[0] + 1) / len(DRAG) * np.array((0.08, -0.16, 0.02)))
         elif hand:
             hand.let_go(number)
         scene.frame_set(frame)
@@ -252,7 +260,7 @@ RECIPES = {
     "jiggle": Recipe(hopping, jiggle, "A belly that jiggles", "He lands, and his belly swings on."),
     "bulge": Recipe(
         relaxed_arm, bulge, "A biceps that bulges", "The flexed biceps bulges as sculpted and is firm.",
-        draft=(76, 84), close=0.36, focus=(0.4, 0.0, 0.74),
+        draft=(76, 84), frame=FLEXED, close=0.36, focus=(0.4, 0.0, 0.74),
     ),
     "firm_parts": Recipe(
         hopping, firm_parts, "Hands and feet that stay still",
@@ -260,8 +268,9 @@ RECIPES = {
         panes=("Firmness", "baked"),
     ),
     "collision": Recipe(
-        lambda _hands: cast.opened("rolling_ball", "Torso"), collision, "A ball that leaves a dent",
-        "Objects, the floor and the body itself stop the skin.", draft=(1, 16), close=0.9, focus=(0.45, 0.0, 0.3),
+        ball, collision, "A ball that leaves a dent",
+        "Objects, the floor and the body itself stop the skin.",
+        draft=(1, 16), frame=20, close=0.6, focus=(0.45, 0.0, 0.32),
     ),
     "grab": Recipe(
         lambda _hands: cast.herbert(cast.stand, "Stand"), grab, "Grab it by hand",
