@@ -21,7 +21,7 @@ ENGINE = ("cpp/dynamorph", "cpp/bindings")
 ADDON = ("addon/dynamic_morph_targets", *(f":!addon/dynamic_morph_targets/{name}" for name in INTERFACE))
 # What each generated page is made from, as git's path specifications.
 PAGES = {
-    "results.md": (*ENGINE, *ADDON, "sample_blends"),
+    "results.md": (*ENGINE, *ADDON, "sample_blends", ":!sample_blends/recipes"),
     "performance.md": (*ENGINE, *ADDON, "tests/benchmarks/engine.cpp", "tests/benchmarks/test_pipeline.py",
                        "tests/benchmarks/click.py"),
     "robustness.md": (*ENGINE, *ADDON, "tests/benchmarks/robustness_page.py", "tests/addon/characters.py"),
@@ -35,7 +35,8 @@ PAGES = {
     "limit.md": (*ENGINE, *ADDON, "tests/benchmarks/limit.py"),
     "rigs.md": (*ENGINE, *ADDON, "tests/benchmarks/rigs_page.py", "tests/addon/rig_families.py",
                 "tests/addon/human.py"),
-    "gallery.md": (*ENGINE, *ADDON, "tests/benchmarks/gallery_loop.py", "sample_blends"),
+    "gallery.md": (*ENGINE, *ADDON, "tests/benchmarks/gallery_loop.py", "sample_blends",
+                   ":!sample_blends/recipes"),
     "coverage.md": ("cpp", "addon/dynamic_morph_targets", "tests/engine", "tests/addon", "tests/cpp",
                     "tools/coverage_page.py"),
     "farm.md": ("addon/dynamic_morph_targets/cli", "addon/dynamic_morph_targets/io/cache_dir.py", "farm",
