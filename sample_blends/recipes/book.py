@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """`make recipes`: follows each recipe of docs/recipes, and writes its files, its picture and the table of its page.
 
-    python sample_blends/recipes/book.py [NAME ...] [--out FOLDER]
+    python sample_blends/recipes/book.py [NAME ...] [--pictures] [--out FOLDER]
 
 FOLDER, dist/recipes by default, gets NAME_start.blend, as it is before the first step, and NAME_done.blend.
 """
@@ -46,26 +46,14 @@ SHOWN = {  # settings that the table names where they are not those of a new sof
 
 
 def make(name: str, folder: Path) -> None:
-    """Follow a recipe, and write all that it makes."""
-    recipe, first = steps.RECIPES[name], []
-
-    def started(body: bpy.types.Object) -> None:
-        save(name, "start", folder)
-        if pictures.is_baked(body):  # a bake to be repaired
-            moved = pictures.motion(body)
-            red, frame = pictures.farthest(moved)
-            first.extend((pictures.view(recipe, frame, moved, red), red, frame))
-
+    """Follow a recipe, and write its files and the table of its page."""
     with quiet():
-        body, hands = steps.cook(name, started=started)
+        body, hands = steps.cook(name, started=lambda _body: save(name, "start", folder))
         moved = pictures.motion(body)
         save(name, "done", folder)
-        if recipe.export:
-            steps.export(body, folder / f"{name}{recipe.export}")
-        table = rows(name, folder, body, hands, moved)
-        drawn, legend = pictures.views(recipe, body, moved, *first)
-        pictures.write(name, recipe, drawn, legend, PICTURES)
-    write_table(name, table)
+        if steps.RECIPES[name].export:
+            steps.export(body, folder / f"{name}{steps.RECIPES[name].export}")
+    write_table(name, rows(name, folder, body, hands, moved))
 
 
 def save(name: str, state: str, folder: Path) -> None:
@@ -127,11 +115,16 @@ def write_table(name: str, table: dict[str, str]) -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(steps.RECIPES)}; default: all")
+    parser.add_argument("--pictures", action="store_true", help="only the pictures, from the files that are there")
     parser.add_argument("--out", type=Path, default=ROOT / "dist" / "recipes", help="the folder of the .blend files")
     args = parser.parse_args()
     dynamic_morph_targets.register()
     for name in args.names or steps.RECIPES:
-        make(name, args.out.resolve())
+        folder = args.out.resolve()
+        if not args.pictures:
+            make(name, folder)
+        recipe = steps.RECIPES[name]
+        pictures.write(name, recipe, *pictures.views(name, recipe, folder), PICTURES)
         print(f"{name}: done", flush=True)
     return 0
 

@@ -16,7 +16,7 @@ from contact_sheet import quiet
 from herbert_action import quaternions
 from herbert_skeleton import SIDES, SPINE, Skeleton, about, arm_turns, curve
 from mathutils import Matrix, Vector
-from stage import add_box, add_camera, add_material, look_through_camera, smoothstep, write_curves
+from stage import add_box, add_camera, add_material, look_through_camera, paint_for_workbench, smoothstep, write_curves
 
 SAMPLES = Path(__file__).resolve().parents[1]
 FPS = 24
@@ -65,7 +65,7 @@ def activate(obj: bpy.types.Object, *others: bpy.types.Object) -> None:
 
 
 def herbert(clip: Callable[[Skeleton], tuple[np.ndarray, Turns]], name: str) -> bpy.types.Object:
-    """Herbert in an empty room, with one clip, of which `clip` gives the pelvis's place (F, 3) and the bones' turns."""
+    """Herbert in an empty room. `clip` gives the place of his pelvis (F, 3) and the turns of his bones."""
     body = opened("herbert", "Herbert")
     rig = body.parent
     kept = {body, rig, *rig.children}
@@ -83,6 +83,7 @@ def herbert(clip: Callable[[Skeleton], tuple[np.ndarray, Turns]], name: str) -> 
         bone.matrix_basis.identity()
     animate(rig, name, *clip(skeleton(rig)))
     add_box("Floor", (-9, -6, -0.1), (9, 14, 0), add_material("Floor", (0.30, 0.33, 0.36), 0.8))
+    paint_for_workbench()
     bpy.context.scene.world.color = (0.25, 0.28, 0.32)
     add_camera((2.5, -3.9, 1.3), (0, 0, 0.86), 68)
     look_through_camera()

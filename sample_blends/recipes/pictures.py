@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from contact_sheet import INK, PAPER, render
+from contact_sheet import INK, PAPER, quiet, render
 from heat import draw_legend, paint
 from PIL import Image, ImageDraw, ImageFont
 
@@ -72,29 +72,45 @@ def rendered(recipe: Recipe, frame: int, engine: str = "BLENDER_WORKBENCH", samp
     return render([frame], PANE, engine, samples, {frame: recipe.focus}, recipe.close)[0]
 
 
-def views(
-    recipe: Recipe, body: bpy.types.Object, moved: Motion, first: Image.Image | None = None, red=0.0, frame=0
-) -> tuple[list[Image.Image], str]:
-    """Both views, and what the colors say. first: the left one, where it was rendered before the steps, with what is
-    red in it, meters, and its frame.
-    """
-    if recipe.panes[1] == "four samples per frame":
+def views(name: str, recipe: Recipe, folder: Path) -> tuple[list[Image.Image], str]:
+    """Both views of what a recipe made, from its files, and what the colors say."""
+    if name == "repair":
+        return before_and_after(recipe, folder)
+    body = open_file(folder / f"{name}_done.blend")
+    if name == "motion_blur":
         return blurred(recipe), ""
-    if first is None:
-        red, frame = farthest(moved)
-        frame = recipe.frame or frame
-    right = view(recipe, frame, moved, red)
+    moved = motion(body)
+    red, frame = farthest(moved)
+    frame = recipe.frame or frame
     legend = f"frame {frame}; the skin's own motion: gray none, red {1000 * red:.0f} mm"
-    if first is not None:
-        return [first, right], legend
-    if recipe.panes[0] == "Firmness":
+    if name == "firm_parts":
         paint(body.data, firmness(body), MAP)
-        return [rendered(recipe, frame), right], f"right, {legend}"
-    cast.activate(body)
-    bpy.ops.dynamorph.show_plain()
-    left = view(recipe, frame, {name: 0 * each for name, each in moved.items()}, red)
-    bpy.ops.dynamorph.show_plain()
-    return [left, right], legend
+        left = rendered(recipe, frame)
+    else:
+        cast.activate(body)
+        bpy.ops.dynamorph.show_plain()
+        left = rendered(recipe, frame)
+        bpy.ops.dynamorph.show_plain()
+    if recipe.hidden:
+        bpy.data.objects[recipe.hidden].hide_render = True
+    return [left, view(recipe, frame, moved, red)], legend
+
+
+def open_file(path: Path) -> bpy.types.Object:
+    """A file of a recipe, and its body."""
+    with quiet():
+        bpy.ops.wm.open_mainfile(filepath=str(path))
+    return next(obj for obj in bpy.context.scene.objects if obj.dynamorph.targets and obj.dynamorph.bake.exists)
+
+
+def before_and_after(recipe: Recipe, folder: Path) -> tuple[list[Image.Image], str]:
+    """The worst frame of the bake that was repaired, then and now, in the same colors."""
+    moved = motion(open_file(folder / "repair_start.blend"))
+    red, frame = farthest(moved)
+    first = view(recipe, frame, moved, red)
+    moved = motion(open_file(folder / "repair_done.blend"))
+    legend = f"frame {frame}; the skin's own motion: gray none, red {1000 * red:.0f} mm"
+    return [first, view(recipe, frame, moved, red)], legend
 
 
 def firmness(body: bpy.types.Object) -> np.ndarray:

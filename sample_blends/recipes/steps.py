@@ -58,7 +58,8 @@ class Hands:
 class Recipe:
     """start: makes the scene of NAME_start.blend, and returns its body; steps: all that the page says then. draft: the
     frames that a draft bakes, all if none are given. Of the picture, frame: by default that of the largest motion;
-    close: the part of what the camera sees, around `focus`, world space. export: suffix of a file beside the .blend.
+    close: the part of what the camera sees, around `focus`, world space; hidden: an object that is not shown on the
+    right. export: suffix of a file beside the .blend.
     """
 
     start: Callable[[Hands], bpy.types.Object]
@@ -70,6 +71,7 @@ class Recipe:
     close: float = 0.62
     focus: Sequence[float] = (0.0, 0.0, 0.95)
     panes: tuple[str, str] = ("plain skinning", "baked")
+    hidden: str = ""
     export: str = ""
 
 
@@ -270,7 +272,8 @@ RECIPES = {
     "collision": Recipe(
         ball, collision, "A ball that leaves a dent",
         "Objects, the floor and the body itself stop the skin.",
-        draft=(1, 16), frame=20, close=0.6, focus=(0.45, 0.0, 0.32),
+        draft=(1, 16), frame=20, close=0.5, focus=(0.45, 0.0, 0.34),
+        panes=("plain skinning", "baked; the ball is not shown"), hidden="Ball",
     ),
     "grab": Recipe(
         lambda _hands: cast.herbert(cast.stand, "Stand"), grab, "Grab it by hand",
