@@ -194,6 +194,8 @@ def dress(body: bpy.types.Object) -> None:
             worn.data.color_attributes.remove(attribute)
         layer = worn.data.color_attributes.new("Color", "BYTE_COLOR", "POINT")
         layer.data.foreach_set("color", np.tile((*color, 1), len(worn.data.vertices)).astype(np.float32))
+        worn.data.color_attributes.active_color = layer
+        worn.data.color_attributes.render_color_index = 0
         points, normals = coordinates(worn.data), np.array([each.normal for each in worn.data.vertices])
         outside = 0.014 if name == "Shirt" else 0.009
         worn.data.vertices.foreach_set("co", (points + outside * normals).astype(np.float32).ravel())

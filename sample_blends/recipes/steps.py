@@ -11,6 +11,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from stage import paint_for_workbench
 
 from . import cast
 
@@ -94,6 +95,7 @@ def relaxed_arm(_hands: Hands) -> bpy.types.Object:
     attribute = body.data.attributes.new(SCULPT, "FLOAT_VECTOR", "POINT")
     attribute.data.foreach_set("vector", strokes.astype(np.float32).ravel())
     body.dynamorph.firmness_group = "Firmness"  # where the bust is cut
+    paint_for_workbench()
     bpy.context.scene.frame_start, bpy.context.scene.frame_end = 38, 104
     bpy.context.scene.frame_set(38)
     return body
@@ -295,7 +297,7 @@ RECIPES = {
     "vrm": Recipe(lambda _hands: cast.vrm(), one_click, "A VRM character", "Face and body stay closed at the neck."),
     "motion_blur": Recipe(
         hopping, motion_blur, "Render with motion blur", "Soft motion that is sharp where it turns.",
-        panes=("without motion blur", "four samples per frame"),
+        focus=(0.0, 0.0, 1.1), panes=("without motion blur", "four samples per frame"),
     ),
     "repair": Recipe(
         bad_bake, repair, "Repair a bake", "A bake that moves too much, flickers, or runs through something.",
