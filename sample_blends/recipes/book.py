@@ -14,14 +14,14 @@ import traceback
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT / folder) for folder in ("addon", "sample_blends", "tools")]
+sys.path[:0] = [str(ROOT / folder) for folder in ("addon", "sample_blends", "tools", "tests/benchmarks")]
 
 import bpy  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
-from dynamic_morph_targets.core.result.compare import machine  # noqa: E402
 from measured import measured_at  # noqa: E402
+from run import machine  # noqa: E402
 
 from recipes import pictures, steps  # noqa: E402
 

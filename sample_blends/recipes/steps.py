@@ -301,7 +301,7 @@ RECIPES = {
     ),
     "repair": Recipe(
         bad_bake, repair, "Repair a bake", "A bake that moves too much, flickers, or runs through something.",
-        panes=("the first bake", "repaired"),
+        focus=(0.0, 0.0, 1.1), panes=("the first bake", "repaired"),
     ),
 }  # fmt: skip
 
