@@ -46,9 +46,9 @@ PAGES = {
     "window_test.md": (*ENGINE, "addon/dynamic_morph_targets", "tests/gui", "tools/gui_test.py"),
 }  # fmt: skip
 # Pages that are written by hand.
-WRITTEN = ("architecture.md", "attribution.md", "cpp.md", "decisions/", "file_format.md", "glossary.md", "install.md",
-           "limitations.md", "python.md", "releasing.md", "theory.md", "troubleshooting.md", "upgrading.md",
-           "user_guide.md")  # fmt: skip
+WRITTEN = ("architecture.md", "attribution.md", "command_line.md", "cpp.md", "decisions/", "file_format.md",
+           "first_steps.md", "glossary.md", "install.md", "limitations.md", "panels/", "python.md", "releasing.md",
+           "theory.md", "troubleshooting.md", "upgrading.md")  # fmt: skip
 
 
 def measured_at(page: str) -> str:

@@ -185,17 +185,17 @@ def test_help_has_the_interface_s_names_and_defaults(run):
 # Pages --------------------------------------------------------------------------------------------------------------
 
 
-def test_the_guide_has_every_option(run):
+def test_the_page_has_every_option(run):
     said = "".join(run(command, "--help")[1] for command in EXAMPLES)
     lines = re.findall(r"^  (-.*?)(?:  |$)", said, re.MULTILINE)
     known = {option for line in lines for option in re.findall(r"(?<![\w-])--?[a-z][a-z-]*", line)}
-    named = set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", section("user_guide.md", "## Without the interface")))
+    named = set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", section("command_line.md", "## Without the interface")))
     short_forms = {f"--no-{option[2:]}" for option in known if f"--no-{option[2:]}" in known}
     assert known - named - short_forms == set()
     assert {option for option in named if option.startswith("--")} - known == {"--version"}  # of the whole command
 
 
-def test_the_guide_has_every_setting_with_its_name_in_the_panels_and_its_values():
+def test_the_page_has_every_setting_with_its_name_in_the_panels_and_its_values():
     groups = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties
     expected = []
     for part, names in (*commands.SETTINGS.items(), ("collision", collision.SETTINGS)):
@@ -204,7 +204,7 @@ def test_the_guide_has_every_setting_with_its_name_in_the_panels_and_its_values(
             values = {"BOOLEAN": f"on; `--no-{option}` off", "INT": "a whole number", "FLOAT": "a number"}
             values["ENUM"] = ", ".join(f"`{item.identifier.lower()}` {item.name}" for item in items_of(setting))
             expected.append(f"| `--{option}` | {setting.name} | {values[setting.type]} |")
-    page = section("user_guide.md", "### Settings as options")
+    page = section("command_line.md", "### Settings as options")
     assert [line for line in page.splitlines() if line.startswith("| `--")] == expected
     assert len(commands.MODEL_SETTINGS) == 11 and "`build` the first eleven" in page
 
