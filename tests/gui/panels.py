@@ -18,10 +18,11 @@ from mathutils import Euler, Vector
 
 SAMPLE = Path(__file__).parents[2] / "sample_blends/herbert.blend"
 FRAME, LAST = 60, 80  # of the pictures; of the bake
-ASIDE = 1.1  # meters from the middle of the viewport to the character
+ASIDE = 1.4  # meters from the middle of the viewport to the character
 FINE = 7  # pixels: a row's middle is known to half of it
 BOX, LEFT, MIDDLE, RIGHT = 0.14, 0.2, 0.45, 0.93  # across a panel; a check box in its header
-TOP, EMPTY = 130, 130  # pixels that the buttons in place take, and without a button: the panel has ended
+TOP, EMPTY = 130, 240  # pixels that the buttons in place take, and without a button: the panel has ended
+TABS = 30  # pixels, the column of the sidebar's tabs
 BESIDE = 12  # pixels from the panel's edge to the middle of a number
 
 # A section's name, or the buttons on top: the region, and what is numbered, operators and ends of properties' paths.
@@ -41,7 +42,10 @@ PANELS: dict[str, tuple[Region, tuple[str | tuple[str, float], ...]]] = {
         sidebar,
         ("stiffness", "poisson", "density", "mass_damping", "stiffness_damping", "mass", "dynamorph.fit_material"),
     ),
-    "firmness": (sidebar, ("firmness_group", ("dynamorph.paint_firmness", RIGHT), "dynamorph.firmness")),
+    "firmness": (
+        sidebar,
+        ("firmness_group", ("dynamorph.paint_firmness", RIGHT), "dynamorph.hold_bones", "dynamorph.firmness"),
+    ),
     "max_distance": (
         sidebar,
         ("max_distance_group", ("dynamorph.paint_max_distance", RIGHT), "dynamorph.max_distance"),
@@ -77,7 +81,7 @@ PANELS: dict[str, tuple[Region, tuple[str | tuple[str, float], ...]]] = {
             "dynamorph.compare_beside",
         ),
     ),
-    "result": (sidebar, ("influence", "dynamorph.export")),
+    "result": (sidebar, ("influence", "dynamorph.stiffen", "dynamorph.export")),
     "details": (sidebar, (("dynamorph.show_worst", LEFT), ("heat", RIGHT), "dynamorph.compare_full")),
     "attachments": (
         properties,
@@ -221,7 +225,7 @@ def pictures_of_panels():
         found = yield from places(region, panel, wanted)
         yield from driver.rest()
         yield from driver.drawn()
-        keep(f"panel_{panel}", region.box, found)
+        keep(f"panel_{panel}", inner(region), found)
 
 
 def copies(table, place: dict, panel: str):
@@ -237,9 +241,15 @@ def copies(table, place: dict, panel: str):
         yield named.panel(place)
 
 
+def inner(region: Region):
+    """The box of a region without the column of tabs."""
+    x, y, width, height = region.box
+    return x, y, width - (TABS if region is sidebar else 0), height
+
+
 def places(region: Region, panel: str, wanted):
     """Where the numbers belong in the window: beside the panel, at the height of each thing that is numbered."""
-    x, bottom, width, height = region.box
+    x, bottom, width, height = inner(region)
     rows: dict[str, list[int]] = {}
     placed = [(each, MIDDLE) if isinstance(each, str) else each for each in wanted]
     for column in dict.fromkeys(column for _, column in placed):
