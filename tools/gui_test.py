@@ -299,7 +299,7 @@ def with_numbers(picture: Image.Image, places: list) -> Image.Image:
     """Numbers in discs, from 1 on, at (x, y) of the picture, which gets margins for those beside it."""
     if not places:
         return picture
-    margin = 2 * DISC if any(not 0 <= x < picture.width for x, _ in places) else 0
+    margin = 5 * DISC // 2 if any(not 0 <= x < picture.width for x, _ in places) else 0
     wider = Image.new("RGB", (picture.width + 2 * margin, picture.height), picture.getpixel((0, 0)))
     wider.paste(picture, (margin, 0))
     scale = 4  # for smooth edges
