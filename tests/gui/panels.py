@@ -7,7 +7,6 @@ The numbers of a picture are those of the list below it in the page, in the orde
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import bpy
@@ -111,6 +110,7 @@ PANELS: dict[str, tuple[Region, tuple[str | tuple[str, float], ...]]] = {
         properties,
         (
             "model.solver",
+            "collision.bake_full",
             "simulation.max_displacement",
             "simulation.use_scene_range",
             "simulation.frame_start",
@@ -285,8 +285,8 @@ def places(region: Region, panel: str, wanted):
     for name, column in placed:
         heights = next((ys for button, ys in rows.items() if driver.is_button(button, name)), None)
         assert heights, f"{panel}: no {name}, only {', '.join(rows)}"
-        one = [heights[0]]  # an operator may have several buttons, one below the other
-        one += [below for above, below in pairwise(heights) if above - below == FINE and above == one[-1]]
+        # An operator may have several buttons, one below the other: the first counts.
+        one = [y for i, y in enumerate(heights) if heights[0] - y == i * FINE]
         found.append((x + width + BESIDE if column == RIGHT else x - BESIDE, sum(one) / len(one)))
     return found
 
