@@ -20,7 +20,7 @@ FRAME, LAST = 60, 80  # of the pictures; of the bake
 ASIDE = 1.4  # meters from the middle of the viewport to the character
 FINE = 7  # pixels: a row's middle is known to half of it
 LEFT, MIDDLE, RIGHT = 0.2, 0.45, 0.93  # across a panel
-TOP, EMPTY = 130, 340  # pixels that the buttons in place take, and without a button: the panel has ended
+TOP, EMPTY = 130, 450  # pixels that the buttons in place take, and without a button: the panel has ended
 TABS = 30  # pixels, the column of the sidebar's tabs
 BESIDE = 12  # pixels from the panel's edge to the middle of a number
 
