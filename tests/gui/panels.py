@@ -162,7 +162,6 @@ TARGET = (
     "region",
     "fade_out_angle",
     "bounce",
-    "stiffness",
 )  # of the panel below Shape Keys
 
 
