@@ -60,9 +60,10 @@ def record(torso: bpy.types.Object) -> np.ndarray:
     start = points[np.linalg.norm(points - GRABBED, axis=1).argmin()]
     vertices, share = pinch(points, start, RADIUS, np.ones(len(points), bool))
     _, shear = character.material(0).lame()
+    stiffness = np.round(FIRM * shear * RADIUS * share)  # the same in every Blender
     path = path_of_hand(start)
     torso.dynamorph.simulation.drags = as_text({
-        frame: Grab(vertices, points[vertices] + place - start, FIRM * shear * RADIUS * share)
+        frame: Grab(vertices, np.round(points[vertices] + place - start, 6), stiffness)
         for frame, place in enumerate(path, 1) if (place != AWAY).any()
     })  # fmt: skip
     return path
