@@ -27,9 +27,9 @@ from stage import (
 
 FRAMES = 72
 GRABBED = np.array([0.46, 0.0, 0.5])  # above it is the belly's top
-RADIUS = 0.08  # of what the hand takes hold of
+RADIUS = 0.06  # of what the hand takes hold of
 # The frames in which the hand takes hold, has arrived, and lets go; and how far it pulls.
-PULLS = ((4, 13, 18, (0.02, 0.0, 0.09)), (38, 46, 50, (-0.08, 0.0, 0.045)))
+PULLS = ((4, 13, 18, (0.02, 0.0, 0.08)), (38, 46, 50, (-0.07, 0.0, 0.04)))
 FARTHEST = 0.15  # of the body's size: what the hand pulls goes far
 HANDLE = 0.022  # radius of the ball that shows where the hand is
 AWAY = np.array([0.0, 0.0, 3.0])  # where it is meanwhile, out of the picture
@@ -60,9 +60,10 @@ def record(torso: bpy.types.Object) -> np.ndarray:
     start = points[np.linalg.norm(points - GRABBED, axis=1).argmin()]
     vertices, share = pinch(points, start, RADIUS, np.ones(len(points), bool))
     _, shear = character.material(0).lame()
+    stiffness = np.round(FIRM * shear * RADIUS * share)  # the same in every Blender
     path = path_of_hand(start)
     torso.dynamorph.simulation.drags = as_text({
-        frame: Grab(vertices, points[vertices] + place - start, FIRM * shear * RADIUS * share)
+        frame: Grab(vertices, np.round(points[vertices] + place - start, 6), stiffness)
         for frame, place in enumerate(path, 1) if (place != AWAY).any()
     })  # fmt: skip
     return path

@@ -71,7 +71,7 @@ LOOPS = {
             "firm_parts", "Herbert", TARGETS, (56, 108), 0.04,
         ),
         Loop(
-            "rolling_ball", "Rolling ball", "A ball falls on a belly and rolls over it, which dents.", "collision",
+            "rolling_ball", "Rolling ball", "A ball falls on a belly, dents it and rolls over it.", "collision",
             "Torso", COLLISION, (1, 84), 0.03,
         ),
         Loop(
@@ -90,8 +90,8 @@ LOOPS = {
             "grabbed_belly", "Grabbed belly", "A hand pulls a belly up and aside and lets it go, as *Record Drags* "
             "recorded it.", "grab", "Torso", QUALITY, (1, 72), 0.05,
         ),
-        Loop("Husky", "Husky", "A dog gallops, and its fur and belly follow.", "jiggle", file="zoo/Husky.glb"),
-        Loop("Velociraptor", "Velociraptor", "A dinosaur lands from a jump.", "jiggle", file="zoo/Velociraptor.glb"),
+        Loop("Husky", "Husky", "A dog gallops, and its soft body follows.", "jiggle", file="zoo/Husky.glb"),
+        Loop("Velociraptor", "Velociraptor", "A dinosaur jumps and lands.", "jiggle", file="zoo/Velociraptor.glb"),
         Loop("Dolphin", "Dolphin", "A dolphin hops and twists.", "jiggle", file="zoo/Dolphin.glb"),
         Loop("Woman_Witch", "Woman, witch", "A witch hops and twists in her clothes.", "jiggle",
              file="zoo/Woman_Witch.glb"),
@@ -109,7 +109,7 @@ baked, which plays at once. `make gallery` writes both to `dist/gallery`, and ea
 scenes are CC0.
 
 The tables give what was baked, and the seconds that building the model and baking took, from nothing, on this machine:
-{machine}. Where they are missing, the machine had other work.
+{machine}. A missing time means that the machine had other work.
 
 {commit}.
 
