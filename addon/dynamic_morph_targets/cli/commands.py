@@ -368,7 +368,7 @@ def run_delete_bake(args: argparse.Namespace) -> None:
     for obj in names.objects(args):
         writer.check_free(obj)
         baked = obj.dynamorph.bake
-        removed = f"{len(baked.keys)} baked keys" + (" and what plays the point cache" if baked.cache else "")
+        removed = f"{len(baked.keys)} baked keys" + (" and the modifier of the point cache" if baked.cache else "")
         for text in writer.free(obj):
             print(f"{obj.name}: warning: {text}", file=sys.stderr, flush=True)
         print(f"{obj.name}: {removed} removed")

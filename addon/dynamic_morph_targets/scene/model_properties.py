@@ -54,7 +54,7 @@ class DynamorphAttachment(PropertyGroup):
             ("RIGID", "Rigid", "Only its bones move it", 2),
             (
                 "HELD", "Held",
-                "It is as hard as bone, in one cage with the soft skin that it touches, so their seam stays closed",
+                "It is as hard as bone, in the cage of the soft skin that it touches, so that the seam stays closed",
                 3,
             ),
         ),
@@ -207,7 +207,7 @@ class DynamorphMode(PropertyGroup):
 
     gain: FloatProperty(
         name="Amount",
-        description="How much of this mode's motion about the targets' shapes shows, in Live and in the next bake. "
+        description="How much of this mode's motion about the targets' shapes is shown, in Live and in the next bake. "
         "Lower it to calm one ripple",
         default=1.0, min=0.0, max=10.0, soft_max=2.0, override=OVERRIDE, update=shown_changed,
     )  # fmt: skip

@@ -299,7 +299,8 @@ class RigSampling:
                 raise SceneError(not_a_number(self._moving[1], self.start))
         for name, field in zip(self._sources, self._fields, strict=True):
             if not (np.isfinite(field.world).all() and np.isfinite(field.strength).all()):
-                raise SceneError("Force field '{name}' is not a number at some frame: check its drivers", name=name)
+                text = "Force field '{name}' has values that are not numbers at some frame: check its drivers"
+                raise SceneError(text, name=name)
         return samples
 
     def _frame(self, sample) -> int:

@@ -198,7 +198,7 @@ exec(compile(source, "child", "exec"))
             "^'Arm' could not be exported to '{path}' .*crashed with code -6.: try again, or choose",
         ),
         (NOTHING, "^'Arm' could not be exported to '{path}' .*wrote nothing"),
-        (RUBBISH, "^'{path}': what was written cannot be read back. Check the disk"),
+        (RUBBISH, "^'{path}': the written data cannot be read back. Check the disk"),
     ],
 )
 def test_an_exporter_that_crashes_or_writes_rubbish(baked, tmp_path, monkeypatch, key, script, words):
