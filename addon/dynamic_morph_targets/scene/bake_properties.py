@@ -70,12 +70,15 @@ class DynamorphSimulation(PropertyGroup):
     )
     frame_start: IntProperty(
         name="Frame Start",
-        description="First frame of the bake if Scene Range is off",
+        description="First frame of the bake. Set it when Scene Range is off",
         default=1,
         override=OVERRIDE,
     )
     frame_end: IntProperty(
-        name="Frame End", description="Last frame of the bake if Scene Range is off", default=250, override=OVERRIDE
+        name="Frame End",
+        description="Last frame of the bake. Set it when Scene Range is off",
+        default=250,
+        override=OVERRIDE,
     )
     speed: FloatProperty(
         name="Speed",

@@ -117,8 +117,8 @@ class DynamorphModel(PropertyGroup):
     modes: IntProperty(
         name="Detail (Modes)",
         description="Number of displacement modes that Reduced Quality simulates, and the most keys that a Full "
-        "Quality bake may have. Use 120 for a whole body with bone responses. Without them, use 20 for a limb; more "
-        "than 40 are slow",
+        "Quality bake may have. Choose 120 for a whole body with bone responses. Without them, choose 20 for a limb; "
+        "more than 40 are slow",
         default=ModelSettings.modes, min=1, max=400, soft_min=5, soft_max=240,
         override=OVERRIDE,
     )  # fmt: skip
