@@ -160,14 +160,14 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
     root.set_defaults(quiet=False, scene=None)
     commands = root.add_subparsers(title="commands", required=True)
     command = partial(add_command, commands, opens_file)
-    add_report_file(command("check", run_check, "list what prevents a build, and what looks unintended", writes=False))
+    add_report_file(command("check", run_check, "list problems that prevent a build or look unintended", writes=False))
     add_bake(command)
     add_build(command)
     add_report(command)
     add_fit(command)
     add_collect(commands, opens_file)
     command("delete-bake", run_delete_bake, "delete bakes and restore the target keys")
-    command("info", run_info, "print what the file holds", writes=False)
+    command("info", run_info, "print the contents of the file", writes=False)
     return root
 
 

@@ -229,7 +229,8 @@ class RigSampling:
         rig = skinning.rig
         sources = [bpy.context.scene.objects.get(name) for name in self._sources]
         if _moving(skinning, rest_skeleton(rig.data)) != self._moving or None in sources:
-            raise SceneError("'{name}' or what moves it changed while it was read: start again", name=obj.name)
+            text = "'{name}' or something that moves it changed while it was being read: start again"
+            raise SceneError(text, name=obj.name)
         stopping = [self._collider(reader.name) for reader in self._colliders]
         with self._scene.opened(obj, rig, self.probe, (*sources, *stopping)) as (scene, follower):
             if self.probe and self._nodes is None:
@@ -260,7 +261,7 @@ class RigSampling:
         """The object of this name. Raises SceneError."""
         found = bpy.context.scene.objects.get(name)
         if found is None or not colliders.is_collider(found):
-            raise SceneError("'{name}' was removed, or its Collision, while it was read: start again", name=name)
+            raise SceneError("'{name}' or its Collision was removed while it was being read: start again", name=name)
         return found
 
     def _read(self, scene, obj, follower, rig, sources):
@@ -298,7 +299,8 @@ class RigSampling:
                 raise SceneError(not_a_number(self._moving[1], self.start))
         for name, field in zip(self._sources, self._fields, strict=True):
             if not (np.isfinite(field.world).all() and np.isfinite(field.strength).all()):
-                raise SceneError("Force field '{name}' is not a number at some frame: check its drivers", name=name)
+                text = "Force field '{name}' has values that are not numbers at some frame: check its drivers"
+                raise SceneError(text, name=name)
         return samples
 
     def _frame(self, sample) -> int:
@@ -320,8 +322,8 @@ def _force_fields(view_layer) -> list:
             continue
         if field.shape not in {"POINT", "PLANE"} or field.falloff_type != "SPHERE" or field.z_direction != "BOTH":
             raise SceneError(
-                "Force field '{name}' cannot push skin as it is: choose Shape Point or Plane, Falloff Sphere and Z "
-                "Direction Both, or set Force Fields to 0",
+                "Force field '{name}' cannot push skin with these settings: choose Shape Point or Plane, Falloff "
+                "Sphere and Z Direction Both, or set Force Fields to 0",
                 name=obj.name,
             )
         found.append(obj)

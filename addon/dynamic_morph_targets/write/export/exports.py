@@ -72,10 +72,10 @@ def check_place(obj, key: str, path: Path, frames: tuple[int, int]):
     shown = (obj, rig_of(obj), *_followers(obj))
     hidden = next((other for other in shown if other and not other.visible_get()), None)
     if hidden:
-        raise ExportError("'{name}' is hidden, so Blender exports nothing of it: show it", name=hidden.name)
+        raise ExportError("'{name}' is hidden, so Blender does not export it: unhide it", name=hidden.name)
     if not path.parent.is_dir():
         raise ExportError(
-            "There is no folder '{folder}' to write '{name}' to: choose another", folder=path.parent, name=path.name
+            "The folder '{folder}' for '{name}' does not exist: choose another", folder=path.parent, name=path.name
         )
     outputs.try_file(path)
     outputs.check_space(path, _size(obj, chosen, frames))
