@@ -86,6 +86,13 @@ def link_out_of_docs(app, name, source):
         source[0] = re.sub(r"(?<!!)\[([^\]]+)\]\(((?!\w+:)[^)#\s]+)(#[^)\s]*)?\)", replaced, source[0])
 
 
+def list_below(app, name, source):
+    """An index of a folder of docs/ has the pages that it links to below it in the navigation, in its order."""
+    if name in ("recipes/index", "panels/index"):
+        pages = dict.fromkeys(re.findall(r"\]\((\w+)\.md", source[0]))
+        source[0] += "\n\n```{toctree}\n:hidden:\n:titlesonly:\n\n" + "\n".join(pages) + "\n```\n"
+
+
 def plain_docstrings(app, what, name, obj, options, lines):
     """Docstrings are plain text: names in backticks become code, and nothing else is markup."""
     lines[:] = [re.sub(r"`([^`]+)`", r"``\1``", re.sub(r"([|*])", r"\\\1", line)) for line in lines]
@@ -93,4 +100,5 @@ def plain_docstrings(app, what, name, obj, options, lines):
 
 def setup(app):
     app.connect("autodoc-process-docstring", plain_docstrings)
+    app.connect("source-read", list_below)
     app.connect("source-read", link_out_of_docs)

@@ -160,7 +160,7 @@ def main() -> int:
     missing = [name for name in LOOPS if not (FILMED / f"{name}.json").exists()]
     if missing:
         print(f"gallery: {', '.join(missing)} not filmed yet: no page is written")
-        return 1
+        return 0 if arguments.only and not arguments.page else 1
     PAGE.write_text(page(), encoding="utf-8")
     print(f"written to {PAGE.relative_to(ROOT)}")
     return 0
