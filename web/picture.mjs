@@ -31,7 +31,7 @@ void main() {
   if (dot(N, E) < 0.) N = -N;
   vec3 key = normalize(vec3(-.45, -.7, .85)), fill = normalize(vec3(.8, -.4, .1));
   float rim = pow(1. - max(dot(N, E), 0.), 3.5);
-  vec3 base = mix(skin, vec3(.95, .42, .08), smoothstep(.004, .07, heat) * .85);
+  vec3 base = mix(skin, vec3(.95, .42, .08), smoothstep(.003, .045, heat) * .85);
   float wrap = max((dot(N, key) + .25) / 1.25, 0.);
   vec3 light = vec3(1.6, 1.5, 1.38) * wrap + vec3(.22, .28, .36) * max(dot(N, fill), 0.)
              + mix(vec3(.16, .13, .12), vec3(.36, .40, .46), .5 + .5 * N.z);
@@ -97,7 +97,7 @@ export class Picture {
   /// Looks at the center from a distance at which it fits into the picture, whatever its format.
   look() {
     const aspect = this.canvas.width / this.canvas.height, up = 0.24;
-    const away = (0.5 * this.size) / SLOPE / Math.min(1, aspect) + 0.1 * this.size;
+    const away = (0.44 * this.size) / SLOPE / Math.min(1, aspect) + 0.1 * this.size;
     const toEye = [Math.sin(this.turn) * Math.cos(up), -Math.cos(this.turn) * Math.cos(up), Math.sin(up)];
     const eye = this.center.map((x, i) => x + away * toEye[i]), near = 0.1 * away, far = 10 * away;
     const front = toEye.map((x) => -x), right = unit(cross(front, [0, 0, 1])), above = cross(right, front);

@@ -255,12 +255,14 @@ int guarded(const Work& work) {
   }
 }
 
-/// FNV-1a of the coordinates' bytes: another last bit gives another number.
+/// FNV-1a of the coordinates to nine digits of the largest: the C libraries of two systems differ in the last bits.
 std::string hash_of(const VectorXd& coordinates) {
+  const double digit = 1e-9 * coordinates.cwiseAbs().maxCoeff();
   std::uint64_t bits = 1469598103934665603u;
-  const auto* bytes = reinterpret_cast<const unsigned char*>(coordinates.data());
-  for (std::size_t i = 0; i < sizeof(double) * std::size_t(coordinates.size()); ++i)
-    bits = (bits ^ bytes[i]) * 1099511628211u;
+  for (double each : coordinates) {
+    const auto digits = std::uint64_t(std::llround(each / digit));
+    for (int shift = 0; shift < 64; shift += 8) bits = (bits ^ (digits >> shift & 255)) * 1099511628211u;
+  }
   std::string out;
   for (int shift = 60; shift >= 0; shift -= 4) out += "0123456789abcdef"[bits >> shift & 15];
   return out;
@@ -341,7 +343,7 @@ EXPORT int dm_fixed_motion(int frames) {
 #include <iterator>
 
 /// playground MODEL FRAMES KEYS: prints the hash of the fixed motion, then its last coordinates. KEYS: JSON, for each
-/// set, pairs of value and target.
+/// set, pairs of value and name of the target.
 int main(int count, char** arguments) {
   if (count != 4) return 2;
   std::ifstream stream(arguments[1], std::ios::binary);
@@ -349,8 +351,13 @@ int main(int count, char** arguments) {
   int failed = dm_load(bytes.data(), int(bytes.size()));
   if (!failed) {
     const auto sets = nlohmann::json::parse(arguments[3]);
+    const std::vector<MorphTarget>& targets = play->character.targets;
     for (std::size_t s = 0; s < sets.size(); ++s)
-      for (const auto& key : sets[s]) dm_add_key(int(s), key[0], key[1]);
+      for (const auto& key : sets[s]) {
+        const auto named = [&key](const MorphTarget& target) { return target.name == key[1]; };
+        const auto found = std::find_if(targets.begin(), targets.end(), named);
+        dm_add_key(int(s), key[0], int(found - targets.begin()));
+      }
     failed = dm_fixed_motion(std::atoi(arguments[2]));
   }
   if (failed) return std::fprintf(stderr, "%s\n", dm_error()), 1;

@@ -52,8 +52,9 @@ async function prove(shown, bytes) {
   const off = Math.max(...other.coordinates().map((x, i) => Math.abs(x - native.coordinates[i])));
   const largest = Math.max(...native.coordinates.map(Math.abs));
   if (shown != model) return;
-  $("proof").textContent = `The same fixed motion (${PROOF_FRAMES} frames) here: ${hash}; native: ${native.hash}. ` +
-    (hash == native.hash ? "Equal to the last bit." : `Relative difference ${(off / largest).toExponential(0)}.`);
+  const same = hash == native.hash ? "the same motion" : "ANOTHER MOTION";
+  $("proof").textContent = `Fixed motion, ${PROOF_FRAMES} frames, to nine digits: ${hash} in this browser, ${native.hash} ` +
+    `compiled for a desktop: ${same}. The largest relative difference is ${(off / largest).toExponential(0)}.`;
   shown.proof = { hash, off: off / largest };
 }
 

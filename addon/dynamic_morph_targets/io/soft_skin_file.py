@@ -28,6 +28,8 @@ def packed(model: Model, character: Character, world: RigSamples, gravity: tuple
             arrays[name] = np.zeros((0, 0))
         elif array.dtype == np.float64 and name not in EXACT:
             arrays[name] = array.astype(np.float32).astype(np.float64)
+        elif array.dtype.kind == "i":
+            arrays[name] = array.astype(np.int32)
     described = {
         "name": character.name,
         "blending": character.settings.blending,
