@@ -128,7 +128,8 @@ void Playground::build(double stiffness) {
   simulation = std::move(next);
 }
 
-/// Where the sliders put the bones: between two targets each turns along the shortest way.
+/// Where the sliders put the bones: each turns along the shortest way from target to target. The character stays where it
+/// is, though the poses may be of a shot in which it moves.
 MatrixXd Playground::local() const {
   MatrixXd out = character.target_poses[0];
   for (std::size_t s = 0; s < sliders.size(); ++s) {
@@ -138,12 +139,12 @@ MatrixXd Playground::local() const {
     while (k + 2 < keys.size() && values[s] > keys[k + 1].value) ++k;
     const double t = std::clamp((values[s] - keys[k].value) / (keys[k + 1].value - keys[k].value), 0.0, 1.0);
     for (Eigen::Index b = 0; b < out.rows(); ++b) {
-      if (slider_of[std::size_t(b)] != int(s)) continue;
+      if (slider_of[std::size_t(b)] != int(s) || character.parents[std::size_t(b)] < 0) continue;
       const Matrix4 one = character.target_poses[std::size_t(keys[k].target)].row(b).reshaped<Eigen::RowMajor>(4, 4);
       const Matrix4 two =
           character.target_poses[std::size_t(keys[k + 1].target)].row(b).reshaped<Eigen::RowMajor>(4, 4);
       const Eigen::Quaterniond q(Matrix3d(one.topLeftCorner<3, 3>())), r(Matrix3d(two.topLeftCorner<3, 3>()));
-      Matrix4 between = (1 - t) * one + t * two;
+      Matrix4 between = out.row(b).reshaped<Eigen::RowMajor>(4, 4);
       between.topLeftCorner<3, 3>() = q.slerp(t, r).toRotationMatrix();
       out.row(b) = between.reshaped<Eigen::RowMajor>().transpose();
     }
