@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Builds the playground (docs/playground.md) into build/playground: python tools/playground.py
 
-Needs the engine in build/cmake with the Python module that runs this, Emscripten, Node's module acorn, and gzip's worth of
-patience: about 4 minutes. What is up to date is kept: the WebAssembly by ninja, a model while it is newer than its scene.
-Prints the table of sizes that docs/playground.md has, and fails where one is over its budget.
+Needs the engine in build/cmake, Blender's Python module, and Emscripten; takes about 4 minutes. It keeps what
+is up to date: the WebAssembly by ninja, a model while it is newer than its scene. It writes the table of sizes in
+docs/playground.md, and fails where a file is over its budget.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ PAGE = ("index.html", "style.css", *SCRIPTS)
 PLATFORM = Path("/usr/share/emscripten/cmake/Modules/Platform/Emscripten.cmake")  # of Debian's package
 PROOF_FRAMES = 240  # as in playground.mjs
 KILOBYTE = 1000
+DOCS, BEGIN, END = ROOT / "docs" / "playground.md", "<!-- sizes -->", "<!-- /sizes -->"
 BUDGETS = {"playground.wasm.gz": 350, "cylinder.dynamorph.gz": 450, "scripts": 10}  # kB, compressed by gzip
 
 
@@ -98,7 +99,9 @@ def fixed_motion(program: Path, described: dict) -> dict:
 
 def kilobytes(*paths: Path) -> float:
     """Of files together, as a server sends them."""
-    sizes = [len(data if path.suffix == ".gz" else gzip.compress(data, 9)) for path in paths if (data := path.read_bytes())]
+    sizes = [
+        len(data if path.suffix == ".gz" else gzip.compress(data, 9)) for path in paths if (data := path.read_bytes())
+    ]
     return sum(sizes) / KILOBYTE
 
 
@@ -106,6 +109,15 @@ def sizes() -> dict[str, float]:
     """kB of what the page loads."""
     found = {path.name: kilobytes(path) for path in sorted(OUT.glob("*.gz"))}
     return found | {"scripts": kilobytes(*(OUT / name for name in SCRIPTS))}
+
+
+def write_table() -> None:
+    """The table of docs/playground.md."""
+    rows = [f"| `{name}` | {size:.0f} kB | {BUDGETS.get(name, '')} |" for name, size in sizes().items()]
+    table = "\n".join(["| file | size, compressed | budget, kB |", "|---|---|---|", *rows])
+    before, _, rest = DOCS.read_text().partition(BEGIN)
+    DOCS.write_text(f"{before}{BEGIN}\n{table}\n{END}{rest.partition(END)[2]}")
+    print(table)
 
 
 def main() -> None:
@@ -118,9 +130,8 @@ def main() -> None:
     (OUT / "models.json").write_text(json.dumps(described))
     for name in PAGE:
         shutil.copy(WEB / name, OUT)
+    write_table()
     over = [name for name, limit in BUDGETS.items() if sizes()[name] > limit]
-    for name, size in sizes().items():
-        print(f"{name}: {size:.0f} kB" + (f" of {BUDGETS[name]}" if name in BUDGETS else ""))
     if over:
         raise SystemExit(f"over budget: {', '.join(over)}")
 

@@ -18,7 +18,8 @@ from pathlib import Path
 PROGRAM = shutil.which("chromium")
 FLAGS = (
     "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-first-run",
-    "--remote-debugging-port=0", "--disable-background-networking", "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+    "--remote-debugging-port=0", "--disable-background-networking",
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 )  # fmt: skip
 FAULTS = ("Runtime.exceptionThrown", "Log.entryAdded", "Network.loadingFailed")
 PATIENCE = 60.0  # s
@@ -72,7 +73,7 @@ class Page:
 
 
 def run(folder: Path, work: Callable[[Page], Awaitable], before: str = "", media: dict[str, str] | None = None):
-    """What `work` returns of the page of a folder. before: JavaScript that runs first; media: features of the screen."""
+    """What `work` returns of a folder's page. before: JavaScript that runs first; media: features of the screen."""
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(_Files, directory=folder))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:

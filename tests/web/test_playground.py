@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The playground that tools/playground.py has built: the native engine's motion, hands, messages, sizes, no other host."""
+"""The built playground: its motion is the native engine's, hands move it, it says what is wrong, and it stays small."""
 
 import gzip
 import json
@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).resolve().parents[2] / "tools")]
-import browser
-import playground
+import browser  # noqa: E402
+import playground  # noqa: E402
 
 SAME = 1e-9  # relative, of coordinates
 BUILT = playground.OUT / "models.json"
@@ -134,7 +134,10 @@ def test_methods_poke_and_bounce(page_of):
     ("before", "says"),
     [
         ("HTMLCanvasElement.prototype.getContext = () => null", "no WebGL 2"),
-        ("WebAssembly.compile = async () => { throw new WebAssembly.CompileError('simd') }", "lacks SIMD or exceptions"),
+        (
+            "WebAssembly.compile = async () => { throw new WebAssembly.CompileError('simd') }",
+            "lacks SIMD or exceptions",
+        ),
     ],
 )
 def test_old_browser_gets_a_message(page_of, before, says):

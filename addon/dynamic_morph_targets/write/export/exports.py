@@ -2,8 +2,8 @@
 """A baked character as a file of another format, and what that format leaves out.
 
 Blender's own exporters write what Blender shows: glTF and FBX the shape keys as morph targets with their values at each
-frame, Alembic and USD the posed surface. A raw clip is the bake alone, before skinning, for other engines; a soft skin file is
-what is simulated, without a bake.
+frame, Alembic and USD the posed surface. A raw clip is the bake alone, before skinning, for other engines. A soft skin
+is the model and its character, to be simulated elsewhere.
 """
 
 from __future__ import annotations
@@ -144,7 +144,8 @@ def check_bake(obj, key: str):
     """Refuse a missing bake, or one in a form that the format cannot write. Raises ExportError, SceneError."""
     chosen = FORMATS[key]
     if chosen.check:
-        return chosen.check(obj)
+        chosen.check(obj)
+        return
     record = obj.dynamorph.bake
     keys = animation.baked_keys(obj).intersection(animation.keys_of(obj).keys())
     shown = skin.cache_modifier(obj) if record.cache else keys
@@ -223,7 +224,7 @@ FORMATS = {
     "USD": Format("USD", ".usdc", "The posed surface at every frame", _write_usd, surface=True,
                   has_parts=True, scenes=True, option="usd"),
     "RAW": Format("Raw Clip", ".npz", "Modes and their values, for NumPy and runtime/dynamorph.h", own_formats.write_raw),
-    "SOFT_SKIN": Format("Soft Skin", ".dynamorph", "Surface, weights, targets and model, to be simulated elsewhere",
+    "SOFT_SKIN": Format("Soft Skin", ".dynamorph", "All that other programs need to simulate it",
                         own_formats.write_soft_skin, check=own_formats.check_soft_skin),
 }  # fmt: skip
 

@@ -41,4 +41,3 @@ def check_soft_skin(obj):
             "its Armature modifier",
             name=obj.name,
         )
-
