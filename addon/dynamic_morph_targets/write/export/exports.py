@@ -182,7 +182,8 @@ def _write_gltf(obj, collection: str, path: Path, frames, takes):
         )  # fmt: skip
     if takes:
         parts = {clip.name: (clip.first - frames[0], clip.last - frames[0]) for clip in takes}
-        path.write_bytes(glb.split_animation(path.read_bytes(), parts, _fps()))
+        render = bpy.context.scene.render
+        path.write_bytes(glb.split_animation(path.read_bytes(), parts, render.fps / render.fps_base))
 
 
 def _write_fbx(obj, collection: str, path: Path, frames, takes):
@@ -209,11 +210,6 @@ def _write_usd(_obj, collection: str, path: Path, frames, _takes):
     )  # fmt: skip
 
 
-def _fps() -> float:
-    render = bpy.context.scene.render
-    return render.fps / render.fps_base
-
-
 FORMATS = {
     "GLTF": Format("glTF", ".glb", "Morph targets and bones, for engines and the web", _write_gltf, skins=True,
                    scenes=True),
@@ -223,7 +219,8 @@ FORMATS = {
                       surface=True, option="alembic"),
     "USD": Format("USD", ".usdc", "The posed surface at every frame", _write_usd, surface=True,
                   has_parts=True, scenes=True, option="usd"),
-    "RAW": Format("Raw Clip", ".npz", "Modes and their values, for NumPy and runtime/dynamorph.h", own_formats.write_raw),
+    "RAW": Format("Raw Clip", ".npz", "Modes and their values, for NumPy and runtime/dynamorph.h",
+                  own_formats.write_raw),
     "SOFT_SKIN": Format("Soft Skin", ".dynamorph", "All that other programs need to simulate it",
                         own_formats.write_soft_skin, check=own_formats.check_soft_skin),
 }  # fmt: skip
