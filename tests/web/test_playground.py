@@ -142,7 +142,7 @@ def test_methods_poke_and_bounce(page_of):
 )
 def test_old_browser_gets_a_message(page_of, before, says):
     async def work(page):
-        return await page.wait(f"document.getElementById('message').textContent.includes({says!r})")
+        return await page.wait(f"document.getElementById('message')?.textContent.includes({says!r})")
 
     assert page_of(playground.OUT, work, before)
 
@@ -156,6 +156,6 @@ def test_damaged_file_gets_the_engines_sentence(page_of, tmp_path):
     file.write_bytes(data)  # as a server sends it that has decompressed it
 
     async def work(page):
-        return await page.wait("(document.getElementById('message').textContent.match(/damaged.*/) ?? [''])[0]")
+        return await page.wait("(document.getElementById('message')?.textContent.match(/damaged.*/) ?? [''])[0]")
 
     assert "Build it again." in page_of(tmp_path / "page", work)
