@@ -2,7 +2,7 @@
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build module test gui-test demo gallery figures materials bench bench-docs robustness believable \
 	believable-docs convergence accuracy bakes farm-demo golden fuzz soak faults coverage sanitize stubs format lint wheels \
-	platforms extension repository sdist version reliability feels limit collision rigs recipes reference how-long comparison site clean
+	platforms extension repository sdist version reliability feels limit collision rigs recipes reference how-long comparison playground site clean
 
 started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
@@ -275,11 +275,16 @@ sdist: setup
 		>build/sdist.log 2>&1 || { cat build/sdist.log; exit 1; }
 	@tail -n 1 build/sdist.log
 
+# The engine as WebAssembly and the page around it, in build/playground (docs/playground.md); takes about 4 minutes the
+# first time.
+playground: build
+	@tools/setup.sh site
+	@$(python) tools/playground.py
+
 # The website in build/site/html: docs/, references of the Python package and the C++ headers, and the playground.
 # serve=1 also serves it to this machine.
 serve ?=
-site: setup
-	@tools/setup.sh site
+site: playground
 	@.venv/site/bin/python tools/site.py $(if $(serve),--serve)
 
 # The version. new=0.2.0 opens that version in CHANGELOG.md, or dates it if it is open; then it is ready to be tagged.

@@ -55,8 +55,9 @@ PAGES |= {
 }  # fmt: skip
 # Pages that are written by hand, or made from the program itself (tools/reference.py).
 WRITTEN = ("architecture.md", "attribution.md", "command_line.md", "cpp.md", "decisions/", "file_format.md",
-           "first_steps.md", "glossary.md", "install.md", "limitations.md", "panels/", "python.md", "recipes/index.md",
-           "releasing.md", "report.md", "scripting.md", "theory.md", "troubleshooting.md", "upgrading.md")  # fmt: skip
+           "first_steps.md", "glossary.md", "install.md", "limitations.md", "panels/", "playground.md", "python.md",
+           "recipes/index.md", "releasing.md", "report.md", "scripting.md", "theory.md", "troubleshooting.md",
+           "upgrading.md")  # fmt: skip
 
 
 def measured_at(page: str) -> str:

@@ -25,7 +25,7 @@ for group in "$@"; do
     farm) packages+=(slurmctld slurmd slurm-client munge) needs_openjd=yes ;;
     openjd) needs_openjd=yes ;;
     platforms) packages+=(qemu-user wine wine64) needs_wheels=yes ;;
-    site) packages+=(doxygen) needs_site=yes ;;
+    site) packages+=(doxygen emscripten nodejs) needs_site=yes ;;
     wheels) needs_wheels=yes ;;
     *) echo "setup: there is no group '$group': there are bench, coverage, emulate, farm, openjd, platforms, site and wheels" >&2
        exit 2 ;;

@@ -122,7 +122,7 @@ def build() -> None:
     if PLAYGROUND.exists():
         shutil.copytree(PLAYGROUND, HTML / "playground")
     else:
-        print("build/playground is missing, and with it the playground: `make playground` makes it")
+        print("The playground is missing: make playground")
     print(HTML.relative_to(ROOT) / "index.html")
 
 

@@ -22,6 +22,8 @@ MOST_BONES = 4  # per vertex that glTF writes
 
 def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
     """What the format will not show as Blender does, as sentences; takes: as for `export`. Reads the scene only."""
+    if FORMATS[key].check:  # it has the model as it is
+        return
     if key == "RAW":
         yield from _raw_losses(obj)
     elif FORMATS[key].skins:
