@@ -25,6 +25,10 @@ inline VectorXd random_vector(Eigen::Index size, double amplitude, unsigned seed
   return x;
 }
 
+inline MatrixXd random_matrix(Eigen::Index rows, Eigen::Index columns, unsigned seed) {
+  return random_vector(rows * columns, 1, seed).reshaped(rows, columns);
+}
+
 /// f = dE/dx and K = df/dx along random directions, fourth-order central differences.
 /// `evaluate(x, f, Kd, d)` returns E and writes f and K d.
 template <class Evaluate>

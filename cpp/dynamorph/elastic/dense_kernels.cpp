@@ -25,7 +25,69 @@ DYNAMORPH_INLINE void add_block(const double* J, const double* d, Index k, Index
     }
 }
 
+/// Writes 4 kVectors rows of C = A B from row i on, in the `width` columns from j on; `width` is at most four.
+template <int kVectors>
+DYNAMORPH_INLINE void multiply_block(const double* A, Index m, Index k, const double* B, Index i, Index j, Index width,
+                                     double* C) {
+  Double4 sums[4][kVectors] = {};
+  for (Index p = 0; p < k; ++p)
+    for (int v = 0; v < kVectors; ++v) {
+      const Double4 entries = load(A + p * m + i + 4 * v);
+      for (Index c = 0; c < width; ++c) sums[c][v] = mul_add(sums[c][v], B[(j + c) * k + p], entries);
+    }
+  for (Index c = 0; c < width; ++c)
+    for (int v = 0; v < kVectors; ++v) store(sums[c][v], C + (j + c) * m + i + 4 * v);
+}
+
+/// Subtracts from kRows rows and kColumns columns of A, from (i, j) on, those of B^T diag(d) B, but above the diagonal.
+template <int kRows, int kColumns>
+DYNAMORPH_INLINE void subtract_block(const double* B, const double* d, Index k, Index n, Index i, Index j, double* A) {
+  const double *left = B + i * k, *right = B + j * k;
+  Double4 sums[kRows][kColumns] = {};
+  Index p = 0;
+  for (; p + 4 <= k; p += 4) {
+    Double4 scaled[kColumns];
+    for (int c = 0; c < kColumns; ++c) scaled[c] = load(d + p) * load(right + c * k + p);
+    for (int row = 0; row < kRows; ++row) {
+      const Double4 entries = load(left + row * k + p);
+      for (int c = 0; c < kColumns; ++c) sums[row][c] = mul_add(sums[row][c], entries, scaled[c]);
+    }
+  }
+  for (int row = 0; row < kRows; ++row)
+    for (int c = 0; c < kColumns && j + c <= i + row; ++c) {
+      double sum = sum_of(sums[row][c]);
+      for (Index last = p; last < k; ++last) sum = mul_add(sum, left[row * k + last], d[last] * right[c * k + last]);
+      A[(j + c) * n + i + row] -= sum;
+    }
+}
+
 }  // namespace
+
+void multiply_dense(const double* __restrict A, Index m, Index k, const double* __restrict B, Index n,
+                    double* __restrict C) {
+  for (Index j = 0; j < n; j += 4) {
+    const Index width = n - j < 4 ? n - j : 4;
+    Index i = 0;
+    for (; width == 4 && i + 8 <= m; i += 8) multiply_block<2>(A, m, k, B, i, j, 4, C);
+    for (; i + 4 <= m; i += 4) multiply_block<1>(A, m, k, B, i, j, width, C);
+    for (; i < m; ++i)
+      for (Index c = j; c < j + width; ++c) {
+        double sum = 0;
+        for (Index p = 0; p < k; ++p) sum = mul_add(sum, B[c * k + p], A[p * m + i]);
+        C[c * m + i] = sum;
+      }
+  }
+}
+
+void subtract_squares(const double* __restrict B, const double* __restrict d, Index k, Index n, double* __restrict A) {
+  Index j = 0;
+  for (; j + 2 <= n; j += 2) {
+    Index i = j;
+    for (; i + 4 <= n; i += 4) subtract_block<4, 2>(B, d, k, n, i, j, A);
+    for (; i < n; ++i) subtract_block<1, 2>(B, d, k, n, i, j, A);
+  }
+  if (j < n) subtract_block<1, 1>(B, d, k, n, j, j, A);
+}
 
 void add_squares(const double* __restrict J, const double* __restrict d, Index k, Index n, double* __restrict A) {
   for (Index j = 0; j < n; j += 4) {

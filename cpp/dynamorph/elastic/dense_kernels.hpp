@@ -17,6 +17,12 @@ DYNAMORPH_KERNEL(bool, decompose_dense, double* V, Index n, double* inverse);
 /// Adds J^T diag(d) J to the lower triangle of A (n, n), column-major, with J (k, n) row-major and d (k).
 DYNAMORPH_KERNEL(void, add_squares, const double* J, const double* d, Index k, Index n, double* A);
 
+/// Subtracts B^T diag(d) B from the lower triangle of A (n, n), with B (k, n) and d (k); matrices are column-major.
+DYNAMORPH_KERNEL(void, subtract_squares, const double* B, const double* d, Index k, Index n, double* A);
+
+/// C = A B, with A (m, k) and B (k, n); all are column-major.
+DYNAMORPH_KERNEL(void, multiply_dense, const double* A, Index m, Index k, const double* B, Index n, double* C);
+
 /// Solves L y = x, then L^T x = D^-1 y. x is padded to whole vectors.
 DYNAMORPH_KERNEL(void, substitute_dense, const double* V, const double* inverse, Index n, double* x);
 

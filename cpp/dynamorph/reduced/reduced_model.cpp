@@ -290,8 +290,8 @@ void ReducedModel::displacement(const VectorXd& z, VectorXd& u) const {
 }
 
 void ReducedModel::project_force(const VectorXd& f, VectorXd& out) const {
-  out.resize(dofs());
-  transposed_product(basis_.data(), basis_.rows(), basis_.cols(), f.data(), out.data());
+  out.setZero(dofs());
+  add_dots(basis_.data(), basis_.rows(), basis_.cols(), f.data(), out.data());
 }
 
 }  // namespace dynamorph

@@ -29,6 +29,7 @@ typedef double Double8 __attribute__((vector_size(64)));
 
 // Vectors in an array, where they need not begin at a multiple of their size. (Clang ignores `aligned` in an alias
 // declaration.)
+typedef float UnalignedFloat4 __attribute__((vector_size(16), aligned(4), may_alias));
 typedef float UnalignedFloat8 __attribute__((vector_size(32), aligned(4), may_alias));
 typedef double UnalignedDouble4 __attribute__((vector_size(32), aligned(8), may_alias));
 static_assert(sizeof(UnalignedFloat8) == 32 && alignof(UnalignedFloat8) == 4, "read from any array of floats");
@@ -192,9 +193,27 @@ DYNAMORPH_INLINE DoubleW mul_add(const DoubleW& c, double a, const DoubleW& b) {
   return {mul_add(c.low, a, b.low), mul_add(c.high, a, b.high)};
 }
 
+/// Floats of an array, converted as they are read: GCC would read more at once, and take that apart.
+DYNAMORPH_INLINE Double4 load_doubles(const double* from) { return load(from); }
+DYNAMORPH_INLINE Double4 load_doubles(const float* from) {
+#if defined(__FMA__)
+  return Double4(_mm256_cvtps_pd(_mm_loadu_ps(from)));
+#else
+  return __builtin_convertvector(*reinterpret_cast<const UnalignedFloat4*>(from), Double4);
+#endif
+}
+DYNAMORPH_INLINE DoubleW load_wide(const double* from) { return {load(from), load(from + 4)}; }
+DYNAMORPH_INLINE DoubleW load_wide(const float* from) { return {load_doubles(from), load_doubles(from + 4)}; }
+
 DYNAMORPH_INLINE DoubleW to_double(const Float8& from) {
+#if defined(__FMA__)
+  const __m256 all = __m256(from);
+  return {Double4(_mm256_cvtps_pd(_mm256_castps256_ps128(all))),
+          Double4(_mm256_cvtps_pd(_mm256_extractf128_ps(all, 1)))};
+#else
   const Double8 all = __builtin_convertvector(from, Double8);
   return {__builtin_shufflevector(all, all, 0, 1, 2, 3), __builtin_shufflevector(all, all, 4, 5, 6, 7)};
+#endif
 }
 
 }  // namespace dynamorph

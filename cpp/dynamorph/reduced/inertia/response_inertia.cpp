@@ -4,6 +4,7 @@
 #include <cmath>
 #include <map>
 
+#include "dynamorph/elastic/dense_kernels.hpp"
 #include "dynamorph/reduced/inertia/bone_pairs.hpp"
 #include "dynamorph/reduced/modes/table_layout.hpp"
 
@@ -21,11 +22,20 @@ constexpr double kEven = 1e-6;
 
 using Affine = Eigen::Matrix<double, 3, 4, Eigen::RowMajor>;
 
+using Sums = Eigen::Matrix<double, InertialTarget::kPoses, 1>;
+
+/// The coefficients of a body that does not move in bind space, in each pose.
+Sums sums_of(const InertialTarget& inertial) {
+  Sums sums;
+  for (int n = 0; n < InertialTarget::kPoses; ++n) sums(n) = inertial.coefficients.col(n).sum();
+  return sums;
+}
+
 /// What pulls the rest positions relative to `center` of bone b, or of node b with its own transform.
-Affine inertial_target(const InertialTarget& inertial, Index b, const Vector3d& center) {
+Affine inertial_target(const InertialTarget& inertial, const Sums& sums, Index b, const Vector3d& center) {
   Affine target = Affine::Zero();
   for (int n = 0; n < InertialTarget::kPoses; ++n)
-    target += inertial.coefficients.col(n).sum() * Eigen::Map<const Affine>(inertial.bones[n]->data() + 12 * b);
+    target += sums(n) * Eigen::Map<const Affine>(inertial.bones[n]->data() + 12 * b);
   target.col(3) += target.leftCols<3>() * center - inertial.gravity_offset;
   return target;
 }
@@ -120,13 +130,14 @@ void ResponseInertia::take_loads(const InertialTarget& inertial, Scratch& scratc
   scratch.targets.resize(bones_.size());
   scratch.active.clear();
   double largest = 0;
+  const Sums sums = sums_of(inertial);
   const auto affine = [&](int bone) { return Eigen::Map<const Affine>(inertial.bones[0]->data() + 12 * bones_[bone]); };
   const auto pose = [&](int bone) { return affine(bone).leftCols<3>(); };
   for (size_t t = 0; t < pairs_.size(); ++t) {
     const auto [first, second, size] = pairs_[t];
     Eigen::Map<Affine> load(scratch.loads.data() + 12 * t);
     if (first == second) {
-      scratch.targets[first] = inertial_target(inertial, bones_[first], body_->center);
+      scratch.targets[first] = inertial_target(inertial, sums, bones_[first], body_->center);
       load.noalias() = pose(first).transpose() * scratch.targets[first];
       scratch.growth(first) = growth(affine(first));
       largest = std::max(largest, load.norm() * size);
@@ -142,9 +153,10 @@ void ResponseInertia::take_nodal_loads(const InertialTarget& inertial, Scratch& 
   const Index nodes = body_->volumes.rows();
   scratch.loads.resize(3 * nodes);
   scratch.growth.resize(nodes);
+  const Sums sums = sums_of(inertial);
   for (Index i = 0; i < nodes; ++i) {
     const Eigen::Map<const Affine> pose(inertial.bones[0]->data() + 12 * i);
-    const Affine target = inertial_target(inertial, i, Vector3d::Zero());
+    const Affine target = inertial_target(inertial, sums, i, Vector3d::Zero());
     scratch.growth(i) = growth(pose);
     scratch.loads.segment<3>(3 * i) =
         pose.leftCols<3>().transpose() * (target.leftCols<3>() * body_->rest.segment<3>(3 * i) + target.col(3));
@@ -174,11 +186,12 @@ void ResponseInertia::evaluate(const InertialTarget& inertial, const SetDensitie
   scratch.past.setZero(r + count_);
   for (int m = 0; m < InertialTarget::kMoments; ++m)
     scratch.past += inertial.coefficients.row(m).sum() * *inertial.q[m];
-  mass.border().noalias() = modal_ * mass.corner();
-  damped.border().noalias() = modal_ * damped.corner();
+  multiply_dense(modal_.data(), count_, r, mass.corner().data(), r, mass.border().data());
+  if (sets_.size() > 1) multiply_dense(modal_.data(), count_, r, damped.corner().data(), r, damped.border().data());
   mass.rest().setZero();
   damped.rest().setZero();
-  force.tail(count_).noalias() = modal_ * force.head(r);
+  force.tail(count_).setZero();
+  add_product(modal_.data(), count_, force.data(), r, force.data() + r);
   for (size_t s = 0; s < sets_.size(); ++s) {
     const Set& set = sets_[s];
     const double density = densities.density(Index(s)), damping = densities.damped(Index(s));
@@ -194,7 +207,7 @@ void ResponseInertia::evaluate(const InertialTarget& inertial, const SetDensitie
     const auto scales = scratch.scales.head(count_);
     mass.rest() += density * scales.cwiseProduct(set.mass);
     damped.rest() += damping * scales.cwiseProduct(set.mass);
-    if (sets_.size() == 1) continue;  // its border is zero
+    if (sets_.size() == 1) continue;  // its own border is zero
     mass.border() += density * scales.asDiagonal() * set.border;
     damped.border() += damping * scales.asDiagonal() * set.border;
     scratch.border_force.noalias() = set.border * scratch.past.head(r);
@@ -202,12 +215,13 @@ void ResponseInertia::evaluate(const InertialTarget& inertial, const SetDensitie
   }
   if (uneven(scratch.growth)) {
     const double kept = definite_border(mass, scratch);
-    damped.border() *= sets_.size() == 1 ? kept : definite_border(damped, scratch);
+    if (sets_.size() > 1) damped.border() *= definite_border(damped, scratch);
     scratch.border_force.noalias() = mass.border() * scratch.past.head(r);
     force.tail(count_) -= (1 - kept) * scratch.border_force;
     mass.border() *= kept;
   }
-  force.head(r).noalias() += mass.border().transpose() * scratch.past.tail(count_);
+  if (sets_.size() == 1) damped.border() = densities.damped(0) / densities.density(0) * mass.border();
+  add_dots(mass.border().data(), count_, r, scratch.past.data() + r, force.data());
   force.tail(count_) += mass.rest().cwiseProduct(scratch.past.tail(count_));
 }
 

@@ -14,7 +14,12 @@ DYNAMORPH_INLINE void sum_columns(const Real* __restrict A, Index rows, const do
   for (; c + 4 <= columns; c += 4) {  // four columns per sweep: y is loaded and stored a quarter as often
     const Real *a0 = A + c * rows, *a1 = a0 + rows, *a2 = a1 + rows, *a3 = a2 + rows;
     const double x0 = x[c], x1 = x[c + 1], x2 = x[c + 2], x3 = x[c + 3];
-    for (Index i = 0; i < rows; ++i)
+    Index i = 0;
+    for (; i + 4 <= rows; i += 4)
+      store(mul_add(mul_add(load(y + i), x0, load_doubles(a0 + i)), x1, load_doubles(a1 + i)) +
+                mul_add(x2 * load_doubles(a2 + i), x3, load_doubles(a3 + i)),
+            y + i);
+    for (; i < rows; ++i)
       y[i] = mul_add(mul_add(y[i], double(a0[i]), x0), double(a1[i]), x1) + mul_add(a2[i] * x2, double(a3[i]), x3);
   }
   for (; c < columns; ++c)
@@ -45,6 +50,36 @@ DYNAMORPH_INLINE Real weighted(const Real& constant, const Real& linear, const R
   return mul_add(mul_add(constant, 1 / f, linear), 1 / g, quadratic);
 }
 
+/// Pairs of modes that `couple` takes together, as many as there are registers for.
+#if defined(__FMA__) || defined(__ARM_NEON)
+constexpr int kTogether = 3;
+#else
+constexpr int kTogether = 1;
+#endif
+
+/// `couple` for a mode k and kPairs modes after it, or for k itself (kSame): they share what is loaded of k and y.
+template <int kPairs, bool kSame>
+DYNAMORPH_INLINE void couple_pairs(const float* S, Index h, double vk, const double* v, const double* y, double* slope,
+                                   double* others, double* products) {
+  DoubleW sums[kPairs] = {};
+  for (Index i = 0; i < h; i += kChunk) {
+    DoubleW own = load_wide(slope + i);
+    const DoubleW answer = load_wide(y + i);
+    for (int l = 0; l < kPairs; ++l) {
+      const DoubleW entries = load_wide(S + l * h + i);
+      sums[l] = mul_add(sums[l], entries, answer);
+      own = mul_add(own, kSame ? vk : v[l], entries);
+      if (kSame) continue;
+      double* other = others + l * h + i;
+      store(mul_add(load(other), vk, entries.low), other);
+      store(mul_add(load(other + 4), vk, entries.high), other + 4);
+    }
+    store(own.low, slope + i);
+    store(own.high, slope + i + 4);
+  }
+  for (int l = 0; l < kPairs; ++l) products[l] = sum_of(sums[l].low + sums[l].high);
+}
+
 }  // namespace
 
 void add_product(const double* A, Index rows, const double* x, Index columns, double* y) {
@@ -55,8 +90,8 @@ void add_single_product(const float* A, Index rows, const double* x, Index colum
   sum_columns(A, rows, x, columns, y);
 }
 
-void transposed_product(const double* A, Index rows, Index columns, const double* x, double* y) {
-  for (Index c = 0; c < columns; ++c) y[c] = dot(A + c * rows, x, rows);
+void add_dots(const double* A, Index rows, Index columns, const double* x, double* y) {
+  for (Index c = 0; c < columns; ++c) y[c] += dot(A + c * rows, x, rows);
 }
 
 void add_symmetric_product(const float* __restrict A, Index size, const double* __restrict x, double* __restrict y) {
@@ -69,7 +104,7 @@ void add_symmetric_product(const float* __restrict A, Index size, const double* 
       const Double4 x_low = load(x + kChunk * i), x_high = load(x + kChunk * i + 4);
       Double4 low = load(to), high = load(to + 4);
       for (int c = 0; c < 4; ++c) {
-        const DoubleW entries = to_double(load(A + kChunk * c));
+        const DoubleW entries = load_wide(A + kChunk * c);
         low = mul_add(low, x[4 * panel + c], entries.low);
         high = mul_add(high, x[4 * panel + c], entries.high);
         if (i == diagonal) continue;  // stored in full
@@ -179,23 +214,13 @@ void blend_tables(const float* const* __restrict tables, const double* __restric
 void couple(const float* __restrict S, Index h, Index r, const double* __restrict v, const double* __restrict y,
             double* __restrict slopes, double* __restrict products) {
   for (Index k = 0; k < r; ++k) {
-    double* slope = slopes + k * h;
-    for (Index l = k; l < r; ++l, S += h) {
-      double* other = slopes + l * h;
-      const double vk = v[k], vl = l == k ? 0 : v[l];
-      Double4 sums[2] = {};
-      for (Index i = 0; i < h; i += kChunk) {
-        const DoubleW entries = to_double(load(S + i));
-        sums[0] = mul_add(sums[0], entries.low, load(y + i));
-        sums[1] = mul_add(sums[1], entries.high, load(y + i + 4));
-        store(mul_add(load(other + i), vk, entries.low), other + i);
-        store(mul_add(load(other + i + 4), vk, entries.high), other + i + 4);
-        if (l == k) continue;
-        store(mul_add(load(slope + i), vl, entries.low), slope + i);
-        store(mul_add(load(slope + i + 4), vl, entries.high), slope + i + 4);
-      }
-      *products++ = sum_of(sums[0] + sums[1]);
-    }
+    couple_pairs<1, true>(S, h, v[k], v + k, y, slopes + k * h, slopes + k * h, products);
+    Index l = k + 1;
+    S += h, ++products;
+    for (; l + kTogether <= r; l += kTogether, S += kTogether * h, products += kTogether)
+      couple_pairs<kTogether, false>(S, h, v[k], v + l, y, slopes + k * h, slopes + l * h, products);
+    for (; l < r; ++l, S += h, ++products)
+      couple_pairs<1, false>(S, h, v[k], v + l, y, slopes + k * h, slopes + l * h, products);
   }
 }
 

@@ -20,8 +20,8 @@ DYNAMORPH_KERNEL(void, add_symmetric_product, const float* A, Index size, const 
 DYNAMORPH_KERNEL(void, add_short_product, const float* A, Index rows, const float* x, Index columns, double* y);
 DYNAMORPH_KERNEL(void, add_short_symmetric_product, const float* A, Index size, const float* x, double* y);
 
-/// y = A^T x, with A (rows, columns) column-major.
-DYNAMORPH_KERNEL(void, transposed_product, const double* A, Index rows, Index columns, const double* x, double* y);
+/// y += A^T x, with A (rows, columns) column-major.
+DYNAMORPH_KERNEL(void, add_dots, const double* A, Index rows, Index columns, const double* x, double* y);
 
 /// Contracts the packed orders K0, K1 v and K2 (v v) of a tangent (polynomials.hpp). Returns the energy, and writes the
 /// force (r) and the tangent itself (r, r).

@@ -2,6 +2,7 @@
 #include "dynamorph/reduced/responses/arrow_matrix.hpp"
 
 #include "dynamorph/elastic/dense_kernels.hpp"
+#include "dynamorph/reduced/modes/polynomial_kernels.hpp"
 
 namespace dynamorph {
 
@@ -20,9 +21,9 @@ void ArrowMatrix::multiply(const VectorXd& x, VectorXd& y) const {
   y.resize(rows());
   y.head(r_).noalias() = corner() * x.head(r_);
   if (h_ == 0) return;
-  y.head(r_).noalias() += border().transpose() * x.tail(h_);
   y.tail(h_) = rest().cwiseProduct(x.tail(h_));
-  y.tail(h_).noalias() += border() * x.head(r_);
+  add_product(border().data(), h_, x.data(), r_, y.data() + r_);
+  add_dots(border().data(), h_, r_, x.data() + r_, y.data());
 }
 
 MatrixXd ArrowMatrix::dense() const {
@@ -46,8 +47,7 @@ bool ArrowFactor::compute(const ArrowMatrix& H) {
   if (d.size() > 0) {
     if (!(d.minCoeff() > 0) || !d.allFinite()) return false;
     inverse_ = d.cwiseInverse();
-    scaled_.noalias() = inverse_.cwiseSqrt().asDiagonal() * H.border();
-    schur_.noalias() -= scaled_.transpose() * scaled_;
+    subtract_squares(H.border().data(), inverse_.data(), d.size(), schur_.rows(), schur_.data());
   }
   return factor_.compute(schur_);
 }
@@ -56,14 +56,14 @@ void ArrowFactor::solve(const VectorXd& b, VectorXd& x) {
   const Eigen::Index r = H_->corner_size(), h = b.size() - r;
   if (h == 0) return factor_.solve(b, x);
   corner_ = b.head(r);
-  rest_ = inverse_.cwiseProduct(b.tail(h));
-  corner_.noalias() -= H_->border().transpose() * rest_;
+  rest_ = -inverse_.cwiseProduct(b.tail(h));
+  add_dots(H_->border().data(), h, r, rest_.data(), corner_.data());
   factor_.solve(corner_, solved_);
   x.resize(b.size());
   x.head(r) = solved_;
-  x.tail(h) = b.tail(h);
-  x.tail(h).noalias() -= H_->border() * solved_;
-  x.tail(h).array() *= inverse_.array();
+  x.tail(h) = -b.tail(h);
+  add_product(H_->border().data(), h, solved_.data(), r, x.data() + r);
+  x.tail(h).array() *= -inverse_.array();
 }
 
 namespace {

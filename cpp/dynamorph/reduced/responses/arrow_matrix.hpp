@@ -53,7 +53,7 @@ class ArrowFactor {
  private:
   const ArrowMatrix* H_ = nullptr;
   VectorXd inverse_, corner_, rest_, solved_;  ///< 1 / d, and scratch
-  MatrixXd scaled_, schur_;                    ///< diag(d)^-1/2 B
+  MatrixXd schur_;                             ///< its lower triangle
   DenseFactor factor_;
 };
 

@@ -150,7 +150,7 @@ double Responses::add(const Blend& blend, const VectorXd& q, double modes, Works
   const auto y = q.tail(count_);
   s.x = q.head(r_) - blend.shape;
   s.b = blend.border_force;
-  if (relaxed_) s.b.noalias() += blend.border * s.x;
+  if (relaxed_) add_product(blend.border.data(), count_, s.x.data(), r_, s.b.data());
   s.relaxed = s.b.cwiseQuotient(blend.stiffness);
   s.shifted = y + s.relaxed;
 
@@ -163,12 +163,14 @@ double Responses::add(const Blend& blend, const VectorXd& q, double modes, Works
   s.energy2 = stiffness.corner();
 
   force.tail(count_) = blend.stiffness.cwiseProduct(y) + s.b;
-  stiffness.border() = blend.border;
   stiffness.rest() = blend.stiffness;
-  if (relaxed_) force.head(r_).noalias() += blend.border.transpose() * y;
+  if (relaxed_) add_dots(blend.border.data(), count_, r_, y.data(), force.data());
   const double energy = y.dot(s.b) + 0.5 * y.dot(blend.stiffness.cwiseProduct(y));
   const LaneVector<float>& S = blend.only >= 0 ? targets_[blend.only].coupling : blend.coupling;
-  if (S.empty()) return energy;
+  if (S.empty()) {
+    stiffness.border() = blend.border;
+    return energy;
+  }
   return energy + add_coupling(blend, S, {modes - lent, linear - lent}, s, force, stiffness);
 }
 
@@ -179,19 +181,21 @@ double Responses::add_coupling(const Blend& blend, const LaneVector<float>& S, P
   s.slopes = blend.coupling_slopes;
   couple_with(S, s.x, s.padded, s.products, s.slopes, s.bend);
   const auto J = s.slopes.topRows(count_);  // dc/dz
-  s.c = blend.coupling_force;
-  s.c.noalias() += 0.5 * (J * s.x);
-  s.c.noalias() += 0.5 * (blend.coupling_slopes.topRows(count_) * s.x);
+  s.moved.setZero(rows_);
+  add_product(s.slopes.data(), rows_, s.x.data(), r_, s.moved.data());
+  if (!even_) add_product(blend.coupling_slopes.data(), rows_, s.x.data(), r_, s.moved.data());
+  s.c = blend.coupling_force + 0.5 * s.moved.head(count_);
   s.answer = s.c.cwiseQuotient(blend.stiffness);
 
   // y' . c with its derivatives by z
   const double work = s.shifted.dot(s.c);
-  s.work.noalias() = J.transpose() * s.shifted;
+  s.work.setZero(r_);
+  add_dots(s.slopes.data(), rows_, r_, s.padded.data(), s.work.data());
   if (relaxed_) {
-    s.work.noalias() += blend.border.transpose() * s.answer;
-    s.cross.resize(r_, r_);
+    add_dots(blend.border.data(), count_, r_, s.answer.data(), s.work.data());
+    s.cross.setZero(r_, r_);
     for (Index k = 0; k < r_; ++k)
-      transposed_product(blend.relaxation.data(), count_, r_, J.col(k).data(), s.cross.col(k).data());
+      add_dots(blend.relaxation.data(), count_, r_, J.col(k).data(), s.cross.col(k).data());
     s.bend += s.cross;
     s.bend += s.cross.transpose();
   }
@@ -201,11 +205,14 @@ double Responses::add_coupling(const Blend& blend, const LaneVector<float>& S, P
     force.head(r_) += s.work;
     force.tail(count_) += s.c;
     corner += s.bend;
-    stiffness.border() += J;
+    stiffness.border() = blend.border + J;
     return work;
   }
   const double ratio = P * sum / (E * E);
-  if (!(E > 0 && ratio < kNothing)) return 0;
+  if (!(E > 0 && ratio < kNothing)) {
+    stiffness.border() = blend.border;
+    return 0;
+  }
   const Limit theta = limit(ratio);
   differentiate_ratio(blend, S, payers, ratio, s);
   force.head(r_) += theta.value * s.work + (theta.first * work) * s.ratio;
@@ -213,7 +220,7 @@ double Responses::add_coupling(const Blend& blend, const LaneVector<float>& S, P
   corner += theta.value * s.bend + (theta.first * work) * s.ratio2;
   corner.noalias() += (theta.second * work) * s.ratio * s.ratio.transpose();
   add_outer(theta.first, s.work, s.ratio, corner);
-  stiffness.border() += theta.value * J;
+  stiffness.border() = blend.border + theta.value * J;
   stiffness.border().noalias() += theta.first * s.c * s.ratio.transpose();
   return theta.value * work;
 }

@@ -66,10 +66,10 @@ class Responses {
     std::vector<double> active_weights;
   };
 
-  /// What one evaluation needs beside its results: x; b, D^-1 b, y', c, D^-1 c (h); their padded copies; dc/dz (padded
+  /// What one evaluation needs beside its results: x; b, D^-1 b, y', c, D^-1 c (h); what is padded; dc/dz (padded
   /// h, r); second derivatives (r, r).
   struct Workspace {
-    VectorXd x, b, relaxed, shifted, c, answer, padded, products;
+    VectorXd x, b, relaxed, shifted, c, answer, padded, moved, products;
     VectorXd work, energy, linear, pay, between, ratio;  ///< gradients by z
     MatrixXd slopes, unused_slopes, scaled, bend, cross, energy2, linear2, ratio2;
   };
