@@ -13,7 +13,7 @@ jobs ?= $(shell nproc)
 build = build/cmake
 before_wheels = $(if $(filter native,$(platforms)),build,setup)
 before_packing = $(if $(or $(filter native,$(platforms)),$(wildcard dist/wheels/dynamorph-*.whl)),$(before_wheels),wheels)
-c_sources = $(shell find cpp tests/cpp tests/benchmarks -name '*.[ch]pp')
+c_sources = $(shell find cpp web tests/cpp tests/benchmarks -name '*.[ch]pp')
 workflows = $(wildcard .github/workflows/*.yml) farm/github_actions.yml
 define configure
 @mkdir -p build

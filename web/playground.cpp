@@ -128,8 +128,8 @@ void Playground::build(double stiffness) {
   simulation = std::move(next);
 }
 
-/// Where the sliders put the bones: each turns along the shortest way from target to target. The character stays where it
-/// is, though the poses may be of a shot in which it moves.
+/// Where the sliders put the bones: each turns along the shortest way from target to target. The character stays where
+/// it is, though the poses may be of a shot in which it moves.
 MatrixXd Playground::local() const {
   MatrixXd out = character.target_poses[0];
   for (std::size_t s = 0; s < sliders.size(); ++s) {

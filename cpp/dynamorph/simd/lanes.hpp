@@ -193,7 +193,7 @@ DYNAMORPH_INLINE DoubleW mul_add(const DoubleW& c, double a, const DoubleW& b) {
   return {mul_add(c.low, a, b.low), mul_add(c.high, a, b.high)};
 }
 
-/// Numbers of an array in single precision, converted as they are read: GCC would read more at once, and take that apart.
+/// Numbers of an array, in single precision converted as they are read: GCC would read more, and take that apart.
 DYNAMORPH_INLINE Double4 load_doubles(const double* from) { return load(from); }
 DYNAMORPH_INLINE Double4 load_doubles(const float* from) {
 #if defined(__FMA__)
