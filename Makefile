@@ -2,7 +2,7 @@
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build module test gui-test demo gallery figures materials bench bench-docs robustness believable \
 	believable-docs convergence accuracy bakes farm-demo golden fuzz soak faults coverage sanitize stubs format lint wheels \
-	platforms extension repository sdist version reliability feels limit collision rigs clean
+	platforms extension repository sdist version reliability feels limit collision rigs recipes reference how-long comparison playground site clean
 
 started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
@@ -13,7 +13,7 @@ jobs ?= $(shell nproc)
 build = build/cmake
 before_wheels = $(if $(filter native,$(platforms)),build,setup)
 before_packing = $(if $(or $(filter native,$(platforms)),$(wildcard dist/wheels/dynamorph-*.whl)),$(before_wheels),wheels)
-c_sources = $(shell find cpp tests/cpp tests/benchmarks -name '*.[ch]pp')
+c_sources = $(shell find cpp web tests/cpp tests/benchmarks -name '*.[ch]pp')
 workflows = $(wildcard .github/workflows/*.yml) farm/github_actions.yml
 define configure
 @mkdir -p build
@@ -56,14 +56,23 @@ gui-test: build
 	@tools/setup.sh wheels
 	@$(python) tools/gui_test.py $(parts)
 
-# Bakes sample_blends/bulging_cylinder.blend, and renders it to out/.
+# Bakes sample_blends/bulging_cylinder.blend, and renders a picture and a loop of it to out/.
 demo: module
 	@$(python) sample_blends/demo.py
 
-# docs/gallery.md with its moving pictures, among them the README's; takes about 10 minutes. only="Husky" films
-# those that begin so.
+# docs/gallery.md with its moving pictures, among them the README's, and each scene's .blend in dist/gallery; takes about
+# 10 minutes. only="Husky" films those that begin so.
 gallery: build
 	@$(python) tests/benchmarks/gallery.py --only "$(only)"
+
+# The .blend files of docs/recipes in dist/recipes, before and after the steps, and the pictures and tables of the pages;
+# takes about 5 minutes. only="jiggle" makes that one.
+recipes: build
+	@$(python) sample_blends/recipes/book.py $(only)
+
+# The tables of docs/command_line.md and docs/scripting.md, from the parser and from Blender's data; needs Python 3.13.
+reference: build
+	@.venv/3.13/bin/python tools/reference.py
 
 # docs/results.md with its pictures; takes about 20 minutes.
 figures: build
@@ -141,6 +150,14 @@ collision: build
 rigs: build
 	@$(python) tests/benchmarks/rigs_page.py
 
+# docs/how_long.md: seconds and memory of characters of 5,000 to 50,000 vertices; takes about 5 minutes.
+how-long: build
+	@$(python) tests/benchmarks/how_long.py
+
+# The table of docs/comparison.md: a limb by Dynamorph and by Blender's own dynamics; takes about 2 minutes.
+comparison: build
+	@$(python) tests/benchmarks/comparison.py
+
 # docs/believable.md from what was measured before.
 believable-docs: build
 	@$(python) tests/benchmarks/believable.py --page
@@ -211,6 +228,8 @@ lint: build
 	@if [ -x .venv/3.11/bin/mypy ]; then .venv/3.11/bin/mypy --no-error-summary; \
 	else echo 'lint: types are not checked, which needs Python 3.11'; fi
 	@$(tools)check-jsonschema --quiet --builtin-schema vendor.github-workflows $(workflows)
+	@$(tools)check-jsonschema --quiet --builtin-schema vendor.github-issue-forms .github/ISSUE_TEMPLATE/*_*.yml
+	@$(tools)check-jsonschema --quiet --builtin-schema vendor.github-issue-config .github/ISSUE_TEMPLATE/config.yml
 	@$(tools)zizmor --quiet --no-progress --offline $(workflows) >build/zizmor.log || { cat build/zizmor.log; exit 1; }
 	@$(stubgen) -o build/stubs
 	@diff -u cpp/bindings/dynamorph/_core.pyi build/stubs/dynamorph/_core.pyi || { echo 'Run make stubs.'; exit 1; }
@@ -255,6 +274,18 @@ sdist: setup
 	@$(python) -c 'from scikit_build_core.build import build_sdist; print("dist/" + build_sdist("dist"))' \
 		>build/sdist.log 2>&1 || { cat build/sdist.log; exit 1; }
 	@tail -n 1 build/sdist.log
+
+# The engine as WebAssembly and the page around it, in build/playground (docs/playground.md); takes about 4 minutes the
+# first time.
+playground: build
+	@tools/setup.sh site
+	@$(python) tools/playground.py
+
+# The website in build/site/html: docs/, references of the Python package and the C++ headers, and the playground.
+# serve=1 also serves it to this machine.
+serve ?=
+site: playground
+	@.venv/site/bin/python tools/site.py $(if $(serve),--serve)
 
 # The version. new=0.2.0 opens that version in CHANGELOG.md, or dates it if it is open; then it is ready to be tagged.
 new ?=

@@ -103,6 +103,12 @@ def only_python() -> Iterator[None]:
             sys.stdout, sys.stderr = outputs
 
 
+def caption(picture: Image.Image, text: str) -> None:
+    """Write on a picture, below on the left."""
+    place = (10, picture.height - 32)
+    ImageDraw.Draw(picture).text(place, text, "white", ImageFont.load_default(22), stroke_width=2, stroke_fill=INK)
+
+
 def compose(title: str, subtitle: str, columns: Sequence[str], rows: Sequence[Row]) -> Image.Image:
     """One row for each variant; columns: what each one's pictures show."""
     font, small, large = (ImageFont.load_default(points) for points in (15, 12, 24))
@@ -117,7 +123,7 @@ def compose(title: str, subtitle: str, columns: Sequence[str], rows: Sequence[Ro
     draw.text((MARGIN, MARGIN + 36), subtitle, FAINT, font)
     for column, event in enumerate(columns):
         x = MARGIN + column * (width + 4)
-        draw.text((x, top), event, FAINT, font)
+        draw.text((x, top), event, INK, font)
         for r, row in enumerate(rows):
             y = top + 24 + r * row_height
             sheet.paste(row.pictures[column], (x, y + 26))

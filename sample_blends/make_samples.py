@@ -8,6 +8,8 @@ from pathlib import Path
 
 import bulging_cylinder
 import dynamic_morph_targets
+import folded_limb
+import grabbed_belly
 import herbert
 import herbert_bench
 import pressed_cylinder
@@ -17,6 +19,8 @@ from dynamic_morph_targets.__main__ import leave
 
 SCENES = {
     "bulging_cylinder": bulging_cylinder,
+    "folded_limb": folded_limb,
+    "grabbed_belly": grabbed_belly,
     "herbert": herbert,
     "herbert_bench": herbert_bench,
     "pressed_cylinder": pressed_cylinder,

@@ -32,6 +32,12 @@ def static_shapes(character, weights: np.ndarray) -> np.ndarray:
     return np.tensordot(weights, np.array([target.shape for target in character.targets]), 1)
 
 
+def own_motion(character, bake) -> np.ndarray:
+    """How far a baked skin is from the blended shapes of the targets (F, V), meters."""
+    static = static_shapes(character, bake.weights)
+    return np.array([np.linalg.norm(bake.displacement(k) - shape, axis=1) for k, shape in enumerate(static)])
+
+
 def patch_displacement(motion: np.ndarray, patch: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Mean displacement (F,) of a patch's vertices along a unit direction; motion (F, V, 3), patch: indices or mask."""
     return motion[:, patch].mean(axis=1) @ direction

@@ -26,9 +26,11 @@ CLOSE = 0.05  # RMS error, relative to the motion, up to which two motions are c
 
 OPENING = """# Results
 
-The table and the figures of N. Galoppo's thesis (chapter 5), made again from the scenes in `sample_blends`, with their
-claims as numbers. `make figures` writes this page, its pictures and [results.json](results.json); nothing here is
-written by hand. Which of the thesis's figures shows what is our own reading, because its pictures were not available.
+Whether dynamic morph targets do what the thesis that introduced them claims. The table and the figures of N. Galoppo's
+thesis (chapter 5) are made again here from the scenes in `sample_blends`, with their claims as numbers: a limb that
+bulges and hardens as it bends, a shoulder that folds without passing through itself, and a belly that swings but for
+the tuck. `make figures` writes this page, its pictures and [results.json](results.json); nothing here is written by
+hand. We did not have the thesis's pictures, so which of its figures shows what is our interpretation.
 
 Methods, as in the Model panel and on the command line: *plain skinning* (bones alone), *static morphs* (geometric morph
 targets), *single material* (the neutral target alone), *pose-dependent shape* (the shape follows the pose, the material
@@ -41,6 +43,11 @@ modes are chosen from a rehearsal of the shot. *At best* is the bound that no mo
 the targets' shapes: the rest of the full motion's singular values.
 
 {commit}.
+"""
+
+ABOUT_ACCURACY = """How many modes a scene needs. Rows with few modes are there to show where the error begins to fall:
+the scenes themselves use modes that are fitted to the shot, which need far fewer. An error near 100% of the dynamic
+motion says that so few modes miss nearly all of it.
 """
 
 
@@ -280,7 +287,7 @@ TELL: dict[str, Callable[[dict], list[str]]] = {
 
 
 def accuracy(found: dict[str, dict]) -> list[str]:
-    messages = []
+    messages = [ABOUT_ACCURACY]
     for name, measured in found.items():
         subject = SUBJECTS[name]
         first, last = subject.measured

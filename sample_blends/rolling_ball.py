@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import bmesh
 import bpy
 import numpy as np
 from stage import (
+    add_ball,
     add_box,
     add_camera,
     add_material,
@@ -130,18 +130,10 @@ def add_torso(rig: bpy.types.Object) -> bpy.types.Object:
     return torso
 
 
-def add_ball(path: np.ndarray) -> bpy.types.Object:
-    mesh, shape = bpy.data.meshes.new("Ball"), bmesh.new()
-    bmesh.ops.create_uvsphere(shape, u_segments=36, v_segments=18, radius=BALL)
-    shape.to_mesh(mesh)
-    shape.free()
-    for color in PANELS:
-        mesh.materials.append(add_material("Panel", color, 0.3))
-    for polygon in mesh.polygons:
-        polygon.use_smooth = True
+def add_beach_ball(path: np.ndarray) -> bpy.types.Object:
+    ball = add_ball("Ball", BALL, *(add_material("Panel", color, 0.3) for color in PANELS))
+    for polygon in ball.data.polygons:
         polygon.material_index = int((math.atan2(polygon.center.y, polygon.center.x) / math.pi + 1) * 3) % 3
-    ball = bpy.data.objects.new("Ball", mesh)
-    bpy.context.scene.collection.objects.link(ball)
     ball.rotation_mode = "YXZ"  # about Y last: it rolls, with the panels' pole aside
     turned = (path[:, 0] - path[0, 0]) / BALL
     rotation = np.stack([np.full(len(path), 1.2), turned, 0 * turned], 1)
@@ -154,7 +146,7 @@ def make(path: Path) -> None:
     rig = add_straight_rig(BONES, JOINTS, TIP)
     rig.location.z = HEIGHT
     torso = add_torso(rig)
-    ball = add_ball(ball_path(torso_mesh()[0]))
+    ball = add_beach_ball(ball_path(torso_mesh()[0]))
     add_box("Mat", (-0.25, -0.4, 0), (2.2, 0.4, MAT), add_material("Mat", (0.10, 0.30, 0.25), 0.7))
     add_studio((0.4, 0, 0.3))
     add_camera((0.5, -1.9, 1.0), (0.5, 0, 0.30), 62)

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import bmesh
 import bpy
 import numpy as np
 from mathutils import Vector
@@ -83,6 +84,16 @@ def add_box(name: str, low, high, material) -> bpy.types.Object:
     bevel = box.modifiers.new("Bevel", "BEVEL")
     bevel.width, bevel.segments = min(0.02, 0.3 * float((high - low).min())), 2
     return box
+
+
+def add_ball(name: str, radius: float, *materials) -> bpy.types.Object:
+    shape = bmesh.new()
+    bmesh.ops.create_uvsphere(shape, u_segments=36, v_segments=18, radius=radius)
+    ball = add_mesh(name, [], [], *materials)
+    shape.to_mesh(ball.data)
+    shape.free()
+    ball.data.polygons.foreach_set("use_smooth", [True] * len(ball.data.polygons))
+    return ball
 
 
 def add_lathe(name: str, outline, material, segments: int = 48) -> bpy.types.Object:
@@ -270,7 +281,8 @@ def add_touched_skin(obj: bpy.types.Object, colliders: Sequence[bpy.types.Object
     bpy.ops.dynamorph.add_soft_skin()
     for other in colliders:
         other.select_set(True)
-    bpy.ops.dynamorph.collide()
+    if colliders:
+        bpy.ops.dynamorph.collide()
     bpy.ops.object.select_all(action="DESELECT")
     obj.select_set(True)
     obj.dynamorph.model.solver = "FULL"

@@ -24,7 +24,7 @@ from pathlib import Path
 import measured
 import package
 import wheels
-from PIL import Image, ImageChops
+from PIL import Image, ImageChops, ImageDraw, ImageFont
 
 ROOT = Path(__file__).resolve().parent.parent
 CHROOT = Path(os.environ.get("DYNAMORPH_GUI", ROOT / "build/gui")).resolve()
@@ -33,6 +33,7 @@ INSTALLED = WORK / "user/extensions/user_default/dynamic_morph_targets"
 PAGE = ROOT / "docs/window_test.md"
 BEGIN, END = "<!-- measured -->", "<!-- end of measured -->"  # in the page
 PICTURES = ROOT / "docs/images/guide"
+DISC, ACCENT = 10, "#d3531b"  # pixels, its radius: of the numbers in pictures, and their color
 CHARACTER = ROOT.parent / "shared/assets/mh_male_53bones.blend"  # the last part runs without it, and says so
 INSIDE = Path("/mnt/dynamorph")  # this repository, seen from the chroot
 SCREEN = (1920, 1080)
@@ -56,7 +57,7 @@ KNOWN = re.compile(
 # In their order, with the seconds that each may take: on a busy machine ten times as many as on a free one.
 PARTS = {
     "repository": 300, "first_bake": 1200, "grabbing": 900, "judging": 1800, "authoring": 1800, "trying": 1800,
-    "colliding": 1200, "baking": 2400, "files": 1200, "menus": 1200, "character": 1800,
+    "colliding": 1200, "baking": 2400, "files": 1200, "menus": 1200, "panels": 2400, "character": 1800,
 }  # fmt: skip
 INSTALLS = "first_bake"  # the part that installs the extension; later ones find it installed
 
@@ -276,8 +277,10 @@ def write_measured(values: dict[str, str]):
         measured.stamp(PAGE)
 
 
-def keep_pictures(names: list[str]):
-    """Write the guide's pictures as small files. A picture that looks like the existing one is not replaced."""
+def keep_pictures(names: list[str], numbered: dict[str, list]):
+    """Write the pages' pictures as small files, with the numbers that explain them. A picture that looks like the
+    existing one is not replaced.
+    """
     PICTURES.mkdir(parents=True, exist_ok=True)
     for name in names:
         kept = PICTURES / f"{name}.png"
@@ -285,10 +288,30 @@ def keep_pictures(names: list[str]):
             picture = shot.convert("RGB")
             if picture.height > picture.width:  # a panel
                 picture = without_empty_rows(picture)
+            picture = with_numbers(picture, numbered.get(name, []))
             small = picture.quantize(128, dither=Image.Dither.NONE)
         if not kept.exists() or differ(small, kept):
             small.save(kept, optimize=True)
             print(f"gui-test: {kept.relative_to(ROOT)}, {kept.stat().st_size / 1024:.0f} kB")
+
+
+def with_numbers(picture: Image.Image, places: list) -> Image.Image:
+    """Numbers in discs, from 1 on, at (x, y) of the picture, which gets margins for those beside it."""
+    if not places:
+        return picture
+    margin = 5 * DISC // 2 if any(not 0 <= x < picture.width for x, _ in places) else 0
+    wider = Image.new("RGB", (picture.width + 2 * margin, picture.height), picture.getpixel((0, 0)))
+    wider.paste(picture, (margin, 0))
+    scale = 4  # for smooth edges
+    discs = Image.new("RGBA", (wider.width * scale, wider.height * scale))
+    draw, font = ImageDraw.Draw(discs), ImageFont.load_default(scale * 1.3 * DISC)
+    for number, (x, y) in enumerate(places, 1):
+        middle = scale * (x + margin), scale * y
+        draw.circle(middle, scale * DISC, fill=ACCENT)
+        draw.text(middle, str(number), fill="white", font=font, anchor="mm")
+    discs = discs.resize(wider.size, Image.Resampling.LANCZOS)
+    wider.paste(discs, mask=discs)
+    return wider
 
 
 def without_empty_rows(picture: Image.Image, margin=10) -> Image.Image:
@@ -328,7 +351,7 @@ def main() -> int:
             results.append(run_part(part))
             print(f"gui-test: {part}, {time.monotonic() - start:.0f} s in Blender", flush=True)
             print_table(results[-1])
-            keep_pictures(results[-1]["pictures"])
+            keep_pictures(results[-1]["pictures"], results[-1]["numbered"])
         if not named:
             check_openings(results)
             measured_values = {name: value for found in results for name, value in found["measured"].items()}

@@ -21,7 +21,7 @@ ENGINE = ("cpp/dynamorph", "cpp/bindings")
 ADDON = ("addon/dynamic_morph_targets", *(f":!addon/dynamic_morph_targets/{name}" for name in INTERFACE))
 # What each generated page is made from, as git's path specifications.
 PAGES = {
-    "results.md": (*ENGINE, *ADDON, "sample_blends"),
+    "results.md": (*ENGINE, *ADDON, "sample_blends", ":!sample_blends/recipes"),
     "performance.md": (*ENGINE, *ADDON, "tests/benchmarks/engine.cpp", "tests/benchmarks/test_pipeline.py",
                        "tests/benchmarks/click.py"),
     "robustness.md": (*ENGINE, *ADDON, "tests/benchmarks/robustness_page.py", "tests/addon/characters.py"),
@@ -35,7 +35,10 @@ PAGES = {
     "limit.md": (*ENGINE, *ADDON, "tests/benchmarks/limit.py"),
     "rigs.md": (*ENGINE, *ADDON, "tests/benchmarks/rigs_page.py", "tests/addon/rig_families.py",
                 "tests/addon/human.py"),
-    "gallery.md": (*ENGINE, *ADDON, "tests/benchmarks/gallery_loop.py", "sample_blends"),
+    "how_long.md": (*ENGINE, *ADDON, "tests/benchmarks/how_long.py", "sample_blends/herbert.blend"),
+    "comparison.md": (*ENGINE, *ADDON, "tests/benchmarks/comparison.py", "sample_blends/bulging_cylinder.blend"),
+    "gallery.md": (*ENGINE, *ADDON, "tests/benchmarks/gallery_loop.py", "sample_blends",
+                   ":!sample_blends/recipes"),
     "coverage.md": ("cpp", "addon/dynamic_morph_targets", "tests/engine", "tests/addon", "tests/cpp",
                     "tools/coverage_page.py"),
     "farm.md": ("addon/dynamic_morph_targets/cli", "addon/dynamic_morph_targets/io/cache_dir.py", "farm",
@@ -45,10 +48,16 @@ PAGES = {
     "reliability.md": (*ENGINE, "addon/dynamic_morph_targets", "tests/faults.toml"),
     "window_test.md": (*ENGINE, "addon/dynamic_morph_targets", "tests/gui", "tools/gui_test.py"),
 }  # fmt: skip
-# Pages that are written by hand.
-WRITTEN = ("architecture.md", "attribution.md", "cpp.md", "decisions/", "file_format.md", "glossary.md", "install.md",
-           "limitations.md", "python.md", "releasing.md", "theory.md", "troubleshooting.md", "upgrading.md",
-           "user_guide.md")  # fmt: skip
+PAGES |= {
+    f"recipes/{name}.md": (*ENGINE, *ADDON, "sample_blends/recipes", "sample_blends/*.blend")
+    for name in ("bulge", "clothes", "collision", "firm_parts", "grab", "jiggle", "mixamo", "motion_blur", "repair",
+                 "rigify", "vrm", "walk_cycle")
+}  # fmt: skip
+# Pages that are written by hand, or made from the program itself (tools/reference.py).
+WRITTEN = ("architecture.md", "attribution.md", "command_line.md", "cpp.md", "decisions/", "file_format.md",
+           "first_steps.md", "glossary.md", "install.md", "limitations.md", "panels/", "playground.md", "python.md",
+           "recipes/index.md", "releasing.md", "report.md", "scripting.md", "theory.md", "troubleshooting.md",
+           "upgrading.md")  # fmt: skip
 
 
 def measured_at(page: str) -> str:
@@ -65,10 +74,15 @@ def measured_at(page: str) -> str:
 
 def stamp(page: Path) -> None:
     """Write the present commit into the line that the page has. Raises ValueError without one."""
-    text, count = LINE.subn(measured_at(page.name), page.read_text(encoding="utf-8"))
+    text, count = LINE.subn(measured_at(name_of(page)), page.read_text(encoding="utf-8"))
     if not count:
         raise ValueError(f"{page.name}: there is no line that names a commit")
     page.write_text(text, encoding="utf-8")
+
+
+def name_of(page: Path) -> str:
+    """As PAGES names it."""
+    return page.relative_to(DOCS).as_posix() if page.is_relative_to(DOCS) else page.name
 
 
 def commits(page: Path) -> list[tuple[str, bool]]:
@@ -78,16 +92,16 @@ def commits(page: Path) -> list[tuple[str, bool]]:
 
 def aged(page: Path) -> str:
     """What has changed in a page's sources since it was measured, in one line; empty if nothing has."""
-    reasons, last = [], ""
+    reasons, last, name = [], "", name_of(page)
     for commit, changes in dict.fromkeys(commits(page)):
         if changes:
             reasons.append(f"measured at {commit} with changes that no commit has")
         if not git("cat-file", "-t", commit):
             reasons.append(f"measured at {commit}, which is not in this history")
-        elif since := git("log", "--oneline", "--no-merges", f"{commit}..HEAD", "--", *PAGES[page.name]).splitlines():
+        elif since := git("log", "--oneline", "--no-merges", f"{commit}..HEAD", "--", *PAGES[name]).splitlines():
             reasons.append(f"commits to its sources since {commit}: {len(since)}")
             last = f" (last: {since[0]})"
-    return f"docs/{page.name}: {'; '.join(reasons)}{last}" if reasons else ""
+    return f"docs/{name}: {'; '.join(reasons)}{last}" if reasons else ""
 
 
 def git(*words: str) -> str:

@@ -17,7 +17,8 @@ ROOT = Path(__file__).resolve().parent.parent
 SUPPORTED = {"3.11": "Blender 4.5 LTS", "3.13": "Blender 5.2 LTS"}
 COUNTED = ("-o", "console_output_style=count")
 ROW = re.compile(r"([.sxXFE]*)(?: *\[ *(\d+)/(\d+)\])?")  # of pytest: a letter for each test, how many were done
-SUITES = ("tests/engine", "tests/addon")  # in separate processes: a crash of Blender does not lose the engine's results
+# In separate processes: a crash of Blender does not lose the engine's results.
+SUITES = ("tests/engine", "tests/addon", "tests/web")
 
 
 def say(text: str) -> None:

@@ -9,13 +9,14 @@
 #   farm      the demo of a render farm; contains openjd
 #   openjd    the tests of farm/ with the tools of Open Job Description (tests/addon/package/test_farm.py)
 #   platforms what runs the programs of other systems (tests/benchmarks/platforms_page.py); contains emulate and wheels
+#   site      what makes the website (tools/site.py)
 #   wheels    the compiler for other systems, and what looks into its files (tools/wheels.py)
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 packages=(g++ make python3-dev python3-venv libeigen3-dev libspectra-dev libcgal-dev nlohmann-json3-dev doctest-dev
           libsm6 libxi6 libxfixes3 libxrender1 libxkbcommon0 libgl1 libegl1 libgl1-mesa-dri) # second line: bpy
-needs_coverage= needs_openjd= needs_wheels=
+needs_coverage= needs_openjd= needs_site= needs_wheels=
 for group in "$@"; do
   case $group in
     bench) packages+=(libbenchmark-dev) ;;
@@ -24,8 +25,9 @@ for group in "$@"; do
     farm) packages+=(slurmctld slurmd slurm-client munge) needs_openjd=yes ;;
     openjd) needs_openjd=yes ;;
     platforms) packages+=(qemu-user wine wine64) needs_wheels=yes ;;
+    site) packages+=(doxygen emscripten nodejs) needs_site=yes ;;
     wheels) needs_wheels=yes ;;
-    *) echo "setup: there is no group '$group': there are bench, coverage, emulate, farm, openjd, platforms and wheels" >&2
+    *) echo "setup: there is no group '$group': there are bench, coverage, emulate, farm, openjd, platforms, site and wheels" >&2
        exit 2 ;;
   esac
 done
@@ -115,4 +117,5 @@ fi
 [[ -z $made ]] || printf %s "$left_out" # once
 [[ -z $needs_openjd ]] || make_openjd_environment
 [[ -z $needs_coverage ]] || make_tools_environment coverage
+[[ -z $needs_site ]] || make_tools_environment site
 [[ -z $needs_wheels ]] || make_tools_environment wheels

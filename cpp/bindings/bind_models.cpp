@@ -16,11 +16,13 @@ void check_embedding(const Embedding& embedding, Eigen::Index nodes) {
 }
 
 void bind_morph_target(py::module_& m) {
-  py::enum_<MaterialModel>(m, "MaterialModel")
-      .value("LINEAR", MaterialModel::linear)
-      .value("STVK", MaterialModel::stvk)
-      .value("STABLE_STVK", MaterialModel::stable_stvk);
-  py::enum_<Blending>(m, "Blending").value("FORCES", Blending::forces).value("EVEN", Blending::even);
+  py::enum_<MaterialModel>(m, "MaterialModel", "How stress follows from strain.")
+      .value("LINEAR", MaterialModel::linear, "small strains: the fastest, but large rotations swell the body")
+      .value("STVK", MaterialModel::stvk, "St. Venant-Kirchhoff: Green strains, which rotations leave alone")
+      .value("STABLE_STVK", MaterialModel::stable_stvk, "the same, and a body that is crushed pushes back");
+  py::enum_<Blending>(m, "Blending", "How targets blend between their poses. Both are exact at each target's own pose.")
+      .value("FORCES", Blending::forces, "the weighted sum of the targets' forces: the stiffer shape dominates")
+      .value("EVEN", Blending::even, "also blends the shapes: halfway in pose is halfway in shape");
 
   const auto target = [](std::string name, const FloatArray& displacement, Lame lame, double density,
                          double mass_damping, double stiffness_damping, int set, bool shifted) {
@@ -49,8 +51,9 @@ void bind_morph_target(py::module_& m) {
            "stiffness_damping"_a = 0.0, "set"_a = 0, "shifted"_a = false,
            "As above, with the material given by Young's modulus (Pa) and Poisson's ratio (0 to 0.495).")
       .def_readonly("name", &MorphTarget::name)
-      .def_readonly("set", &MorphTarget::set)
-      .def_readonly("shifted", &MorphTarget::shifted)
+      .def_readonly("set", &MorphTarget::set, "Index of its target set.")
+      .def_readonly("shifted", &MorphTarget::shifted,
+                    "Whether it has the elasticity of the neutral shape, moved by its displacement.")
       .def_property_readonly(
           "displacement", [](const MorphTarget& t) { return Points(as_points(t.displacement)); },
           "(n, 3): meters, bind space.");
@@ -71,7 +74,8 @@ void bind_soft_body(py::module_& m) {
            "scale, or None when every free node has its own transform; such a body has one bone per free node. hold "
            "(m): 1/m^2, or None. Each target adds mu / 2 times the integral of hold |u - d|^2 to its energy.")
       .def_readonly("size", &SoftBody::size, "Bounding-box diagonal, meters.")
-      .def_readonly("free_nodes", &SoftBody::free_nodes)
+      .def_readonly("free_nodes", &SoftBody::free_nodes,
+                    "Index of the node of each free node, those that are not pinned.")
       .def_readonly("volumes", &SoftBody::volumes, "Lumped volumes of the free nodes by target set, m^3.")
       .def(
           "extend_shapes",
@@ -95,7 +99,9 @@ void bind_soft_body(py::module_& m) {
 void bind_full_model(py::module_& m) {
   py::class_<FullModel, std::shared_ptr<FullModel>> full(m, "FullModel", "The unreduced soft skin.");
   full.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, MaterialModel, Blending>(),
-           "body"_a.none(false), "targets"_a, "material_model"_a, "blending"_a)
+           "body"_a.none(false), "targets"_a, "material_model"_a, "blending"_a,
+           "targets: of all sets; each set's first is its neutral one. Raises ValueError when a shape does not fit the "
+           "body or displaces pinned nodes; `SoftBody.extend_shapes` makes shapes that do not.")
       .def(
           "linear_modes",
           [](const FullModel& model, int target, int k) {
@@ -105,8 +111,7 @@ void bind_full_model(py::module_& m) {
           },
           "target"_a, "k"_a,
           "Returns (omega (k) in rad/s, mass-orthonormal shapes (3 free, k)) at a target's shape. Raises Error when "
-          "the "
-          "body can move without resistance, as about a line on which all pinned nodes are.")
+          "the body can move without resistance, as about a line on which all pinned nodes are.")
       .def(
           "fallbacks",
           [](const FullModel& model, int target) { return model.shape(checked_target(model, target)).fallbacks; },

@@ -48,15 +48,17 @@ void bind_pose(py::module_& m) {
   const auto distances = [](const PoseSpace& space, const Rotations& pose, VectorXd& d) { space.distances(pose, d); };
   py::class_<PoseSpace>(m, "PoseSpace", "Interpolates target weights over pose space.")
       .def(py::init<std::vector<TargetSet>>(), "sets"_a,
-           "Raises Error when two targets of a set have the same pose, and names both.")
-      .def_property_readonly("targets", &PoseSpace::targets)
+           "sets: their targets, one set after the other, are the columns of `weights`. Raises Error when two targets "
+           "of a set have the same pose, and names both.")
+      .def_property_readonly("targets", &PoseSpace::targets, "Number of targets J, of all sets.")
       .def(
           "weights",
           [sampled, weights](const PoseSpace& space, const FloatArray& local) {
             return sampled(space, local, weights);
           },
           "local"_a,
-          "Weights (S, J) at the local transforms (S, B, 4, 4). The weights of each set are >= 0 and sum to 1. At its "
+          "Weights (S, J) at the local transforms (S, B, 4, 4). The weights of each set are non-negative and sum to 1. "
+          "At its "
           "own pose, a target has weight 1.")
       .def(
           "distances",

@@ -7,7 +7,7 @@
 using namespace dynamorph;
 
 void bind_reduced(py::module_& m) {
-  py::class_<Basis>(m, "Basis")
+  py::class_<Basis>(m, "Basis", "The subspace of a soft skin: a few modes.")
       .def_readonly("U", &Basis::U, "The modes (3 free, r), orthonormal in the mass for unit density.")
       .def_readonly("explained_variance", &Basis::explained_variance,
                     "Fraction of the candidates' variance that the basis spans.");
@@ -46,18 +46,23 @@ void bind_reduced(py::module_& m) {
 
   py::class_<ReducedTables>(m, "ReducedTables",
                             "The tables that a built reduced model stores. They hold geometry only, no material.")
-      .def(py::init([](MaterialModel material_model, const MatrixXd& basis, const std::vector<VectorXd>& lambda,
-                       const std::vector<VectorXd>& mu, const MatrixXd& responses,
-                       const std::vector<VectorXd>& response_lambda, const std::vector<VectorXd>& response_mu,
-                       const std::vector<MatrixXd>& relaxation) {
-             return ReducedTables{material_model, basis,           lambda,      mu,
-                                  responses,      response_lambda, response_mu, relaxation};
-           }),
-           "material_model"_a, "basis"_a, "lame_lambda"_a, "lame_mu"_a, "responses"_a = MatrixXd(),
-           "response_lambda"_a = std::vector<VectorXd>(), "response_mu"_a = std::vector<VectorXd>(),
-           "relaxation"_a = std::vector<MatrixXd>())
-      .def_readonly("material_model", &ReducedTables::material_model)
-      .def_readonly("basis", &ReducedTables::basis)
+      .def(
+          py::init([](MaterialModel material_model, const MatrixXd& basis, const std::vector<VectorXd>& lambda,
+                      const std::vector<VectorXd>& mu, const MatrixXd& responses,
+                      const std::vector<VectorXd>& response_lambda, const std::vector<VectorXd>& response_mu,
+                      const std::vector<MatrixXd>& relaxation) {
+            return ReducedTables{material_model, basis,           lambda,      mu,
+                                 responses,      response_lambda, response_mu, relaxation};
+          }),
+          "material_model"_a, "basis"_a, "lame_lambda"_a, "lame_mu"_a, "responses"_a = MatrixXd(),
+          "response_lambda"_a = std::vector<VectorXd>(), "response_mu"_a = std::vector<VectorXd>(),
+          "relaxation"_a = std::vector<MatrixXd>(),
+          "Restores stored tables; `reduce` computes them. lame_lambda, lame_mu: for each target the coefficients of "
+          "its tangent for lambda = 1 Pa and mu = 1 Pa: of the constant part K(k, l), of the linear one K(k, l, m) and "
+          "of the quadratic one K(k, l, m, n), for k <= l <= m <= n with the last index fastest; for the linear law "
+          "the first part only. docs/file_format.md has the layout of the others.")
+      .def_readonly("material_model", &ReducedTables::material_model, "How stress follows from strain.")
+      .def_readonly("basis", &ReducedTables::basis, "The modes (3 free, r).")
       .def_readonly("lame_lambda", &ReducedTables::lambda, "Per target, for lambda = 1 Pa.")
       .def_readonly("lame_mu", &ReducedTables::mu, "Per target, for mu = 1 Pa.")
       .def_readonly("responses", &ReducedTables::responses, "The responses (3 free, h), or (0, 0).")
@@ -95,7 +100,9 @@ void bind_reduced(py::module_& m) {
 
   py::class_<ReducedModel, std::shared_ptr<ReducedModel>> reduced(m, "ReducedModel", "The soft skin in r modes.");
   reduced.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, const ReducedTables&, Blending>(),
-              "body"_a.none(false), "targets"_a, "tables"_a, "blending"_a);
+              "body"_a.none(false), "targets"_a, "tables"_a, "blending"_a,
+              "targets: those that the tables were computed for; their materials may have changed. Raises ValueError "
+              "when a table does not fit them, or when a shape displaces pinned nodes.");
   bind_model(reduced);
   bind_skin<ReducedModel>(m, "ReducedSkin");
 }

@@ -240,7 +240,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "self_contact"_a, "friction"_a = 0.5,
           "Where the skin touches itself, from the distance of `set_contact` on, which comes first and drops it; None: "
           "nowhere. friction: of skin on skin.")
-      .def_property_readonly("model", &Sim::shared_model)
+      .def_property_readonly("model", &Sim::shared_model, "The model that it steps.")
       .def_property_readonly(
           "coordinates", [](const Sim& s) { return in_turn(s, [&] { return VectorXd(s.coordinates()); }); },
           "A copy of the coordinates after the last step. The unit is meters times the square root of cubic meters for "
@@ -362,7 +362,10 @@ void bind_coupling_of(py::module_& m, const char* name) {
 }  // namespace
 
 void bind_step(py::module_& m) {
-  py::enum_<Integrator>(m, "Integrator").value("EULER", Integrator::implicit_euler).value("BDF2", Integrator::bdf2);
+  py::enum_<Integrator>(m, "Integrator", "How a step goes on in time. Both are implicit.")
+      .value("EULER", Integrator::implicit_euler,
+             "first order: it damps motion of itself, the more the longer the step")
+      .value("BDF2", Integrator::bdf2, "second order: it damps motion much less");
   bind_grabs(m);
   bind_limit<FullModel>(m, "FullMotionLimit");
   bind_limit<ReducedModel>(m, "ReducedMotionLimit");

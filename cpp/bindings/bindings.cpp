@@ -10,8 +10,10 @@
 
 PYBIND11_MODULE(_core, m) {
   m.doc() = "Dynamorph engine: soft skins from dynamic morph targets.";
-  py::register_exception<dynamorph::Error>(m, "Error", PyExc_RuntimeError);
-  py::register_exception<dynamorph::Cancelled>(m, "Cancelled", PyExc_RuntimeError);
+  py::register_exception<dynamorph::Error>(m, "Error", PyExc_RuntimeError).doc() =
+      "A body that cannot be simulated. The message says what to do.";
+  py::register_exception<dynamorph::Cancelled>(m, "Cancelled", PyExc_RuntimeError).doc() =
+      "A long call ended because its progress function returned False.";
   m.def("set_threads", &dynamorph::set_threads, py::arg("limit"),
         "Uses at most this many cores from now on; 0 means all that the process may use. Results do not depend on it.");
   dynamorph::instruction_set();  // a bad DYNAMORPH_ISA must fail at import, not at the first call

@@ -63,7 +63,9 @@ Points node_displacement(const Model& model, const VectorXd& q) {
 template <class Model>
 void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
   c.def_property_readonly("dofs", &Model::dofs, "Number of coordinates.")
-      .def_property_readonly("body", [](const Model& m) { return std::const_pointer_cast<SoftBody>(m.shared_body()); })
+      .def_property_readonly(
+          "body", [](const Model& m) { return std::const_pointer_cast<SoftBody>(m.shared_body()); },
+          "The data that it shares with other models.")
       .def(
           "energy",
           [](const Model& m, const VectorXd& weights, const VectorXd& q) {

@@ -189,26 +189,32 @@ def cloth(body) -> dict:
 
 def cloth_dynamics(body) -> dict:
     """The asset of Blender 5.2, whose colliders have a modifier of their own."""
-    assets = Path(bpy.utils.system_resource("DATAFILES")) / "assets/nodes/geometry_nodes_dynamics_assets.blend"
-    with bpy.data.libraries.load(str(assets), link=False) as (_, wanted):
-        wanted.node_groups = ["Cloth Dynamics (Experimental)", "Collider"]
-    dynamics, collider = wanted.node_groups
+    dynamics, collider = dynamics_assets("Cloth Dynamics (Experimental)", "Collider")
     ball = bpy.data.objects["Sphere"]
     ball.modifiers.clear()
     ball.modifiers.new("Collider", "NODES").node_group = collider
-    _set_socket(ball.modifiers[0], "Friction", FRICTION)
+    set_socket(ball.modifiers[0], "Friction", FRICTION)
     effectors = bpy.data.collections.new("Effectors")
     effectors.objects.link(ball)
     group = body.vertex_groups.new(name="Held")
     group.add(range(len(body.data.vertices)), HELD, "REPLACE")
     modifier = body.modifiers.new("Cloth Dynamics", "NODES")
     modifier.node_group = dynamics
-    _set_socket(modifier, "Pin Group", group.name)
-    _set_socket(modifier, "Effectors Collection", effectors)
+    set_socket(modifier, "Pin Group", group.name)
+    set_socket(modifier, "Effectors Collection", effectors)
     return {}
 
 
-def _set_socket(modifier, name: str, value) -> None:
+def dynamics_assets(*names: str) -> list[bpy.types.NodeTree]:
+    """Node groups of the assets that Blender 5.2 brings along."""
+    assets = Path(bpy.utils.system_resource("DATAFILES")) / "assets/nodes/geometry_nodes_dynamics_assets.blend"
+    with bpy.data.libraries.load(str(assets), link=False) as (_, wanted):
+        wanted.node_groups = list(names)
+    return wanted.node_groups
+
+
+def set_socket(modifier, name: str, value) -> None:
+    """Set an input of a modifier with nodes: a value, or the name of an attribute."""
     items = modifier.node_group.interface.items_tree
     found = next(item for item in items if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name == name)
     socket = getattr(modifier.properties.inputs, found.identifier)

@@ -28,6 +28,7 @@ import bpy  # noqa: E402
 import characters  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
+from assets import require  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from dynamic_morph_targets.core.character import Target  # noqa: E402
@@ -49,9 +50,7 @@ def main() -> int:
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES, help="nodes of the cages; default: all four")
     parser.add_argument("--keep", action="store_true", help="simulate only what was not simulated before")
     arguments = parser.parse_args()
-    if not BODY.exists():
-        print("convergence: there is no ../shared/assets: nothing is measured")
-        return 0
+    require("convergence", [BODY.name])
     CACHE.mkdir(parents=True, exist_ok=True)
     dynamic_morph_targets.register()
     job = shot()

@@ -17,6 +17,7 @@ import believable_bake
 import bpy
 import characters
 import numpy as np
+from assets import require
 from believable_bake import ROOT, aim, belongs, click, render, seen
 from believable_measure import (
     baked_keys,
@@ -47,7 +48,11 @@ PLAIN = "plain"  # the picture of what the bones alone do
 
 PAGE_TEXT = """# Subtle, Natural and Cartoon
 
-The presets of *Feel* on six bodies, side by side. `make feels` bakes them and writes this page.
+Which *Feel* to choose: the three presets on six bodies, side by side. `make feels` bakes them and writes this page.
+
+*Subtle* is for firm, athletic bodies, *Natural*, the default, for average ones, and *Cartoon* swings farther and
+longer. The verdicts at the right are those that Blender shows after the bake. The clips are the liveliest of their
+files, so a livelier preset may squeeze or press a body too far: take the next calmer preset there, or raise *Bounce*.
 
 {commit}
 
@@ -67,9 +72,7 @@ Each body is baked with the liveliest 48 frames of its clips, or a hop and a twi
 def main() -> int:
     if sys.argv[1:]:
         return bake(Path(sys.argv[1]), Path(sys.argv[2]))
-    if not characters.ASSETS.is_dir():
-        print("feels: there is no ../shared/assets: nothing is written")
-        return 0
+    require("feels", BODIES)
     with ThreadPoolExecutor(2) as pool:
         found = list(pool.map(measured, BODIES))
     write_page(found)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """One moving picture, for gallery.py: a sample scene or a character beside itself, colored by how far the tissue moves.
 
-    python tests/benchmarks/gallery_loop.py NAME FOLDER
+    python tests/benchmarks/gallery_loop.py NAME FOLDER BLENDS
 
-NAME: of gallery.LOOPS. FOLDER gets NAME.webp, and NAME.json with what the page says of it.
+NAME: of gallery.LOOPS. FOLDER gets NAME.webp, and NAME.json with what the page says of it; BLENDS a scene's NAME.blend
+and NAME_baked.blend.
 """
 
 from __future__ import annotations
@@ -26,35 +27,39 @@ import bpy  # noqa: E402
 import characters  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
-from contact_sheet import INK, PAPER, quiet, render  # noqa: E402
+from contact_sheet import quiet, render  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from dynamic_morph_targets.core.geometry import diagonal  # noqa: E402
 from dynamic_morph_targets.run import batch  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402
-from gallery import LOOPS, Loop  # noqa: E402
-from heat import draw_legend, paint  # noqa: E402
-from measures import static_shapes  # noqa: E402
-from PIL import Image, ImageDraw, ImageFont  # noqa: E402
+from gallery import COLLISION, LOOPS, QUALITY, SELF_COLLISION, TARGETS, Loop  # noqa: E402
+from heat import beside, paint, save_loop  # noqa: E402
+from measures import own_motion  # noqa: E402
+from PIL import Image  # noqa: E402
 from portrait import aim  # noqa: E402
+from stage import paint_for_workbench  # noqa: E402
 from subjects import FOLDER, SUBJECTS  # noqa: E402
 
 PANE = (400, 310)
-GAP, HEAD, FOOT = 6, 30, 30  # pixels between panes, above and below them
 FOLLOWS = 12  # frames before and after one in which the middle of what is soft counts
-QUALITY = 80  # of WebP, at most 100
+DISSOLVED = 6  # frames in which a scene's end becomes its beginning
+# What the panes of a scene show: title -> setting.
+WAYS = {
+    TARGETS: {"single material": "SINGLE", "dynamic morph targets": "DYNAMIC"},
+    COLLISION: {"without collision": False, "with collision": True},
+    SELF_COLLISION: {"without self-collision": False, "with self-collision": True},
+    QUALITY: {"Reduced": "REDUCED", "Full": "FULL"},
+}
 
 
 def main() -> int:
-    loop, folder = LOOPS[sys.argv[1]], Path(sys.argv[2])
+    loop, folder, blends = LOOPS[sys.argv[1]], Path(sys.argv[2]), Path(sys.argv[3])
     dynamic_morph_targets.register()
-    panes, found = scene_panes(loop) if loop.scene else character_panes(loop)
+    panes, found = scene_panes(loop, blends) if loop.body else character_panes(loop)
     folder.mkdir(parents=True, exist_ok=True)
-    pictures = [beside(shown, list(panes), found["red"]) for shown in zip(*panes.values(), strict=True)]
-    scene = bpy.context.scene
-    pictures[0].save(
-        folder / f"{loop.name}.webp", save_all=True, append_images=pictures[1:], loop=0, quality=QUALITY, method=6,
-        duration=round(1000 * scene.render.fps_base / scene.render.fps),
-    )  # fmt: skip
+    legend = f"the soft tissue's own motion: gray none, red {found['red']}"
+    pictures = [beside(shown, list(panes), legend) for shown in zip(*panes.values(), strict=True)]
+    save_loop(dissolved(pictures) if loop.body else pictures, folder / f"{loop.name}.webp")
     (folder / f"{loop.name}.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     return 0
 
@@ -74,36 +79,60 @@ class Soft:
 # Sample scenes --------------------------------------------------------------------------------------------------------
 
 
-def scene_panes(loop: Loop) -> tuple[Panes, dict]:
-    """A sample scene with a single material beside dynamic morph targets, or without collision beside with it."""
-    with quiet():
-        bpy.ops.wm.open_mainfile(filepath=str(FOLDER / f"{loop.scene}.blend"))
-    if loop.touched:
-        obj, zoom = bpy.data.objects[loop.touched], 1.0
-        settings, name = obj.dynamorph.collision, "use"
-        ways: dict = {"without collision": False, "with collision": True}
-    else:
-        subject = SUBJECTS[loop.scene]
-        obj, zoom = bpy.data.objects[subject.object], subject.zoom
-        settings, name = obj.dynamorph.model, "method"
-        ways = {"single material": "SINGLE", "dynamic morph targets": "DYNAMIC"}
+def scene_panes(loop: Loop, blends: Path) -> tuple[Panes, dict]:
+    """A sample scene in two ways, each built and baked from nothing. blends: the folder for the second one's files."""
+    subject = SUBJECTS.get(loop.name)
     first, last = loop.frames
-    panes, farthest = {}, {}
-    for title, way in ways.items():
-        setattr(settings, name, way)
+    panes, farthest, found = {}, {}, {}
+    blends.mkdir(parents=True, exist_ok=True)
+    for title, way in WAYS[loop.differs].items():
         with quiet():
+            bpy.ops.wm.open_mainfile(filepath=str(FOLDER / f"{loop.name}.blend"))
+        bpy.context.preferences.filepaths.save_version = 0  # no backup beside the file
+        obj = bpy.data.objects[loop.body]
+        choose(obj, loop.differs, way)
+        with quiet():
+            save_copy(blends / f"{loop.name}.blend")
             job = Job(obj, "BAKE")
             batch.run(job, lambda *_: True)
-        motion = dynamic(job)[first - job.input.settings.frame_start :][: last + 1 - first]
-        panes[title] = list(film([Soft(obj, motion)], range(first, last + 1), loop.red, zoom))
+            save_copy(blends / f"{loop.name}_baked.blend")
+        paint_for_workbench()
+        bpy.context.scene.view_settings.view_transform = "Standard"  # colors as in the legend
+        bpy.context.scene.view_settings.look = "None"
+        motion = own_motion(job.outcome.character, job.outcome.bake)
+        motion = motion[first - job.input.settings.frame_start :][: last + 1 - first]
+        panes[title] = list(film([Soft(obj, motion)], range(first, last + 1), loop.red, subject.zoom if subject else 1))
         farthest[title] = float(motion.max())
-    return panes, {"farthest": farthest, "frames": [first, last], "red": f"{1000 * loop.red:.3g} mm"}
+        found = {"vertices": len(obj.data.vertices)} | figures(job)
+    return panes, found | {"farthest": farthest, "red": f"{1000 * loop.red:.3g} mm"}
 
 
-def dynamic(job: Job) -> np.ndarray:
-    """How far the skin is from the blended shapes of the targets (F, V), meters."""
-    static = static_shapes(job.outcome.character, job.outcome.bake.weights)
-    return np.array([np.linalg.norm(job.outcome.bake.displacement(k) - static[k], axis=1) for k in range(len(static))])
+def choose(obj, differs: str, way) -> None:
+    """Set a soft skin up in one way of WAYS."""
+    if differs == TARGETS:
+        obj.dynamorph.model.method = way
+    elif differs == QUALITY:
+        obj.dynamorph.model.solver = way
+    else:
+        obj.dynamorph.collision.use = way
+
+
+def save_copy(path: Path) -> None:
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, compress=True)
+
+
+def figures(job: Job) -> dict:
+    """What was baked, and in how many seconds."""
+    made, seconds = job.outcome.model.summary, dict(job.progress.seconds)
+    build = seconds.pop("build")
+    full = job.input.solver == "FULL"
+    return {
+        "targets": made.targets,
+        "detail": f"unreduced, {made.dofs:,} degrees of freedom" if full else f"{made.modes} modes",
+        "baked": len(job.input.settings.frames),
+        "build": build,
+        "bake": sum(seconds.values()),
+    }
 
 
 # Characters -----------------------------------------------------------------------------------------------------------
@@ -116,7 +145,8 @@ def character_panes(loop: Loop) -> tuple[Panes, dict]:
     body = characters.largest_skinned()
     rig = characters.armature_of(body)
     found = believable_bake.choose_clip(rig) | {"file": Path(loop.file).name, "seconds": {}}
-    if believable_bake.click(body, found) is None:
+    done = believable_bake.click(body, found)
+    if done is None:
         raise SystemExit(f"{loop.name}: {found['refused']}")
     first, last = found["frames"]
     frames = range(first, last + 1)
@@ -134,7 +164,9 @@ def character_panes(loop: Loop) -> tuple[Panes, dict]:
         believable_measure.show(plain=plain)
         moving = [Soft(each.obj, (not plain) * each.motion) for each in soft]
         panes[title] = list(film(moving, frames, farthest))
-    return panes, found | {"farthest": farthest / size, "red": f"{farthest / size:.1%} of the body's size"}
+    vertices = sum(len(each.obj.data.vertices) for each in soft)
+    found |= {"vertices": vertices, "farthest": farthest / size, "red": f"{farthest / size:.1%} of the body's size"}
+    return panes, found | figures(done)
 
 
 def show_alone(rig) -> None:
@@ -158,9 +190,10 @@ def points_in(frame: int, soft: Sequence[Soft]) -> np.ndarray:
 def film(soft: Sequence[Soft], frames: range, red: float, zoom: float = 1.0) -> Iterator[Image.Image]:
     """Every frame through the scene's camera, colored by the motion. red: the motion that is red, meters; zoom: the
     part of the picture around what is soft, which it follows without what shakes it."""
-    shading = bpy.context.scene.display.shading
-    shading.color_type, shading.show_shadows = "VERTEX", False  # shadows have teeth on skin that bulges
-    middles = np.array([points_in(frame, soft).mean(axis=0) for frame in frames])
+    display = bpy.context.scene.display
+    display.render_aa = "5"  # takes half the time of 8
+    display.shading.color_type, display.shading.show_shadows = "VERTEX", False  # shadows have teeth on skin that bulges
+    middles = np.array([points_in(frame, soft).mean(axis=0) if zoom < 1 else np.zeros(3) for frame in frames])
     for k, frame in enumerate(frames):
         bpy.context.scene.frame_set(frame)
         for each in soft:
@@ -169,17 +202,10 @@ def film(soft: Sequence[Soft], frames: range, red: float, zoom: float = 1.0) -> 
         yield render([frame], PANE, "BLENDER_WORKBENCH", focus={frame: focus}, zoom=zoom)[0]
 
 
-def beside(pictures: Sequence[Image.Image], titles: Sequence[str], red: str) -> Image.Image:
-    """Panes side by side below their titles, and the colors' legend."""
-    width, height = PANE
-    sheet = Image.new("RGB", (len(pictures) * (width + GAP) - GAP, HEAD + height + FOOT), PAPER)
-    draw = ImageDraw.Draw(sheet)
-    font = ImageFont.load_default(16)
-    for k, (picture, title) in enumerate(zip(pictures, titles, strict=True)):
-        sheet.paste(picture, (k * (width + GAP), HEAD))
-        draw.text((k * (width + GAP) + 4, 6), title, INK, font)
-    draw_legend(draw, 4, HEAD + height + 8, f"the soft tissue's own motion: gray none, red {red}")
-    return sheet
+def dissolved(pictures: Sequence[Image.Image]) -> list[Image.Image]:
+    """A loop without a jump: its last pictures become the first ones, which begin it after that."""
+    mixed = [Image.blend(pictures[k - DISSOLVED], pictures[k], (k + 1) / (DISSOLVED + 1)) for k in range(DISSOLVED)]
+    return [*pictures[DISSOLVED:-DISSOLVED], *mixed]
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ import characters
 import dynamorph
 import numpy as np
 import plots
+from assets import require
 from believable_bake import choose_clip
 from dynamic_morph_targets.__main__ import leave
 from dynamic_morph_targets.core.geometry import diagonal
@@ -47,9 +48,14 @@ TRIED = (
 
 PAGE_TEXT = """# What the limits of the motion do
 
-Flesh limits itself, see [theory](theory.md): where a bone drives its tissue faster than that can follow, the load is
-held back, and what still comes near the largest distance is pulled back. `make limit` measures it on characters made
+Why the skin of a character that is thrown about does not fly off, and what that costs. Soft tissue limits itself, see
+[theory](theory.md): where a bone drives its tissue faster than the tissue can follow, the load is held back, and what
+still comes near the largest distance (**Max Displacement**) is pulled back. `make limit` measures it on characters made
 elsewhere, after one click, and writes this page.
+
+The clips are chosen to be extreme. A fish that thrashes out of the water is held back in nearly every step and keeps a
+small part of its unlimited motion, because all of it would carry the skin far away from the bones; a walk keeps nearly
+everything. If your character moves less than you want, raise *Max Displacement* or choose another *Feel*.
 
 {commit}; {machine}; one thread.
 
@@ -102,9 +108,7 @@ class Played:
 
 
 def main() -> int:
-    if not characters.ASSETS.is_dir():
-        print("limit: there is no ../shared/assets: nothing is written")
-        return 0
+    require("limit", CLIPS)
     dynamic_morph_targets.register()
     dynamorph.set_threads(1)
     panels, costs, steps, tried = [], [], [], []

@@ -33,9 +33,13 @@ STAGES = {
 
 OPENING = """# Performance
 
-What the engine and the pipeline cost, measured by `make bench`; `make bench-docs` writes this page and its plots from
-`build/reports/bench.json`. Only the goals and the comparison with VegaFEM are written by hand; they are in
-`tests/benchmarks/table.py`.
+What the engine and the pipeline cost, for those who change them or build on them. How long a character takes an artist,
+and which settings make it longer, is on [How long](how_long.md). `make bench` measures; `make bench-docs` writes this
+page and its plots from `build/reports/bench.json`. Only the goals and the comparison with VegaFEM are written by hand;
+they are in `tests/benchmarks/table.py`.
+
+A goal is what the project asks of itself on this machine. Where it is missed, everything works, only more slowly than
+hoped: *measured / goal* says by how much.
 
 The solid has {dofs:,.0f} degrees of freedom, 4 bones and materials of 100 to 300 kPa; a step is one Newton iteration of
 1/60 s with the bones moving. What runs on one core counts processor time; of repeated runs the fastest counts.

@@ -32,10 +32,11 @@ FAULTS = ROOT / "tests" / "faults.toml"
 LARGE = {"DYNAMORPH_FACES": "2000000", "DYNAMORPH_KILLS": "10"}  # unless they say otherwise; more than in `make test`
 TEXT = """# Reliability
 
-What may go wrong, and what happens then. The rule for all: never a silent wrong result, never lost work; a message
-names the object, the cause and the next step. Each row has tests that are marked with its id, which `make test` runs
-with all others. `make reliability` runs these alone and writes this page; nothing on it is written by hand. The
-largest mesh had {faces:,} faces, and one bake was killed {kills} times. What takes longer is
+What may go wrong in production, and what happens then. The rule for all of it: never a silent wrong result, never lost
+work; a message names the object, the cause and the next step. Look here to find out what Dynamorph does with a broken
+mesh, a full disk, a killed process or a changed rig, before it happens to you. Each row has tests that are marked with
+its id, which `make test` runs with all others. `make reliability` runs these alone and writes this page; nothing on it
+is written by hand. The largest mesh had {faces:,} faces, and one bake was killed {kills} times. What takes longer is
 [at the end](#longer-runs).
 
 {commit}. {machine}.
@@ -125,6 +126,11 @@ def page(groups: dict[str, dict[str, dict[str, str]]], found: dict[str, Shown]) 
 # Longer runs ---------------------------------------------------------------------------------------------------------
 
 HEADING = "\n## Longer runs\n"
+LONGER_TEXT = """
+Searches for bugs that run for minutes to hours: they break things at random, or one at a time, until something fails.
+Each table names the commits at which it was run. A figure in bold under *wrong* or *failures* is a bug that the search
+found at that commit, which is what it is for; what was found is listed below the table.
+"""
 CALLS = ("write", "fsync", "rename", "open", "read")
 TITLES = {
     "faults": """Calls that fail: `make faults`
@@ -161,7 +167,7 @@ def longer_runs() -> str:
     for command, parts in long_runs.found().items():
         kept[command] = kept.get(command, {}) | parts
     LONG_RUNS.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
-    text = HEADING
+    text = HEADING + LONGER_TEXT
     for command, title in TITLES.items():
         parts = kept.get(command)
         text += f"\n### {title}\n\n" + (tabulated(command, parts) if parts else "Not run yet.\n")
@@ -175,7 +181,9 @@ def tabulated(command: str, parts: dict[str, dict]) -> str:
         "coverage": of_coverage,
     }  # fmt: skip
     measured = dict.fromkeys(figures["measured"] for figures in parts.values())
-    return f"{tables[command](parts)}\n" + "".join(f"{each}.\n" for each in measured)
+    listed = "".join(f"- {name}: {each}\n" for name, figures in parts.items() for each in figures.get("wrong", ()))
+    texts = [tables[command](parts), listed, "".join(f"{each}.\n" for each in measured)]
+    return "\n".join(filter(None, texts))
 
 
 def of_faults(parts: dict[str, dict]) -> str:

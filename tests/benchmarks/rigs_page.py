@@ -23,6 +23,7 @@ import bpy  # noqa: E402
 import characters  # noqa: E402
 import numpy as np  # noqa: E402
 import rig_families  # noqa: E402
+from assets import require  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.scene import body_checks  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.scene.skinning import Skinning  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.ui import messages  # noqa: E402
@@ -53,6 +54,7 @@ class Tried:
 
 
 def main() -> int:
+    require("rigs", FILES)
     assert addon_utils.enable(MODULE, default_set=True) is not None
     rows = []
     for family, file, opened in everything():
@@ -64,14 +66,9 @@ def main() -> int:
 
 
 def everything() -> list[tuple[str, str, Callable[[], Tried]]]:
-    """Each family and file, and how to open it; the files that are there."""
+    """Each family and file, and how to open it."""
     found = [(family, FIXTURE, partial(of_family, family)) for family in rig_families.FAMILIES]
-    for file, (family, *shot) in FILES.items():
-        if (characters.ASSETS / file).exists():
-            found.append((family, file, partial(of_file, file, *shot)))
-        else:
-            print(f"rigs: ../shared/assets has no {file}: it is left out")
-    return found
+    return found + [(family, file, partial(of_file, file, *shot)) for file, (family, *shot) in FILES.items()]
 
 
 def of_family(family: str) -> Tried:

@@ -105,6 +105,6 @@ def test_each_collider_that_stops_nothing_is_named_with_its_frames():
     found = found_in([0.0] * 4, [-1] * 4, [[0], [0, 1], [0, BITS], [0]])
     assert found.unusable == (("Ball", 10, 13), ("Bench", 11, 11))
     assert found.texts == [
-        "'Ball' stops nothing at frames 10 to 13: it is scaled to zero there",
-        "'Bench' stops nothing at frame 11: it is scaled to zero there",
+        "'Ball' does not stop anything at frames 10 to 13, because it is scaled to zero there",
+        "'Bench' does not stop anything at frame 11, because it is scaled to zero there",
     ]

@@ -54,7 +54,7 @@ def test_setup_refuses_a_group_that_it_does_not_have():
     if shutil.which("bash") is None:
         pytest.skip("bash is not installed")
     run = subprocess.run(["bash", ROOT / "tools/setup.sh", "nonsense"], capture_output=True, text=True, check=False)
-    assert run.returncode == 2 and "bench, coverage, emulate, farm, openjd, platforms and wheels" in run.stderr
+    assert run.returncode == 2 and "bench, coverage, emulate, farm, openjd, platforms, site and wheels" in run.stderr
 
 
 PYTHON = """#!/bin/bash

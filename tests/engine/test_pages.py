@@ -30,10 +30,10 @@ def test_generated_pages_name_a_commit(name):
 
 
 def test_pictures_of_pages():
-    """A picture that a page shows exists, and one of the user guide is shown by a page."""
+    """A picture that a page shows exists, and one of the interface is shown by a page."""
     pages = [ROOT / "README.md", *measured.DOCS.rglob("*.md")]
     picture = re.compile(r"!\[.*?\]\(([^:)]+)\)")
-    shown = {page.parent / path for page in pages for path in picture.findall(page.read_text("utf-8"))}
+    shown = {(page.parent / path).resolve() for page in pages for path in picture.findall(page.read_text("utf-8"))}
     assert not {path for path in shown if not path.exists()}
     assert not set((measured.DOCS / "images/guide").glob("*.png")) - shown
 

@@ -175,7 +175,7 @@ def test_an_engine_that_another_add_on_has_brought(monkeypatch):
         patch.setattr(metadata, "version", lambda _name: "7.0.0")
         ours = importlib.reload(engine).addon_version()
         with pytest.raises(
-            EngineNotFoundError, match=f"version 7.0.0 and this extension of {ours}: disable the add-on"
+            EngineNotFoundError, match=f"version 7.0.0, but this extension has {ours}: disable the add-on"
         ):
             engine.load()
     importlib.reload(engine).load()

@@ -333,8 +333,8 @@ def drive_a_key():
     driver_of.expression = f"{variable.name} / {math.radians(50)}"
 
 
-@step("Go to Pose, and remove that target", picture=sidebar)
-def targets():
+@step("Go to Pose, and remove that target")
+def remove_target():
     yield from sidebar.press("dynamorph.go_to_pose")
     turned = lambda: math.degrees(rig().pose.bones["forearm"].rotation_euler.z)  # noqa: E731
     yield from until(lambda: abs(turned() - 50) < 0.5, "the pose")

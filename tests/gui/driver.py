@@ -36,7 +36,7 @@ AROUND = 350  # pixels: where of a button that which it opens is looked for
 OPENS = 1500  # pixels that change outside of a button when something opens
 COLUMNS = (0.45, 0.75, 0.86, 0.91, 0.2, 0.6)  # across a region: buttons, fields, beside a list (two), halves of a row
 
-result = {"ok": False, "steps": [], "measured": {}, "pictures": []}
+result = {"ok": False, "steps": [], "measured": {}, "pictures": [], "numbered": {}}
 actions = 0  # clicks, keys and entries so far, as an artist counts them
 scrolls = 0  # how often a button was out of sight
 shown: set[str] = set()  # the panels of the extension that have drawn since it was emptied

@@ -25,9 +25,7 @@ def add_options(bake: argparse.ArgumentParser) -> None:
     bake.add_argument(
         "--collection", type=name_of, metavar="NAME", help="only those in this collection; turns --collision on"
     )
-    bake.add_argument(
-        "--exclude", type=name_of, metavar="GROUP", help="a vertex group in which objects pass through the skin"
-    )
+    bake.add_argument("--exclude", type=name_of, metavar="GROUP", help="a vertex group of skin that ignores objects")
 
 
 def apply(args: argparse.Namespace, obj: bpy.types.Object) -> None:
@@ -60,4 +58,4 @@ def apply(args: argparse.Namespace, obj: bpy.types.Object) -> None:
         settings.bake_full = False
     if args.goal == "BAKE" and args.clips != "actions" and settings.use and run_settings.bake_solver(obj) == "FULL":
         time = bake_time.expected(obj, args.frames, args.substeps)
-        print(f"{obj.name}: what collides is baked in Full Quality: {time}", flush=True)
+        print(f"{obj.name}: colliding bodies are baked in Full Quality: {time}", flush=True)

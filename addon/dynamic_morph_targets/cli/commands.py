@@ -173,7 +173,7 @@ def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], fold
     """The files that --format and --output-file ask for, by mesh name. Raises InputError, ExportError."""
     if args.goal == "BUILD":
         if not (goes_into_blend(args) or args.cache_dir):
-            raise InputError("say where the model goes: --output, --in-place or --cache-dir")
+            raise InputError("specify an output: --output, --in-place or --cache-dir")
         return {}
     chosen_format = format_of(args)
     chosen = exports.FORMATS.get(chosen_format)
@@ -182,7 +182,7 @@ def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], fold
     if args.clips == "actions" and args.frames:
         raise InputError("--clips actions takes the frames of each Action: leave --frames out")
     if not (goes_into_blend(args) or chosen):
-        raise InputError("say where the bake goes: --output or --in-place, or --format with a file for other programs")
+        raise InputError("specify an output: --output or --in-place, or --format with a file for other programs")
     if args.output_file and not (chosen or chosen_format == "PC2"):
         raise InputError("--output-file needs a --format that is a file")
     if not (args.output_file or chosen):
@@ -235,7 +235,7 @@ def refuse_shared(files: dict[str, Path]) -> None:
         if not paths.is_shared((one, other)):
             continue
         if (first, second) == (FILES["file"], FILES["output"]):
-            raise InputError(f"'{other}' is the file that is open: say --in-place to overwrite it")
+            raise InputError(f"'{other}' is the file that is open: use --in-place to overwrite it")
         raise InputError(f"{first} and {second} are the same file '{other}': choose another one")
 
 
@@ -368,7 +368,7 @@ def run_delete_bake(args: argparse.Namespace) -> None:
     for obj in names.objects(args):
         writer.check_free(obj)
         baked = obj.dynamorph.bake
-        removed = f"{len(baked.keys)} baked keys" + (" and what plays the point cache" if baked.cache else "")
+        removed = f"{len(baked.keys)} baked keys" + (" and the modifier of the point cache" if baked.cache else "")
         for text in writer.free(obj):
             print(f"{obj.name}: warning: {text}", file=sys.stderr, flush=True)
         print(f"{obj.name}: {removed} removed")

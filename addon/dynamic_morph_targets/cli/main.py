@@ -9,7 +9,7 @@ program, 75 a file could not be read or written, or memory was short (a full dis
 again), 130 Ctrl-C. A file that can never be written (no such folder, no permission) is bad input, and found before the
 work.
 
---report writes the outcome of a command as JSON, even after a failure. Its keys: docs/file_format.md.
+--report writes the outcome of a command as JSON, even after a failure. Its keys: docs/report.md.
 """
 
 from __future__ import annotations
@@ -160,14 +160,14 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
     root.set_defaults(quiet=False, scene=None)
     commands = root.add_subparsers(title="commands", required=True)
     command = partial(add_command, commands, opens_file)
-    add_report_file(command("check", run_check, "list what prevents a build, and what looks unintended", writes=False))
+    add_report_file(command("check", run_check, "list problems that prevent a build or look unintended", writes=False))
     add_bake(command)
     add_build(command)
     add_report(command)
     add_fit(command)
     add_collect(commands, opens_file)
     command("delete-bake", run_delete_bake, "delete bakes and restore the target keys")
-    command("info", run_info, "print what the file holds", writes=False)
+    command("info", run_info, "print the contents of the file", writes=False)
     return root
 
 
@@ -217,8 +217,8 @@ def add_bake(command: Callable[..., argparse.ArgumentParser]) -> None:
                       help=f"the file of such a format; {paths.OBJECT} in it stands for the object's name; default: "
                       "that name, beside the .blend")  # fmt: skip
     bake.add_argument("--clips", choices=("scene", "actions"), default="scene",
-                      help="actions, for gltf and fbx: one animation per Action of the armature, each simulated on its "
-                      "own, instead of the scene's frames; default: %(default)s")  # fmt: skip
+                      help="which animations a gltf or fbx has: that of the scene's frames, or one per Action of the "
+                      "armature, each simulated on its own; default: %(default)s")  # fmt: skip
     add_settings(bake, "output", OUTPUT_SETTINGS)
     bake.add_argument("--compare-full", action="store_true",
                       help="also say how far the reduced motion is from that of --solver full")  # fmt: skip

@@ -65,7 +65,7 @@ def _check_version() -> None:
         raise EngineNotFoundError("The engine of an earlier version is still loaded: restart Blender")
     if installed_version() not in ("", addon_version()):
         raise EngineNotFoundError(
-            "The engine is of version {engine} and this extension of {addon}: disable the add-on that brings the "
+            "The engine has version {engine}, but this extension has {addon}: disable the add-on that provides the "
             "other one, install the Dynamorph extension again, and restart Blender",
             engine=installed_version(),
             addon=addon_version(),

@@ -21,7 +21,8 @@ PROTECTED = "Choose a folder and a file that can be written to"
 REMEDIES = {
     errno.ENOSPC: FULL, errno.EDQUOT: FULL, errno.EROFS: PROTECTED, errno.EACCES: PROTECTED, errno.EPERM: PROTECTED,
     errno.ENOENT: "Check the path, or make that folder first", errno.ENAMETOOLONG: "Choose a shorter name",
-    errno.EISDIR: "It is a folder: add the name of a file", errno.ENOTDIR: "A part of it is a file: choose another",
+    errno.EISDIR: "This is a folder: add a file name",
+    errno.ENOTDIR: "Part of this path is a file, not a folder: choose another path",
     errno.EINVAL: "Choose another name",
 }  # fmt: skip
 CHECK_DISK = "Check the disk or the network"

@@ -23,7 +23,7 @@ from . import disk
 BLOCK = 4096  # bytes that a trial writes: a full disk still takes empty files
 # Faults that the messages of other programs name in words. "No such file" is not one: Blender says it of a full disk.
 NAMED = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ESTALE, errno.EROFS, errno.EACCES, errno.EFBIG)
-UNREADABLE = "what was written cannot be read back"  # of ours, when nothing else was noticed
+UNREADABLE = "the written data cannot be read back"  # of ours, when nothing else was noticed
 WORDS = {os.strerror(number): number for number in NAMED if not os.strerror(number).startswith("Unknown")}  # on Windows
 WORDS |= {"iostream error": errno.EIO, UNREADABLE: errno.EIO}  # the first is of Alembic
 
@@ -76,7 +76,7 @@ def try_folder(folder: Path) -> None:
     nearest = _existing(folder)
     if not nearest.is_dir():
         raise OSError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(nearest))
-    try_file(nearest / "dynamorph")
+    try_file(nearest / f"{secrets.token_hex(8)}.dynamorph")  # a name that nothing in it has
 
 
 def check_space(path: Path, size: int) -> None:

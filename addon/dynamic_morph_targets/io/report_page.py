@@ -51,7 +51,7 @@ def _are_numbers(values: object) -> bool:
     return isinstance(values, dict) and all(map(_is_number, values.values()))
 
 
-# Of a report, what is read here; docs/file_format.md has the rest.
+# Of a report, what is read here; docs/report.md has the rest.
 IS_BAKE = _has(
     frames=lambda found: isinstance(found, list) and len(found) == 2 and all(map(_is_number, found)),
     max_displacement=_is_number,

@@ -120,7 +120,7 @@ class Grabbing:
         tissue, radius = self._session.tissue, RADIUS * self.size
         vertices, share = pinch(points, place, radius, _moving(tissue.model)[: len(points)])
         if not len(vertices):
-            raise SceneError("This part does not move by itself: grab a softer one")
+            raise SceneError("This part is rigid: grab softer skin")
         self._begin_copy(self.object.find())
         _, shear = tissue.character.material(0).lame()  # of the neutral target
         stiffness = FIRM * shear * radius * skin.unit_scale() * share

@@ -70,24 +70,27 @@ class DynamorphSimulation(PropertyGroup):
     )
     frame_start: IntProperty(
         name="Frame Start",
-        description="First frame of the bake, where Scene Range is off",
+        description="First frame of the bake. Set it when Scene Range is off",
         default=1,
         override=OVERRIDE,
     )
     frame_end: IntProperty(
-        name="Frame End", description="Last frame of the bake, where Scene Range is off", default=250, override=OVERRIDE
+        name="Frame End",
+        description="Last frame of the bake. Set it when Scene Range is off",
+        default=250,
+        override=OVERRIDE,
     )
     speed: FloatProperty(
         name="Speed",
-        description="How fast time passes for the soft skin. Set 0.5 where the animation shows everything at half its "
-        "speed, so that the skin swings as slowly as the rest of the shot moves",
+        description="How fast time passes for the soft skin. Set 0.5 if the animation is in slow motion at half speed, "
+        "so that the skin swings as slowly as the rest of the shot moves",
         default=SimulationSettings.speed, min=0.01, max=10.0, soft_min=0.1, soft_max=2.0, precision=2,
         override=OVERRIDE,
     )  # fmt: skip
     substeps: IntProperty(
         name="Substeps Per Frame",
         description="How many time steps the simulation takes per frame. 0 takes as many as keep a step below 1/120 s. "
-        "Raise it where steps do not converge",
+        "Raise it if steps do not converge",
         default=0, min=0, max=MOST_SUBSTEPS, soft_max=20, override=OVERRIDE,
     )  # fmt: skip
     samples: IntProperty(
@@ -114,13 +117,13 @@ class DynamorphSimulation(PropertyGroup):
     fields: FloatProperty(
         name="Force Fields",
         description="Multiplies the scene's Wind, Force, Vortex and Turbulence fields. Their strength is newtons per "
-        "square meter of skin. Lower it where wind blows too strongly for the skin",
+        "square meter of skin. Lower it if the wind moves the skin too much",
         default=1.0, min=0.0, soft_max=1.0, override=OVERRIDE,
     )  # fmt: skip
     amount: FloatProperty(
         name="Amount",
-        description="How much of the motion shows, in Live and in the next bake. 0 shows none, 1 shows it as "
-        "simulated. Change it for a quick exaggeration, and Bounce for softer tissue",
+        description="How much of the motion is shown, in Live and in the next bake: 0 shows none, 1 shows it as "
+        "simulated. Raise it to exaggerate quickly; for softer tissue, lower Bounce instead",
         default=1.0, min=0.0, max=4.0, soft_max=2.0, subtype="FACTOR", override=OVERRIDE, update=shown_changed,
     )  # fmt: skip
     max_displacement: FloatProperty(
@@ -134,14 +137,13 @@ class DynamorphSimulation(PropertyGroup):
     max_thickness: FloatProperty(
         name="Of Thickness",
         description="How far the skin may move away from the animation, as a fraction of the body's thickness at that "
-        "place. Lower it where thin parts stretch too far. 0 is no limit",
+        "place. Lower it if thin parts stretch too far. 0 is no limit",
         default=NATURAL.max_thickness, min=0.0, max=10.0, soft_max=1.0, precision=2, subtype="FACTOR",
         override=OVERRIDE,
     )  # fmt: skip
     initial_state: EnumProperty(
         name="Initial State",
-        description="The state of the soft tissue at the first frame. Choose Rest Shape where a shot begins with a "
-        "blow",
+        description="The state of the soft tissue at the first frame. Choose Rest Shape if the shot begins with a blow",
         items=(
             (
                 "REST_SHAPE", "Rest Shape",
@@ -165,8 +167,8 @@ class DynamorphSimulation(PropertyGroup):
     )  # fmt: skip
     loop: BoolProperty(
         name="Loop",
-        description="Make the range a cycle, whose last frame continues with its first without a jump. Turn it on for "
-        "walks and other cycles",
+        description="Make the range a cycle, so that its last frame leads into its first without a jump. Turn it on "
+        "for walks and other cycles",
         override=OVERRIDE,
     )  # fmt: skip
 
@@ -198,46 +200,46 @@ class DynamorphCollision(PropertyGroup):
 
     use: BoolProperty(
         name="Collision",
-        description="Let the mesh objects that have Blender's Collision (Physics tab) stop the skin, so that it dents "
-        "instead of passing through them. Their thicknesses are ignored, for which the skin has a Distance",
+        description="Let mesh objects with Blender's Collision (Physics tab) stop the skin, so that it dents instead "
+        "of passing through. Their own thickness is ignored; set Distance instead",
         override=OVERRIDE,
     )  # fmt: skip
     collection: PointerProperty(
         name="Collection",
-        description="Only the objects in this collection stop the skin. Choose one where others that have Collision "
-        "are not for this body",
+        description="Only objects in this collection stop the skin. Choose one if the scene has other objects with "
+        "Collision that should not affect this body",
         type=bpy.types.Collection,
         override=OVERRIDE,
     )
     distance: FloatProperty(
         name="Distance",
-        description="How far from other objects the skin stops, as a fraction of the body's size. Raise it where "
-        "objects show through the skin",
+        description="How far from other objects the skin stops, as a fraction of the body's size. Raise it if objects "
+        "show through the skin",
         default=SimulationSettings.distance, min=0.0, max=0.05, soft_max=0.01, precision=4, subtype="FACTOR",
         override=OVERRIDE,
     )  # fmt: skip
     use_self: BoolProperty(
         name="Self Collision",
-        description="Let the skin stop itself too, as a belly on the thighs or an arm on the chest; what touches at "
-        "rest, or folds at a joint, is left alone. Turn it on where parts of the body pass through each other",
+        description="Let the skin stop itself too, such as a belly on the thighs or an arm on the chest; skin that "
+        "touches at rest, or folds at a joint, is ignored. Turn it on if parts of the body pass through each other",
         override=OVERRIDE,
     )
     use_friction: BoolProperty(
         name="Override Friction",
-        description="Use one friction for all objects instead of their own, which is a tenth of the Friction for "
-        "cloth of their Collision. Turn it on where that serves other simulations",
+        description="Use one friction for all objects instead of a tenth of the cloth friction that each object's "
+        "Collision has. Turn it on if those values are meant for other simulations",
         override=OVERRIDE,
     )
     friction: FloatProperty(
         name="Friction",
-        description="How much the skin clings to what it slides over: 0 is ice, 0.5 dry skin. Raise it where the skin "
-        "slips away",
+        description="How much the skin clings to objects: 0 is like ice, 0.5 like dry skin. Raise it if the skin slips "
+        "too easily",
         default=0.5, min=0.0, max=5.0, soft_max=1.0, precision=2, override=OVERRIDE,
     )  # fmt: skip
     bake_full: BoolProperty(
         name="Bake in Full Quality",
-        description="Bake what collides in Full Quality, whose dents are more exact. Turn it off to bake just what "
-        "Live shows, which takes less time",
+        description="Bake colliding bodies in Full Quality, with more accurate dents. Turn it off to bake what Live "
+        "shows, which is faster",
         default=True, override=OVERRIDE,
     )  # fmt: skip
 
@@ -247,14 +249,18 @@ class DynamorphOutput(PropertyGroup):
 
     format: EnumProperty(
         name="Format",
-        description="What stores the motion and plays it in Blender. Shape Keys suit most shots and game engines",
+        description="How the motion is stored and played in Blender. Shape Keys suit most shots and game engines",
         items=(
             (
                 "MODES", "Shape Keys",
                 "One key and one curve per mode. They are small, editable and suit game engines",
                 0,
             ),
-            ("FRAMES", "Shape Key Per Frame", "The surface at single frames as keys, and curves that blend them", 1),
+            (
+                "FRAMES", "Shape Key Per Frame",
+                "Keys that store the surface at single frames, and curves that blend them",
+                1,
+            ),
             ("PC2", "Point Cache (PC2)", "A file with the surface at every frame, played by a Mesh Cache modifier", 2),
         ),
         default=OutputSettings.format, override=OVERRIDE,
@@ -279,8 +285,8 @@ class DynamorphOutput(PropertyGroup):
 
     bake_to_action: BoolProperty(
         name="Bake to Action",
-        description="Put the curves of the next bake into slots of the Action that the armature plays, instead of an "
-        "Action of their own. Turn it on where one Action should hold the whole performance",
+        description="Store the curves of the next bake in slots of the armature's Action instead of in a separate "
+        "Action. Turn it on to keep the whole performance in one Action",
         override=OVERRIDE,
     )
 

@@ -138,8 +138,8 @@ def _scene_drivers(armature) -> Iterator[Problem]:
     for variable in (each for owner in owners for curve in owner.drivers for each in curve.driver.variables):
         if variable.type == "CONTEXT_PROP" or any(target.id_type == "SCENE" for target in variable.targets):
             yield Problem(
-                "A driver of '{name}' reads '{path}' of the scene, which stands still in a bake: write 'frame' in "
-                "its expression, or keep the property on the armature",
+                "A driver of '{name}' reads '{path}' of the scene, which does not change during a bake: write 'frame' "
+                "in its expression, or keep the property on the armature",
                 name=armature.name,
                 path=variable.targets[0].data_path,
             )

@@ -203,8 +203,8 @@ class ColliderReader:
                 )
         elif counts != self._counts:
             raise SceneError(
-                "'{name}' collides and has other faces from frame {frame} on: keep its number of vertices and faces, "
-                "or turn its Collision off",
+                "'{name}' collides, but its faces change at frame {frame}: keep the number of vertices and faces "
+                "constant, or turn its Collision off",
                 name=self.name,
                 frame=frame,
             )
@@ -244,7 +244,8 @@ def readers(obj, count: int) -> list[ColliderReader]:
 
 def not_numbers(name: str, frame: int) -> str:
     return Message(
-        "'{name}' collides and is not a number at frame {frame}: check its curves, drivers and constraints",
+        "'{name}' collides, but has values that are not numbers at frame {frame}: check its curves, drivers and "
+        "constraints",
         name=name,
         frame=frame,
     )

@@ -169,12 +169,12 @@ def _own_cage(source: Source) -> OwnCage | None:
         raise SceneError(
             "Cage Object '{name}' is disabled in viewports: enable it, and hide it by its eye", name=cage.name
         )
-    with at_rest(source.rig), rig_scene(obj, source.rig) as (scene, _follower):
+    with at_rest(source.rig), rig_scene(obj, source.rig) as (scene, follower):
         scene.collection.objects.link(cage)
         scene.frame_set(bpy.context.scene.frame_start)
         depsgraph = scene.view_layers[0].depsgraph
         evaluated = cage.evaluated_get(depsgraph)
-        to_local = inverse(np.array(obj.evaluated_get(depsgraph).matrix_world)) @ np.array(evaluated.matrix_world)
+        to_local = inverse(np.array(follower.evaluated_get(depsgraph).matrix_world)) @ np.array(evaluated.matrix_world)
         mesh = evaluated.to_mesh()
         points = np.empty((len(mesh.vertices), 3), np.float32)
         mesh.vertices.foreach_get("co", points.ravel())

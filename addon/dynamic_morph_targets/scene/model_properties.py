@@ -49,19 +49,19 @@ class DynamorphAttachment(PropertyGroup):
         name="Attached By",
         description="What moves the attachment",
         items=(
-            ("WITH_BODY", "With Body", "It is in one cage with the body, so that their seam stays closed", 0),
-            ("OWN_CAGE", "Own Cage", "It is simulated by itself, in a cage of its own", 1),
+            ("WITH_BODY", "With Body", "It is simulated in the cage of the body, so that the seam stays closed", 0),
+            ("OWN_CAGE", "Own Cage", "It is simulated separately, in its own cage", 1),
             ("RIGID", "Rigid", "Only its bones move it", 2),
             (
                 "HELD", "Held",
-                "It is as hard as bone, in one cage with the soft skin that it touches, so their seam stays closed",
+                "It is as hard as bone, in the cage of the soft skin that it touches, so that the seam stays closed",
                 3,
             ),
         ),
         default="WITH_BODY", override=OVERRIDE, update=_choice_made,
     )  # fmt: skip
     reason: StringProperty(
-        name="Reason", description="Why the attachment was listed this way. It is empty where the artist has chosen",
+        name="Reason", description="Why the attachment was listed this way. It is empty if the artist has chosen",
         override=OVERRIDE,
     )  # fmt: skip
 
@@ -92,8 +92,8 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     solver: EnumProperty(
         name="Quality",
-        description="How accurately the motion is simulated, in bakes and in Live. Choose Full for the last bake of a "
-        "shot whose ripples matter",
+        description="How accurately the motion is simulated, in bakes and in Live. Choose Full for the final bake of a "
+        "shot in which ripples matter",
         items=(
             ("REDUCED", "Reduced", "Simulates a few characteristic modes, which is fast", 0),
             (
@@ -106,8 +106,8 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     blending: EnumProperty(
         name="Between Targets",
-        description="How the skin looks halfway between two targets. Choose Stiffer Wins where a hard muscle must "
-        "keep its shape",
+        description="How the skin looks halfway between two targets. Choose Stiffer Wins if a hard muscle must keep "
+        "its shape",
         items=(
             ("FORCES", "Stiffer Wins", "The forces are blended, so the stiffer target's shape dominates", 0),
             ("EVEN", "Halfway Shape", "Halfway in pose is halfway in shape, whatever the stiffness", 1),
@@ -116,15 +116,15 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     modes: IntProperty(
         name="Detail (Modes)",
-        description="How many displacement modes Reduced quality simulates, and how many keys a bake of Full "
-        "Quality has at most. With bone responses 120 suit a whole body. Without them 20 suit a limb, and more than "
-        "40 are slow",
+        description="Number of displacement modes that Reduced Quality simulates, and the most keys that a Full "
+        "Quality bake may have. Choose 120 for a whole body with bone responses. Without them, choose 20 for a limb; "
+        "more than 40 are slow",
         default=ModelSettings.modes, min=1, max=400, soft_min=5, soft_max=240,
         override=OVERRIDE,
     )  # fmt: skip
     basis: EnumProperty(
         name="Modes From",
-        description="Which modes Reduced quality uses. Choose Vibration for a single limb",
+        description="Which modes Reduced Quality uses. Choose Vibration for a single limb",
         items=(
             (
                 "MODES", "Vibration",
@@ -156,14 +156,14 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     cage_object: PointerProperty(
         name="Cage Object",
-        description="Closed mesh around the skin in rest pose, as it is when the scene starts. It is filled with "
-        "tetrahedra and replaces the automatic cage. Choose one where that encloses the wrong parts",
+        description="Closed mesh that encloses the skin in rest pose when the scene starts. It is filled with "
+        "tetrahedra and replaces the automatic cage. Choose one if the automatic cage encloses the wrong parts",
         type=bpy.types.Object, poll=_is_other_mesh, update=_cage_chosen, override=OVERRIDE,
     )  # fmt: skip
     pin_radius: FloatProperty(
         name="Bone Pinning",
         description="How far the hold of a bone reaches on the way from the bone to the skin. 0 holds the soft tissue "
-        "only at the bone. Raise it where the body wobbles too much",
+        "only at the bone. Raise it if the body wobbles too much",
         default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR",
         override=OVERRIDE,
     )  # fmt: skip
@@ -207,7 +207,7 @@ class DynamorphMode(PropertyGroup):
 
     gain: FloatProperty(
         name="Amount",
-        description="How much of this mode's motion about the targets' shapes shows, in Live and in the next bake. "
+        description="How much of this mode's motion about the targets' shapes is shown, in Live and in the next bake. "
         "Lower it to calm one ripple",
         default=1.0, min=0.0, max=10.0, soft_max=2.0, override=OVERRIDE, update=shown_changed,
     )  # fmt: skip

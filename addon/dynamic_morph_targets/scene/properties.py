@@ -39,7 +39,7 @@ class DynamorphSettings(PropertyGroup):
     )
     firmness_group: StringProperty(
         name="Firmness",
-        description="Vertex group that is 0 where the skin is softer, 0.5 where it stays as it is, 0.9 where it is "
+        description="Vertex group that is 0 where the skin is softer, 0.5 where it is unchanged, 0.9 where it is "
         "firmer and 1 where the bones hold it. Paint it when a part moves too much or too little",
         override=OVERRIDE,
     )
@@ -51,8 +51,8 @@ class DynamorphSettings(PropertyGroup):
     )
     excluded_group: StringProperty(
         name="Exclude",
-        description="Vertex group in which objects pass through the skin, where its weight is 0.5 or more. Choose one "
-        "where nothing should push the skin, as inside a mouth",
+        description="Vertex group of skin that ignores objects, with a weight of 0.5 or more. Choose one for places "
+        "that nothing should push, such as the inside of a mouth",
         override=OVERRIDE,
     )
     groups: StringProperty(name="Groups", description="Names of the vertex groups, one per line, to follow renames")
@@ -149,8 +149,8 @@ class DynamorphDisplay(PropertyGroup):
     )  # fmt: skip
     firmness: BoolProperty(
         name="Show Firmness",
-        description="Color the skin by how firm it is: blue is softer, green stays as it is, and red is held by the "
-        "bones, because it is painted so or because its part is thin or a head",
+        description="Color the skin by firmness: blue is softer, green is unchanged, and red is held by the bones, "
+        "either because it is painted so or because the part is thin or a head",
         update=_color_surface("firmness"),
     )  # fmt: skip
     max_distance: BoolProperty(
@@ -160,8 +160,8 @@ class DynamorphDisplay(PropertyGroup):
     )  # fmt: skip
     contact: BoolProperty(
         name="Show Contact",
-        description="Draw where something stops the skin that shows: green points where it touches, and red ones "
-        "where it is inside all the same, because the bones leave it no room",
+        description="Show where something stops the visible skin: green points where it touches, red points where it "
+        "is still inside, because the bones leave no room",
         update=_redraw_views,
     )  # fmt: skip
     posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")

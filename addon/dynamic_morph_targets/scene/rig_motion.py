@@ -229,13 +229,14 @@ class RigSampling:
         rig = skinning.rig
         sources = [bpy.context.scene.objects.get(name) for name in self._sources]
         if _moving(skinning, rest_skeleton(rig.data)) != self._moving or None in sources:
-            raise SceneError("'{name}' or what moves it changed while it was read: start again", name=obj.name)
+            text = "'{name}' or something that moves it changed while it was being read: start again"
+            raise SceneError(text, name=obj.name)
         stopping = [self._collider(reader.name) for reader in self._colliders]
         with self._scene.opened(obj, rig, self.probe, (*sources, *stopping)) as (scene, follower):
             if self.probe and self._nodes is None:
                 self._nodes = self.probe.empty_samples(self.count)
             while self.done < self.count:
-                self._read(scene, obj, rig, sources)
+                self._read(scene, obj, follower, rig, sources)
                 for collider, reader in zip(stopping, self._colliders, strict=True):
                     reader.read(self.done, collider.evaluated_get(scene.view_layers[0].depsgraph), self.frame)
                 if self.probe:
@@ -260,17 +261,17 @@ class RigSampling:
         """The object of this name. Raises SceneError."""
         found = bpy.context.scene.objects.get(name)
         if found is None or not colliders.is_collider(found):
-            raise SceneError("'{name}' was removed, or its Collision, while it was read: start again", name=name)
+            raise SceneError("'{name}' or its Collision was removed while it was being read: start again", name=name)
         return found
 
-    def _read(self, scene, obj, rig, sources):
+    def _read(self, scene, obj, follower, rig, sources):
         s = self.done
         scene.frame_set(self.frame, subframe=s % self.substeps / self.substeps)
         depsgraph = scene.view_layers[0].depsgraph  # None before the first frame_set
         evaluated = rig.evaluated_get(depsgraph)
         _read_pose(evaluated, self._columns[s])
         self._rig_world[s] = _rows(evaluated.matrix_world)
-        self._object_world[s] = _rows(obj.evaluated_get(depsgraph).matrix_world)
+        self._object_world[s] = _rows(follower.evaluated_get(depsgraph).matrix_world)
         for source, field in zip(sources, self._fields, strict=True):
             moved = source.evaluated_get(depsgraph)
             field.world[s] = _rows(moved.matrix_world)
@@ -298,7 +299,8 @@ class RigSampling:
                 raise SceneError(not_a_number(self._moving[1], self.start))
         for name, field in zip(self._sources, self._fields, strict=True):
             if not (np.isfinite(field.world).all() and np.isfinite(field.strength).all()):
-                raise SceneError("Force field '{name}' is not a number at some frame: check its drivers", name=name)
+                text = "Force field '{name}' has values that are not numbers at some frame: check its drivers"
+                raise SceneError(text, name=name)
         return samples
 
     def _frame(self, sample) -> int:
@@ -320,8 +322,8 @@ def _force_fields(view_layer) -> list:
             continue
         if field.shape not in {"POINT", "PLANE"} or field.falloff_type != "SPHERE" or field.z_direction != "BOTH":
             raise SceneError(
-                "Force field '{name}' cannot push skin as it is: choose Shape Point or Plane, Falloff Sphere and Z "
-                "Direction Both, or set Force Fields to 0",
+                "Force field '{name}' cannot push skin with these settings: choose Shape Point or Plane, Falloff "
+                "Sphere and Z Direction Both, or set Force Fields to 0",
                 name=obj.name,
             )
         found.append(obj)
@@ -344,12 +346,12 @@ def worlds_at_start(obj, rig) -> list[np.ndarray]:
     SceneError.
     """
     user = bpy.context.scene
-    with rig_scene(obj, rig) as (scene, _follower):
+    with rig_scene(obj, rig) as (scene, follower):
 
         def worlds_at(frame: int) -> list[np.ndarray]:
             scene.frame_set(frame)
             depsgraph = scene.view_layers[0].depsgraph
-            worlds = [np.array(moving.evaluated_get(depsgraph).matrix_world) for moving in (obj, rig)]
+            worlds = [np.array(moving.evaluated_get(depsgraph).matrix_world) for moving in (follower, rig)]
             for moving, world in zip((obj, rig), worlds, strict=True):
                 refuse_overflow(world[None, None], [moving.name], lambda _: frame)
             return worlds

@@ -14,13 +14,18 @@ from .skinning import Skinning
 NAME = ".Dynamorph Sampling"  # Blender hides what begins with a dot in its lists
 SHOWN = "shown"  # custom property: Object.session_uid of what was in other scenes, too
 UNUSED = 1.0  # seconds after which a scene that is kept is removed
+# What places an object that only its parents move; the bone comes after the type, which clears it.
+PARENT = ("parent", "parent_type", "parent_bone", "matrix_parent_inverse")
+PLACE = ("location", "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale", "delta_location",
+         "delta_rotation_euler", "delta_rotation_quaternion", "delta_scale")  # fmt: skip
 
 
 class SamplingScene:
-    """A scene with a rig, so that a frame costs what the rig costs; and an object that follows the mesh object.
+    """A scene with a rig, so that a frame costs what the rig costs; and an object that moves like the mesh object.
 
-    That copies the mesh object's transform, which makes the dependency graph evaluate it, with its parents, constraints
-    and drivers, but not the mesh. It is empty, or a probe's mesh that is skinned like the body.
+    It has the mesh object's parent and place. Where more than parents moves that one, it copies its transform instead:
+    then the dependency graph evaluates its constraints and drivers, and not the mesh, but all curves of its shape keys.
+    It is empty, or a probe's mesh that is skinned like the body.
 
     It is made when it is opened and kept until `close`, because making it costs as much as several frames and makes
     Blender rebuild the artist's dependency graph. `remove_kept` removes it too, wherever it would be seen; so does a
@@ -104,14 +109,33 @@ def remove_scene(scene, *objects):
 def _content_of(obj, rig, probe, others) -> tuple:
     """To be compared."""
     objects = [each.session_uid for each in (obj, rig, *others)]
-    return objects, probe and (id(probe), Skinning.of(obj).settings())
+    place = _place_of(obj)
+    if place and place["parent"]:
+        place["parent"] = place["parent"].session_uid
+    return objects, probe and (id(probe), Skinning.of(obj).settings()), place
+
+
+def _place_of(obj) -> dict | None:
+    """Values of `PARENT`, `rotation_mode` and `PLACE`; None where more than parents moves the object."""
+    animation = obj.animation_data
+    if animation and (animation.action or animation.drivers or animation.nla_tracks):
+        return None
+    if obj.constraints or obj.parent_type not in {"OBJECT", "ARMATURE", "BONE"}:
+        return None
+    parent = {name: getattr(obj, name) for name in PARENT} | {"rotation_mode": obj.rotation_mode}
+    parent["matrix_parent_inverse"] = parent["matrix_parent_inverse"].copy()
+    return parent | {name: tuple(getattr(obj, name)) for name in PLACE}
 
 
 def _fill(scene, obj, rig, probe, others):
     """Put everything into a new sampling scene."""
     scene[SHOWN] = [each.session_uid for each in (rig, *others) if each.users]
     follower = bpy.data.objects.new(NAME, probe and probe.mesh())
-    follower.constraints.new("COPY_TRANSFORMS").target = obj
+    if place := _place_of(obj):
+        for name, value in place.items():
+            setattr(follower, name, value)
+    else:
+        follower.constraints.new("COPY_TRANSFORMS").target = obj
     if probe:
         probe.dress(follower, obj)
     for each in dict.fromkeys((rig, follower, *others)):  # the rig may be one of the others

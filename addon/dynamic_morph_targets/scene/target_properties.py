@@ -153,13 +153,13 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     fade_out_angle: FloatProperty(
         name="Fade-Out Angle",
         description="Distance from its pose, over all its bones, at which the target has faded out. 0 is no limit: it "
-        "reaches until another target is nearer. Set it where the target shows in poses that it is not for",
+        "reaches until another target is nearer. Set it if the target shows in poses that it is not meant for",
         default=0.0, min=0.0, soft_max=np.pi, subtype="ANGLE", override=OVERRIDE,
     )  # fmt: skip
     amount: FloatProperty(
         name="Amount",
-        description="How much of the motion shows in this target's pose and region. Lower it where a pose must hold "
-        "still; 0 shows the sculpted shape alone",
+        description="How much of the motion is shown in this target's pose and region. Lower it for poses that should "
+        "hold still; 0 shows only the sculpted shape",
         default=1.0, min=0.0, max=1.0, subtype="FACTOR", override=OVERRIDE, update=shown_changed,
     )  # fmt: skip
     region: StringProperty(
@@ -196,8 +196,8 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     )  # fmt: skip
     frequency: FloatProperty(
         name="Frequency",
-        description="Natural frequency from which the next build computes the stiffness of this target. 0 keeps the "
-        "stiffness in pascals as it is",
+        description="Natural frequency from which the next build computes the stiffness of this target. 0 leaves the "
+        "stiffness in pascals unchanged",
         default=0.0, min=0.0, max=1000.0, override=OVERRIDE,
     )  # fmt: skip
     by_hand: BoolProperty(
@@ -223,8 +223,8 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     )  # fmt: skip
     mass: FloatProperty(
         name="Mass",
-        description="Mass of the soft tissue in the target's region, with what the bones hold. It sets only the "
-        "density: heavier tissue bounces more slowly",
+        description="Mass of the soft tissue in the target's region, including tissue that the bones hold. It only "
+        "sets the density: heavier tissue bounces more slowly",
         min=1e-12, max=1e12, soft_max=100.0, step=10, precision=3, unit="MASS", options={"SKIP_SAVE"},
         get=_get_mass, set=_set_mass,
     )  # fmt: skip

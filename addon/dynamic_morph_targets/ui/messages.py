@@ -62,7 +62,7 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
         return
     if live.is_on(obj) and not bpy.context.scene.render.use_lock_interface:
         if live.stood_still(obj):
-            text = "Live stood still in the last render: turn on Lock Interface (Render menu) or bake, and render again"
+            text = "Live was frozen in the last render: turn on Lock Interface (Render menu) or bake, and render again"
             yield Problem(text, "LOCK_INTERFACE"), "ERROR"
         else:
             yield Problem("To render Live, turn on Lock Interface", "LOCK_INTERFACE"), "INFO"
@@ -75,20 +75,21 @@ def _quality(obj) -> Iterator[Problem]:
         return
     if not settings.collision.bake_full:
         yield Problem(
-            "'{name}' collides in Reduced Quality, with rough dents: turn Bake in Full Quality on for exact ones, "
-            "which takes longer",
+            "'{name}' collides in Reduced Quality, so its dents are coarse: turn on Bake in Full Quality for accurate "
+            "dents, which takes longer",
             "FULL_QUALITY",
             name=obj.name,
         )
     elif run_settings.bake_solver(obj) == "FULL" and live.is_on(obj):
         yield Problem(
-            "Live is in Reduced Quality, with rough dents. The bake is in Full Quality, with exact ones, and takes "
-            "{time}",
+            "Live uses Reduced Quality, with coarse dents. The bake will use Full Quality, with accurate dents, and "
+            "take {time}",
             "",
             time=bake_time.expected(obj),
         )
     elif run_settings.bake_solver(obj) == "FULL" and not settings.bake.exists:
-        yield Problem("What collides is baked in Full Quality, which takes {time}", "", time=bake_time.expected(obj))
+        text = "Colliding bodies are baked in Full Quality, which takes {time}"
+        yield Problem(text, "", time=bake_time.expected(obj))
 
 
 def _head(skinning: Skinning) -> Iterator[Problem]:

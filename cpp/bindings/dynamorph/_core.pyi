@@ -10,9 +10,13 @@ import typing
 import typing_extensions
 __all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Embedding', 'Error', 'FullContact', 'FullCoupling', 'FullModel', 'FullMotionLimit', 'FullSelfContact', 'FullSimulation', 'FullSkin', 'Grabs', 'Integrator', 'LocalResponses', 'MaterialModel', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedContact', 'ReducedCoupling', 'ReducedModel', 'ReducedMotionLimit', 'ReducedSelfContact', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
-    pass
+    """
+    A body that cannot be simulated. The message says what to do.
+    """
 class Cancelled(RuntimeError):
-    pass
+    """
+    A long call ended because its progress function returned False.
+    """
 class TetMesh:
     """
     A mesh of m tetrahedra and n nodes.
@@ -136,7 +140,7 @@ class PoseSpace:
     """
     def __init__(self, sets: collections.abc.Sequence[TargetSet]) -> None:
         """
-        Raises Error when two targets of a set have the same pose, and names both.
+        sets: their targets, one set after the other, are the columns of `weights`. Raises Error when two targets of a set have the same pose, and names both.
         """
     def distances(self, local: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
@@ -144,20 +148,24 @@ class PoseSpace:
         """
     def weights(self, local: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
-        Weights (S, J) at the local transforms (S, B, 4, 4). The weights of each set are >= 0 and sum to 1. At its own pose, a target has weight 1.
+        Weights (S, J) at the local transforms (S, B, 4, 4). The weights of each set are non-negative and sum to 1. At its own pose, a target has weight 1.
         """
     @property
     def targets(self) -> int:
-        ...
+        """
+        Number of targets J, of all sets.
+        """
 class MaterialModel:
     """
+    How stress follows from strain.
+    
     Members:
     
-      LINEAR
+      LINEAR : small strains: the fastest, but large rotations swell the body
     
-      STVK
+      STVK : St. Venant-Kirchhoff: Green strains, which rotations leave alone
     
-      STABLE_STVK
+      STABLE_STVK : the same, and a body that is crushed pushes back
     """
     LINEAR: typing.ClassVar[MaterialModel]
     STABLE_STVK: typing.ClassVar[MaterialModel]
@@ -199,11 +207,13 @@ class MaterialModel:
         ...
 class Blending:
     """
+    How targets blend between their poses. Both are exact at each target's own pose.
+    
     Members:
     
-      FORCES
+      FORCES : the weighted sum of the targets' forces: the stiffer shape dominates
     
-      EVEN
+      EVEN : also blends the shapes: halfway in pose is halfway in shape
     """
     EVEN: typing.ClassVar[Blending]
     FORCES: typing.ClassVar[Blending]
@@ -266,10 +276,14 @@ class MorphTarget:
         ...
     @property
     def set(self) -> int:
-        ...
+        """
+        Index of its target set.
+        """
     @property
     def shifted(self) -> bool:
-        ...
+        """
+        Whether it has the elasticity of the neutral shape, moved by its displacement.
+        """
 class SoftBody:
     """
     The data that all models of one character share.
@@ -284,7 +298,9 @@ class SoftBody:
         """
     @property
     def free_nodes(self) -> list[int]:
-        ...
+        """
+        Index of the node of each free node, those that are not pinned.
+        """
     @property
     def size(self) -> float:
         """
@@ -300,7 +316,9 @@ class FullModel:
     The unreduced soft skin.
     """
     def __init__(self, body: SoftBody, targets: collections.abc.Sequence[MorphTarget], material_model: MaterialModel, blending: Blending) -> None:
-        ...
+        """
+        targets: of all sets; each set's first is its neutral one. Raises ValueError when a shape does not fit the body or displaces pinned nodes; `SoftBody.extend_shapes` makes shapes that do not.
+        """
     def displacement(self, q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
         """
         Bind-space node displacement (n, 3), meters.
@@ -331,7 +349,9 @@ class FullModel:
         """
     @property
     def body(self) -> SoftBody:
-        ...
+        """
+        The data that it shares with other models.
+        """
     @property
     def dofs(self) -> int:
         """
@@ -358,6 +378,9 @@ class FullSkin:
         Forces on the coordinates (dofs) that do the work of forces on the points (P, 3), newtons, world space.
         """
 class Basis:
+    """
+    The subspace of a soft skin: a few modes.
+    """
     @property
     def U(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
@@ -392,10 +415,14 @@ class ReducedTables:
     The tables that a built reduced model stores. They hold geometry only, no material.
     """
     def __init__(self, material_model: MaterialModel, basis: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], lame_lambda: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], lame_mu: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], responses: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] = ..., response_lambda: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]] = [], response_mu: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]] = [], relaxation: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]] = []) -> None:
-        ...
+        """
+        Restores stored tables; `reduce` computes them. lame_lambda, lame_mu: for each target the coefficients of its tangent for lambda = 1 Pa and mu = 1 Pa: of the constant part K(k, l), of the linear one K(k, l, m) and of the quadratic one K(k, l, m, n), for k <= l <= m <= n with the last index fastest; for the linear law the first part only. docs/file_format.md has the layout of the others.
+        """
     @property
     def basis(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
-        ...
+        """
+        The modes (3 free, r).
+        """
     @property
     def lame_lambda(self) -> list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
         """
@@ -408,7 +435,9 @@ class ReducedTables:
         """
     @property
     def material_model(self) -> MaterialModel:
-        ...
+        """
+        How stress follows from strain.
+        """
     @property
     def relaxation(self) -> list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]]:
         """
@@ -434,7 +463,9 @@ class ReducedModel:
     The soft skin in r modes.
     """
     def __init__(self, body: SoftBody, targets: collections.abc.Sequence[MorphTarget], tables: ReducedTables, blending: Blending) -> None:
-        ...
+        """
+        targets: those that the tables were computed for; their materials may have changed. Raises ValueError when a table does not fit them, or when a shape displaces pinned nodes.
+        """
     def displacement(self, q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
         """
         Bind-space node displacement (n, 3), meters.
@@ -457,7 +488,9 @@ class ReducedModel:
         """
     @property
     def body(self) -> SoftBody:
-        ...
+        """
+        The data that it shares with other models.
+        """
     @property
     def dofs(self) -> int:
         """
@@ -565,11 +598,13 @@ class ReducedSelfContact:
         """
 class Integrator:
     """
+    How a step goes on in time. Both are implicit.
+    
     Members:
     
-      EULER
+      EULER : first order: it damps motion of itself, the more the longer the step
     
-      BDF2
+      BDF2 : second order: it damps motion much less
     """
     BDF2: typing.ClassVar[Integrator]
     EULER: typing.ClassVar[Integrator]
@@ -714,7 +749,9 @@ class FullSimulation:
         """
     @property
     def model(self) -> FullModel:
-        ...
+        """
+        The model that it steps.
+        """
     @property
     def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
         """
@@ -785,7 +822,9 @@ class ReducedSimulation:
         """
     @property
     def model(self) -> ReducedModel:
-        ...
+        """
+        The model that it steps.
+        """
     @property
     def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
         """

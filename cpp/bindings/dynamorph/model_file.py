@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Writes model files: named arrays and a JSON description, in the layout of safetensors.
+"""Writes model files: named arrays and a JSON description, in the layout of safetensors::
 
     8 bytes   length of the header, little-endian
     header    JSON, padded with spaces to a multiple of 8:

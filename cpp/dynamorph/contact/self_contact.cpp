@@ -262,7 +262,7 @@ void SelfContact<Model>::begin(const Body& body) {
     for (const std::vector<int>& cluster : of.parts_[p].clusters) {
       scratch.clusters.emplace_back();
       for (const int ball : cluster) {
-        const Vector3d shape = of.ball_shapes_.middleRows<3>(3 * ball) * skin.weights;
+        const Vector3d shape = of.ball_shapes_.template middleRows<3>(3 * ball) * skin.weights;
         const Vector3d center = of.balls_.posed(of.balls_.skin().transform(skin.now, ball), ball, shape);
         const Vector3d reach = Vector3d::Constant(scratch.scales[p] * of.body_.radius(ball) + skin.margin);
         scratch.centers.row(ball) = center;

@@ -1,43 +1,15 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/file/soft_skin.hpp"
 
-#include <initializer_list>
 #include <map>
 #include <nlohmann/json.hpp>
 
+#include "dynamorph/file/tables.hpp"
 #include "dynamorph/mesh/tet_mesh.hpp"
 
 namespace dynamorph::file {
 
 namespace {
-
-template <class Number>
-using Table = Eigen::Map<const Eigen::Matrix<Number, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
-
-Error incomplete(const std::string& what) {
-  return Error("The stored model is incomplete (" + what + "). Build it again.");
-}
-
-constexpr const char* dtype_of(double) { return "F64"; }
-constexpr const char* dtype_of(float) { return "F32"; }
-constexpr const char* dtype_of(std::int32_t) { return "I32"; }
-constexpr const char* dtype_of(std::uint8_t) { return "BOOL"; }
-
-/// A view (first dimension, all others) of an array in `content`. -1 in `shape` stands for any size.
-template <class Number>
-Table<Number> table(const Content& content, const std::string& name, std::initializer_list<Eigen::Index> shape) {
-  const Array* array = content.find(name);
-  if (!array || array->dtype != dtype_of(Number()) || array->shape.size() != shape.size()) throw incomplete(name);
-  Eigen::Index rows = array->shape[0], columns = 1, axis = 0;
-  for (Eigen::Index expected : shape) {
-    const Eigen::Index size = array->shape[std::size_t(axis)];
-    if (expected >= 0 && size != expected) throw incomplete(name);
-    if (axis++ > 0) columns *= size;
-  }
-  const Table<Number> out(reinterpret_cast<const Number*>(array->bytes.data()), rows, columns);
-  if (std::is_floating_point_v<Number> && !out.allFinite()) throw incomplete(name);
-  return out;
-}
 
 /// Whether an array is empty because the model does not have what it holds.
 bool is_empty(const Content& content, const std::string& name) {
@@ -89,14 +61,17 @@ Built built(const std::string& meta) {
   }
 }
 
-/// The modes at the surface (3V, dofs), local space: those of the embedded points, turned by the inverse of `to_bind`.
-MatrixXd surface_modes(const Content& content, const ReducedModel& model) {
-  Embedding embedding;
-  embedding.nodes = table<std::int32_t>(content, "embedding_nodes", {-1, 4});
-  embedding.weights = table<double>(content, "embedding_weights", {embedding.nodes.rows(), 4});
-  const Eigen::Index n = model.body().mesh.nodes.rows();
-  if (embedding.nodes.size() > 0 && (embedding.nodes.minCoeff() < 0 || embedding.nodes.maxCoeff() >= n))
+Embedding stored_embedding(const Content& content, Eigen::Index nodes) {
+  Embedding out;
+  out.nodes = table<std::int32_t>(content, "embedding_nodes", {-1, 4});
+  out.weights = table<double>(content, "embedding_weights", {out.nodes.rows(), 4});
+  if (out.nodes.size() > 0 && (out.nodes.minCoeff() < 0 || out.nodes.maxCoeff() >= nodes))
     throw incomplete("embedding_nodes");
+  return out;
+}
+
+/// The modes at the surface (3V, dofs), local space: those of the embedded points, turned by the inverse of `to_bind`.
+MatrixXd surface_modes(const Content& content, const ReducedModel& model, const Embedding& embedding) {
   const Matrix3d from_bind = table<double>(content, "to_bind", {3, 3}).inverse();
   if (!from_bind.allFinite()) throw incomplete("to_bind");
   MatrixXd modes = model.skin_points(embedding).basis();
@@ -163,8 +138,9 @@ SoftSkin load_soft_skin(const Content& content, std::vector<MorphTarget> targets
   }
   add_responses(content, tables, J);
   auto model = std::make_shared<ReducedModel>(body, std::move(targets), tables, blending);
-  MatrixXd modes = surface_modes(content, *model);
-  return {std::move(model), how.bone_names, std::move(modes),
+  Embedding embedding = stored_embedding(content, body->mesh.nodes.rows());
+  MatrixXd modes = surface_modes(content, *model, embedding);
+  return {std::move(model), how.bone_names, std::move(embedding), std::move(modes),
           table<double>(content, "residual_shapes", {J, V, 3}).transpose()};
 }
 

@@ -16,6 +16,7 @@ namespace dynamorph::file {
 struct SoftSkin {
   std::shared_ptr<const ReducedModel> model;
   std::vector<std::string> bone_names;  ///< (B); the model has one more bone, the object itself, which comes last
+  Embedding embedding;                  ///< of the surface vertices (V) in the model's tetrahedra
   MatrixXd modes;                       ///< (3V, n) displacement of the surface by each coordinate, local space
   MatrixXd residual_shapes;             ///< (3V, J) the part of the targets' shapes that the nodes cannot represent
 

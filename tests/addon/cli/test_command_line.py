@@ -185,9 +185,9 @@ def test_the_quality_of_a_bake_with_collision_is_said_before_it_with_its_time(sh
     chosen = "--object", "Arm", "--collision", "--in-place"
     code, out, errors = run("bake", shot, *chosen)
     assert code == 2 and "stopped" in errors
-    assert "Arm: what collides is baked in Full Quality: less than a minute" in out
+    assert "Arm: colliding bodies are baked in Full Quality: less than a minute" in out
     _, out, _ = run("bake", shot, *chosen, "--frames", 1, 9000)
-    assert "Arm: what collides is baked in Full Quality: about" in out
+    assert "Arm: colliding bodies are baked in Full Quality: about" in out
 
 
 def test_all_in_place(shot, run, stand_in):
@@ -219,7 +219,7 @@ def test_large_models_follow_the_output(shot, run, stand_in, tmp_path, monkeypat
 @pytest.mark.parametrize(
     "arguments, words",
     [
-        (["bake", "{shot}", "--object", "Arm"], "say where the bake goes"),
+        (["bake", "{shot}", "--object", "Arm"], "specify an output"),
         (["delete-bake", "{shot}", "--object", "Arm"], "--output --in-place is required"),
         (["bake", "{shot}", "-o", "{out}"], "--object --all is required"),
         (
@@ -723,8 +723,8 @@ def test_a_format_that_is_a_file_for_other_programs(shot, run, monkeypatch):
 @pytest.mark.parametrize(
     "arguments, words",
     [
-        ([], "say where the bake goes"),
-        (["--format", "frames"], "say where the bake goes"),
+        ([], "specify an output"),
+        (["--format", "frames"], "specify an output"),
         (["--format", "frames", "--output-file", "x", "--in-place"], "needs a --format that is a file"),
         (["--format", "usd", "--clips", "actions"], "--clips actions needs --format gltf"),
         (["--format", "gltf", "--clips", "actions", "--frames", "1", "9"], "leave --frames out"),

@@ -40,12 +40,8 @@ def run(capfd):
     return run
 
 
-def section(page, title):
-    """A section of a page, up to the next heading of its level."""
-    level = title.split(" ")[0]
-    text = (DOCS / page).read_text(encoding="utf-8")
-    assert f"\n{title}\n" in text
-    return re.split(rf"^{level} ", text.split(f"\n{title}\n")[1], flags=re.MULTILINE)[0]
+def text_of(page):
+    return (DOCS / page).read_text(encoding="utf-8")
 
 
 # The cache folder ---------------------------------------------------------------------------------------------------
@@ -185,28 +181,30 @@ def test_help_has_the_interface_s_names_and_defaults(run):
 # Pages --------------------------------------------------------------------------------------------------------------
 
 
-def test_the_guide_has_every_option(run):
+def test_the_page_has_every_option(run):
     said = "".join(run(command, "--help")[1] for command in EXAMPLES)
     lines = re.findall(r"^  (-.*?)(?:  |$)", said, re.MULTILINE)
     known = {option for line in lines for option in re.findall(r"(?<![\w-])--?[a-z][a-z-]*", line)}
-    named = set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", section("user_guide.md", "## Without the interface")))
+    named = set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", text_of("command_line.md")))
     short_forms = {f"--no-{option[2:]}" for option in known if f"--no-{option[2:]}" in known}
     assert known - named - short_forms == set()
-    assert {option for option in named if option.startswith("--")} - known == {"--version"}  # of the whole command
+    of_all = {"--version", "--help"}
+    assert {option for option in named if re.match("--[a-z]", option)} - known - of_all == set()
 
 
-def test_the_guide_has_every_setting_with_its_name_in_the_panels_and_its_values():
+def test_the_page_has_every_setting_with_its_name_in_the_panels_and_its_values():
     groups = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties
-    expected = []
+    page = text_of("command_line.md")
     for part, names in (*commands.SETTINGS.items(), ("collision", collision.SETTINGS)):
+        _, rows = page.split(f"\n## {part.capitalize()} settings\n")
+        rows = rows.split("\n## ")[0]
+        expected = []
         for name in names:
-            setting, option = groups[part].fixed_type.properties[name], name.replace("_", "-")
-            values = {"BOOLEAN": f"on; `--no-{option}` off", "INT": "a whole number", "FLOAT": "a number"}
-            values["ENUM"] = ", ".join(f"`{item.identifier.lower()}` {item.name}" for item in items_of(setting))
-            expected.append(f"| `--{option}` | {setting.name} | {values[setting.type]} |")
-    page = section("user_guide.md", "### Settings as options")
-    assert [line for line in page.splitlines() if line.startswith("| `--")] == expected
-    assert len(commands.MODEL_SETTINGS) == 11 and "`build` the first eleven" in page
+            setting, option = groups[part].fixed_type.properties[name], f"--{name.replace('_', '-')}"
+            shown = f"`{option}`, `--no-{option[2:]}`" if setting.type == "BOOLEAN" else f"`{option}`"
+            values = [(f"`{option} {item.identifier.lower()}`", item.name) for item in items_of(setting)]
+            expected += [f"| {cell} | {title} |" for cell, title in ((shown, setting.name), *values)]
+        assert re.findall(r"^(\| `--.*? \| .*? \|)", rows, re.MULTILINE) == expected
 
 
 def items_of(setting):
@@ -226,18 +224,24 @@ def keys_in(value):
     return set(value).union(*inner)
 
 
-def test_the_page_has_every_key_of_a_report(shot, run, tmp_path):
+def test_the_page_has_every_key_of_a_report(shot, run, tmp_path, monkeypatch, capfd):
     first, output, report = tmp_path / "a.blend", tmp_path / "b.blend", tmp_path / "report.json"
     found = set()
-    for arguments in (
-        (shot, "--compare-full", "-o", first),
-        (first, "--keep-outside", "--frames", 5, 15, "-o", output),
-        (shot, "--loop", "-o", output),
-        (shot, "--solver", "full", "-o", output),
+    for command, *arguments in (
+        ("check", shot),
+        ("build", shot, "-o", output),
+        ("bake", shot, "--compare-full", "-o", first),
+        ("bake", first, "--keep-outside", "--frames", 5, 15, "-o", output),
+        ("bake", shot, "--loop", "-o", output),
+        ("bake", shot, "--solver", "full", "-o", output),
     ):
-        code, _, errors = run("bake", *arguments, "--all", "--report", report)
+        code, _, errors = run(command, *arguments, "--all", "--report", report)
         assert code == 0, errors
         found |= keys_in(json.loads(report.read_text()))
-    page = section("file_format.md", "# Report")
+    page = text_of("report.md")
     first_column = set(re.findall(r"`(\w+)`", " ".join(re.findall(r"^\| (`.*?`) \|", page, re.MULTILINE))))
     assert found - set(re.findall(r"`(\w+)`", page)) == set() and first_column - found == set()
+    monkeypatch.chdir(tmp_path)
+    (example,) = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    exec(example, {})
+    assert re.search(r"^Arm\n(.|\n)*  largest displacement: 0\.\d+ m$", capfd.readouterr().out, re.MULTILINE)

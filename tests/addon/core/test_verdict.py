@@ -61,8 +61,8 @@ def test_a_verdict_is_read(addon):
     without = {"Largest Load", "Between Frames", "Penetration"}  # of no limits, and without Collision
     assert FAR.figures.keys() - Verdict().figures.keys() == without
     assert FAR.contact_texts == [
-        "The bones take 'thigh_r' 18 mm too deep into 'Bench' at frames 40 to 52: pose them out of it",
-        "'Ball' stops nothing at frames 3 to 5: it is scaled to zero there",
+        "Bone 'thigh_r' pushes the skin 18 mm too deep into 'Bench' at frames 40 to 52: pose it farther out",
+        "'Ball' does not stop anything at frames 3 to 5, because it is scaled to zero there",
     ]
     assert Verdict().contact_texts == replace(FAR, touched=Touched(0.001)).contact_texts == []
     older = {name: value for name, value in json.loads(FAR.record).items() if name != "touched"}

@@ -45,7 +45,8 @@ def test_the_wheels_say_what_they_are(project):
         assert metadata["Version"] == VERSION and metadata["License-Expression"] == "GPL-3.0-or-later"
         assert metadata["Description-Content-Type"] == "text/markdown"
         assert len(metadata.get_payload().split()) > 20
-        assert "Home-page" not in metadata and "Project-URL" not in metadata  # there is none yet
+        urls = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["urls"]
+        assert metadata.get_all("Project-URL", []) == [f"{name}, {url}" for name, url in urls.items()]
 
 
 def test_pip_takes_the_wheels_for_its_python(project, tmp_path):

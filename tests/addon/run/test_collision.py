@@ -269,7 +269,7 @@ def test_what_the_bones_take_too_deep_is_reported(arm):
         ball.keyframe_insert("location", frame=frame)
     job = bake(arm)
     (text,) = job.outcome.verdict.contact_texts
-    assert text.startswith("The bones take '") and "mm too deep into 'Ball' at frames" in text
+    assert text.startswith("Bone '") and "mm too deep into 'Ball' at frames" in text
     assert text in job.warnings and "too deep into 'Ball'" in " ".join(drawn(arm))
     bpy.ops.dynamorph.delete_bake()
     bpy.ops.dynamorph.live()
@@ -288,13 +288,13 @@ def test_a_collider_without_size_is_reported_with_its_frames(arm):
         for point in curve.keyframe_points:
             point.interpolation = "CONSTANT"
     job = bake(arm)
-    text = "'Ball' stops nothing at frames 9 to 13: it is scaled to zero there"
+    text = "'Ball' does not stop anything at frames 9 to 13, because it is scaled to zero there"
     assert job.outcome.verdict.contact_texts == [text] and text in job.warnings
-    assert " ".join(drawn(arm)).count("'Ball' stops nothing at frames 9 to") == 2  # in Result and in Messages
+    assert " ".join(drawn(arm)).count("'Ball' does not stop anything at frames 9 to") == 2  # in Result and in Messages
     bpy.ops.dynamorph.delete_bake()
     bpy.ops.dynamorph.live()
     play(arm, 1, FRAMES)
-    assert "'Ball' stops nothing at frames 9 to" in " ".join(drawn(arm))
+    assert "'Ball' does not stop anything at frames 9 to" in " ".join(drawn(arm))
 
 
 # Bad starts ----------------------------------------------------------------------------------------------
@@ -446,7 +446,7 @@ def test_a_plane_through_the_body_is_reported(arm, ball):
     is_a_plane_through_the_middle(ball)
     job = bake(arm)
     (text,) = job.outcome.verdict.contact_texts
-    assert text.startswith("The bones take '") and "too deep into 'Ball' at frames" in text
+    assert text.startswith("Bone '") and "too deep into 'Ball' at frames" in text
 
 
 @pytest.mark.fault("X05")
@@ -475,7 +475,7 @@ def test_a_collider_that_is_not_a_number_is_refused(arm, ball, what):
             curve.keyframe_points[1].co.y = np.nan
     else:
         ball.data.vertices[3].co.x = np.nan
-    with pytest.raises(SceneError, match="'Ball' collides and is not a number at frame"):
+    with pytest.raises(SceneError, match="'Ball' collides, but has values that are not numbers at frame"):
         bake(arm)
 
 

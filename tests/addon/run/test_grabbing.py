@@ -186,7 +186,7 @@ def test_the_hand_waits_for_what_live_waits_for(live_arm, monkeypatch, where, bu
 
 
 def test_dead_parts_and_skin_that_is_not_live_are_refused(live_arm):
-    with pytest.raises(SceneError, match="does not move by itself"):
+    with pytest.raises(SceneError, match="This part is rigid"):
         held_at(live_arm, shown(live_arm).max(axis=0) + 10.0)
     bpy.ops.dynamorph.live()
     with pytest.raises(SceneError, match="press Live Soft Skin first"):

@@ -898,7 +898,7 @@ def test_live_that_stood_still_in_a_render_is_told_afterward(live_arm, monkeypat
     monkeypatch.setattr(live, "holds_still", lambda _scene: True)  # as in a window without Lock Interface
     scene.frame_set(3)
     monkeypatch.undo()
-    assert "Live stood still in the last render: turn on" in " ".join(drawn(live_arm)) and live.stood_still(live_arm)
+    assert "Live was frozen in the last render: turn on" in " ".join(drawn(live_arm)) and live.stood_still(live_arm)
     assert bpy.ops.dynamorph.fix(problem="LOCK_INTERFACE") == {"FINISHED"} and scene.render.use_lock_interface
     assert "Live st" not in " ".join(drawn(live_arm))
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sample scenes with collision: something is pressed into the skin, which gives way and does not let it in."""
+"""The sample scenes in which the skin is touched: by something that it does not let in, by itself, and by a hand."""
 
 import sys
 from dataclasses import dataclass
@@ -13,10 +13,11 @@ from mathutils import Vector
 
 SAMPLES = Path(__file__).parents[3] / "sample_blends"
 sys.path.append(str(SAMPLES))
+import measures  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.core.geometry import diagonal  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run import batch  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.scene import colliders, extract  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.scene import colliders, extract, mesh_data  # noqa: E402
 
 DEEP, SHALLOW = 0.01, 0.002  # of the body's size: how deep the skin goes without collision, and with it
 
@@ -106,3 +107,51 @@ def test_what_is_pressed_gives_way_and_lets_nothing_in(made):
     assert np.linalg.norm(points - plain, axis=2).max() > DEEP * size
     assert (baked.max(axis=0) > -0.005 * size).all()  # it is touched, not pushed away
     assert job.warnings == [] and job.outcome.verdict.contact_texts == []
+
+
+def opened(name: str, body: str, last: int):
+    """The soft object of a sample scene, which then ends with a frame."""
+    bpy.ops.wm.open_mainfile(filepath=str(SAMPLES / f"{name}.blend"))
+    bpy.context.scene.frame_end = last
+    obj = bpy.data.objects[body]
+    assert warnings_of(obj) == []
+    assert obj.dynamorph.model.solver == "FULL"
+    return obj
+
+
+def baked(body, *frames: int) -> list[np.ndarray]:
+    """Where the skin is in frames (V, 3), after a bake without warnings."""
+    job = Job(body, goal="BAKE")
+    batch.run(job)
+    assert job.warnings == []
+    points = []
+    for frame in frames:
+        bpy.context.scene.frame_set(frame)
+        points.append(skin(body))
+    return points
+
+
+def test_a_folded_limb_flattens_itself(scene):
+    pytest.importorskip("dynamorph", reason="needs the engine")
+    limb = opened("folded_limb", "Limb", 22)
+    triangles = mesh_data.mesh_triangles(limb.data)
+    depths = {}
+    for collides in (False, True):
+        limb.dynamorph.collision.use = collides
+        (points,) = baked(limb, 22)
+        depths[collides] = measures.self_intersections(points, triangles).depth
+    print(depths)
+    assert depths[False] > 0.02
+    assert depths[True] < 0.2 * depths[False]
+
+
+def test_recorded_drags_pull_the_belly_and_let_go(scene):
+    pytest.importorskip("dynamorph", reason="needs the engine")
+    torso = opened("grabbed_belly", "Torso", 26)
+    before, pulled, free = baked(torso, 1, 18, 26)
+    top = before[:, 2].argmax()
+    assert pulled[top, 2] - before[top, 2] > 0.05
+    assert np.linalg.norm(free - before, axis=1).max() < 0.03
+    torso.dynamorph.simulation.use_drags = False
+    before, still = baked(torso, 1, 18)
+    assert np.linalg.norm(still - before, axis=1).max() < 1e-3

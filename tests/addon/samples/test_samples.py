@@ -3,6 +3,7 @@
 the same.
 """
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ import bpy
 import numpy as np
 import pytest
 from builders import warnings_of
+from PIL import Image
 
 SAMPLES = Path(__file__).parents[3] / "sample_blends"
 sys.path.append(str(SAMPLES))
@@ -52,8 +54,14 @@ def test_the_demo_bakes_and_draws(tmp_path):
     command = [sys.executable, SAMPLES / "demo.py", "--draft", "--out", tmp_path]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["bulging_cylinder.png", "bulging_cylinder_baked.blend"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "bulging_cylinder.png", "bulging_cylinder.webp", "bulging_cylinder_baked.blend",
+    ]  # fmt: skip
     assert "160 frames" in done.stdout
+    relaxed, flexed, single = map(float, re.findall(r"([\d.]+) mm", done.stdout.split("In short")[1]))
+    assert flexed < relaxed / 5 and abs(single - relaxed) < relaxed / 5
+    with Image.open(tmp_path / "bulging_cylinder.webp") as loop:
+        assert loop.n_frames > 30
 
 
 def volume(limb):

@@ -102,8 +102,8 @@ def test_add_soft_skin_finds_what_belongs_to_the_body(figure):
     assert attachments(body) == [("Top", "", "WITH_BODY"), ("Cap", "", "HELD"), ("Eye", "", "RIGID")]
     assert [piece.reason for piece in body.dynamorph.attachments] == [
         "It is skinned by the same armature",
-        "Bone 'hand' alone moves it, and it shares points with soft skin",
-        "Bone 'hand' alone moves it",
+        "Only bone 'hand' moves it, and it shares points with soft skin",
+        "Only bone 'hand' moves it",
     ]
     text = " ".join(drawn(body, "DYNAMORPH_PT_physics"))
     assert "Attachments (3)" in text and "It is skinned by the same" in text and "hold_head" in text

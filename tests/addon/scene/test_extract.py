@@ -139,7 +139,7 @@ def test_sampling_notices_what_changed_between_slices(soft_arm):
     sampling = rig_motion.RigSampling(soft_arm, 1, 20, 4)
     sampling.advance(soft_arm, 0.0)
     rig_of(soft_arm).data.bones["lower"].name = "forearm"
-    with pytest.raises(errors.SceneError, match="'Arm' or what moves it changed while it was read"):
+    with pytest.raises(errors.SceneError, match="'Arm' or something that moves it changed while it was being read"):
         sampling.advance(soft_arm, 0.0)
 
 

@@ -10,6 +10,7 @@ from bl_ext.user_default.dynamic_morph_targets.run import batch
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import events, rig_motion, sampling_scene
 from builders import rig_of
+from mathutils import Matrix
 
 
 @pytest.fixture
@@ -140,3 +141,78 @@ def test_edits_of_the_rig_count(begun, soft_arm):
     pose = read_on(sampling, soft_arm)
     np.testing.assert_array_equal(pose[1:], rig_motion.sample_rig(soft_arm, 1, 3, 1).pose[1:])
     assert np.abs(pose[0, 1] - pose[1, 1]).max() > 0.1
+
+
+# How the mesh object moves -------------------------------------------------------------------------------------------
+
+
+def hang_on_bone(obj):
+    rig = rig_of(obj)
+    obj.parent, obj.parent_type, obj.parent_bone = rig, "BONE", "lower"
+    obj.matrix_parent_inverse = Matrix.Rotation(0.3, 4, "Y")
+
+
+def hang_on_moving_empty(obj):
+    empty = bpy.data.objects.new("Root", None)
+    bpy.context.scene.collection.objects.link(empty)
+    for frame, x in ((1, 0.0), (5, 2.0)):
+        empty.location.x = x
+        empty.keyframe_insert("location", frame=frame)
+    obj.parent = empty
+
+
+def turn_by_quaternion(obj):
+    obj.rotation_mode, obj.rotation_quaternion = "QUATERNION", (0.9, 0.1, 0.3, 0.2)
+    obj.delta_location, obj.delta_scale = (0.1, 0.2, 0.3), (1.1, 1.2, 1.3)
+    obj.delta_rotation_quaternion = (0.8, 0.3, 0.0, 0.1)
+
+
+def turn_about_an_axis(obj):
+    obj.rotation_mode, obj.rotation_axis_angle = "AXIS_ANGLE", (0.7, 0.3, 0.9, 0.1)
+
+
+def follow(obj):
+    obj.constraints.new("COPY_LOCATION").target = rig_of(obj)
+
+
+def animate(obj):
+    for frame, x in ((1, 0.0), (5, 2.0)):
+        obj.location.x = x
+        obj.keyframe_insert("location", frame=frame)
+
+
+def drive(obj):
+    obj.driver_add("location", 2).driver.expression = "frame / 10"
+
+
+MOVES = [hang_on_bone, hang_on_moving_empty, turn_by_quaternion, turn_about_an_axis, follow, animate, drive]
+
+
+@pytest.mark.parametrize("move", MOVES, ids=lambda move: move.__name__)
+def test_world_transforms_are_blenders(soft_arm, move):
+    soft_arm.location, soft_arm.rotation_euler, soft_arm.scale = (0.1, 0.2, 0.3), (0.3, 0.1, 0.2), (1.2, 0.9, 1.1)
+    move(soft_arm)
+    read = rig_motion.sample_rig(soft_arm, 1, 5, 1).object_world
+    for frame, world in enumerate(read, 1):
+        bpy.context.scene.frame_set(frame)
+        shown = soft_arm.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        np.testing.assert_array_equal(world, np.array(shown.matrix_world)[: world.shape[0]])
+
+
+def test_curves_of_shape_keys_are_not_evaluated(begun, soft_arm):
+    """A bake has hundreds."""
+    soft_arm.data.shape_keys.key_blocks[-1].keyframe_insert("value", frame=1)
+    begun.advance(soft_arm, 0.0)
+    (scene,) = kept()
+    names = {each.name for each in scene.view_layers[0].depsgraph.ids}
+    assert rig_of(soft_arm).name in names
+    assert not names & {soft_arm.data.shape_keys.name, soft_arm.data.shape_keys.animation_data.action.name}
+
+
+def test_moving_the_mesh_counts(begun, soft_arm):
+    soft_arm.location.x += 1.0
+    begun.advance(soft_arm, 0.0)
+    soft_arm.location.x += 1.0
+    read_on(begun, soft_arm)
+    moved = begun.samples().object_world[:, 0, 3]
+    assert moved[2] - moved[1] == pytest.approx(1.0) and moved[3] - moved[2] == pytest.approx(0.0, abs=1e-6)

@@ -118,7 +118,7 @@ def test_the_quality_of_a_bake_is_said_before_it_with_its_time(soft_arm, monkeyp
     settings.collision.use = True
     assert "Quality" not in " ".join(drawn(soft_arm))  # nothing collides yet
     make_box()
-    assert "What collides is baked in Full Quality, which takes less than a minute" in " ".join(drawn(soft_arm))
+    assert "Colliding bodies are baked in Full Quality, which takes less than a minute" in " ".join(drawn(soft_arm))
     assert "Bakes in Full Quality: less than a minute" in " ".join(drawn(soft_arm, PHYSICS))
     monkeypatch.setitem(bake_time.steps, soft_arm.session_uid, 1.5)  # as the last bake measured
     assert "Bakes in Full Quality: about 2 min" in " ".join(drawn(soft_arm, PHYSICS))  # 19 frames of 5 steps

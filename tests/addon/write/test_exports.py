@@ -188,7 +188,7 @@ def test_drivers_actions_and_influence_are_exported_as_shown(scene, baked, tmp_p
     driver.expression = "0.05 * frame"
     influence.influence_strip(obj).influence = 0.5
     exact, before = posed("Arm"), fingerprint(obj)
-    assert any("drivers are left out" in text and "smile" in text for text in losses.losses(obj, "GLTF"))
+    assert any("drivers are not exported" in text and "smile" in text for text in losses.losses(obj, "GLTF"))
     path = written(obj, "GLTF", tmp_path)
     assert fingerprint(obj) == before
     assert off("GLTF", path, exact) < CLOSE
@@ -271,7 +271,7 @@ LOSSES = {
     "1 vertices follow more than 4 bones": more_bones,
     "no vertex groups of shape keys, .* smile will": limit,
     "none relative to others than 'Basis': smile will": make_relative,
-    "drivers are left out, .* smile": drive,
+    "drivers are not exported; .* smile": drive,
 }
 
 
@@ -347,7 +347,7 @@ def test_export_check_says_where_surfaces_are_those_of_renders(baked, tmp_path, 
     thick = obj.modifiers.new("Thick", "SOLIDIFY")
     thick.show_render = False
     (text,) = losses.losses(obj, key)
-    assert "modifier 'Thick' is on in viewports or in renders alone" in text
+    assert "modifier 'Thick' is on only in viewports or only in renders" in text
     assert in_file(obj, key, tmp_path) == count
     obj.modifiers.remove(thick)
     obj.modifiers.new("Smooth", "SUBSURF")
@@ -383,7 +383,7 @@ def test_a_hidden_armature_is_named_before_the_export(baked, key):
     """Which refuses it, after the file was chosen."""
     obj, _ = baked
     rig_of(obj).hide_set(True)
-    assert "'Arm Rig' is hidden, so Blender exports nothing of it: show it" in list(losses.losses(obj, key))
+    assert "'Arm Rig' is hidden, so Blender does not export it: unhide it" in list(losses.losses(obj, key))
     rig_of(obj).hide_set(False)
     assert not any("is hidden" in text for text in losses.losses(obj, key))
 
@@ -420,7 +420,7 @@ def test_export_check_sees_keys_that_stand_at_0_now(baked):
         smile.keyframe_insert("value", frame=frame)
     bpy.context.scene.frame_set(1)
     assert smile.value == 0.0
-    assert list(losses.losses(obj, "RAW")) == ["A raw clip has the bake's keys alone: smile is left out"]
+    assert list(losses.losses(obj, "RAW")) == ["A raw clip has only the bake's keys: smile is left out"]
 
 
 def test_a_muted_key_is_not_shown(scene, baked, tmp_path):
@@ -502,7 +502,7 @@ def test_frames_before_0_are_written_or_refused(baked, tmp_path, key):
 def test_refused(baked, tmp_path):
     obj, _ = baked
     error = errors.ExportError
-    with pytest.raises(error, match="no folder '.*nowhere'"):
+    with pytest.raises(error, match="folder '.*nowhere' .* does not exist"):
         export_actions.export(obj, "RAW", tmp_path / "nowhere" / "arm.npz", FRAMES)
     obj.hide_set(True)
     with pytest.raises(error, match="'Arm' is hidden"):

@@ -191,7 +191,7 @@ def test_the_map_colors_the_skin(soft_arm):
         viewport.painted(context, soft_arm)
     OPS.paint_firmness()
     values, title, texts = viewport.painted(context, soft_arm)
-    assert (title, texts) == ("Firmness", ["soft", "as it is", "held"]) and (values[soft_arm.session_uid] == 0.5).all()
+    assert (title, texts) == ("Firmness", ["soft", "unchanged", "held"]) and (values[soft_arm.session_uid] == 0.5).all()
     paint(soft_arm, "Firmness", points(soft_arm)[:, 2] > 1.0)
     context.view_layer.update()
     shown = viewport.painted(context, soft_arm)[0][soft_arm.session_uid]

@@ -251,7 +251,7 @@ class Touched:
     @property
     def texts(self) -> list[Message]:
         """What did not go as the artist wants it, in sentences."""
-        text = "'{name}' stops nothing at {frames}: it is scaled to zero there"
+        text = "'{name}' does not stop anything at {frames}, because it is scaled to zero there"
         without = [Message(text, name=name, frames=named_frames(*frames)) for name, *frames in self.unusable]
         return [self.too_deep, *without] if self.too_deep else without
 
@@ -261,7 +261,7 @@ class Touched:
         if self.depth <= 0.0:
             return None
         return Message(
-            "The bones take '{bone}' {depth:.3g} mm too deep into '{collider}' at {frames}: pose them out of it",
+            "Bone '{bone}' pushes the skin {depth:.3g} mm too deep into '{collider}' at {frames}: pose it farther out",
             bone=self.bone,
             depth=1000.0 * self.depth,
             collider=self.collider,

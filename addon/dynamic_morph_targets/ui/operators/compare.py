@@ -25,7 +25,7 @@ _left_out: list[bpy.types.Action] = []  # of the file that is being saved
 
 
 class DYNAMORPH_OT_show_plain(SoftSkinOperator, Operator):
-    """Show the mesh as the rig alone moves it, for comparison. Pressing again or saving the file shows the soft skin"""
+    """Show the mesh moved only by the rig, for comparison. Pressing again or saving the file shows the soft skin"""
 
     bl_idname = "dynamorph.show_plain"
     bl_label = "Show Plain Skinning"

@@ -52,7 +52,7 @@ class DYNAMORPH_OT_apply_feel(SoftSkinOperator, Operator):
     @classmethod
     def description(cls, _context, given):
         feel = FEELS[given.feel]
-        text = rpt_("{feel}. It sets Bounce to {frequency:g} Hz and the limits. Targets set by hand stay as they are")
+        text = rpt_("{feel}. It sets Bounce to {frequency:g} Hz and the limits. Targets set by hand are not changed")
         return text.format(feel=rpt_(feel.tooltip), frequency=feel.frequency)
 
     def apply(self, obj):
@@ -97,7 +97,7 @@ class DYNAMORPH_OT_show_worst(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_stiffen(StartsJob, Operator):
-    """Raise Bounce by as much as the verdict on the bake asks for, even where it was set by hand, and bake again"""
+    """Raise Bounce by as much as the verdict on the bake asks for, even if it was set by hand, and bake again"""
 
     bl_idname = "dynamorph.stiffen"
     bl_label = "Raise Bounce and Bake"

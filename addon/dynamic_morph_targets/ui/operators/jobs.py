@@ -196,7 +196,7 @@ class DYNAMORPH_OT_bake(JobOperator, Operator):
 
 
 class DYNAMORPH_OT_bake_all(JobOperator, Operator):
-    """Bake every soft skin of the scene, one after the other. None of them changes before all are done"""
+    """Bake all soft skins of the scene, one after the other. Nothing changes until all bakes are done"""
 
     bl_idname = "dynamorph.bake_all"
     bl_label = "Bake All"

@@ -28,7 +28,7 @@ class Paint(SoftSkinOperator):
 
 
 class DYNAMORPH_OT_paint_firmness(Paint, Operator):
-    """Paint the Firmness map in Weight Paint: 0 is softer, 0.5 as it is, 1 held by the bones. Press again to leave"""
+    """Paint the Firmness map in Weight Paint: 0 is softer, 0.5 unchanged, 1 held by the bones. Press again to leave"""
 
     bl_idname = "dynamorph.paint_firmness"
     bl_label = "Paint Firmness"
@@ -36,7 +36,7 @@ class DYNAMORPH_OT_paint_firmness(Paint, Operator):
 
 
 class DYNAMORPH_OT_paint_max_distance(Paint, Operator):
-    """Paint the Max Distance map in Weight Paint: 1 moves as it does, 0 follows the bones. Press again to leave"""
+    """Paint the Max Distance map in Weight Paint: 1 moves as before, 0 follows the bones. Press again to leave"""
 
     bl_idname = "dynamorph.paint_max_distance"
     bl_label = "Paint Max Distance"
@@ -76,7 +76,7 @@ class Mirror(SoftSkinOperator):
     def apply(self, obj):
         alone = painting.mirror(obj, self.of, self.to)
         if alone:
-            text = rpt_("{count} vertices have no mirror image and stay as they are")
+            text = rpt_("{count} vertices have no mirror image and are unchanged")
             self.report({"WARNING"}, text.format(count=alone))
 
 

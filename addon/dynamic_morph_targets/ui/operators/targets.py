@@ -177,7 +177,7 @@ class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
 
     overwrite: BoolProperty(
         name="Overwrite",
-        description="Replace the shape of an existing shape key of the other side. Otherwise that key is used as it is",
+        description="Replace the shape of an existing shape key of the other side. If off, that key is used unchanged",
     )
 
     def apply(self, obj):

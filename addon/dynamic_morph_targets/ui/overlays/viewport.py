@@ -191,7 +191,7 @@ def painted(context, obj) -> tuple[dict[int, np.ndarray], str, list[str]] | None
         limit = heat.limit_of(obj)
         return heat.displacements(obj), iface_("Displacement, of Size"), ["0", f"{limit / 2:.2%}", f"{limit:.2%}"]
     if display.firmness:
-        return heat.firmness(obj), iface_("Firmness"), [iface_("soft"), iface_("as it is"), iface_("held")]
+        return heat.firmness(obj), iface_("Firmness"), [iface_("soft"), iface_("unchanged"), iface_("held")]
     if display.max_distance:
         return heat.max_distance(obj), iface_("Max Distance"), [iface_("bones only"), "50%", iface_("as set")]
     return None

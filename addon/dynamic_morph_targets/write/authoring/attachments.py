@@ -264,8 +264,8 @@ def _add_mesh(obj, each: _Found, whole: bool, touches: np.ndarray, names) -> str
         return _add(obj, each.obj, "", "WITH_BODY", "It is skinned by the same armature")
     bone = [*names, "none"][each.bones[0]]
     if touches.any():
-        return _add(obj, each.obj, "", "HELD", f"Bone '{bone}' alone moves it, and it shares points with soft skin")
-    return _add(obj, each.obj, "", "RIGID", f"Bone '{bone}' alone moves it")
+        return _add(obj, each.obj, "", "HELD", f"Only bone '{bone}' moves it, and it shares points with soft skin")
+    return _add(obj, each.obj, "", "RIGID", f"Only bone '{bone}' moves it")
 
 
 def _covered(obj, each: _Found) -> np.ndarray:

@@ -21,7 +21,7 @@ def add_collision(obj, others) -> list[str]:
     worn = {each for pair in colliders.garments([obj, *others]) if obj in pair for each in pair}
     for other in others:
         if belongs(other) and other not in worn:
-            text = "'{name}' belongs to '{body}', which it cannot collide with"
+            text = "'{name}' belongs to '{body}', so the two cannot collide: select other objects"
             raise SceneError(text, name=other.name, body=obj.name)
         if not other.is_editable:
             raise SceneError("'{name}' is linked, so the change would be lost: make it local", name=other.name)
@@ -56,7 +56,7 @@ def add_floor(obj):
     """
     points = _shown_points(obj)
     if not np.isfinite(points).all():
-        raise SceneError("'{name}' has points that are not numbers: undo what moved it", name=obj.name)
+        raise SceneError("'{name}' has points that are not numbers: undo the edit that moved them", name=obj.name)
     low, high = points.min(axis=0), points.max(axis=0)
     half = 0.5 * FLOOR * float((high - low).max())
     mesh = bpy.data.meshes.new("Floor")

@@ -216,14 +216,17 @@ FIXES = {
         _weight_like_nearest,
     ),
     "LOCK_INTERFACE": Fix(
-        "Lock Interface", "Let Blender hold its window while it renders, so that Live can move the skin then",
+        "Lock Interface", "Lock Blender's interface during renders, so that Live can move the skin",
         _lock_interface,
     ),
     "FULL_QUALITY": Fix(
-        "Bake in Full Quality", "Bake with every node of the cage, for exact dents",
+        "Bake in Full Quality", "Bake with every node of the cage, for accurate dents",
         _full_quality,
     ),
-    "COLLIDE": Fix("Collide", "Give what cuts the body Blender's Collision, and let it stop the skin", _collide),
+    "COLLIDE": Fix(
+        "Collide", "Give the objects that cut the body Blender's Collision, and let them stop the skin",
+        _collide,
+    ),
     "NO_HEAD": Fix("There Is No Head", "Turn Hold Head off: everything is as soft as it is painted", _no_head),
-    "UNPIN": Fix("Show All Shape Keys", "Show the mix of all shape keys, not the active one alone", _unpin),
+    "UNPIN": Fix("Show All Shape Keys", "Show the mix of all shape keys, not only the active one", _unpin),
 }  # fmt: skip

@@ -113,8 +113,8 @@ def check_local(*blocks):
         if block.library or block.override_library:
             how = "linked" if block.library else "a library override"
             raise WriteError(
-                "{kind} '{name}' is {how}, so what is made here would be lost on save: make it local (Object > "
-                "Relations > Make Local > Selected Objects and Data)",
+                "{kind} '{name}' is {how}, so the result would be lost on save: make it local (Object > Relations > "
+                "Make Local > Selected Objects and Data)",
                 kind=block.bl_rna.name,
                 name=block.name,
                 how=how,

@@ -17,7 +17,7 @@ import bpy
 import numpy as np
 
 BEGIN = "dynamorph: the export begins"
-UNREADABLE = "what was written cannot be read back"  # as in `io/outputs`
+UNREADABLE = "the written data cannot be read back"  # as in `io/outputs`
 
 
 def run(job):

@@ -2,7 +2,8 @@
 """A baked character as a file of another format, and what that format leaves out.
 
 Blender's own exporters write what Blender shows: glTF and FBX the shape keys as morph targets with their values at each
-frame, Alembic and USD the posed surface. A raw clip is the bake alone, before skinning, for other engines.
+frame, Alembic and USD the posed surface. A raw clip is the bake alone, before skinning, for other engines. A soft skin
+is the model and its character, to be simulated elsewhere.
 """
 
 from __future__ import annotations
@@ -16,15 +17,15 @@ import bpy
 import numpy as np
 
 from ...core.errors import ExportError
-from ...io import glb, outputs, point_cache, whole
-from ...scene import animation, checks, identity, skin, staleness
+from ...io import glb, outputs, whole
+from ...scene import animation, checks, skin, staleness
 from ...scene.references import key_points, rig_of
 from ...scene.skin import shown_attachments
 from ...scene.skinning import meshes_on
 from .. import actions
-from ..bake import reading, writer
+from ..bake import writer
 from ..reconcile import reconcile
-from . import process
+from . import own_formats, process
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Format:
     character, raises RuntimeError, OSError, MemoryError; skins: whether it contains armature and keys, and so a clip
     for each Action; surface: whether it contains the resulting surface; has_parts: whether other files belong to it;
     scenes: whether its frames are those of the scene, which must not be before 0; option: of bpy.app.build_options that
-    it needs.
+    it needs; check(obj): instead of asking for a bake.
     """
 
     label: str
@@ -45,6 +46,7 @@ class Format:
     has_parts: bool = False
     scenes: bool = False
     option: str = ""
+    check: Callable | None = None
 
     @property
     def is_available(self) -> bool:
@@ -72,10 +74,10 @@ def check_place(obj, key: str, path: Path, frames: tuple[int, int]):
     shown = (obj, rig_of(obj), *_followers(obj))
     hidden = next((other for other in shown if other and not other.visible_get()), None)
     if hidden:
-        raise ExportError("'{name}' is hidden, so Blender exports nothing of it: show it", name=hidden.name)
+        raise ExportError("'{name}' is hidden, so Blender does not export it: unhide it", name=hidden.name)
     if not path.parent.is_dir():
         raise ExportError(
-            "There is no folder '{folder}' to write '{name}' to: choose another", folder=path.parent, name=path.name
+            "The folder '{folder}' for '{name}' does not exist: choose another", folder=path.parent, name=path.name
         )
     outputs.try_file(path)
     outputs.check_space(path, _size(obj, chosen, frames))
@@ -139,8 +141,11 @@ def _size(obj, chosen: Format, frames: tuple[int, int], without=()) -> int:
 
 
 def check_bake(obj, key: str):
-    """Refuse a missing bake, or one in a form that the format cannot write. Raises ExportError."""
+    """Refuse a missing bake, or one in a form that the format cannot write. Raises ExportError, SceneError."""
     chosen = FORMATS[key]
+    if chosen.check:
+        chosen.check(obj)
+        return
     record = obj.dynamorph.bake
     keys = animation.baked_keys(obj).intersection(animation.keys_of(obj).keys())
     shown = skin.cache_modifier(obj) if record.cache else keys
@@ -177,7 +182,8 @@ def _write_gltf(obj, collection: str, path: Path, frames, takes):
         )  # fmt: skip
     if takes:
         parts = {clip.name: (clip.first - frames[0], clip.last - frames[0]) for clip in takes}
-        path.write_bytes(glb.split_animation(path.read_bytes(), parts, _fps()))
+        render = bpy.context.scene.render
+        path.write_bytes(glb.split_animation(path.read_bytes(), parts, render.fps / render.fps_base))
 
 
 def _write_fbx(obj, collection: str, path: Path, frames, takes):
@@ -204,16 +210,6 @@ def _write_usd(_obj, collection: str, path: Path, frames, _takes):
     )  # fmt: skip
 
 
-def _write_raw(obj, _collection: str, path: Path, _frames, _takes):
-    """One row per frame, whatever the bake's samples are, because players count frames."""
-    path.write_bytes(point_cache.raw(reading.read_back(obj), identity.body_points(obj), _fps()))
-
-
-def _fps() -> float:
-    render = bpy.context.scene.render
-    return render.fps / render.fps_base
-
-
 FORMATS = {
     "GLTF": Format("glTF", ".glb", "Morph targets and bones, for engines and the web", _write_gltf, skins=True,
                    scenes=True),
@@ -223,7 +219,10 @@ FORMATS = {
                       surface=True, option="alembic"),
     "USD": Format("USD", ".usdc", "The posed surface at every frame", _write_usd, surface=True,
                   has_parts=True, scenes=True, option="usd"),
-    "RAW": Format("Raw Clip", ".npz", "Modes and their values, for NumPy and runtime/dynamorph.h", _write_raw),
+    "RAW": Format("Raw Clip", ".npz", "Modes and their values, for NumPy and runtime/dynamorph.h",
+                  own_formats.write_raw),
+    "SOFT_SKIN": Format("Soft Skin", ".dynamorph", "All that other programs need to simulate it",
+                        own_formats.write_soft_skin, check=own_formats.check_soft_skin),
 }  # fmt: skip
 
 

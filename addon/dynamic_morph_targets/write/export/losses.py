@@ -22,6 +22,8 @@ MOST_BONES = 4  # per vertex that glTF writes
 
 def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
     """What the format will not show as Blender does, as sentences; takes: as for `export`. Reads the scene only."""
+    if FORMATS[key].check:  # it has the model as it is
+        return
     if key == "RAW":
         yield from _raw_losses(obj)
     elif FORMATS[key].skins:
@@ -48,7 +50,7 @@ def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
     if key != "RAW":
         yield from _unit_losses(key)
         for hidden in left_out(obj):
-            yield Message("'{name}' is hidden, so Blender exports nothing of it: show it", name=hidden.name)
+            yield Message("'{name}' is hidden, so Blender does not export it: unhide it", name=hidden.name)
 
 
 def _planned_keys(obj) -> int:
@@ -64,7 +66,7 @@ def _raw_losses(obj) -> Iterator[str]:
     known = animation.baked_keys(obj) | identity.shifts(obj).keys()
     others = [name for name in animation.moving_keys(obj) if name not in known]
     if others:
-        yield Message("A raw clip has the bake's keys alone: {keys} is left out", keys=", ".join(others))
+        yield Message("A raw clip has only the bake's keys: {keys} is left out", keys=", ".join(others))
 
 
 def _skinning_losses(obj, key: str) -> Iterator[str]:
@@ -135,7 +137,8 @@ def _render_losses(obj, key: str) -> Iterator[str]:
             )
         elif modifier.show_viewport != modifier.show_render:
             yield Message(
-                "'{name}': modifier '{modifier}' is on in viewports or in renders alone: {format} has it as renders do",
+                "'{name}': modifier '{modifier}' is on only in viewports or only in renders: {format} has it as "
+                "renders do",
                 name=obj.name,
                 modifier=modifier.name,
                 format=label,
@@ -203,7 +206,7 @@ def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
     driven = [name for name in moving if name in animation.driven_keys(obj)]
     if driven:
         yield Message(
-            "'{name}': drivers are left out, the values they give at each frame are written: {keys}",
+            "'{name}': drivers are not exported; their values are written at each frame: {keys}",
             name=obj.name,
             keys=", ".join(driven),
         )

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""docs/panels has every setting that a panel shows, by its name there and with its default."""
+
+import re
+from pathlib import Path
+
+import bpy
+from builders import activate
+from layout import controls
+
+PAGES = Path(__file__).parents[3] / "docs" / "panels"
+PANELS = ("DYNAMORPH_PT_sidebar", "DYNAMORPH_PT_physics")
+SETTING = re.compile(r"^\| ([^|]+) \| [^|]+ \| ?([^|]*?) ?\|$", re.MULTILINE)
+
+
+def described() -> dict[str, set[str]]:
+    """The settings in the tables of all pages, each with the defaults that they name."""
+    found: dict[str, set[str]] = {}
+    for page in PAGES.glob("*.md"):
+        for name, default in SETTING.findall(page.read_text(encoding="utf-8")):
+            found.setdefault(name, set()).add(default)
+    return found
+
+
+def settings_of(obj) -> set:
+    """What the panels show of a soft skin: RNA properties of the add-on's own groups."""
+    names = {name for panel in PANELS for name in controls(obj, panel) if re.match(r"Dynamorph\w*\.", name)}
+    groups = {group.__name__: group for group in bpy.types.PropertyGroup.__subclasses__()}
+    return {groups[group].bl_rna.properties[name] for group, name in (each.split(".") for each in names)}
+
+
+def all_settings(soft_arm) -> set:
+    """Those of every state in which a panel shows others."""
+    settings = soft_arm.dynamorph
+    found = settings_of(soft_arm)
+    settings.active_target_index = 1
+    settings.simulation.use_scene_range = False
+    settings.simulation.drags = "[]"
+    settings.collision.use = True
+    settings.output.format = "FRAMES"
+    settings.attachments.add()
+    activate(soft_arm)
+    return found | settings_of(soft_arm)
+
+
+def as_written(setting) -> str:
+    """A default as the pages write it."""
+    if setting.type == "BOOLEAN":
+        return "on" if setting.default else "off"
+    return setting.enum_items[setting.default].name if setting.type == "ENUM" else f"{setting.default:g}"
+
+
+def test_every_setting_is_described(soft_arm):
+    missing = {setting.name for setting in all_settings(soft_arm)} - described().keys()
+    assert not missing
+
+
+def test_defaults_are_those_of_the_add_on(soft_arm):
+    pages = described()
+    for setting in all_settings(soft_arm):
+        if setting.type not in ("POINTER", "STRING"):
+            named = {default.removesuffix(" °") for default in pages[setting.name]} - {""}
+            assert not named or as_written(setting) in named, f"{setting.name}: {as_written(setting)}, not {named}"

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The built playground: its motion is the native engine's, hands move it, it says what is wrong, and it stays small."""
+
+import gzip
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).resolve().parents[2] / "tools")]
+import browser  # noqa: E402
+import playground  # noqa: E402
+
+SAME = 1e-9  # relative, of coordinates
+BUILT = playground.OUT / "models.json"
+pytestmark = pytest.mark.skipif(not BUILT.exists(), reason="needs the playground: run tools/playground.py")
+in_browser = pytest.mark.skipif(browser.PROGRAM is None, reason="needs chromium")
+DRAWN = "globalThis.playground?.times.picture"
+
+
+@pytest.fixture(scope="session")
+def in_node():
+    """What motion.mjs prints."""
+    if not shutil.which("node"):
+        pytest.skip("needs node")
+    script = Path(__file__).with_name("motion.mjs")
+    done = subprocess.run(["node", script, playground.OUT], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.fixture
+def page_of():
+    pytest.importorskip("websockets")
+    return browser.run
+
+
+def test_motions_are_those_of_the_native_engine(in_node):
+    assert [each["file"] for each in in_node["results"]] == ["cylinder", "shoulder", "body"]
+    for each in in_node["results"]:
+        assert each["off"] <= SAME, each
+        assert each["hash"] == each["native"], each
+        assert each["finite"], each
+
+
+def test_models_have_their_targets(in_node):
+    cylinder, shoulder, body = (each["about"] for each in in_node["results"])
+    assert cylinder["targets"] == ["Neutral", "Half bend", "Flexed", "Back bend"]
+    assert [cylinder["sets"], shoulder["sets"], body["sets"]] == [1, 2, 1]
+    assert all(1 < each["frequency"] < 20 for each in (cylinder, shoulder, body))
+
+
+def test_damaged_model_is_refused(in_node):
+    assert in_node["refused"].startswith("The model is damaged"), in_node["refused"]
+
+
+def test_sizes_are_within_their_budgets():
+    sizes = playground.sizes()
+    assert {name: sizes[name] for name, limit in playground.BUDGETS.items() if sizes[name] > limit} == {}
+
+
+def test_folder_can_be_moved_anywhere():
+    texts = [(playground.OUT / name).read_text() for name in playground.PAGE]
+    assert not any("http" in text.replace("http://www.w3.org", "") for text in texts)
+    assert not any('="/' in text or "url(/" in text for text in texts)
+
+
+@in_browser
+def test_page_draws_moves_and_proves_its_motion(page_of):
+    async def work(page):
+        await page.wait(DRAWN)
+        still = await page.value("[...playground.engine.coordinates()]")
+        for kind, x, y in (("mousePressed", 300, 250), ("mouseMoved", 360, 200), ("mouseMoved", 420, 300)):
+            await page.mouse(kind, x, y)
+        moved = await page.wait(
+            f"(() => {{ const s = {json.dumps(still)}, q = [...playground.engine.coordinates()];"
+            " return q.some((x, i) => Math.abs(x - s[i]) > 1e-6) && q; })()"
+        )
+        await page.mouse("mouseReleased", 420, 300)
+        proof = await page.wait("playground.model.proof")
+        return moved, proof, await page.value("document.getElementById('proof').textContent"), page
+
+    moved, proof, text, page = page_of(playground.OUT, work, media={"prefers-reduced-motion": "reduce"})
+    native = json.loads(BUILT.read_text())[0]["native"]
+    assert len(moved) == len(native["coordinates"])
+    assert proof["off"] <= SAME
+    assert proof["hash"] == native["hash"] and native["hash"] in text
+    assert page.faults == []
+    assert {request.split(":")[1] for request in page.requests if request.startswith("http")} == {"//127.0.0.1"}
+
+
+@in_browser
+def test_methods_poke_and_bounce(page_of):
+    """Each changes what it should, step by step."""
+
+    async def work(page):
+        await page.wait(DRAWN)
+        await page.value("playground.stop()")
+        surface = "Array.from(playground.engine.surface().slice(0, 3 * playground.engine.about.vertices))"
+        seen = {}
+        for method in ("dynamic", "single", "plain"):
+            await page.value(f"document.querySelector('[value={method}]').click()")
+            await page.value("for (let i = 0; i < 90; ++i) playground.advance(); playground.show()")
+            seen[method] = await page.value(surface)
+        await page.value("document.querySelector('[value=dynamic]').click()")
+        await page.value("for (let i = 0; i < 120; ++i) playground.advance(); playground.show()")
+        seen["before"] = await page.value(surface)
+        await page.value("document.getElementById('poke').click()")
+        await page.value("for (let i = 0; i < 5; ++i) playground.advance(); playground.show()")
+        seen["poked"] = await page.value(surface)
+        bounce = "document.getElementById('bounce')"
+        await page.value(f"{bounce}.value = 1; {bounce}.dispatchEvent(new Event('input'))")
+        seen["hertz"] = await page.value(f"{bounce}.nextElementSibling.textContent")
+        seen["frequency"] = await page.value("playground.engine.about.frequency")
+        return seen, page.faults
+
+    seen, faults = page_of(playground.OUT, work, media={"prefers-reduced-motion": "reduce"})
+
+    def apart(one, other):
+        return max(abs(a - b) for a, b in zip(seen[one], seen[other], strict=True))
+
+    assert apart("dynamic", "before") < 1e-3
+    assert min(apart("dynamic", "single"), apart("dynamic", "plain"), apart("single", "plain")) > 1e-3
+    assert apart("before", "poked") > 1e-3
+    assert seen["hertz"] == f"{2 * seen['frequency']:.1f} Hz"
+    assert faults == []
+
+
+@in_browser
+@pytest.mark.parametrize(
+    ("before", "says"),
+    [
+        ("HTMLCanvasElement.prototype.getContext = () => null", "no WebGL 2"),
+        (
+            "WebAssembly.compile = async () => { throw new WebAssembly.CompileError('simd') }",
+            "lacks SIMD or exceptions",
+        ),
+    ],
+)
+def test_old_browser_gets_a_message(page_of, before, says):
+    async def work(page):
+        return await page.wait(f"document.getElementById('message')?.textContent.includes({says!r})")
+
+    assert page_of(playground.OUT, work, before)
+
+
+@in_browser
+def test_damaged_file_gets_the_engines_sentence(page_of, tmp_path):
+    shutil.copytree(playground.OUT, tmp_path / "page")
+    file = tmp_path / "page" / "cylinder.dynamorph.gz"
+    data = bytearray(gzip.decompress(file.read_bytes()))
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)  # as a server sends it that has decompressed it
+
+    async def work(page):
+        return await page.wait("(document.getElementById('message')?.textContent.match(/damaged.*/) ?? [''])[0]")
+
+    assert "Build it again." in page_of(tmp_path / "page", work)

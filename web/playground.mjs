@@ -1,0 +1,224 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The page: sliders, hands and time around the engine and its picture.
+import { compiled, start, unzipped } from "./engine.mjs";
+import { Picture } from "./picture.mjs";
+
+const FRAME = 1 / 60;  // s
+const MOST_OWED = 3;  // frames: a slow machine shows slow motion
+const HAND = 22;  // 1/s, of the spring by which a hand moves the character
+const TAP = 6;  // CSS pixels that a finger may slip
+const PROOF_FRAMES = 240;
+
+const $ = (id) => document.getElementById(id);
+const made = (parent, kind, properties = {}) => parent.appendChild(Object.assign(document.createElement(kind), properties));
+const times = { begun: performance.now() };
+const spent = { frames: 0, ms: 0 };
+let picture, models, module, engine, model, method = "dynamic", sliders = [], meters = [], script = null;
+let goal = [0, 0, 0], offset = [0, 0, 0], speed = [0, 0, 0], grip = null, failed = false;
+
+function tell(error) {
+  failed = true;
+  $("message").textContent = `${error?.message ?? error}.`.replace(/([.!?])\.$/, "$1");
+}
+
+async function fetched(name) {
+  const answer = await fetch(new URL(name, import.meta.url));
+  if (!answer.ok) throw new Error(`${name} could not be loaded (${answer.status})`);
+  return answer.arrayBuffer();
+}
+
+const keysOf = ({ sliders }) => sliders.map(({ keys }) => Object.entries(keys).map(([target, value]) => [value, target]));
+
+async function load(next) {
+  $("message").textContent = `Loading ${next.title} …`;
+  const bytes = await unzipped(await fetched(`${next.file}.dynamorph.gz`));
+  engine = await start(module, bytes, keysOf(next));
+  model = next;
+  failed = false;
+  goal = [0, 0, 0]; offset = [0, 0, 0]; speed = [0, 0, 0];
+  addControls();
+  engine.single(method == "single");
+  engine.step(0, 0, 0);
+  engine.skin(true);
+  picture.show(engine.triangles(), engine.surface(), model);
+  show();
+  $("message").textContent = "";
+  setTimeout(() => prove(next, bytes), 1500);
+}
+
+/// Repeats the fixed motion of the native engine in another instance, and compares.
+async function prove(shown, bytes) {
+  const other = await start(module, bytes, keysOf(shown)), hash = other.fixedMotion(PROOF_FRAMES), { native } = shown;
+  const off = Math.max(...other.coordinates().map((x, i) => Math.abs(x - native.coordinates[i])));
+  const largest = Math.max(...native.coordinates.map(Math.abs));
+  if (shown != model) return;
+  const same = hash == native.hash ? "the same motion" : "ANOTHER MOTION";
+  $("proof").textContent = `Fixed motion, ${PROOF_FRAMES} frames, to nine digits: ${hash} in this browser, ${native.hash} ` +
+    `compiled for a desktop: ${same}. The largest relative difference is ${(off / largest).toExponential(0)}.`;
+  shown.proof = { hash, off: off / largest };
+}
+
+function addControls() {
+  $("sliders").replaceChildren();
+  sliders = model.sliders.map(({ title, unit, keys }, s) => {
+    const label = made($("sliders"), "label", { className: "slider", textContent: `${title} ` });
+    const values = Object.values(keys);
+    const slider = made(label, "input", { type: "range", min: values[0], max: values.at(-1), step: "any", value: model.pose[s] });
+    const out = made(label, "output");
+    const shown = () => { out.textContent = `${Math.round(slider.value)}${unit == "%" ? " " : ""}${unit}`; };
+    slider.addEventListener("input", () => { script = null; shown(); });
+    shown();
+    engine.slide(s, +slider.value);
+    return { slider, shown, at: +slider.value };
+  });
+  $("weights").replaceChildren("Target weights");
+  meters = engine.about.targets.map((name) => {
+    const row = made($("weights"), "div", { textContent: name });
+    return { number: made(row, "span"), meter: made(row, "meter", { max: 1, ariaLabel: name }) };
+  });
+  $("bounce").value = 0;
+  bounce(false);
+}
+
+/// Stiffness goes with the square of the natural frequency.
+function bounce(changed = true) {
+  const factor = 2 ** +$("bounce").value;
+  $("bounce").nextElementSibling.textContent = `${(factor * engine.about.frequency).toFixed(1)} Hz`;
+  if (changed) engine.stiffness(factor ** 2);
+}
+
+// --- Hands -----------------------------------------------------------------------------------------------------------
+
+function scripted(seconds, work) {
+  const begun = performance.now();
+  script = (now) => {
+    const t = Math.min((now - begun) / 1000 / seconds, 1);
+    if (t == 1) script = null;
+    work(t);
+  };
+}
+
+const shake = () => scripted(0.9, (t) => {
+  const reach = t < 1 ? 0.05 * picture.size * Math.sin(t * 0.9 * 24) : 0;
+  goal = picture.axes.right.map((r, i) => reach * (0.6 * r + picture.axes.above[i]));
+});
+
+function bend() {
+  const from = sliders.map(({ slider }) => +slider.value);
+  const up = from[0] < (+sliders[0].slider.min + +sliders[0].slider.max) / 2;
+  scripted(0.45, (t) => sliders.forEach(({ slider, shown }, s) => {
+    slider.value = from[s] + (t * t * (3 - 2 * t)) * ((up ? +slider.max : Math.min(0, from[s])) - from[s]);
+    shown();
+  }));
+}
+
+function poke(x = $("view").clientWidth / 2, y = $("view").clientHeight / 2) {
+  engine.poke(picture.axes.eye, picture.ray(x, y));
+}
+
+function listen() {
+  const view = $("view");
+  view.addEventListener("pointerdown", (event) => {
+    grip = { x: event.clientX, y: event.clientY, tap: true };
+    view.setPointerCapture(event.pointerId);
+  });
+  view.addEventListener("pointermove", (event) => {
+    if (!grip) return;
+    const [x, y] = [event.clientX - grip.x, event.clientY - grip.y];
+    if (Math.hypot(x, y) > TAP) grip.tap = false;
+    if (!grip.tap) { script = null; goal = picture.moved(x, y); }
+  });
+  const release = (event) => {
+    if (grip?.tap && event.type == "pointerup") poke(event.offsetX, event.offsetY);
+    grip = null;
+    goal = [0, 0, 0];
+    $("hint").hidden = true;
+  };
+  view.addEventListener("pointerup", release);
+  view.addEventListener("pointercancel", release);
+  const arrows = { ArrowLeft: [-60, 0], ArrowRight: [60, 0], ArrowUp: [0, -60], ArrowDown: [0, 60] };
+  view.addEventListener("keydown", (event) => {
+    if (arrows[event.key]) goal = picture.moved(...arrows[event.key]);
+    else if (event.key == " " || event.key == "Enter") poke();
+    else return;
+    event.preventDefault();
+  });
+  view.addEventListener("keyup", () => { goal = [0, 0, 0]; });
+  for (const radio of document.getElementsByName("method"))
+    radio.addEventListener("change", () => { method = radio.value; engine.single(method == "single"); });
+  $("bounce").addEventListener("input", () => guarded(bounce));
+  for (const [id, work] of Object.entries({ shake, bend, poke: () => poke() })) $(id).addEventListener("click", work);
+}
+
+// --- Time ------------------------------------------------------------------------------------------------------------
+
+function guarded(work) {
+  try {
+    work();
+  } catch (error) {
+    tell(error);
+  }
+}
+
+function advance() {
+  for (let i = 0; i < 3; ++i) {
+    speed[i] += FRAME * (HAND * HAND * (goal[i] - offset[i]) - 2 * HAND * speed[i]);
+    offset[i] += FRAME * speed[i];
+  }
+  sliders.forEach((each, s) => {
+    const most = (each.slider.max - each.slider.min) / 12;
+    each.at += Math.max(-most, Math.min(most, 0.5 * (each.slider.value - each.at)));
+    engine.slide(s, each.at);
+  });
+  engine.step(...offset);
+}
+
+function show() {
+  engine.skin(method != "plain");
+  picture.draw(engine.surface());
+  times.picture ??= performance.now();
+  engine.weights().forEach((weight, j) => {
+    meters[j].meter.value = weight;
+    meters[j].number.textContent = `${Math.round(100 * weight)} %`;
+  });
+}
+
+function run() {
+  let last = performance.now(), owed = 0;
+  const frame = (now) => {
+    owed = Math.min(owed + (now - last) / 1000, MOST_OWED * FRAME);
+    last = now;
+    if (!failed) guarded(() => {
+      script?.(now);
+      const begun = performance.now();
+      const due = owed >= FRAME;
+      for (; owed >= FRAME; owed -= FRAME) { advance(); ++spent.frames; }
+      if (due) show();
+      spent.ms += performance.now() - begun;
+    });
+    requestAnimationFrame(frame);
+  };
+  requestAnimationFrame(frame);
+}
+
+try {
+  picture = new Picture($("view"));
+  const wasm = fetched("playground.wasm.gz").then(unzipped).then(compiled);
+  models = JSON.parse(new TextDecoder().decode(await fetched("models.json")));
+  module = await wasm;
+  for (const each of models) {
+    const label = made($("models"), "label");
+    const radio = made(label, "input", { type: "radio", name: "model", checked: each == models[0] });
+    made(label, "span", { textContent: each.title });
+    radio.addEventListener("change", () => load(each).catch(tell));
+  }
+  await load(models[0]);
+  listen();
+  run();
+  if (!matchMedia("(prefers-reduced-motion: reduce)").matches) shake();
+} catch (error) {
+  tell(error);
+}
+/// For tests, which step by hand.
+globalThis.playground = { advance, show, times, spent, get engine() { return engine; }, get model() { return model; },
+  set goal(to) { goal = to; }, stop: () => { failed = true; } };
