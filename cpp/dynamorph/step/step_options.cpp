@@ -2,17 +2,18 @@
 #include "dynamorph/step/step_options.hpp"
 
 #include <cmath>
-#include <sstream>
+#include <cstdio>
 #include <stdexcept>
+#include <string>
 
 namespace dynamorph {
 
 namespace {
 
 [[noreturn]] void refuse(const char* option, const char* expected, double actual) {
-  std::ostringstream message;  // std::to_string would print 0 for a small tolerance
-  message << option << ": expected " << expected << ", got " << actual;
-  throw std::invalid_argument(message.str());
+  char number[32];  // std::to_string would print 0 for a small tolerance, and a stream is large in WebAssembly
+  std::snprintf(number, sizeof number, "%g", actual);
+  throw std::invalid_argument(std::string(option) + ": expected " + expected + ", got " + number);
 }
 
 }  // namespace
