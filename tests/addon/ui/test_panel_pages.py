@@ -25,8 +25,8 @@ def described() -> dict[str, set[str]]:
 def settings_of(obj) -> set:
     """What the panels show of a soft skin: RNA properties of the add-on's own groups."""
     names = {name for panel in PANELS for name in controls(obj, panel) if re.match(r"Dynamorph\w*\.", name)}
-    groups = {group.__name__: group for group in bpy.types.PropertyGroup.__subclasses__()}
-    return {groups[group].bl_rna.properties[name] for group, name in (each.split(".") for each in names)}
+    registered = bpy.types.PropertyGroup.bl_rna_get_subclass_py  # others of these names may be left by other tests
+    return {registered(group).bl_rna.properties[name] for group, name in (each.split(".") for each in names)}
 
 
 def all_settings(soft_arm) -> set:
