@@ -60,6 +60,7 @@ struct Playground {
   std::vector<double> values, goals;      ///< of the sliders
   Vector3d offset = Vector3d::Zero();     ///< by which the whole character is moved
   bool single = false;                    ///< the neutral targets alone count
+  bool rounded = false;                   ///< bones and weights are, to digits that all C libraries agree on
   Poke finger;
   Transforms bones;
   VectorXd weights;
@@ -152,17 +153,22 @@ MatrixXd Playground::local() const {
   return out;
 }
 
+/// Decimals, which C libraries agree on. Blender's numbers are often halfway between such of binary digits.
+double nine_decimals(double x) { return std::round(x * 1e9) / 1e9; }
+
 /// Sets the bones and the target weights.
 void Playground::place() {
   const RowMajor pose = local();
   Matrix4 moved = Matrix4::Identity();
   moved.topRightCorner<3, 1>() = offset;
   bones = character.bones(pose, moved);
+  if (rounded) bones = bones.unaryExpr(&nine_decimals).eval();
   weights = neutral_weights(model.model->body(), model.model->targets());
   if (single) return;
   Rotations rotations(pose.rows(), 4);
   for (int bone : space.bones()) rotation_of(LocalTransforms(pose.data(), pose.rows(), 16), bone, rotations);
   space.weights(rotations, weights);
+  if (rounded) weights = weights.unaryExpr(&nine_decimals).eval();
 }
 
 /// One step on the way to the goals.
@@ -323,8 +329,10 @@ EXPORT const char* dm_hash() {
   hash = hash_of(play->simulation->coordinates());
   return hash.c_str();
 }
-/// The fixed motion, after loading and adding keys: so many frames up and down all sliders, shaken all the while.
+/// The fixed motion, after loading and adding keys: so many frames up and down all sliders, shaken all the while. The
+/// engine keeps bones in single precision, where the last bit of a sine would become the eighth digit.
 EXPORT int dm_fixed_motion(int frames) {
+  play->rounded = true;
   for (int f = 1; f <= frames; ++f) {
     for (std::size_t s = 0; s < play->sliders.size(); ++s) {
       const std::vector<Key>& keys = play->sliders[s];
