@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ try:
     import dynamic_morph_targets
     import numpy as np
     from contact_sheet import MARGIN, Row, caption, compose, only_python, quiet, render, save
-    from dynamic_morph_targets.__main__ import leave
+    from dynamic_morph_targets.__main__ import run_script
     from dynamic_morph_targets.cli import record
     from dynamic_morph_targets.core import engine
     from dynamic_morph_targets.run import batch
@@ -243,9 +242,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    try:
-        code = main()
-    except BaseException:  # Blender 4.5 might never end by itself
-        traceback.print_exc()
-        code = 1
-    leave(code)
+    run_script(main)

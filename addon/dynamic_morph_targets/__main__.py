@@ -3,6 +3,7 @@
 
 import os
 import sys
+import traceback
 
 try:
     here = os.getcwd()  # noqa: PTH109 - pathlib may be in there too
@@ -11,6 +12,7 @@ except FileNotFoundError:  # it was deleted
 if __name__ == "__main__" and sys.path[:1] == [here]:
     del sys.path[0]  # a stranger's .blend may have brought a bpy.py into the current folder
 
+from collections.abc import Callable
 from contextlib import suppress
 from typing import NoReturn
 
@@ -45,6 +47,20 @@ def leave(code: int) -> NoReturn:
         with suppress(OSError):  # `main` has reported it
             stream.flush()
     os._exit(code)
+
+
+def run_script(main: Callable[[], int]) -> NoReturn:
+    """`leave` with what `main` returns, for scripts; also when it fails."""
+    try:
+        code = main()
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+        if isinstance(end.code, str):
+            print(end.code, file=sys.stderr)
+    except BaseException:
+        traceback.print_exc()
+        code = 1
+    leave(code)
 
 
 def script() -> NoReturn:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import traceback
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -19,7 +18,7 @@ sys.path[:0] = [str(ROOT / folder) for folder in ("addon", "sample_blends", "too
 import bpy  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
-from dynamic_morph_targets.__main__ import leave  # noqa: E402
+from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from measured import measured_at  # noqa: E402
 from run import machine  # noqa: E402
 
@@ -130,9 +129,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    try:
-        code = main()
-    except BaseException:  # Blender 4.5 might never end by itself
-        traceback.print_exc()
-        code = 1
-    leave(code)
+    run_script(main)

@@ -13,7 +13,6 @@ import os
 import sys
 import tempfile
 import time
-import traceback
 from dataclasses import replace
 from pathlib import Path
 from random import Random
@@ -35,25 +34,20 @@ import test_time  # noqa: E402
 import walks  # noqa: E402
 from builders import make_arm, make_soft  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
-from dynamic_morph_targets.__main__ import leave  # noqa: E402
+from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from dynamic_morph_targets.core.result import slider_keys  # noqa: E402
 from dynamic_morph_targets.io import model_file, paths  # noqa: E402
 from dynamic_morph_targets.run import bake_input, batch  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402
 
 
-def main():
+def main() -> int:
     section, file = sys.argv[1:]
     dynamic_morph_targets.register()
-    code = 1
-    try:
-        with tempfile.TemporaryDirectory(prefix="dynamorph_bakes_") as folder:
-            found = SECTIONS[section](Path(folder))
-        Path(file).write_text(json.dumps(found | {"blender": bpy.app.version_string}))
-        code = 0
-    except BaseException:
-        traceback.print_exc()
-    leave(code)
+    with tempfile.TemporaryDirectory(prefix="dynamorph_bakes_") as folder:
+        found = SECTIONS[section](Path(folder))
+    Path(file).write_text(json.dumps(found | {"blender": bpy.app.version_string}))
+    return 0
 
 
 # Round trips ----------------------------------------------------------------------------------------------------------
@@ -262,4 +256,4 @@ def draw_errors(rows: list[dict]):
 SECTIONS = {section.__name__: section for section in (round_trips, loops, long, kills, times)}
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -30,7 +30,7 @@ import table  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.core import engine  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run import batch, live  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job  # noqa: E402
-from dynamic_morph_targets.__main__ import leave  # noqa: E402
+from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 
 try:
     from bl_ext.user_default.dynamic_morph_targets.run.first_look import FirstLook
@@ -156,4 +156,4 @@ def cpu_seconds() -> float:
 
 
 if __name__ == "__main__":
-    leave(main())
+    run_script(main)

@@ -14,7 +14,6 @@ import os
 import sys
 import tempfile
 import time
-import traceback
 from pathlib import Path
 
 os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_collision_")  # before bpy is imported
@@ -27,7 +26,7 @@ import characters  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
 from contact_sheet import quiet, render  # noqa: E402
-from dynamic_morph_targets.__main__ import leave  # noqa: E402
+from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from dynamic_morph_targets.core.geometry import diagonal, signed_volume, vertex_normals  # noqa: E402
 from dynamic_morph_targets.run import batch  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402
@@ -235,9 +234,4 @@ WAYS = {
 }
 
 if __name__ == "__main__":
-    try:
-        code = main()
-    except Exception:
-        traceback.print_exc()  # Blender would not end by itself
-        code = 1
-    leave(code)
+    run_script(main)

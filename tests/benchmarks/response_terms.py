@@ -19,7 +19,7 @@ import dynamic_morph_targets
 import numpy as np
 from accuracy import RESPONSES, SUBJECTS
 from contact_sheet import quiet
-from dynamic_morph_targets.__main__ import leave
+from dynamic_morph_targets.__main__ import run_script
 from dynamic_morph_targets.core.motion import simulate
 from motion_error import errors
 
@@ -110,4 +110,4 @@ def lacking(full, reduced, basis, stiffness, tabulated: int, q: np.ndarray) -> I
 
 
 if __name__ == "__main__":
-    leave(main())
+    run_script(main)

@@ -29,7 +29,7 @@ from bl_ext.user_default.dynamic_morph_targets.scene.skinning import Skinning  #
 from bl_ext.user_default.dynamic_morph_targets.ui import messages  # noqa: E402
 from builders import evaluated_points  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
-from dynamic_morph_targets.__main__ import leave  # noqa: E402
+from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from measured import measured_at  # noqa: E402
 from run import machine  # noqa: E402
 
@@ -146,4 +146,4 @@ def write(rows: list[tuple[str, ...]]) -> None:
 
 
 if __name__ == "__main__":
-    leave(main())
+    run_script(main)
