@@ -7,6 +7,7 @@
 started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
 python = $(firstword $(shell ls -d .venv/3.*/bin/python))
+newest = $(lastword $(sort $(wildcard .venv/3.*/bin/python))) # of Blender too
 tools = $(CURDIR)/$(dir $(python))
 pythons = $(shell ls -d $(CURDIR)/.venv/3.*/bin/python | paste -sd';')
 jobs ?= $(shell nproc)
@@ -61,7 +62,7 @@ demo: module
 	@$(python) sample_blends/demo.py
 
 # docs/gallery.md with its moving pictures, among them the README's, and each scene's .blend in dist/gallery; takes about
-# 10 minutes. only="Husky" films those that begin so.
+# 10 minutes. only="Husky" films those that begin so. The page itself also needs the characters of ../shared.
 gallery: build
 	@$(python) tests/benchmarks/gallery.py --only "$(only)"
 
@@ -72,7 +73,7 @@ recipes: build
 
 # The tables of docs/command_line.md and docs/scripting.md, from the parser and from Blender's data; needs Python 3.13.
 reference: build
-	@.venv/3.13/bin/python tools/reference.py
+	@$(newest) tools/reference.py
 
 # docs/results.md with its pictures; takes about 20 minutes.
 figures: build
@@ -154,9 +155,10 @@ rigs: build
 how-long: build
 	@$(python) tests/benchmarks/how_long.py
 
-# The table of docs/comparison.md: a limb by Dynamorph and by Blender's own dynamics; takes about 2 minutes.
+# The table of docs/comparison.md: a limb by Dynamorph and by Blender's own dynamics; takes about 2 minutes, and needs
+# Python 3.13.
 comparison: build
-	@$(python) tests/benchmarks/comparison.py
+	@$(newest) tests/benchmarks/comparison.py
 
 # docs/believable.md from what was measured before.
 believable-docs: build

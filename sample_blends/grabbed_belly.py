@@ -12,10 +12,8 @@ from dynamic_morph_targets.core.motion.grab import FIRM, Grab, as_text, pinch
 from dynamic_morph_targets.scene import extract
 from stage import (
     add_ball,
-    add_box,
     add_camera,
     add_material,
-    add_straight_rig,
     add_studio,
     add_touched_skin,
     paint_for_workbench,
@@ -71,10 +69,7 @@ def record(torso: bpy.types.Object) -> np.ndarray:
 
 def make(path: Path) -> None:
     set_up_scene(README, FRAMES)
-    rig = add_straight_rig(rolling_ball.BONES, rolling_ball.JOINTS, rolling_ball.TIP)
-    rig.location.z = rolling_ball.HEIGHT
-    torso = rolling_ball.add_torso(rig)
-    add_box("Mat", (-0.25, -0.4, 0), (2.2, 0.4, rolling_ball.MAT), add_material("Mat", (0.10, 0.30, 0.25), 0.7))
+    torso = rolling_ball.lay_torso()
     handle = add_ball("Hand", HANDLE, add_material("Hand", (0.95, 0.62, 0.08), 0.3))
     add_studio((0.4, 0, 0.3))
     add_camera((0.45, -1.9, 0.85), (0.42, 0, 0.34), 66)

@@ -42,15 +42,17 @@ def draw_legend(draw: ImageDraw.ImageDraw, left: int, top: int, text: str) -> No
 
 
 def beside(pictures: Sequence[Image.Image], titles: Sequence[str], legend: str) -> Image.Image:
-    """Pictures of one size side by side below their titles, and the legend of their colors."""
+    """Pictures of one size side by side below their titles, and above the legend of their colors, if there is one."""
     width, height = pictures[0].size
-    sheet = Image.new("RGB", (len(pictures) * (width + GAP) - GAP, HEAD + height + FOOT), PAPER)
+    foot = FOOT if legend else 0
+    sheet = Image.new("RGB", (len(pictures) * (width + GAP) - GAP, HEAD + height + foot), PAPER)
     draw = ImageDraw.Draw(sheet)
     font = ImageFont.load_default(16)
     for k, (picture, title) in enumerate(zip(pictures, titles, strict=True)):
         sheet.paste(picture, (k * (width + GAP), HEAD))
         draw.text((k * (width + GAP) + 4, 6), title, INK, font)
-    draw_legend(draw, 4, HEAD + height + 8, legend)
+    if legend:
+        draw_legend(draw, 4, HEAD + height + 8, legend)
     return sheet
 
 

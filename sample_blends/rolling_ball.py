@@ -119,7 +119,11 @@ def ball_path(vertices: np.ndarray) -> np.ndarray:
 # --- The scene --------------------------------------------------------------------------------------------------------
 
 
-def add_torso(rig: bpy.types.Object) -> bpy.types.Object:
+def lay_torso() -> bpy.types.Object:
+    """The torso with its rig, on a mat."""
+    add_box("Mat", (-0.25, -0.4, 0), (2.2, 0.4, MAT), add_material("Mat", (0.10, 0.30, 0.25), 0.7))
+    rig = add_straight_rig(BONES, JOINTS, TIP)
+    rig.location.z = HEIGHT
     vertices, quads = torso_mesh()
     torso = add_mesh("Torso", vertices, quads, add_material("Skin", SKIN, 0.4, "Skin", subsurface=0.12))
     colors = torso.data.color_attributes.new("Skin", "BYTE_COLOR", "POINT")
@@ -143,11 +147,8 @@ def add_beach_ball(path: np.ndarray) -> bpy.types.Object:
 
 def make(path: Path) -> None:
     set_up_scene(README, FRAMES)
-    rig = add_straight_rig(BONES, JOINTS, TIP)
-    rig.location.z = HEIGHT
-    torso = add_torso(rig)
+    torso = lay_torso()
     ball = add_beach_ball(ball_path(torso_mesh()[0]))
-    add_box("Mat", (-0.25, -0.4, 0), (2.2, 0.4, MAT), add_material("Mat", (0.10, 0.30, 0.25), 0.7))
     add_studio((0.4, 0, 0.3))
     add_camera((0.5, -1.9, 1.0), (0.5, 0, 0.30), 62)
     paint_for_workbench()

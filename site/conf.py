@@ -19,7 +19,6 @@ release = PROJECT["version"]
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "autoapi.extension", "breathe"]
 exclude_patterns = ["static"]
-myst_enable_extensions = ["attrs_block", "attrs_inline", "colon_fence", "deflist"]
 myst_heading_anchors = 4
 suppress_warnings = [
     "autoapi.python_import_resolution",

@@ -23,7 +23,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from measured import measured_at
+from measured import measured_at, write_between
 
 ROOT = Path(__file__).resolve().parents[1]
 WORK = ROOT / "build/farm"
@@ -381,16 +381,12 @@ def print_table(rows: list[list[str]]):
 
 
 def write_page(rows: list[list[str]], found: dict):
-    """Write the table into docs/farm.md. Raises Failed."""
-    before, begin, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not end:
-        raise Failed(f"{PAGE.name}: the marks {BEGIN} and {END} are missing")
+    """Write the table into docs/farm.md. Raises ValueError without its marks."""
     lines = [f"| {' | '.join(row)} |" for row in (rows[0], ["---"] * len(rows[0]), *rows[1:])]
     tasks = ", ".join(f"{count} {step}" for step, count in found["runs"][0]["tasks"].items())
     programs = ", ".join(f"{name} {version}" for name, version in found["versions"].items())
     lines += ["", f"Tasks of a run: {tasks}. With {programs}.", f"{found['commit']}."]
-    PAGE.write_text("\n".join([before + begin, *lines, end + after]), encoding="utf-8")
+    write_between(PAGE, BEGIN, END, "\n".join(lines))
 
 
 def tail(path: Path, lines=20) -> str:

@@ -267,12 +267,8 @@ def print_table(found: dict):
 
 def write_measured(values: dict[str, str]):
     """Write the table of the page, and the commit at which it was measured."""
-    before, begin, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not end:
-        raise Failed(f"{PAGE.name}: the marks {BEGIN} and {END} are missing")
-    rows = "".join(f"| {name} | {value} |\n" for name, value in values.items())
-    PAGE.write_text(f"{before}{begin}\n| | |\n|---|---|\n{rows}{end}{after}", encoding="utf-8")
+    rows = [f"| {name} | {value} |" for name, value in values.items()]
+    measured.write_between(PAGE, BEGIN, END, "\n".join(["| | |", "|---|---|", *rows]))
     if measured.has_history():
         measured.stamp(PAGE)
 

@@ -36,7 +36,8 @@ PAGES = {
     "rigs.md": (*ENGINE, *ADDON, "tests/benchmarks/rigs_page.py", "tests/addon/rig_families.py",
                 "tests/addon/human.py"),
     "how_long.md": (*ENGINE, *ADDON, "tests/benchmarks/how_long.py", "sample_blends/herbert.blend"),
-    "comparison.md": (*ENGINE, *ADDON, "tests/benchmarks/comparison.py", "sample_blends/bulging_cylinder.blend"),
+    "comparison.md": (*ENGINE, *ADDON, "tests/benchmarks/comparison.py", "tests/benchmarks/collision_press.py",
+                      "sample_blends/bulging_cylinder.blend"),
     "gallery.md": (*ENGINE, *ADDON, "tests/benchmarks/gallery_loop.py", "sample_blends",
                    ":!sample_blends/recipes"),
     "coverage.md": ("cpp", "addon/dynamic_morph_targets", "tests/engine", "tests/addon", "tests/cpp",
@@ -49,10 +50,16 @@ PAGES = {
     "window_test.md": (*ENGINE, "addon/dynamic_morph_targets", "tests/gui", "tools/gui_test.py"),
 }  # fmt: skip
 PAGES |= {
-    f"recipes/{name}.md": (*ENGINE, *ADDON, "sample_blends/recipes", "sample_blends/*.blend")
-    for name in ("bulge", "clothes", "collision", "firm_parts", "grab", "jiggle", "mixamo", "motion_blur", "repair",
-                 "rigify", "vrm", "walk_cycle")
-}  # fmt: skip
+    f"recipes/{page.name}": (
+        *ENGINE,
+        *ADDON,
+        "sample_blends/recipes",
+        "sample_blends/*.blend",
+        "sample_blends/stage.py",
+    )
+    for page in (DOCS / "recipes").glob("*.md")
+    if page.name != "index.md"
+}
 # Pages that are written by hand, or made from the program itself (tools/reference.py).
 WRITTEN = ("architecture.md", "attribution.md", "command_line.md", "cpp.md", "decisions/", "file_format.md",
            "first_steps.md", "glossary.md", "install.md", "limitations.md", "panels/", "playground.md", "python.md",
@@ -78,6 +85,15 @@ def stamp(page: Path) -> None:
     if not count:
         raise ValueError(f"{page.name}: there is no line that names a commit")
     page.write_text(text, encoding="utf-8")
+
+
+def write_between(page: Path, begin: str, end: str, text: str) -> None:
+    """Put a text between two marks of a page. Raises ValueError without them."""
+    before, mark, rest = page.read_text(encoding="utf-8").partition(begin)
+    _, closing, after = rest.partition(end)
+    if not (mark and closing):
+        raise ValueError(f"{page.name}: the marks {begin} and {end} are missing")
+    page.write_text(f"{before}{begin}\n{text.strip()}\n{end}{after}", encoding="utf-8")
 
 
 def name_of(page: Path) -> str:

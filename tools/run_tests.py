@@ -18,7 +18,8 @@ SUPPORTED = {"3.11": "Blender 4.5 LTS", "3.13": "Blender 5.2 LTS"}
 COUNTED = ("-o", "console_output_style=count")
 ROW = re.compile(r"([.sxXFE]*)(?: *\[ *(\d+)/(\d+)\])?")  # of pytest: a letter for each test, how many were done
 # In separate processes: a crash of Blender does not lose the engine's results.
-SUITES = ("tests/engine", "tests/addon", "tests/web")
+SUITES = ("tests/engine", "tests/addon")
+WEB = "tests/web"  # once, in the environment of the website, if there is one
 
 
 def say(text: str) -> None:
@@ -116,6 +117,7 @@ def main() -> int:
     with ThreadPoolExecutor() as pool:
         for of_version in pool.map(run_python, found):
             results |= of_version
+    results[WEB] = run_pytest("site" if python_of("site").exists() else found[0], WEB)
     print()
     for name, counts in results.items():
         print(f"{name}: {describe(counts)}")

@@ -35,7 +35,7 @@ HEADERS = {  # the folders of cpp/dynamorph, in the order in which a program mee
     "file": "Files",
     "core": "Basics",
 }
-INTERNAL = ("_kernels", "_arithmetic", "bone_pairs", "limited_tissue")  # as in site/Doxyfile
+INTERNAL = ("_kernels", "_arithmetic", "bone_pairs", "limited_tissue")  # headers that only the engine includes
 
 
 def assemble() -> None:
@@ -43,10 +43,9 @@ def assemble() -> None:
     shutil.rmtree(BUILD, ignore_errors=True)
     shutil.copytree(ROOT / "docs", SOURCE)
     shutil.copytree(ROOT / "site", SOURCE, dirs_exist_ok=True)
+    (SOURCE / "project").mkdir()
     for name in PROJECT:
-        if (ROOT / name).exists():
-            (SOURCE / "project").mkdir(exist_ok=True)
-            shutil.copy2(ROOT / name, SOURCE / "project")
+        shutil.copy2(ROOT / name, SOURCE / "project")
     write_stubs(BUILD / "python/dynamorph")
     write_header_pages(SOURCE / "cpp")
 
@@ -74,6 +73,8 @@ def write_stubs(folder: Path) -> None:
 def write_header_pages(folder: Path) -> None:
     """A page for each folder of the engine's headers, and their list. Without what only the engine itself includes."""
     folder.mkdir()
+    if missing := {each.name for each in (ROOT / "cpp/dynamorph").iterdir()} - {*HEADERS, "simd"}:
+        raise ValueError(f"HEADERS lacks {missing}")
     for name, title in HEADERS.items():
         headers = sorted((ROOT / "cpp/dynamorph" / name).rglob("*.hpp"))
         public = [each for each in headers if not each.stem.endswith(INTERNAL)]

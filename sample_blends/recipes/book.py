@@ -19,7 +19,7 @@ import bpy  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
 from dynamic_morph_targets.__main__ import run_script  # noqa: E402
-from measured import measured_at  # noqa: E402
+from measured import measured_at, write_between  # noqa: E402
 from run import machine  # noqa: E402
 
 from recipes import pictures, steps  # noqa: E402
@@ -100,15 +100,9 @@ def changed(settings: bpy.types.PropertyGroup) -> list[str]:
 
 def write_table(name: str, table: dict[str, str]) -> None:
     """Between the marks of the page."""
-    page = PAGES / f"{name}.md"
-    text = page.read_text(encoding="utf-8")
-    before, rest = text.split(BEGIN)
-    after = rest.split(END)[1]
-    lines = [f"| {key} | {value} |" for key, value in table.items()]
+    lines = ["| | |", "|---|---|", *(f"| {key} | {value} |" for key, value in table.items())]
     made = f"{measured_at(f'recipes/{name}.md')}. Blender {bpy.app.version_string}, {machine()}."
-    page.write_text(
-        f"{before}{BEGIN}\n{made}\n\n| | |\n|---|---|\n" + "\n".join(lines) + f"\n{END}{after}", encoding="utf-8"
-    )
+    write_between(PAGES / f"{name}.md", BEGIN, END, "\n".join([made, "", *lines]))
 
 
 def main() -> int:

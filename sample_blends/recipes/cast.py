@@ -182,11 +182,10 @@ def stand(bones: Skeleton) -> tuple[np.ndarray, Turns]:
 
 def dress(body: bpy.types.Object) -> None:
     """A shirt and shorts: the faces of trunk and thighs once more, a centimeter outside, skinned as the body is."""
-    for name, color, parts in (
-        ("Shirt", SHIRT, ("spine", "clavicle", "upperarm", "pelvis")),
-        ("Shorts", SHORTS, ("pelvis", "thigh", "spine_01")),
+    for name, color, parts, height, outside in (
+        ("Shirt", SHIRT, ("spine", "clavicle", "upperarm", "pelvis"), (0.86, 1.34), 0.014),
+        ("Shorts", SHORTS, ("pelvis", "thigh", "spine_01"), (0.52, 0.95), 0.009),
     ):
-        height = (0.86, 1.34) if name == "Shirt" else (0.52, 0.95)
         worn = part(body, name, belongs(body, parts, height))
         worn.data.materials.clear()
         worn.data.materials.append(add_material(name, color, 0.7))
@@ -197,7 +196,6 @@ def dress(body: bpy.types.Object) -> None:
         worn.data.color_attributes.active_color = layer
         worn.data.color_attributes.render_color_index = 0
         points, normals = coordinates(worn.data), np.array([each.normal for each in worn.data.vertices])
-        outside = 0.014 if name == "Shirt" else 0.009
         worn.data.vertices.foreach_set("co", (points + outside * normals).astype(np.float32).ravel())
     activate(body)
 

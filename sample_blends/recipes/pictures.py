@@ -7,15 +7,14 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from contact_sheet import INK, PAPER, quiet, render
-from heat import draw_legend, paint
-from PIL import Image, ImageDraw, ImageFont
+from contact_sheet import quiet, render
+from heat import beside, paint
+from PIL import Image
 
 from . import cast
 from .steps import Recipe, shown
 
 PANE = (400, 400)
-GAP, HEAD, FOOT = 6, 30, 30  # pixels between the views, above and below them
 THUMB = 160  # pixels
 QUALITY = 82  # of WebP, at most 100
 BLUR_FRAME = 25  # he falls
@@ -129,15 +128,7 @@ def blurred(recipe: Recipe) -> list[Image.Image]:
 
 def write(name: str, recipe: Recipe, pictures: list[Image.Image], legend: str, folder: Path) -> None:
     """NAME.webp, and a thumbnail of the right view."""
-    width, height = PANE
-    foot = FOOT if legend else 0
-    sheet = Image.new("RGB", (2 * width + GAP, HEAD + height + foot), PAPER)
-    draw = ImageDraw.Draw(sheet)
-    for k, (picture, title) in enumerate(zip(pictures, recipe.panes, strict=True)):
-        sheet.paste(picture, (k * (width + GAP), HEAD))
-        draw.text((k * (width + GAP) + 4, 6), title, INK, ImageFont.load_default(16))
-    if legend:
-        draw_legend(draw, 4, HEAD + height + 8, legend)
+    sheet = beside(pictures, recipe.panes, legend)
     folder.mkdir(parents=True, exist_ok=True)
     sheet.save(folder / f"{name}.webp", quality=QUALITY, method=6)
     pictures[1].resize((THUMB, THUMB), Image.Resampling.LANCZOS).save(folder / f"{name}_small.webp", quality=QUALITY)

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-ASSETS = Path(__file__).resolve().parents[3] / "shared" / "assets"
+ASSETS = Path(__file__).resolve().parents[3] / "shared" / "assets"  # as tests/addon/characters.py
 
 
 def require(page: str, files: Iterable[str], folder: Path = ASSETS) -> None:

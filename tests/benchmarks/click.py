@@ -37,7 +37,6 @@ try:
 except ImportError:  # in a checkout of before
     FirstLook = None
 
-ASSETS = HERE.parent / "shared" / "assets"
 FRAMES = 250  # of the bake
 
 
@@ -138,7 +137,7 @@ def painted(body) -> float:
 def opened(name: str):
     """The character's body, active."""
     if file := table.CLICKED[name]:
-        characters.open_file(ASSETS / file)
+        characters.open_file(characters.ASSETS / file)
         body = characters.largest_skinned()
     else:
         bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)

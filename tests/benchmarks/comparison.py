@@ -36,7 +36,7 @@ from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from dynamic_morph_targets.run import batch  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402
 from how_long import busy  # noqa: E402
-from measured import measured_at  # noqa: E402
+from measured import measured_at, write_between  # noqa: E402
 from measures import volume  # noqa: E402
 from performance_page import grid  # noqa: E402
 from run import machine  # noqa: E402
@@ -66,10 +66,11 @@ class Way:
 def main() -> int:
     if len(sys.argv) > 1:
         return measure(sys.argv[1])
-    newest = sorted((ROOT / ".venv").glob("3.*/bin/python"))[-1]  # of Blender too
+    if bpy.app.version < (5, 2):
+        raise SystemExit("comparison: needs the dynamics nodes of Blender 5.2, and so Python 3.13")
     found, load = {}, os.getloadavg()[0]
     for name in WAYS:
-        command = [newest, __file__, name]
+        command = [sys.executable, __file__, name]
         try:
             done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=LONGEST)
         except subprocess.TimeoutExpired:
@@ -212,10 +213,6 @@ WAYS = {
 
 def write(found: dict[str, dict | None], load: float) -> None:
     """Put the table between the marks of the page. Raises ValueError without them."""
-    before, begin, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not end:
-        raise ValueError(f"'{PAGE}': the marks {BEGIN} and {END} are missing")
     head = ("", "settings", "seconds", "ms a frame", "bulge kept", "off by", "shaken straight", "shaken flexed",
             "straight / flexed", "file")  # fmt: skip
     table = grid(head, [row(WAYS[name], each) for name, each in found.items()])
@@ -224,7 +221,7 @@ def write(found: dict[str, dict | None], load: float) -> None:
         f"{measured_at(PAGE.name)}. Blender {one['blender']}; {machine()}; {one['vertices']:,} vertices, "
         f"{LAST + 1 - FIRST} frames. {busy(load)}"
     )
-    PAGE.write_text(f"{before}{begin}\n{about.rstrip()}\n\n{table}{end}{after}", encoding="utf-8")
+    write_between(PAGE, BEGIN, END, f"{about.rstrip()}\n\n{table}")
 
 
 def row(way: Way, found: dict | None) -> list[str]:

@@ -20,7 +20,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / "tests/addon"), str(ROOT / "tools")]
 
-from assets import require  # noqa: E402
+from assets import ASSETS  # noqa: E402
 from characters import attribution  # noqa: E402
 from measured import measured_at  # noqa: E402
 from run import machine  # noqa: E402
@@ -153,14 +153,17 @@ def main() -> int:
     if not chosen:
         parser.error(f"no loop's name begins with {arguments.only}")
     if not arguments.page:
-        for loop in sorted(chosen, key=lambda loop: bool(loop.file)):  # scenes need nothing else
-            if loop.file:
-                require("gallery", [loop.file])
-            print(film(loop), flush=True)
+        absent = [loop for loop in chosen if loop.file and not (ASSETS / loop.file).exists()]
+        for loop in chosen:
+            if loop not in absent:
+                print(film(loop), flush=True)
+        if absent:
+            names = ", ".join(loop.file for loop in absent)
+            print(f"gallery: left out, because ../shared/assets lacks them: {names}. See docs/attribution.md")
     missing = [name for name in LOOPS if not (FILMED / f"{name}.json").exists()]
     if missing:
         print(f"gallery: {', '.join(missing)} not filmed yet: no page is written")
-        return 0 if arguments.only and not arguments.page else 1
+        return int(arguments.page)
     PAGE.write_text(page(), encoding="utf-8")
     print(f"written to {PAGE.relative_to(ROOT)}")
     return 0

@@ -30,7 +30,7 @@ from bl_ext.user_default.dynamic_morph_targets.ui import messages  # noqa: E402
 from builders import evaluated_points  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
 from dynamic_morph_targets.__main__ import run_script  # noqa: E402
-from measured import measured_at  # noqa: E402
+from measured import measured_at, write_between  # noqa: E402
 from run import machine  # noqa: E402
 
 PAGE = ROOT / "docs" / "rigs.md"
@@ -134,15 +134,11 @@ def farthest(moved: np.ndarray) -> str:
 
 def write(rows: list[tuple[str, ...]]) -> None:
     """Put the table between the marks of the page. Raises ValueError without them."""
-    before, begin, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not end:
-        raise ValueError(f"'{PAGE}': the marks {BEGIN} and {END} are missing")
     lines = [HEAD, ("---",) * 2 + ("---:",) * 5 + ("---",) + ("---:",) * 2 + ("---",)]
     lines += [[cell.replace("|", "\\|") for cell in row] for row in rows]
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
     about = f"{measured_at(PAGE.name)}. Blender {bpy.app.version_string}, {machine()}."
-    PAGE.write_text(f"{before}{begin}\n{about}\n\n{table}\n{end}{after}", encoding="utf-8")
+    write_between(PAGE, BEGIN, END, f"{about}\n\n{table}")
 
 
 if __name__ == "__main__":
