@@ -143,8 +143,8 @@ sizes. *Seconds*: to write it, without the simulation. Each version of Blender h
 ### How many keys
 
 {budgets}
-The last has every mode and every target. *Said*: by the bake itself. *Shown*: by Blender, measured on its evaluated
-mesh.
+The last has every mode and every target. *Said*: the error that the bake itself states. *Shown*: the error of
+Blender's evaluated mesh.
 
 ### Keys of single frames
 
