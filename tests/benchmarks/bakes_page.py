@@ -15,13 +15,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from assets import require
 from performance_page import grid
 from run import machine
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.append(str(ROOT / "tools"))
+sys.path += [str(ROOT / folder) for folder in ("tests/addon", "tools")]
 
+from assets import require  # noqa: E402
 from measured import measured_at  # noqa: E402
 
 PAGE = ROOT / "docs" / "bakes.md"
