@@ -108,17 +108,18 @@ function bounce(changed = true) {
 
 // --- Hands -----------------------------------------------------------------------------------------------------------
 
+/// work(t) at each frame, t from 0 to 1 in so many simulated seconds: where those are slow, by the clock, so is a hand.
 function scripted(seconds, work) {
-  const begun = performance.now();
-  script = (now) => {
-    const t = Math.min((now - begun) / 1000 / seconds, 1);
+  let t = 0;
+  script = () => {
+    t = Math.min(t + FRAME / seconds, 1);
     if (t == 1) script = null;
     work(t);
   };
 }
 
 const shake = () => scripted(0.9, (t) => {
-  const reach = t < 1 ? 0.05 * picture.size * Math.sin(t * 0.9 * 24) : 0;
+  const reach = t < 1 ? 0.08 * picture.size * Math.sin(t * 0.9 * 24) : 0;
   goal = picture.axes.right.map((r, i) => reach * (0.6 * r + picture.axes.above[i]));
 });
 
@@ -180,6 +181,7 @@ function guarded(work) {
 }
 
 function advance() {
+  script?.();
   for (let i = 0; i < 3; ++i) {
     speed[i] += FRAME * (HAND * HAND * (goal[i] - offset[i]) - 2 * HAND * speed[i]);
     offset[i] += FRAME * speed[i];
@@ -208,7 +210,6 @@ function run() {
     owed = Math.min(owed + (now - last) / 1000, MOST_OWED * FRAME);
     last = now;
     if (!failed) guarded(() => {
-      script?.(now);
       const begun = performance.now();
       const due = owed >= FRAME;
       for (; owed >= FRAME; owed -= FRAME) { advance(); ++spent.frames; }

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The built playground: its motion is the native engine's, hands move it, it says what is wrong, and it stays small."""
 
+import asyncio
 import gzip
 import json
 import os
@@ -154,6 +155,30 @@ def test_methods_poke_and_bounce(page_of):
     assert min(apart("dynamic", "single"), apart("dynamic", "plain"), apart("single", "plain")) > 1e-3
     assert apart("before", "poked") > 1e-3
     assert seen["hertz"] == f"{2 * seen['frequency']:.1f} Hz"
+    assert faults == []
+
+
+@in_browser
+def test_shake_is_the_same_on_a_slow_machine(page_of):
+    """As many frames, whatever the clock says: else its hand would move ever faster than the tissue."""
+
+    async def work(page):
+        await page.wait(DRAWN)
+        await page.value("playground.stop()")
+        found = []
+        for pause in (0.0, 1.2):
+            await page.value("for (let i = 0; i < 600; ++i) playground.advance()")  # it comes to rest
+            await page.value(
+                "document.getElementById('shake').click(); for (let i = 0; i < 9; ++i) playground.advance()"
+            )
+            await asyncio.sleep(pause)
+            await page.value("for (let i = 0; i < 21; ++i) playground.advance()")
+            found.append(await page.value("[...playground.engine.coordinates()]"))
+        return found, page.faults
+
+    (quick, slow), faults = page_of(playground.OUT, work, media={"prefers-reduced-motion": "reduce"})
+    assert max(map(abs, quick)) > 1e-4
+    assert slow == pytest.approx(quick, abs=1e-6)
     assert faults == []
 
 
