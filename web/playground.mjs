@@ -118,8 +118,10 @@ function scripted(seconds, work) {
   };
 }
 
+/// As often as the tissue swings by itself.
 const shake = () => scripted(0.9, (t) => {
-  const reach = t < 1 ? 0.08 * picture.size * Math.sin(t * 0.9 * 24) : 0;
+  const swing = Math.sin(2 * Math.PI * engine.about.frequency * 0.9 * t);
+  const reach = t < 1 ? 0.1 * picture.size * swing : 0;
   goal = picture.axes.right.map((r, i) => reach * (0.6 * r + picture.axes.above[i]));
 });
 
