@@ -9,12 +9,13 @@ import copy
 import hashlib
 import json
 from collections.abc import Generator, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-from ..core import errors
+from ..core import engine, errors
 from ..core.character import Character
 from ..core.errors import SceneError, SelfCheckError
 from ..core.material import calibration
@@ -168,7 +169,8 @@ class Computation:
     def _prepare(self, model: Model, character: Character) -> None:
         """Make here what Live would make next in the main thread."""
         if self.given.live and model.settings.method != "STATIC":
-            prepared(model, character, self.given.live)
+            with suppress(*engine.expected_errors()):  # Live says what prevents it
+                prepared(model, character, self.given.live)
 
     def _take_model(self, model: Model) -> None:
         with self.progress.stage("store model"):

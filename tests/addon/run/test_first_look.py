@@ -6,7 +6,7 @@ import threading
 import bpy
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.core.errors import Cancelled
+from bl_ext.user_default.dynamic_morph_targets.core.errors import Cancelled, SceneError
 from bl_ext.user_default.dynamic_morph_targets.core.model import build
 from bl_ext.user_default.dynamic_morph_targets.core.motion import limits, prepared
 from bl_ext.user_default.dynamic_morph_targets.io import model_file
@@ -237,3 +237,16 @@ def test_what_takes_long_is_made_in_the_thread(new_arm, monkeypatch):
     shown_at(2)
     assert live.sessions[new_arm.session_uid].tissue.modes == 80
     assert len(makers) == 2 and threading.main_thread() not in makers
+
+
+def test_what_live_cannot_play_is_built_nevertheless(new_arm, monkeypatch):
+    """Live says what prevents it when the model is there."""
+
+    def refuse(*_given):
+        raise SceneError("Not this one")
+
+    prepared.forget()
+    monkeypatch.setattr(prepared, "motion_limit", refuse)
+    for _ in FirstLook(new_arm).steps(pause=0.001):
+        pass
+    assert new_arm.dynamorph.model.content_id
