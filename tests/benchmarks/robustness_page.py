@@ -237,7 +237,10 @@ def portraits(baked: characters.Baked) -> list:
         obj.hide_render = obj not in shown and obj.type != "LIGHT"
         if obj in shown:
             heat.paint(obj.data, np.zeros(len(obj.data.vertices)))
-    heat.paint(baked.body.data, lengths[farthest] / (RED * baked.size))
+    shares, character = lengths[farthest] / (RED * baked.size), baked.job.outcome.character
+    heat.paint(baked.body.data, shares[character.own_vertices])
+    for each in character.attachments:
+        heat.paint(bpy.data.objects[each.name].data, shares[each.members])
     aim(np.array([obj.matrix_world @ Vector(corner) for obj in shown for corner in obj.bound_box]), CELL)
     pictures = []
     for plain, color in ((True, "MATERIAL"), (False, "VERTEX")):
