@@ -32,9 +32,9 @@ bulges and hardens as it bends, a shoulder that folds without passing through it
 the tuck. `make figures` writes this page, its pictures and [results.json](results.json); nothing here is written by
 hand. We did not have the thesis's pictures, so which of its figures shows what is our interpretation.
 
-Methods, as in the Model panel and on the command line: *plain skinning* (bones alone), *static morphs* (geometric morph
-targets), *single material* (the neutral target alone), *pose-dependent shape* (the shape follows the pose, the material
-does not, after Capell et al. 2005), and *DMT*, dynamic morph targets.
+Methods, as *Advanced > Detail > Method* has them and the command line: *plain skinning* (bones alone), *static morphs*
+(geometric morph targets), *single material* (the neutral target alone), *pose-dependent shape* (the shape follows the
+pose, the material does not, after Capell et al. 2005), and *DMT*, dynamic morph targets.
 
 Errors compare the skin's displacement before the bones move it, over all vertices and frames: the RMS distance from
 the reference in percent of its RMS displacement, and the largest in percent of its largest. *Total* displacement is

@@ -2,13 +2,14 @@
 """Builds the playground (docs/playground.md) into build/playground: python tools/playground.py
 
 Needs the engine in build/cmake, Blender's Python module, and Emscripten; takes about 4 minutes. It keeps what
-is up to date: the WebAssembly by ninja, a model while it is newer than its scene. It writes the table of sizes in
-docs/playground.md, and fails where a file is over its budget.
+is up to date: the WebAssembly by ninja, a model while it is newer than its scene, the add-on and the engine. It writes
+the table of sizes in docs/playground.md, and fails where a file is over its budget.
 """
 
 from __future__ import annotations
 
 import gzip
+import itertools
 import json
 import os
 import shutil
@@ -16,13 +17,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+from measured import write_between
+
 ROOT = Path(__file__).resolve().parent.parent
 WEB, SCENES, BUILD = ROOT / "web", ROOT / "sample_blends", ROOT / "build"
 OUT = BUILD / "playground"
 SCRIPTS = ("playground.mjs", "engine.mjs", "picture.mjs")
 PAGE = ("index.html", "style.css", *SCRIPTS)
 PLATFORM = Path("/usr/share/emscripten/cmake/Modules/Platform/Emscripten.cmake")  # of Debian's package
-PROOF_FRAMES = 240  # as in playground.mjs
 KILOBYTE = 1000
 DOCS, BEGIN, END = ROOT / "docs" / "playground.md", "<!-- sizes -->", "<!-- /sizes -->"
 BUDGETS = {"playground.wasm.gz": 350, "cylinder.dynamorph.gz": 450, "scripts": 10}  # kB, compressed by gzip
@@ -74,24 +76,22 @@ def export(scene: str, name: str, path: str) -> None:
     leave(0)
 
 
-def model(described: dict) -> bytes:
+def model(described: dict) -> Path:
     """The file of one of web/models.json."""
-    path = BUILD / "soft_skins" / f"{described['file']}.dynamorph"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not path.exists() or path.stat().st_mtime < (SCENES / described["scene"]).stat().st_mtime:
-        print(f"building the model of {described['scene']}", flush=True)
-        parts = (ROOT / "addon", BUILD / "cmake" / "python", os.environ.get("PYTHONPATH", ""))
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, filter(None, parts)))}
-        command = [sys.executable, __file__, described["scene"], described["object"], path]
-        subprocess.run(command, check=True, env=environment, stdout=subprocess.DEVNULL)
-    return path.read_bytes()
+    path, scene = BUILD / "soft_skins" / f"{described['file']}.dynamorph", SCENES / described["scene"]
+    makers = (ROOT / "addon").rglob("*.py"), (BUILD / "cmake" / "python").rglob("*.so")
+    newest = max(each.stat().st_mtime for each in itertools.chain([scene], *makers))
+    if not path.exists() or path.stat().st_mtime < newest:
+        print(f"building the model of {scene.name}", flush=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        command = [sys.executable, __file__, scene.name, described["object"], path]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return path
 
 
-def fixed_motion(program: Path, described: dict) -> dict:
+def fixed_motion(program: Path, path: Path, sliders: list[dict], frames: int) -> dict:
     """What the native engine computes, with the instruction set that all processors have."""
-    path = BUILD / "soft_skins" / f"{described['file']}.dynamorph"
-    keys = [[[value, name] for name, value in each["keys"].items()] for each in described["sliders"]]
-    command = [program, path, str(PROOF_FRAMES), json.dumps(keys)]
+    command = [program, path, str(frames), json.dumps(sliders)]
     environment = os.environ | {"DYNAMORPH_ISA": "baseline"}
     printed = subprocess.run(command, check=True, env=environment, stdout=subprocess.PIPE, text=True).stdout.split()
     return {"hash": printed[0], "coordinates": [float(each) for each in printed[1:]]}
@@ -115,8 +115,7 @@ def write_table() -> None:
     """The table of docs/playground.md."""
     rows = [f"| `{name}` | {size:.0f} kB | {BUDGETS.get(name, '')} |" for name, size in sizes().items()]
     table = "\n".join(["| file | size, compressed | budget, kB |", "|---|---|---|", *rows])
-    before, _, rest = DOCS.read_text().partition(BEGIN)
-    DOCS.write_text(f"{before}{BEGIN}\n{table}\n{END}{rest.partition(END)[2]}")
+    write_between(DOCS, BEGIN, END, table)
     print(table)
 
 
@@ -124,9 +123,10 @@ def main() -> None:
     OUT.mkdir(parents=True, exist_ok=True)
     (OUT / "playground.wasm.gz").write_bytes(gzip.compress(webassembly(), 9, mtime=0))
     described, program = json.loads((WEB / "models.json").read_text()), native()
-    for each in described:
-        (OUT / f"{each['file']}.dynamorph.gz").write_bytes(gzip.compress(model(each), 9, mtime=0))
-        each["native"] = fixed_motion(program, each)
+    for each in described["models"]:
+        path = model(each)
+        (OUT / f"{path.name}.gz").write_bytes(gzip.compress(path.read_bytes(), 9, mtime=0))
+        each["native"] = fixed_motion(program, path, each["sliders"], described["frames"])
     (OUT / "models.json").write_text(json.dumps(described))
     for name in PAGE:
         shutil.copy(WEB / name, OUT)

@@ -13,13 +13,14 @@ export async function compiled(wasm) {
   try {
     return await WebAssembly.compile(wasm);
   } catch (error) {
-    throw new Error("This browser lacks SIMD or exceptions in WebAssembly, which the engine needs: use a newer one", { cause: error });
+    const lacks = "This browser lacks SIMD or exceptions in WebAssembly, which the engine needs: use a newer one";
+    throw new Error(lacks, { cause: error });
   }
 }
 
-/// The engine with one soft skin; what fails throws the engine's own sentence. keys: for each target set, pairs of a
-/// slider's value and the name of the target there.
-export async function start(module, model, keys) {
+/// The engine with one soft skin; what fails throws the engine's own sentence. sliders: for each target set, with
+/// keys, pairs of a slider's value and the name of the target there.
+export async function start(module, model, sliders) {
   let raw;
   const view = () => new DataView(raw.memory.buffer);
   const system = {
@@ -43,7 +44,7 @@ export async function start(module, model, keys) {
   raw.dm_free(at);
   tried(failed);
   const about = JSON.parse(text(raw.dm_describe()));
-  keys.forEach((set, s) => set.forEach(([value, target]) => {
+  sliders.forEach(({ keys }, s) => keys.forEach(([value, target]) => {
     const index = about.targets.indexOf(target);
     if (index < 0) throw new Error(`The model has no target '${target}'`);
     raw.dm_add_key(s, value, index);

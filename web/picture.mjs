@@ -35,7 +35,8 @@ void main() {
   float wrap = max((dot(N, key) + .25) / 1.25, 0.);
   vec3 light = vec3(1.6, 1.5, 1.38) * wrap + vec3(.22, .28, .36) * max(dot(N, fill), 0.)
              + mix(vec3(.16, .13, .12), vec3(.36, .40, .46), .5 + .5 * N.z);
-  vec3 c = base * light + .22 * pow(max(dot(N, normalize(key + E)), 0.), 48.) + rim * (dark ? .22 : .12) * vec3(.6, .8, 1.);
+  float shine = .22 * pow(max(dot(N, normalize(key + E)), 0.), 48.);
+  vec3 c = base * light + shine + rim * (dark ? .22 : .12) * vec3(.6, .8, 1.);
   color = vec4(pow(c / (1. + .42 * c), vec3(1. / 2.2)), 1);
 }`;
 

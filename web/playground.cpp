@@ -85,8 +85,6 @@ Playground::Playground(const unsigned char* bytes, std::size_t size)
   options.h = 1.0 / (60 * kSubsteps);
   options.gravity = character.gravity;
   build(1);
-  options.teleport = kTeleport * model.model->body().size * options.h;
-  build(1);
   rest = character.vertices * character.to_bind.transpose();
   const auto in_bind_space = [this](const MatrixXd& local) {
     FloatMatrix out(local.rows(), local.cols());
@@ -120,6 +118,7 @@ void Playground::build(double stiffness) {
     target.stiffness_damping /= std::sqrt(stiffness);
   }
   model = file::load_soft_skin(content, targets, character.blending);
+  options.teleport = kTeleport * model.model->body().size * options.h;
   auto next = std::make_unique<Simulation<ReducedModel>>(model.model, options);
   if (!options.gravity.isZero()) next->balance_targets(character.target_bones);
   finger = {};
@@ -351,25 +350,29 @@ EXPORT int dm_fixed_motion(int frames) {
 #include <fstream>
 #include <iterator>
 
-/// playground MODEL FRAMES KEYS: prints the hash of the fixed motion, then its last coordinates. KEYS: JSON, for each
-/// set, pairs of value and name of the target.
+/// Adds the keys of a slider of web/models.json. Throws std::invalid_argument for a target that the model lacks.
+static void add_keys(int set, const nlohmann::json& slider) {
+  const std::vector<MorphTarget>& targets = play->character.targets;
+  for (const auto& key : slider["keys"]) {
+    const auto named = [&key](const MorphTarget& target) { return target.name == key[1]; };
+    const auto found = std::find_if(targets.begin(), targets.end(), named);
+    if (found == targets.end()) throw std::invalid_argument("The model has no target " + key[1].dump());
+    dm_add_key(set, key[0], int(found - targets.begin()));
+  }
+}
+
+/// playground MODEL FRAMES SLIDERS: prints the hash of the fixed motion, then its last coordinates. SLIDERS: those of a
+/// model of web/models.json.
 int main(int count, char** arguments) {
-  if (count != 4) return 2;
+  if (count != 4) return std::fprintf(stderr, "playground MODEL FRAMES SLIDERS\n"), 2;
   std::ifstream stream(arguments[1], std::ios::binary);
   const std::vector<unsigned char> bytes((std::istreambuf_iterator<char>(stream)), {});
-  int failed = dm_load(bytes.data(), int(bytes.size()));
-  if (!failed) {
-    const auto sets = nlohmann::json::parse(arguments[3]);
-    const std::vector<MorphTarget>& targets = play->character.targets;
-    for (std::size_t s = 0; s < sets.size(); ++s)
-      for (const auto& key : sets[s]) {
-        const auto named = [&key](const MorphTarget& target) { return target.name == key[1]; };
-        const auto found = std::find_if(targets.begin(), targets.end(), named);
-        dm_add_key(int(s), key[0], int(found - targets.begin()));
-      }
-    failed = dm_fixed_motion(std::atoi(arguments[2]));
-  }
-  if (failed) return std::fprintf(stderr, "%s\n", dm_error()), 1;
+  const auto add_sliders = [&] {
+    int set = 0;
+    for (const auto& slider : nlohmann::json::parse(arguments[3])) add_keys(set++, slider);
+  };
+  if (dm_load(bytes.data(), int(bytes.size())) || guarded(add_sliders) || dm_fixed_motion(std::atoi(arguments[2])))
+    return std::fprintf(stderr, "%s\n", dm_error()), 1;
   std::printf("%s\n", dm_hash());
   for (double each : play->simulation->coordinates()) std::printf("%.17g\n", each);
 }

@@ -7,18 +7,21 @@ const FRAME = 1 / 60;  // s
 const MOST_OWED = 3;  // frames: a slow machine shows slow motion
 const HAND = 22;  // 1/s, of the spring by which a hand moves the character
 const TAP = 6;  // CSS pixels that a finger may slip
-const PROOF_FRAMES = 240;
 
 const $ = (id) => document.getElementById(id);
-const made = (parent, kind, properties = {}) => parent.appendChild(Object.assign(document.createElement(kind), properties));
+const made = (parent, kind, properties = {}) =>
+  parent.appendChild(Object.assign(document.createElement(kind), properties));
 const times = { begun: performance.now() };
 const spent = { frames: 0, ms: 0 };
-let picture, models, module, engine, model, method = "dynamic", sliders = [], meters = [], script = null;
+let picture, models, frames, module, engine, model, method = "dynamic", sliders = [], meters = [], script = null;
+let asked = 0;  // how many characters: the last one counts
 let goal = [0, 0, 0], offset = [0, 0, 0], speed = [0, 0, 0], grip = null, failed = false;
+
+const sentence = (error) => `${error?.message ?? error}.`.replace(/([.!?])\.$/, "$1");
 
 function tell(error) {
   failed = true;
-  $("message").textContent = `${error?.message ?? error}.`.replace(/([.!?])\.$/, "$1");
+  $("message").textContent = sentence(error);
 }
 
 async function fetched(name) {
@@ -27,13 +30,24 @@ async function fetched(name) {
   return answer.arrayBuffer();
 }
 
-const keysOf = ({ sliders }) => sliders.map(({ keys }) => Object.entries(keys).map(([target, value]) => [value, target]));
-
+/// Shows another character, unless the reader asks for yet another one meanwhile.
 async function load(next) {
+  const mine = ++asked;
   $("message").textContent = `Loading ${next.title} …`;
-  const bytes = await unzipped(await fetched(`${next.file}.dynamorph.gz`));
-  engine = await start(module, bytes, keysOf(next));
+  try {
+    const bytes = await unzipped(await fetched(`${next.file}.dynamorph.gz`));
+    const started = await start(module, bytes, next.sliders);
+    if (mine == asked) enter(next, started, bytes);
+  } catch (error) {
+    if (mine == asked) tell(error);
+  }
+}
+
+function enter(next, started, bytes) {
+  const first = !engine;
+  engine = started;
   model = next;
+  script = null;
   failed = false;
   goal = [0, 0, 0]; offset = [0, 0, 0]; speed = [0, 0, 0];
   addControls();
@@ -43,17 +57,22 @@ async function load(next) {
   picture.show(engine.triangles(), engine.surface(), model);
   show();
   $("message").textContent = "";
-  setTimeout(() => prove(next, bytes), 1500);
+  setTimeout(() => prove(next, bytes).catch((error) => { $("proof").textContent = sentence(error); }), 1500);
+  if (!first) return;
+  listen();
+  run();
+  if (!matchMedia("(prefers-reduced-motion: reduce)").matches) shake();
 }
 
 /// Repeats the fixed motion of the native engine in another instance, and compares.
 async function prove(shown, bytes) {
-  const other = await start(module, bytes, keysOf(shown)), hash = other.fixedMotion(PROOF_FRAMES), { native } = shown;
+  const other = await start(module, bytes, shown.sliders);
+  if (shown != model) return;
+  const { native } = shown, hash = other.fixedMotion(frames);
   const off = Math.max(...other.coordinates().map((x, i) => Math.abs(x - native.coordinates[i])));
   const largest = Math.max(...native.coordinates.map(Math.abs));
-  if (shown != model) return;
   const same = hash == native.hash ? "the same motion" : "ANOTHER MOTION";
-  $("proof").textContent = `Fixed motion, ${PROOF_FRAMES} frames, to nine digits: ${hash} in this browser, ${native.hash} ` +
+  $("proof").textContent = `Fixed motion, ${frames} frames, to nine digits: ${hash} in this browser, ${native.hash} ` +
     `compiled for a desktop: ${same}. The largest relative difference is ${(off / largest).toExponential(0)}.`;
   shown.proof = { hash, off: off / largest };
 }
@@ -62,8 +81,8 @@ function addControls() {
   $("sliders").replaceChildren();
   sliders = model.sliders.map(({ title, unit, keys }, s) => {
     const label = made($("sliders"), "label", { className: "slider", textContent: `${title} ` });
-    const values = Object.values(keys);
-    const slider = made(label, "input", { type: "range", min: values[0], max: values.at(-1), step: "any", value: model.pose[s] });
+    const [[min], [max]] = [keys[0], keys.at(-1)];
+    const slider = made(label, "input", { type: "range", min, max, step: "any", value: model.pose[s] });
     const out = made(label, "output");
     const shown = () => { out.textContent = `${Math.round(slider.value)}${unit == "%" ? " " : ""}${unit}`; };
     slider.addEventListener("input", () => { script = null; shown(); });
@@ -89,17 +108,20 @@ function bounce(changed = true) {
 
 // --- Hands -----------------------------------------------------------------------------------------------------------
 
+/// work(t) at each frame, t from 0 to 1 in so many simulated seconds: where those are slow, by the clock, so is a hand.
 function scripted(seconds, work) {
-  const begun = performance.now();
-  script = (now) => {
-    const t = Math.min((now - begun) / 1000 / seconds, 1);
+  let t = 0;
+  script = () => {
+    t = Math.min(t + FRAME / seconds, 1);
     if (t == 1) script = null;
     work(t);
   };
 }
 
+/// As often as the tissue swings by itself.
 const shake = () => scripted(0.9, (t) => {
-  const reach = t < 1 ? 0.05 * picture.size * Math.sin(t * 0.9 * 24) : 0;
+  const swing = Math.sin(2 * Math.PI * engine.about.frequency * 0.9 * t);
+  const reach = t < 1 ? 0.1 * picture.size * swing : 0;
   goal = picture.axes.right.map((r, i) => reach * (0.6 * r + picture.axes.above[i]));
 });
 
@@ -161,6 +183,7 @@ function guarded(work) {
 }
 
 function advance() {
+  script?.();
   for (let i = 0; i < 3; ++i) {
     speed[i] += FRAME * (HAND * HAND * (goal[i] - offset[i]) - 2 * HAND * speed[i]);
     offset[i] += FRAME * speed[i];
@@ -189,7 +212,6 @@ function run() {
     owed = Math.min(owed + (now - last) / 1000, MOST_OWED * FRAME);
     last = now;
     if (!failed) guarded(() => {
-      script?.(now);
       const begun = performance.now();
       const due = owed >= FRAME;
       for (; owed >= FRAME; owed -= FRAME) { advance(); ++spent.frames; }
@@ -204,18 +226,15 @@ function run() {
 try {
   picture = new Picture($("view"));
   const wasm = fetched("playground.wasm.gz").then(unzipped).then(compiled);
-  models = JSON.parse(new TextDecoder().decode(await fetched("models.json")));
-  module = await wasm;
+  const described = fetched("models.json").then((bytes) => JSON.parse(new TextDecoder().decode(bytes)));
+  [module, { frames, models }] = await Promise.all([wasm, described]);
   for (const each of models) {
     const label = made($("models"), "label");
     const radio = made(label, "input", { type: "radio", name: "model", checked: each == models[0] });
     made(label, "span", { textContent: each.title });
-    radio.addEventListener("change", () => load(each).catch(tell));
+    radio.addEventListener("change", () => load(each));
   }
-  await load(models[0]);
-  listen();
-  run();
-  if (!matchMedia("(prefers-reduced-motion: reduce)").matches) shake();
+  load(models[0]);
 } catch (error) {
   tell(error);
 }

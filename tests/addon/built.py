@@ -22,3 +22,12 @@ class BuiltOnce:
         assign.assign(record, self._record)
         record.stale = ""
         storage.fit_modes(obj, modes)
+
+
+class SmallModel(BuiltOnce):
+    """A model for tests of what is done with one: it is built in 0.2 s, and has 65 kB."""
+
+    def give(self, obj, modes=4):
+        settings = obj.dynamorph.model
+        settings.modes, settings.cage_nodes = modes, 100
+        super().give(obj, modes)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from assets import ASSETS
 
-ASSETS = Path(__file__).parents[3] / "shared" / "assets"
 BY = "[CC BY 4.0](https://creativecommons.org/licenses/by/4.0/)"
 CREDITS = {  # for the captions of their pictures, as their licenses ask
     "CesiumMan_notexture.glb": f"*Cesium Man*, © 2017 Cesium, {BY}; its textures, which carry a trademark, are "

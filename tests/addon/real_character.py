@@ -2,13 +2,13 @@
 """The MakeHuman body of ../shared, with dynamic morph targets made of its own driven keys: for tests and benchmarks."""
 
 import math
-from pathlib import Path
 
 import bpy
+from assets import ASSETS
 from mathutils import Quaternion
 from pins import with_pins
 
-CHARACTER = Path(__file__).parents[3] / "shared" / "assets" / "mh_male_53bones.blend"
+CHARACTER = ASSETS / "mh_male_53bones.blend"
 SOFT, STIFF = 1.2e4, 6.0e4  # Pa: relaxed tissue and flexed muscle
 HELD = (
     "head",

@@ -20,15 +20,15 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from assets import require
 from motion_error import REGIONS, TORSO
 from performance_page import grid
 from run import machine
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT / folder) for folder in ("sample_blends", "tools")]
+sys.path[:0] = [str(ROOT / folder) for folder in ("tests/addon", "sample_blends", "tools")]
 
 import plots  # noqa: E402
+from assets import require  # noqa: E402
 from measured import measured_at  # noqa: E402
 
 CACHE = ROOT / "build" / "accuracy"

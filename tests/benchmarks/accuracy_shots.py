@@ -147,8 +147,9 @@ class Solved:
         }
 
 
-def solve(model: Model, engine: EngineModel, shot: Shot) -> Solved:
-    frames = list(Player(model, shot.character, shot.settings, engine=engine).run(shot.rig))
+def solve(model: Model, shot: Shot) -> Solved:
+    player = Player(model, shot.character, shot.settings)
+    frames, engine = list(player.run(shot.rig)), player.engine
     motion = np.array([engine.displacement(frame.coordinates)[model.free] for frame in frames])
     return Solved(model, engine, shot, frames, motion)
 
@@ -158,7 +159,7 @@ class Timed:
 
     def __init__(self, solved: Solved):
         model, engine, shot = solved.model, solved.engine, solved.shot
-        player = Player(model, shot.character, shot.settings, engine=engine)
+        player = Player(model, shot.character, shot.settings)
         player.begin(shot.rig)
         self.bones, self.weights = player.posing.posed(shot.rig[1:])
         self.state, settings = player.state, shot.settings
@@ -197,7 +198,7 @@ def measure(subject: Subject, shots: Sequence[Shot], rows: Sequence[tuple[str, i
     unreduced = simulate.build_for(character.with_settings(solver="FULL"), shots[0].rig, shots[0].settings)
     body, mass, regions = parts(subject, unreduced, character)
     with compare.one_core():
-        full = [solve(unreduced, unreduced.engine(shot.character, shot.character.probed), shot) for shot in shots]
+        full = [solve(unreduced, shot) for shot in shots]
         found = {
             "title": subject.title,
             "material_model": own.material_model,
@@ -261,9 +262,8 @@ def reduce(row, unreduced: Model, full: Sequence[Solved], mass, regions) -> tupl
     try:
         model = simulate.build_for(character, shot.rig, shot.settings, previous=unreduced)
         for reference in full:
-            engine = model.engine(reference.shot.character, reference.shot.character.probed)
-            solved = solve(model, engine, reference.shot)
-            figures["coordinates"] = engine.dofs
+            solved = solve(model, reference.shot)
+            figures["coordinates"] = solved.engine.dofs
             figures["clips"][reference.shot.clip] = solved.steps() | motion_error.errors(
                 solved.motion, reference.motion, mass, regions, reference.dynamic
             )

@@ -15,13 +15,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from assets import require
 from performance_page import grid
 from run import machine
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.append(str(ROOT / "tools"))
+sys.path += [str(ROOT / folder) for folder in ("tests/addon", "tools")]
 
+from assets import require  # noqa: E402
 from measured import measured_at  # noqa: E402
 
 PAGE = ROOT / "docs" / "bakes.md"
@@ -143,8 +143,8 @@ sizes. *Seconds*: to write it, without the simulation. Each version of Blender h
 ### How many keys
 
 {budgets}
-The last has every mode and every target. *Said*: by the bake itself. *Shown*: by Blender, measured on its evaluated
-mesh.
+The last has every mode and every target. *Said*: the error that the bake itself states. *Shown*: the error of
+Blender's evaluated mesh.
 
 ### Keys of single frames
 

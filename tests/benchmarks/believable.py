@@ -62,8 +62,8 @@ the animation, and neither trembles, tears nor turns inside out. Nearly all of t
 
 **How to read it.** Each character is baked with two clips, and every bake is judged by its worst frame against all the
 limits in the summary. A bake that misses one of them is not broken: it plays and can be saved, but in at least one
-frame you can find edges that are squeezed too far, a thin part that swings, or a tremble. What is asked is the
-project's own goal, and each miss is bold so that it is not forgotten. In Blender the *verdict* after a bake tells you
+frame you can find edges that are squeezed too far, a thin part that swings, or a tremble. The goals are the
+project's own, and each miss is bold so that it is not forgotten. In Blender the *verdict* after a bake tells you
 about most of the same faults, and [Troubleshooting](troubleshooting.md) says what to change.
 
 {commit}. Blender {blender}; {machine}; {jobs} characters at a time.
@@ -75,7 +75,7 @@ is measured from Blender's evaluated meshes, in every frame.
 
 ## Summary
 
-**{passed} of {count} bakes of {characters} characters pass all limits ({share:.0%}; asked: {asked:.0%}).**
+**{passed} of {count} bakes of {characters} characters pass all limits ({share:.0%}; goal: {asked:.0%}).**
 {broken} Flicker counts how often the skin's own motion turns, not how far it goes: in a calm walk that motion
 is a small fraction of the body's size, and so is the tremble.
 
@@ -89,7 +89,7 @@ skinning, because the bones alone may make an edge vanish where a joint folds.
 *Flipped*: share of the surface that turns over. *Inverted*: share of the cage's volume that turns inside out. *Thin
 parts*: how much the thinnest fifth of the surface moves, compared with the thickest, if that is at least twice as
 thick. *Seam*: gap between meshes that touch at rest. *Alive*: motion of the liveliest tenth of the surface, and the
-share of it that moves at least a tenth as much; asked where the clip shakes the thickest fifth of the character by
+share of it that moves at least a tenth as much; counted where the clip shakes the thickest fifth of the character by
 {shaken:g} of its size: wings must not move.
 *Flicker*: how often the skin's own motion turns from frame to frame: a slow swing is near -1, a swing of a quarter of
 the frame rate 0, up and down at every other frame 1; it may be above 0 where that of the bones alone in the world is,
@@ -136,7 +136,7 @@ then enough, and more **Cage Nodes** are for slim parts and small sculpts.
 The MakeHuman man after one click, {frames} frames of his liveliest clip, without reduction, in cages of more and more
 nodes. *Apart*: RMS over the surface of the motion about its mean less that of the finest cage, as a part of the RMS of
 the latter. A build gives each cage the stiffness with which the body swings at {frequency:.3g} Hz;
-*stiffness kept* is the coarsest cage's in all. Asked: {asked:.0%} for the coarsest.
+*stiffness kept* is the coarsest cage's in all. Goal: {asked:.0%} for the coarsest.
 
 {commit}.
 

@@ -64,7 +64,7 @@ Each body is baked with the liveliest 48 frames of its clips, or a hop and a twi
 
 *Farthest*: the largest displacement, of size. *Alive*: RMS motion of the liveliest tenth of the surface, of size.
 *Flicker*: how often the skin's own motion turns from frame to frame, from -1, a slow swing, to 1; see
-[believable.md](believable.md).
+[Believable](believable.md).
 
 {figures}"""
 

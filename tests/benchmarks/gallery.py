@@ -105,7 +105,7 @@ Colors show the soft tissue's own motion: how far the skin is from where the bon
 it. `make gallery` films these loops and writes this page.
 
 A link beside each loop leads to the recipe that makes it. Each scene comes as two files: one ready to bake, and one
-baked, which plays at once. `make gallery` writes both to `dist/gallery`, and each release offers them as downloads. The
+baked, which plays at once. `make gallery` writes both to `dist/gallery`, and a release has them as downloads. The
 scenes are CC0.
 
 The tables give what was baked, and the seconds that building the model and baking took, from nothing, on this machine:

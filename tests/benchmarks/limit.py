@@ -80,7 +80,7 @@ of size, and the 0.1th percentile of the edges' lengths over those at rest in th
 capture is to be kept, displacements are to stay below 5 %, edges above 0.6. A larger *stretch* keeps a little more of a
 walk and lets landings squeeze edges; a larger *slack* lets fish go farther. A smaller *pulled stretch* takes motion
 away from everything. *Edges between* count on bodies whose skin gives way between few edges, see
-[believable.md](believable.md); they cost time.
+[Believable](believable.md); they cost time.
 
 {constants}
 ## The step

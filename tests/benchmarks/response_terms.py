@@ -52,8 +52,7 @@ def solve(shot: shots.Shot, character) -> tuple[shots.Solved, shots.Solved]:
     unreduced = simulate.build_for(character.with_settings(solver="FULL"), shot.rig, shot.settings)
     settings = shots.row_settings(character.settings, RESPONSES, DETAIL)
     model = simulate.build_for(replace(character, settings=settings), shot.rig, shot.settings, previous=unreduced)
-    engines = (each.engine(character, character.probed) for each in (unreduced, model))
-    full, reduced = (shots.solve(each, engine, shot) for each, engine in zip((unreduced, model), engines, strict=True))
+    full, reduced = (shots.solve(each, shot) for each in (unreduced, model))
     return full, reduced
 
 

@@ -106,9 +106,9 @@ what the table is for.
 {bakes}
 ## Surfaces
 
-All {surfaces} mesh objects of these files and of `../shared/meshes`, skinned or not, each wrapped and filled with about
-{surface_nodes} nodes: {meshed} were, {contained} of them with every vertex inside, in {median:.2f} s in the middle and
-{seconds:.1f} s at most. Of their dihedral angles {slivers} are under 5°.
+All {surfaces} mesh objects of these files and of `../shared/meshes`, skinned or not, each wrapped and filled with
+about {surface_nodes} nodes: {meshed} could be, and {contained} of these cages contain every vertex. The median took
+{median:.2f} s, the longest {seconds:.1f} s. Of their dihedral angles {slivers} are under 5°.
 {refused}"""
 
 

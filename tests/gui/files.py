@@ -96,7 +96,7 @@ def choose_options():
         yield from driver.choose_other((x + width * 0.75, y + height - below), asked, name)
 
 
-@step("File > Export > Soft Skin Clip")
+@step("File > Export > Soft Skin")
 def export_from_file_menu():
     """The entry is the last of the menu."""
     clip = WORK / "clip.glb"

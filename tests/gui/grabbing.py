@@ -49,7 +49,7 @@ def hands() -> dict:
     return current.holds if current else {}
 
 
-@step("Live, and the tool", picture=view)
+@step("Live, and the tool")
 def choose():
     global before
     before = keys()

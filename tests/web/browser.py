@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
 import http.server
 import json
@@ -18,7 +19,7 @@ from pathlib import Path
 PROGRAM = shutil.which("chromium")
 FLAGS = (
     "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-first-run",
-    "--remote-debugging-port=0", "--disable-background-networking",
+    "--disable-dev-shm-usage", "--remote-debugging-port=0", "--disable-background-networking",
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 )  # fmt: skip
 FAULTS = ("Runtime.exceptionThrown", "Log.entryAdded", "Network.loadingFailed")
@@ -90,10 +91,7 @@ async def _visited(address: str, work: Callable[[Page], Awaitable], before: str,
         command = [PROGRAM, *FLAGS, f"--user-data-dir={profile}", "--window-size=1000,800", "about:blank"]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
-            port = await _port(Path(profile) / "DevToolsActivePort")
-            with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
-                tab = next(each for each in json.load(answer) if each["type"] == "page")
-            async with websockets.connect(tab["webSocketDebuggerUrl"], max_size=None) as socket:
+            async with websockets.connect(await _tab(Path(profile)), max_size=None) as socket:
                 page = Page(socket)
                 for domain in ("Page", "Runtime", "Log", "Network"):
                     await page.call(f"{domain}.enable")
@@ -107,9 +105,14 @@ async def _visited(address: str, work: Callable[[Page], Awaitable], before: str,
             process.wait(20)
 
 
-async def _port(file: Path) -> str:
+async def _tab(profile: Path) -> str:
+    """The address of the page's debugger. Chromium makes its port, what answers there, and its page one by one."""
     for _ in range(int(PATIENCE / 0.1)):
-        if file.exists() and (text := file.read_text()):
-            return text.split("\n")[0]
+        with contextlib.suppress(OSError):  # also of urllib
+            port = (profile / "DevToolsActivePort").read_text().split("\n")[0]
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=PATIENCE) as answer:
+                pages = [each for each in json.load(answer) if each["type"] == "page"]
+            if pages:
+                return pages[0]["webSocketDebuggerUrl"]
         await asyncio.sleep(0.1)
     raise AssertionError("Chromium did not start")

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The built playground: its motion is the native engine's, hands move it, it says what is wrong, and it stays small."""
 
+import asyncio
 import gzip
 import json
+import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -57,6 +60,32 @@ def test_damaged_model_is_refused(in_node):
     assert in_node["refused"].startswith("The model is damaged"), in_node["refused"]
 
 
+def test_unknown_target_is_refused():
+    program, skin = playground.BUILD / "native/playground", playground.BUILD / "soft_skins/cylinder.dynamorph"
+    if not (program.exists() and skin.exists()):
+        pytest.skip("needs the native program: run tools/playground.py")
+    sliders = json.dumps([{"keys": [[0, "Neutral"], [1, "Nobody"]]}])
+    done = subprocess.run([program, skin, "1", sliders], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == 'The model has no target "Nobody"\n'
+
+
+def test_models_are_built_again_when_the_engine_is_newer(monkeypatch, tmp_path):
+    built = []
+    monkeypatch.setattr(playground, "BUILD", tmp_path)
+    monkeypatch.setattr(playground.subprocess, "run", lambda command, **_options: built.append(command[-1]))
+    described = json.loads((playground.WEB / "models.json").read_text())["models"][0]
+    path, engine = tmp_path / "soft_skins/cylinder.dynamorph", tmp_path / "cmake/python/dynamorph/core.so"
+    for each in (path, engine):
+        each.parent.mkdir(parents=True)
+        each.touch()
+    later = time.time() + 3600
+    os.utime(path, (later, later))
+    assert playground.model(described) == path and built == []
+    os.utime(engine, (later + 1, later + 1))
+    assert playground.model(described) == path and built == [path]
+
+
 def test_sizes_are_within_their_budgets():
     sizes = playground.sizes()
     assert {name: sizes[name] for name, limit in playground.BUDGETS.items() if sizes[name] > limit} == {}
@@ -84,7 +113,7 @@ def test_page_draws_moves_and_proves_its_motion(page_of):
         return moved, proof, await page.value("document.getElementById('proof').textContent"), page
 
     moved, proof, text, page = page_of(playground.OUT, work, media={"prefers-reduced-motion": "reduce"})
-    native = json.loads(BUILT.read_text())[0]["native"]
+    native = json.loads(BUILT.read_text())["models"][0]["native"]
     assert len(moved) == len(native["coordinates"])
     assert proof["off"] <= SAME
     assert proof["hash"] == native["hash"] and native["hash"] in text
@@ -130,6 +159,30 @@ def test_methods_poke_and_bounce(page_of):
 
 
 @in_browser
+def test_shake_is_the_same_on_a_slow_machine(page_of):
+    """As many frames, whatever the clock says: else its hand would move ever faster than the tissue."""
+
+    async def work(page):
+        await page.wait(DRAWN)
+        await page.value("playground.stop()")
+        found = []
+        for pause in (0.0, 1.2):
+            await page.value("for (let i = 0; i < 600; ++i) playground.advance()")  # it comes to rest
+            await page.value(
+                "document.getElementById('shake').click(); for (let i = 0; i < 9; ++i) playground.advance()"
+            )
+            await asyncio.sleep(pause)
+            await page.value("for (let i = 0; i < 21; ++i) playground.advance()")
+            found.append(await page.value("[...playground.engine.coordinates()]"))
+        return found, page.faults
+
+    (quick, slow), faults = page_of(playground.OUT, work, media={"prefers-reduced-motion": "reduce"})
+    assert max(map(abs, quick)) > 1e-4
+    assert slow == pytest.approx(quick, abs=1e-6)
+    assert faults == []
+
+
+@in_browser
 @pytest.mark.parametrize(
     ("before", "says"),
     [
@@ -159,3 +212,44 @@ def test_damaged_file_gets_the_engines_sentence(page_of, tmp_path):
         return await page.wait("(document.getElementById('message')?.textContent.match(/damaged.*/) ?? [''])[0]")
 
     assert "Build it again." in page_of(tmp_path / "page", work)
+
+
+@in_browser
+@pytest.mark.parametrize("late", ["arrives", "fails"])
+def test_last_character_asked_for_is_shown_whatever_arrives_later(page_of, late):
+    """The first one is held back until the second is there."""
+    held = f"""const real = fetch, held = new Promise((done) => {{ globalThis.release = done; }});
+        globalThis.fetch = async (url) => {{
+          if (!String(url).includes("cylinder")) return real(url);
+          await held;
+          if ({json.dumps(late)} == "fails") throw new Error("It came too late");
+          return real(url);
+        }};"""
+
+    async def work(page):
+        await page.wait("document.querySelectorAll('[name=model]').length == 3")
+        await page.value("document.querySelectorAll('[name=model]')[1].click()")
+        await page.wait(DRAWN)
+        await page.value("release()")
+        await page.wait("playground.model.proof")  # much later
+        shown = "[playground.model.file, playground.engine.about.sets, document.getElementById('message').textContent]"
+        return await page.value(shown), page.faults
+
+    shown, faults = page_of(playground.OUT, work, held)
+    assert shown == ["shoulder", 2, ""]
+    assert faults == []
+
+
+@in_browser
+def test_proof_that_fails_says_why(page_of, tmp_path):
+    shutil.copytree(playground.OUT, tmp_path / "page")
+    file = tmp_path / "page" / "models.json"
+    described = json.loads(file.read_text())
+    del described["models"][0]["native"]
+    file.write_text(json.dumps(described))
+
+    async def work(page):
+        await page.wait("document.getElementById('proof')?.textContent.includes('coordinates')")
+        return await page.value("document.getElementById('message').textContent"), page.faults
+
+    assert page_of(tmp_path / "page", work) == ("", [])

@@ -28,8 +28,8 @@ def add_options(bake: argparse.ArgumentParser) -> None:
     bake.add_argument("--exclude", type=name_of, metavar="GROUP", help="a vertex group of skin that ignores objects")
 
 
-def apply(args: argparse.Namespace, obj: bpy.types.Object) -> None:
-    """Apply the options that are given to the object, and say how long what follows takes. Raises InputError."""
+def apply(args: argparse.Namespace, obj: bpy.types.Object, simulates: bool) -> None:
+    """Apply the options that are given to the object, and say how long a simulation takes. Raises InputError."""
     chosen, settings = vars(args), obj.dynamorph.collision
     name, on = chosen.get("collection"), chosen.get("collision")
     if name is not None:
@@ -56,6 +56,6 @@ def apply(args: argparse.Namespace, obj: bpy.types.Object) -> None:
     settings.use_friction |= chosen.get("friction") is not None
     if chosen.get("solver") == "reduced" and chosen.get("bake_full") is None:
         settings.bake_full = False
-    if args.goal == "BAKE" and args.clips != "actions" and settings.use and run_settings.bake_solver(obj) == "FULL":
+    if simulates and settings.use and run_settings.bake_solver(obj) == "FULL":
         time = bake_time.expected(obj, args.frames, args.substeps)
         print(f"{obj.name}: colliding bodies are baked in Full Quality: {time}", flush=True)

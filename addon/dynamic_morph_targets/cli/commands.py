@@ -56,8 +56,7 @@ def run_job(args: argparse.Namespace) -> None:
         apply_settings(args, obj)
     beside: dict[Path, Path] = {}  # point caches, and where they are until the .blend is saved
     try:
-        together = args.goal == "BAKE" and args.clips != "actions"
-        for group in colliders.pressing(objects) if together else [[obj] for obj in objects]:
+        for group in colliders.pressing(objects) if simulates(args) else [[obj] for obj in objects]:
             for done in work_on(args, group, folder, files, beside):
                 say(done)
                 args.done.append(done)
@@ -83,7 +82,7 @@ def work_on(
     """
     caches = cache_dir.CacheDir(args.cache_dir.absolute()) if args.cache_dir else None
     rebuild = args.goal == "BUILD" and caches is None
-    goal = "BUILD" if args.clips == "actions" else args.goal  # clips are simulated while they are written
+    goal = "BAKE" if simulates(args) else "BUILD"
     frames = tuple(args.frames) if args.frames else None
     options = {"rebuild": rebuild, "cache_dir": caches, "cache_files": files}
     jobs = args.jobs = [Job(obj, goal, frames, args.substeps, folder, **options) for obj in objects]
@@ -148,15 +147,28 @@ def apply_settings(args: argparse.Namespace, obj: bpy.types.Object) -> None:
     """Apply the settings of the command line to the object. Raises InputError."""
     for change in args.changes:
         set_property(obj, change)
-    if args.compare_full and (args.clips == "actions" or args.solver == "full"):
-        raise InputError("--compare-full compares a reduced bake: leave out --clips actions and --solver full")
+    if args.compare_full and not (simulates(args) and args.solver != "full"):
+        raise InputError(
+            "--compare-full compares a reduced bake: leave out --clips actions, --format soft_skin and --solver full"
+        )
     for group, settings in SETTINGS.items():
         for name in settings:
             if (value := getattr(args, name, None)) is not None:
                 setattr(getattr(obj.dynamorph, group), name, value.upper() if isinstance(value, str) else value)
-    collision.apply(args, obj)
-    if args.format:  # files for other programs are made from the modes
-        obj.dynamorph.output.format = "MODES" if format_of(args) in exports.FORMATS else format_of(args)
+    collision.apply(args, obj, simulates(args))
+    if format_of(args) in exports.FORMATS:
+        exports.check_settings(obj, format_of(args))
+        obj.dynamorph.output.format = "MODES"  # from which files for other programs are made
+    elif args.format:
+        obj.dynamorph.output.format = format_of(args)
+
+
+def simulates(args: argparse.Namespace) -> bool:
+    """Whether the command simulates a shot, and not only builds: clips are simulated while they are written, and some
+    files for other programs need no bake.
+    """
+    chosen = exports.FORMATS.get(format_of(args))
+    return args.goal == "BAKE" and args.clips != "actions" and (chosen is None or chosen.needs_bake)
 
 
 def format_of(args: argparse.Namespace) -> str:

@@ -9,12 +9,13 @@ import copy
 import hashlib
 import json
 from collections.abc import Generator, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-from ..core import errors
+from ..core import engine, errors
 from ..core.character import Character
 from ..core.errors import SceneError, SelfCheckError
 from ..core.material import calibration
@@ -23,6 +24,7 @@ from ..core.model import build
 from ..core.model.model import Model
 from ..core.motion import baked, rig_samples, simulate
 from ..core.motion.baked import Bake
+from ..core.motion.prepared import prepared
 from ..core.motion.rig_samples import RigSamples
 from ..core.motion.simulate import Shot
 from ..core.result import judge
@@ -142,6 +144,7 @@ class Computation:
         if self.progress.canceled:
             return
         adopt(outcome, calibration.calibrated(given.character, outcome.references))
+        self._prepare(model.with_settings(outcome.character.settings), outcome.character)
         self.progress.fraction = self._shot_from = built
         outcome.warnings += model.summary.warnings
 
@@ -157,8 +160,17 @@ class Computation:
 
     def _offer(self, draft: Model) -> None:
         self._measure(draft)
-        if not self.progress.canceled:
-            self.progress.draft = draft, calibration.calibrated(self.given.character, self.outcome.references)
+        if self.progress.canceled:
+            return
+        character = calibration.calibrated(self.given.character, self.outcome.references)
+        self._prepare(draft, character)
+        self.progress.draft = draft, character
+
+    def _prepare(self, model: Model, character: Character) -> None:
+        """Make here what Live would make next in the main thread."""
+        if self.given.live and model.settings.method != "STATIC":
+            with suppress(*engine.expected_errors()):  # Live says what prevents it
+                prepared(model, character, self.given.live)
 
     def _take_model(self, model: Model) -> None:
         with self.progress.stage("store model"):

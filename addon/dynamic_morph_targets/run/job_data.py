@@ -90,6 +90,7 @@ class BakeInput:
     reasons: list[str] = field(default_factory=list)  # why the model must be built
     built_from: str = ""  # the settings, as JSON
     drafts: bool = False  # whether a draft of the model is asked for, to be played while the rest is built
+    live: SimulationSettings | None = None  # with which Live goes on with the model
     # The shot.
     has_shot: bool = False  # otherwise only a model is built, no rig is read, and the fields below are not set
     settings: SimulationSettings = field(init=False)

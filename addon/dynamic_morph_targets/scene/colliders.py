@@ -15,7 +15,7 @@ from ..core.motion.colliders import ColliderTrack, with_before
 from .checks import Problem
 from .mesh_data import mesh_topology, mesh_triangles
 from .references import armature_modifiers, rig_of
-from .skin import soft_skins
+from .skin import shown_objects, soft_skins
 
 ASSET = "Collider"  # the node group of Blender 5.2
 FRICTION = 0.5  # Coulomb's coefficient where the object does not say
@@ -38,7 +38,7 @@ def colliders(obj) -> list:
     among = settings.collection.all_objects if settings.collection else None
     found = (
         other
-        for other in bpy.context.view_layer.objects
+        for other in shown_objects()
         if is_collider(other) and not other.hide_viewport and (among is None or other.name in among)
     )
     mine = of_body(obj)
@@ -76,8 +76,8 @@ def passing_through(obj) -> list:
 
 
 def _clothes(obj) -> list:
-    rig, shown = rig_of(obj), bpy.context.view_layer.objects
-    found = (other for other in _in_own_cages(obj) if shown.get(other.name) == other and rig_of(other) == rig)
+    rig, shown = rig_of(obj), shown_objects()
+    found = (other for other in _in_own_cages(obj) if other in shown and rig_of(other) == rig)
     return [
         other for other in found if _moves(other) and (obj not in _in_own_cages(other) or _order(other) < _order(obj))
     ]
@@ -97,7 +97,7 @@ def _order(obj) -> tuple[float, str]:
 
 
 def _wearers(obj) -> list:
-    return [other for other in soft_skins(bpy.context.view_layer.objects) if _moves(other) and obj in _clothes(other)]
+    return [other for other in soft_skins(shown_objects()) if _moves(other) and obj in _clothes(other)]
 
 
 def pressing(objects) -> list[list]:

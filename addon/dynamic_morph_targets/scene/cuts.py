@@ -18,6 +18,7 @@ from .checks import Problem
 from .colliders import colliders, of_body
 from .mesh_data import mesh_triangles
 from .references import rig_of
+from .skin import shown_objects
 from .skinning import meshes_on
 
 LOOKED_AT = 20_000  # triangles of a mesh near the other one, at most; of more, evenly many, which a cut still crosses
@@ -83,7 +84,7 @@ def _others(obj) -> list:
     used |= {obj.dynamorph.model.cage_object, *colliders(obj), *(meshes_on(rig) if rig else ())}
     return [
         other
-        for other in bpy.context.view_layer.objects
+        for other in shown_objects()
         if other.type == "MESH"
         and other.display_type in SOLID
         and other.visible_get()

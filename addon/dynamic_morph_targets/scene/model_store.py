@@ -18,6 +18,7 @@ from ..core.errors import SceneError
 from ..core.message import joined
 from ..core.model import build
 from ..core.model.model import CAGE, Model, first_part
+from ..core.motion import prepared
 from ..io import model_file
 from . import extract
 
@@ -86,6 +87,7 @@ def forget():
     """Free the models that are kept in memory: their objects are going away."""
     _models.clear()
     drafts.clear()
+    prepared.forget()
 
 
 def _loaded(obj) -> Model:

@@ -8,6 +8,8 @@ Armature modifiers and its vertex groups extended into the cage.
 
 from __future__ import annotations
 
+from itertools import islice
+
 import bmesh
 import bpy
 import numpy as np
@@ -162,8 +164,11 @@ def _weighted(points: np.ndarray, weights: np.ndarray) -> bmesh.types.BMesh:
     """Vertices with weights in vertex groups. Blender keeps nothing of it, so that no undo brings it back."""
     out = bmesh.new()
     layer = out.verts.layers.deform.verify()
-    for point, of_point in zip(points.tolist(), weights, strict=True):
-        groups = out.verts.new(point)[layer]
-        for group in np.flatnonzero(of_point).tolist():
-            groups[group] = of_point[group]
+    weighted, groups = np.nonzero(weights)
+    of_point = iter(zip(groups.tolist(), weights[weighted, groups].tolist(), strict=True))
+    counts = np.bincount(weighted, minlength=len(points))
+    for point, count in zip(points.tolist(), counts.tolist(), strict=True):
+        in_groups = out.verts.new(point)[layer]
+        for group, weight in islice(of_point, count):
+            in_groups[group] = weight
     return out

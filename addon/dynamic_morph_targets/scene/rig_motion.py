@@ -23,7 +23,7 @@ from . import checks, colliders
 from .checks import armature_modifier, refuse
 from .references import rest_skeleton, rig_of
 from .sampling_scene import SamplingScene, rig_scene
-from .skin import unit_scale
+from .skin import shown_objects, unit_scale
 from .skinning import Skinning
 
 PUSHING = {"WIND", "FORCE", "VORTEX", "TURBULENCE"}  # kinds of force fields
@@ -316,7 +316,7 @@ def _moving(skinning: Skinning, skeleton: Skeleton) -> tuple[str, ...]:
 def _force_fields(view_layer) -> list:
     """The objects whose force field pushes skin. Raises SceneError for kinds that would act differently than shown."""
     found = []
-    for obj in view_layer.objects:
+    for obj in shown_objects(view_layer):
         field = obj.field
         if not field or field.type not in PUSHING or not field.apply_to_location or obj.hide_viewport:
             continue

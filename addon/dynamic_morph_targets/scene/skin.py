@@ -94,6 +94,15 @@ def target_of_active_key(obj) -> int | None:
     return names.index(key.name) if key.name in names else None
 
 
+def shown_objects(view_layer=None) -> list:
+    """The objects of a view layer, by default of the present one.
+
+    Blender itself has None among them in place of one that was removed since it updated the view layer: its exporters
+    remove objects and change the frame next.
+    """
+    return [obj for obj in (view_layer or bpy.context.view_layer).objects if obj is not None]
+
+
 def soft_skins(objects):
     """Those of `objects` that carry a soft skin."""
     return [obj for obj in objects if obj.type == "MESH" and obj.dynamorph.targets]
@@ -147,12 +156,12 @@ def mesh_in(context):
     """
     obj = context.object
     if obj is not None and obj.type == "ARMATURE":
-        skins = [skin for skin in soft_skins(context.view_layer.objects) if rig_of(skin) == obj]
+        skins = [skin for skin in soft_skins(shown_objects(context.view_layer)) if rig_of(skin) == obj]
         return min(skins, key=lambda skin: not skin.select_get(), default=None) or _largest_on(obj, context)
     return obj if obj is not None and obj.type == "MESH" else None
 
 
 def _largest_on(rig, context):
     """The mesh with the most vertices that an armature object skins, or None."""
-    skinned = [obj for obj in context.view_layer.objects if obj.type == "MESH" and rig_of(obj) == rig]
+    skinned = [obj for obj in shown_objects(context.view_layer) if obj.type == "MESH" and rig_of(obj) == rig]
     return max(skinned, key=lambda obj: len(obj.data.vertices), default=None)

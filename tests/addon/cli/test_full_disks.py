@@ -26,6 +26,7 @@ from bl_ext.user_default.dynamic_morph_targets.scene import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from bl_ext.user_default.dynamic_morph_targets.write.export import blend_file, exports, losses, process
 from builders import activate, fingerprint, hand_made_bake
+from built import SmallModel
 from test_command_line import run, shot  # noqa: F401
 from test_kills import environment
 
@@ -33,8 +34,9 @@ from test_kills import environment
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 
 FRAMES = 1, 20
-FORMATS = ("GLTF", "FBX", "ALEMBIC", "USD", "RAW")
+FORMATS = tuple(exports.FORMATS)
 EARLIER = b"an earlier file" * 100
+built = SmallModel()
 ROOM = 10  # KB that are free on a full disk: for a trial, not for a result
 FULL = "No space left on device"
 
@@ -82,6 +84,7 @@ def names(folder):
 
 @pytest.fixture
 def baked(soft_arm):
+    built.give(soft_arm)
     writer.write_keys(soft_arm, hand_made_bake(soft_arm))
     return soft_arm
 

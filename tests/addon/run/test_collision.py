@@ -137,6 +137,19 @@ def test_live_shows_what_a_reduced_bake_does(arm):
     assert np.abs(shown(arm) - expected).max() < 2e-3 * PRESSED + 1e-3 * np.abs(expected - expected[0]).max()
 
 
+def test_live_plays_on_where_an_exporter_has_just_removed_an_object(arm, scene):
+    """Blender's view layer has None there until it is updated, which a new frame does only after the handlers."""
+    bpy.ops.dynamorph.live()
+    mesh = bpy.data.meshes.new("Temporary")
+    temporary = bpy.data.objects.new("Temporary", mesh)
+    scene.collection.objects.link(temporary)
+    bpy.context.view_layer.update()
+    bpy.data.objects.remove(temporary)
+    assert None in bpy.context.view_layer.objects[:]
+    scene.frame_set(2)
+    assert run_live.is_on(arm) and run_live.problem(arm) == ""
+
+
 def test_chunks_and_another_process_give_the_same_bake(arm, monkeypatch, tmp_path):
     whole = baked.digest(bake(arm).outcome.bake)
     monkeypatch.setattr(bake_input, "CHUNK_FRAMES", 4)

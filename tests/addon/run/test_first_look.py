@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A new soft skin moves in Live with few modes while the others are found, and goes on with all of them."""
 
+import threading
+
 import bpy
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.core.errors import Cancelled
+from bl_ext.user_default.dynamic_morph_targets.core.errors import Cancelled, SceneError
 from bl_ext.user_default.dynamic_morph_targets.core.model import build
+from bl_ext.user_default.dynamic_morph_targets.core.motion import limits, prepared
 from bl_ext.user_default.dynamic_morph_targets.io import model_file
 from bl_ext.user_default.dynamic_morph_targets.run import live, preview
 from bl_ext.user_default.dynamic_morph_targets.run.first_look import FirstLook
@@ -214,3 +217,36 @@ def test_live_begins_again_where_other_nodes_are_pinned(new_arm):
     bpy.ops.dynamorph.build()
     assert live.is_on(new_arm) and live.problem(new_arm) == ""
     assert np.isfinite(shown_at(2)).all() and farthest(first, shown_at(1)) < 0.1
+
+
+def test_what_takes_long_is_made_in_the_thread(new_arm, monkeypatch):
+    """The engine's model and the limits, of the draft and of the whole: once each, for Live and for its tests."""
+    makers = []
+
+    def seen(*given):
+        makers.append(threading.current_thread())
+        return limits.motion_limit(*given)
+
+    monkeypatch.setattr(prepared, "motion_limit", seen)
+    prepared.forget()
+    _, steps = until_it_shows(new_arm)
+    hopping(new_arm)
+    preview.end_preview()
+    for _ in steps:
+        pass
+    shown_at(2)
+    assert live.sessions[new_arm.session_uid].tissue.modes == 80
+    assert len(makers) == 2 and threading.main_thread() not in makers
+
+
+def test_what_live_cannot_play_is_built_nevertheless(new_arm, monkeypatch):
+    """Live says what prevents it when the model is there."""
+
+    def refuse(*_given):
+        raise SceneError("Not this one")
+
+    prepared.forget()
+    monkeypatch.setattr(prepared, "motion_limit", refuse)
+    for _ in FirstLook(new_arm).steps(pause=0.001):
+        pass
+    assert new_arm.dynamorph.model.content_id

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """docs/panels has every setting that a panel shows, by its name there and with its default."""
 
+import math
 import re
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from layout import controls
 
 PAGES = Path(__file__).parents[3] / "docs" / "panels"
 PANELS = ("DYNAMORPH_PT_sidebar", "DYNAMORPH_PT_physics")
+# The pages name no default of these: the preset of Feel sets them, or a build measures them.
+OPEN = {"Bounce", "Mass", "Mass Damping", "Settle Time", "Stiffness", "Stiffness Damping"}
 SETTING = re.compile(r"^\| ([^|]+) \| [^|]+ \| ?([^|]*?) ?\|$", re.MULTILINE)
 
 
@@ -47,7 +50,9 @@ def as_written(setting) -> str:
     """A default as the pages write it."""
     if setting.type == "BOOLEAN":
         return "on" if setting.default else "off"
-    return setting.enum_items[setting.default].name if setting.type == "ENUM" else f"{setting.default:g}"
+    if setting.type == "ENUM":
+        return setting.enum_items[setting.default].name
+    return f"{math.degrees(setting.default):g} °" if setting.subtype == "ANGLE" else f"{setting.default:g}"
 
 
 def test_every_setting_is_described(soft_arm):
@@ -56,8 +61,8 @@ def test_every_setting_is_described(soft_arm):
 
 
 def test_defaults_are_those_of_the_add_on(soft_arm):
-    pages = described()
+    defaults: dict[str, set[str]] = {}
     for setting in all_settings(soft_arm):
-        if setting.type not in ("POINTER", "STRING"):
-            named = {default.removesuffix(" °") for default in pages[setting.name]} - {""}
-            assert not named or as_written(setting) in named, f"{setting.name}: {as_written(setting)}, not {named}"
+        empty = setting.type in ("POINTER", "STRING") or setting.name in OPEN
+        defaults.setdefault(setting.name, set()).add("" if empty else as_written(setting))
+    assert {name: written for name, written in described().items() if name in defaults} == defaults

@@ -19,6 +19,7 @@ from bl_ext.user_default.dynamic_morph_targets.ui.operators import export as ope
 from bl_ext.user_default.dynamic_morph_targets.write.bake import influence, writer
 from bl_ext.user_default.dynamic_morph_targets.write.export import exports, losses
 from builders import activate, fingerprint, hand_made_bake, keys_of, make_arm, make_soft, rig_of
+from built import SmallModel
 from layout import Layout
 from round_trips import farthest
 
@@ -26,6 +27,7 @@ FRAMES = 1, 20
 EVERY = range(1, 21)
 posed = partial(round_trips.shown, frames=EVERY)  # of a mesh's name
 CLOSE = 1e-5
+built = SmallModel()
 
 
 @pytest.fixture
@@ -454,6 +456,15 @@ def test_the_button_writes_what_the_format_is_called(baked, tmp_path):
     assert not bpy.ops.dynamorph.export_check.poll()
 
 
+@pytest.mark.parametrize("folder", ["", "{}/", "{}/none/"])
+def test_a_file_without_a_name_is_refused(baked, tmp_path, folder):
+    obj, _ = baked
+    activate(obj)
+    with pytest.raises(RuntimeError, match="There is no file name: type one"):
+        bpy.ops.dynamorph.export(format="RAW", filepath=folder.format(tmp_path))
+    assert list(tmp_path.iterdir()) == []
+
+
 def file_menu() -> list[str]:
     """What the add-on adds to File > Export."""
     layout = Layout([])
@@ -463,7 +474,7 @@ def file_menu() -> list[str]:
 
 
 def test_the_file_menu_exports_a_soft_skin(scene, arm):
-    assert file_menu() == ["dynamorph.export", "Soft Skin Clip"] and not bpy.ops.dynamorph.export.poll()
+    assert file_menu() == ["dynamorph.export", "Soft Skin"] and not bpy.ops.dynamorph.export.poll()
     make_soft(arm)
     assert bpy.ops.dynamorph.export.poll()
 
@@ -484,13 +495,14 @@ def test_usd_has_the_frames_that_were_asked_for(baked, tmp_path):
 
 
 @pytest.mark.fault("A07")
-@pytest.mark.parametrize("key", ["GLTF", "FBX", "ALEMBIC", "USD", "RAW"])
+@pytest.mark.parametrize("key", exports.FORMATS)
 def test_frames_before_0_are_written_or_refused(baked, tmp_path, key):
     """No scene of Blender has them, whose range most exporters take."""
     obj, _ = baked
+    built.give(obj)
     path = tmp_path / f"arm{exports.FORMATS[key].suffix}"
     export = export_actions.export
-    if key in ("ALEMBIC", "RAW"):
+    if key in ("ALEMBIC", "RAW", "SOFT_SKIN"):
         export(obj, key, path, (-10, 10))
         assert path.is_file()
         return

@@ -17,8 +17,8 @@ from ..settings import SimulationSettings
 from .amounts import Amounts
 from .contact import Collision, as_bits
 from .grab import Hand, from_text
-from .limits import motion_limit
 from .posing import Posing
+from .prepared import prepared
 from .rig_samples import RigSamples
 from .shown_skin import ShownSkin
 
@@ -78,8 +78,7 @@ class Player:
     keep_going() -> bool is asked at every frame, for an unreduced model at every iteration; False raises
     dynamorph.Cancelled. number: the current frame; passes: how often the motion has begun again. amounts: applied by
     `shown`; skin: what the coordinates move. first: the first sample. modes (3 free, dofs): displacement of the free
-    nodes by each coordinate of a reduced model. engine: model.engine(character), if it exists already; afterward None
-    for static targets.
+    nodes by each coordinate of a reduced model. engine: None for static targets.
     """
 
     def __init__(
@@ -89,7 +88,6 @@ class Player:
         settings: SimulationSettings,
         *,
         keep_going: Callable[[], bool] | None = None,
-        engine: EngineModel | None = None,
     ):
         self.model, self.character, self.settings = model, character, settings
         self.number, self.passes = settings.first, 0
@@ -102,12 +100,13 @@ class Player:
         self._shapes = np.zeros((len(self.character.targets), 0))
         self._simulation: EngineSimulation | _NothingMoves = _NothingMoves()
         if model.settings.method != "STATIC":
-            self.engine = engine or model.engine(self.character, self.character.probed)
+            ready = prepared(model, character, settings)
+            self.engine = ready.engine
             self._shapes = model.target_coordinates(self.engine)
             self._simulation = _stepper(model, self.engine, settings, keep_going)
             self.hand = Hand(model, self.engine, character, self._simulation)
             self.hand.track = from_text(settings.drags, len(character.vertices))
-            self._simulation.set_limit(motion_limit(model, self.engine, self.character, settings))
+            self._simulation.set_limit(ready.limit)
             if settings.collision:
                 self.collision = Collision(model, self.engine, character)
                 self._simulation.set_contact(self.collision.skin, settings.distance * self.size)

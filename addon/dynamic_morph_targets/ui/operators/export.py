@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons that write a baked character to another format, and list beforehand what that format leaves out."""
+"""Buttons that write a character to another format, and list beforehand what that format leaves out."""
 
 from __future__ import annotations
 
@@ -34,21 +34,17 @@ FORMATS = [
 SKINS = [item for item in FORMATS if exports.FORMATS[item[0]].skins]
 
 
+def _has_name(filepath: str) -> bool:
+    """Whether it is not empty or a folder's."""
+    return not filepath.endswith(("/", "\\")) and bool(filepath)
+
+
 def draw_losses(layout, lost, width=None):
     for text in lost:
         widgets.draw_message(layout, text, width=width)
 
 
-class BakedOperator(SoftSkinOperator):
-    """Mixin: works on a soft skin with a bake."""
-
-    @classmethod
-    def disabled_reason(cls, context):
-        disabled_reason = super().disabled_reason(context)
-        return disabled_reason or ("" if skin.mesh_in(context).dynamorph.bake.exists else "Press Bake first")
-
-
-class DYNAMORPH_OT_export_check(BakedOperator, Operator):
+class DYNAMORPH_OT_export_check(SoftSkinOperator, Operator):
     """List everything that the format will not show as Blender does"""
 
     bl_idname = "dynamorph.export_check"
@@ -57,7 +53,16 @@ class DYNAMORPH_OT_export_check(BakedOperator, Operator):
 
     format: EnumProperty(name="Format", description="File format of the export", items=FORMATS)
 
+    @classmethod
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if disabled_reason:
+            return disabled_reason
+        settings = skin.mesh_in(context).dynamorph
+        return "" if settings.bake.exists or settings.model.content_id else "Press Bake first"
+
     def apply(self, obj):
+        exports.check_bake(obj, self.format)
         lost = list(losses.losses(obj, self.format))
         label = exports.FORMATS[self.format].label
         if not lost:
@@ -70,7 +75,7 @@ class DYNAMORPH_OT_export_check(BakedOperator, Operator):
 
 
 class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
-    """Write the baked character with its armature to a file, over the scene's frames or as one clip per Action"""
+    """Write the character to a file for other programs: its bake, one clip per Action, or the soft skin itself"""
 
     bl_idname = "dynamorph.export"
     bl_label = "Export Bake"
@@ -114,7 +119,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
             self.clips = "ACTIONS"  # which needs no bake
         else:
             exports.check_bake(obj, self.format)
-        if not self.filepath:  # type: ignore[has-type]  # a property of ExportHelper
+        if not _has_name(self.filepath):  # type: ignore[has-type]  # a property of ExportHelper
             name = paths.clean_name(skin.mesh_in(context).name)
             self.filepath = str(Path(bpy.data.filepath).with_name(name)) if bpy.data.filepath else name
         self.filepath = str(self.path())
@@ -130,6 +135,8 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
 
     def check(self, _context):
         """The file name follows the format."""
+        if not _has_name(self.filepath):
+            return False  # the artist is about to type it
         path = str(self.path())
         changed, self.filepath = path != self.filepath, path
         return changed
@@ -148,8 +155,11 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         return {"FINISHED"}
 
     def path(self) -> Path:
-        """Where the file goes. Without `abspath`, Windows would take // for the name of a server."""
-        return exports.named(Path(bpy.path.abspath(self.filepath)), self.format)
+        """Where the file goes. Raises ExportError."""
+        if not _has_name(self.filepath):
+            raise errors.ExportError("There is no file name: type one")
+        absolute = bpy.path.abspath(self.filepath)  # Windows would take // for the name of a server
+        return exports.named(Path(absolute), self.format)
 
     def _start_actions(self, path: Path):
         try:
@@ -208,7 +218,7 @@ def report_export(operator, obj, path: Path, clips=()):
 def draw_in_file_menu(menu, _context):
     """In File > Export, below Blender's own formats."""
     menu.layout.operator_context = "INVOKE_DEFAULT"  # ask for the file also where a shortcut has called the menu
-    menu.layout.operator("dynamorph.export", text="Soft Skin Clip")
+    menu.layout.operator("dynamorph.export", text="Soft Skin")
 
 
 _register, _unregister = of_classes((DYNAMORPH_OT_export_check, DYNAMORPH_OT_export, DYNAMORPH_OT_export_actions))

@@ -138,7 +138,7 @@ class DYNAMORPH_PT_sidebar(Panel):
         if obj:
             draw_top(self.layout, context, obj)
             return
-        names = [each.name for each in skin.soft_skins(context.view_layer.objects)]
+        names = [each.name for each in skin.soft_skins(skin.shown_objects(context.view_layer))]
         text = "Select a character's mesh or its armature"
         if names:
             text = iface_("Select '{name}' or its armature").format(name=names[0])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A baked character as a file of another format, and what that format leaves out.
+"""A character as a file of another format.
 
 Blender's own exporters write what Blender shows: glTF and FBX the shape keys as morph targets with their values at each
 frame, Alembic and USD the posed surface. A raw clip is the bake alone, before skinning, for other engines. A soft skin
@@ -9,23 +9,22 @@ is the model and its character, to be simulated elsewhere.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
-import numpy as np
 
 from ...core.errors import ExportError
-from ...io import glb, outputs, whole
-from ...scene import animation, checks, skin, staleness
+from ...io import outputs, whole
+from ...scene import animation, checks, model_store, skin, staleness
 from ...scene.references import key_points, rig_of
 from ...scene.skin import shown_attachments
 from ...scene.skinning import meshes_on
 from .. import actions
 from ..bake import writer
 from ..reconcile import reconcile
-from . import own_formats, process
+from . import blender_formats, own_formats
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,8 @@ class Format:
     character, raises RuntimeError, OSError, MemoryError; skins: whether it contains armature and keys, and so a clip
     for each Action; surface: whether it contains the resulting surface; has_parts: whether other files belong to it;
     scenes: whether its frames are those of the scene, which must not be before 0; option: of bpy.app.build_options that
-    it needs; check(obj): instead of asking for a bake.
+    it needs; needs_bake: whether it is made of a bake, not of the built model; check(obj): refuses settings that it
+    cannot have, raises ExportError.
     """
 
     label: str
@@ -46,6 +46,7 @@ class Format:
     has_parts: bool = False
     scenes: bool = False
     option: str = ""
+    needs_bake: bool = True
     check: Callable | None = None
 
     @property
@@ -123,7 +124,11 @@ def _last_line(text: str) -> str:
 
 
 def _size(obj, chosen: Format, frames: tuple[int, int], without=()) -> int:
-    """About how many bytes the file has at least: those of positions, single precision, and of the keys' values."""
+    """About how many bytes the file has at least: those of positions, single precision, and of the keys' values; or
+    those of the model.
+    """
+    if not chosen.needs_bake:
+        return own_formats.model_size(obj)
     count, size = frames[1] - frames[0] + 1, 0
     moving = obj, *shown_attachments(obj)
     for mesh in meshes_together(obj):
@@ -140,11 +145,20 @@ def _size(obj, chosen: Format, frames: tuple[int, int], without=()) -> int:
     return size
 
 
+def check_settings(obj, key: str):
+    """Refuse, before any work, settings that the format cannot have. Raises ExportError."""
+    if check := FORMATS[key].check:
+        check(obj)
+
+
 def check_bake(obj, key: str):
-    """Refuse a missing bake, or one in a form that the format cannot write. Raises ExportError, SceneError."""
+    """Refuse a missing bake, or one in a form that the format cannot write; where it needs none, a model that is out of
+    date. Raises ExportError, SceneError.
+    """
+    check_settings(obj, key)
     chosen = FORMATS[key]
-    if chosen.check:
-        chosen.check(obj)
+    if not chosen.needs_bake:
+        model_store.current_model(obj)
         return
     record = obj.dynamorph.bake
     keys = animation.baked_keys(obj).intersection(animation.keys_of(obj).keys())
@@ -169,60 +183,19 @@ def surface_formats() -> str:
     return " or ".join(labels) or "a Blender that exports Alembic or USD"
 
 
-# Writers -----------------------------------------------------------------------------------------------------------
-
-
-def _write_gltf(obj, collection: str, path: Path, frames, takes):
-    with _sampled(obj, frames):
-        bpy.ops.export_scene.gltf(
-            filepath=str(path), collection=collection, export_animation_mode="SCENE", export_force_sampling=True,
-            export_anim_scene_split_object=False,
-            export_optimize_animation_size=False, export_morph_normal=False, export_frame_range=True,
-            export_anim_slide_to_zero=True,
-        )  # fmt: skip
-    if takes:
-        parts = {clip.name: (clip.first - frames[0], clip.last - frames[0]) for clip in takes}
-        render = bpy.context.scene.render
-        path.write_bytes(glb.split_animation(path.read_bytes(), parts, render.fps / render.fps_base))
-
-
-def _write_fbx(obj, collection: str, path: Path, frames, takes):
-    with _sampled(obj, frames):
-        bpy.ops.export_scene.fbx(
-            filepath=str(path), collection=collection, add_leaf_bones=False, bake_anim_use_nla_strips=bool(takes),
-            bake_anim_use_all_actions=False, bake_anim_simplify_factor=0.0, use_mesh_modifiers=False,
-        )  # fmt: skip
-
-
-def _write_alembic(_obj, collection: str, path: Path, frames, _takes):
-    process.export(
-        "alembic", collection, path, frames, start=frames[0], end=frames[1], uvs=True, normals=False,
-        as_background_job=False, export_custom_properties=False,  # Blender crashes on bytes such as a model's
-    )  # fmt: skip
-
-
-def _write_usd(_obj, collection: str, path: Path, frames, _takes):
-    scene = bpy.context.scene
-    scene.frame_start, scene.frame_end = frames  # until `frames_kept`
-    process.export(
-        "usd", collection, path, frames, export_animation=True, export_armatures=False,
-        export_shapekeys=False, export_normals=False, export_custom_properties=False,
-    )  # fmt: skip
-
-
 FORMATS = {
-    "GLTF": Format("glTF", ".glb", "Morph targets and bones, for engines and the web", _write_gltf, skins=True,
-                   scenes=True),
-    "FBX": Format("FBX", ".fbx", "Morph targets and bones, for engines and other packages", _write_fbx,
+    "GLTF": Format("glTF", ".glb", "Morph targets and bones, for engines and the web", blender_formats.write_gltf,
+                   skins=True, scenes=True),
+    "FBX": Format("FBX", ".fbx", "Morph targets and bones, for engines and other packages", blender_formats.write_fbx,
                   skins=True, scenes=True),
-    "ALEMBIC": Format("Alembic", ".abc", "The posed surface at every frame", _write_alembic,
+    "ALEMBIC": Format("Alembic", ".abc", "The posed surface at every frame", blender_formats.write_alembic,
                       surface=True, option="alembic"),
-    "USD": Format("USD", ".usdc", "The posed surface at every frame", _write_usd, surface=True,
+    "USD": Format("USD", ".usdc", "The posed surface at every frame", blender_formats.write_usd, surface=True,
                   has_parts=True, scenes=True, option="usd"),
     "RAW": Format("Raw Clip", ".npz", "Modes and their values, for NumPy and runtime/dynamorph.h",
                   own_formats.write_raw),
-    "SOFT_SKIN": Format("Soft Skin", ".dynamorph", "All that other programs need to simulate it",
-                        own_formats.write_soft_skin, check=own_formats.check_soft_skin),
+    "SOFT_SKIN": Format("Soft Skin", ".dynamorph", "The built model, for programs that simulate it. It needs no bake",
+                        own_formats.write_soft_skin, needs_bake=False, check=own_formats.check_soft_skin),
 }  # fmt: skip
 
 
@@ -359,60 +332,3 @@ def stand_ins(meshes):
             bpy.data.actions.remove(action)
         for original, name in names:
             original.name = name
-
-
-@contextmanager
-def _sampled(obj, frames):
-    """Use the frames as the scene's, with `_sampled_keys` of the whole character."""
-    scene = bpy.context.scene
-    scene.frame_start, scene.frame_end = frames
-    with ExitStack() as stack:
-        for each in meshes_together(obj):
-            if each.data.shape_keys and each.data.shape_keys.animation_data:  # the artist may have removed them
-                stack.enter_context(_sampled_keys(each, frames))
-        yield
-
-
-@contextmanager
-def _sampled_keys(obj, frames):
-    """The values that all keys have, whatever moves them, as plain curves of one Action: exporters look no further."""
-    scene, keys = bpy.context.scene, obj.data.shape_keys
-    stretch = scene.render.frame_map_old / scene.render.frame_map_new
-    times = np.arange(frames[0], frames[1] + 1)
-    values = np.empty((len(times), len(keys.key_blocks)), np.float32)
-    muted = np.empty(values.shape, bool)
-    window = bpy.context.window_manager
-    window.progress_begin(0, len(times))  # beside the pointer: Blender's exporters leave no room for more
-    for k, (row, frame) in enumerate(zip(values, times, strict=True)):
-        window.progress_update(k)
-        scene.frame_set(int(frame))
-        keys.key_blocks.foreach_get("value", row)
-        keys.key_blocks.foreach_get("mute", muted[k])
-    window.progress_end()
-    animation = keys.animation_data
-    before = animation.action, animation.action_slot, animation.use_nla, [d.mute for d in animation.drivers]
-    names = [block.name for block in keys.key_blocks]
-    shown = {block.name: (block.value, block.mute) for block in keys.key_blocks}
-    values[muted] = 0.0  # FBX knows no muted keys
-    keys.key_blocks.foreach_set("mute", muted.all(axis=0))
-    action = bpy.data.actions.new(obj.name)
-    try:
-        slot = action.slots.new(keys.id_type, obj.name)
-        channels = action.layers.new("Layer").strips.new(type="KEYFRAME").channelbag(slot, ensure=True)
-        for name, column in zip(names[1:], values.T[1:], strict=True):
-            writer.add_curve(channels, name, times * stretch, column)
-        for driver in animation.drivers:
-            driver.mute = True
-        animation.use_nla = False
-        animation.action, animation.action_slot = action, slot
-        yield
-    finally:
-        animation.action = before[0]
-        if before[0]:
-            animation.action_slot = before[1]  # None too: Blender has chosen one
-        animation.use_nla = before[2]
-        for driver, mute in zip(animation.drivers, before[3], strict=True):
-            driver.mute = mute
-        for name, (value, mute) in shown.items():
-            keys.key_blocks[name].value, keys.key_blocks[name].mute = value, mute
-        bpy.data.actions.remove(action)

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from ...core.message import Message, listed
-from ...scene import animation, identity
+from ...scene import animation, colliders, identity
 from ...scene.references import armature_modifiers, rig_of
-from ...scene.skin import shown_attachments, unit_scale
+from ...scene.skin import attached_meshes, shown_attachments, unit_scale
 from ...scene.skinning import Skinning, deforming_bones
 from .exports import FORMATS, left_out, meshes_together, surface_formats
 
@@ -22,7 +22,8 @@ MOST_BONES = 4  # per vertex that glTF writes
 
 def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
     """What the format will not show as Blender does, as sentences; takes: as for `export`. Reads the scene only."""
-    if FORMATS[key].check:  # it has the model as it is
+    if not FORMATS[key].needs_bake:
+        yield from _soft_skin_losses(obj)
         return
     if key == "RAW":
         yield from _raw_losses(obj)
@@ -67,6 +68,22 @@ def _raw_losses(obj) -> Iterator[str]:
     others = [name for name in animation.moving_keys(obj) if name not in known]
     if others:
         yield Message("A raw clip has only the bake's keys: {keys} is left out", keys=", ".join(others))
+
+
+def _soft_skin_losses(obj) -> Iterator[str]:
+    settings, inside = obj.dynamorph, {obj, *attached_meshes(obj)}
+    names = ", ".join(f"'{each.name}'" for each in meshes_together(obj) if each not in inside)
+    if names:
+        yield Message("A soft skin file has the meshes of one body: {names} is left out", names=names)
+    known = animation.baked_keys(obj) | identity.shifts(obj).keys() | {target.name for target in settings.targets}
+    others = [name for name in animation.moving_keys(obj) if name not in known]
+    if others:
+        yield Message("A soft skin file has only the targets' keys: {keys} is left out", keys=", ".join(others))
+    if settings.collision.use and (settings.collision.use_self or colliders.colliders(obj)):
+        yield Message("A soft skin file has no collision: '{name}' passes through what stops it here", name=obj.name)
+    amounts = [settings.simulation, *settings.targets]
+    if any(each.amount != 1.0 for each in amounts) or any(mode.gain != 1.0 for mode in settings.modes):
+        yield Message("A soft skin file has no Amount: all motion of '{name}' shows in full", name=obj.name)
 
 
 def _skinning_losses(obj, key: str) -> Iterator[str]:

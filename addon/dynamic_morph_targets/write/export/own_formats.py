@@ -7,11 +7,13 @@ from pathlib import Path
 
 import bpy
 
-from ...core.errors import ExportError
+from ...core.errors import ExportError, ModelFileError
 from ...io import point_cache, soft_skin_file
 from ...scene import identity, run_settings
-from ...scene.model_store import current_model
+from ...scene.model_store import current_model, stored_model
 from ...scene.rig_motion import sample_present
+from ...scene.skin import attached_meshes
+from ...scene.skinning import Skinning
 from ..bake import reading
 
 
@@ -28,16 +30,30 @@ def write_soft_skin(obj, _collection: str, path: Path, _frames, _takes):
 
 
 def check_soft_skin(obj):
-    """Refuse what the engine cannot pose or step by itself. Raises ExportError, SceneError, ModelFileError."""
-    model, character = current_model(obj)
-    if model.settings.solver != "REDUCED" or model.settings.method == "STATIC":
+    """Refuse what the engine cannot pose or step by itself. Raises ExportError."""
+    model = obj.dynamorph.model
+    if model.method == "STATIC":
         raise ExportError(
-            "'{name}': a soft skin file has the modes of a reduced model: set Quality to Reduced, and build again",
-            name=obj.name,
+            "'{name}': with Method Static there is no motion for a soft skin file: choose another Method", name=obj.name
         )
-    if character.probed:
+    if model.solver != "REDUCED":
         raise ExportError(
-            "'{name}' is skinned in a way that other programs cannot repeat: turn off Preserve Volume and the like in "
-            "its Armature modifier",
-            name=obj.name,
+            "'{name}': a soft skin file has the modes of Reduced Quality: set Quality to Reduced", name=obj.name
         )
+    for mesh in (obj, *attached_meshes(obj)):
+        beyond = Skinning.of(mesh).beyond_bones
+        if beyond:
+            raise ExportError(
+                "'{name}' is skinned with {beyond}, but programs that read a soft skin file skin by plain bones: "
+                "remove that first",
+                name=mesh.name,
+                beyond=beyond,
+            )
+
+
+def model_size(obj) -> int:
+    """The bytes of the stored model, which a soft skin file has too; 0 where it is not built yet."""
+    try:
+        return len(stored_model(obj) or b"")
+    except ModelFileError:
+        return 0  # it is built first, or refused

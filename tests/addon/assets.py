@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The characters of ../shared on which some pages are measured. They are not published with the project."""
+"""The characters of ../shared, for tests and for pages measured on them. They are not published with the project."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-ASSETS = Path(__file__).resolve().parents[3] / "shared" / "assets"  # as tests/addon/characters.py
+ASSETS = Path(__file__).resolve().parents[3] / "shared" / "assets"
 
 
 def require(page: str, files: Iterable[str], folder: Path = ASSETS) -> None:

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What all players of one soft skin share: the engine's model and the limits of its motion. Never touches bpy.
+
+Both take long to make, and Live, its tests and the first bake play the same skin one after the other. A build makes
+them in its thread for those that play next.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from ..character import Character
+from ..model.model import EngineModel, Model
+from ..settings import SimulationSettings
+from .limits import motion_limit
+
+KEPT = 2  # of the last skins
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """engine: the model with the character's materials; limit: what limits its motion, None without limits. Players may
+    share them, in any thread.
+    """
+
+    model: Model
+    character: Character
+    limits: tuple[float, float]
+    engine: EngineModel
+    limit: Any
+
+
+_kept: list[Prepared] = []
+
+
+def prepared(model: Model, character: Character, settings: SimulationSettings) -> Prepared:
+    """What was made of these before, or made now. Raises SceneError if the model is not the character's."""
+    limits = settings.max_displacement, settings.max_thickness
+    for known in _kept[:]:  # other threads prepare others
+        if known.limits == limits and _is_model(known.model, model) and _same(known.character, character):
+            return known
+    engine = model.engine(character, character.probed)
+    made = Prepared(model, character, limits, engine, motion_limit(model, engine, character, settings))
+    _kept[:] = [*_kept[1 - KEPT :], made]
+    return made
+
+
+def forget() -> None:
+    """Free what is kept."""
+    _kept.clear()
+
+
+def _is_model(one: Model, other: Model) -> bool:
+    names = (field.name for field in fields(Model) if field.name != "summary")  # which says how it was built
+    return all(_same(getattr(one, name), getattr(other, name)) for name in names)
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Whether plain values are equal: records, sequences and arrays by their contents."""
+    if one is other:
+        return True
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other)
+    if is_dataclass(one):
+        return all(_same(getattr(one, field.name), getattr(other, field.name)) for field in fields(one))
+    if isinstance(one, tuple):
+        return len(one) == len(other) and all(map(_same, one, other))
+    return one == other

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Players of one soft skin share what takes long to make; another skin never gets it."""
+
+from copy import deepcopy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from dynamic_morph_targets.core.model.build import build
+from dynamic_morph_targets.core.motion.player import Player
+from dynamic_morph_targets.core.motion.prepared import forget, prepared
+from dynamic_morph_targets.core.settings import Material, SimulationSettings
+from test_build import bar
+
+SETTINGS = SimulationSettings(max_displacement=0.05)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return build(bar())
+
+
+def test_the_same_skin_shares(model):
+    first = Player(model, bar(), SETTINGS)
+    read_again = replace(deepcopy(model), summary=replace(model.summary, modes=0))
+    other = Player(read_again, bar(), replace(SETTINGS, gravity=(0.0, 0.0, -9.81), frame_end=9))
+    assert other.engine is first.engine and other.simulation is not first.simulation
+    forget()
+    assert Player(model, bar(), SETTINGS).engine is not first.engine
+
+
+def softer():
+    return bar(material=Material(stiffness=1e4, poisson=0.0))
+
+
+def moved():
+    vertices = bar().vertices.copy()
+    vertices[7, 1] = np.nextafter(vertices[7, 1], 1.0)
+    return replace(bar(), vertices=vertices)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        lambda model: (model, softer(), SETTINGS),
+        lambda model: (model, moved(), SETTINGS),
+        lambda model: (model, replace(bar(), attachments=("another",)), SETTINGS),
+        lambda model: (replace(model, stiffness=1.1 * model.stiffness), bar(), SETTINGS),
+        lambda model: (model, bar(), replace(SETTINGS, max_thickness=0.3)),
+    ],
+    ids=["material", "vertex", "attachment", "map", "limit"],
+)
+def test_another_skin_does_not(model, other):
+    assert prepared(*other(model)) is not prepared(model, bar(), SETTINGS)
+
+
+def test_only_the_latest_are_kept(model):
+    first = prepared(model, bar(), SETTINGS)
+    for limit in (0.1, 0.2):
+        prepared(model, bar(), replace(SETTINGS, max_displacement=limit))
+    assert prepared(model, bar(), SETTINGS) is not first
