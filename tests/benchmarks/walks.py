@@ -125,7 +125,8 @@ def set_off(body, walk: Walk):
 
 def bake(body, path, loop: bool) -> Baked:
     body.dynamorph.simulation.loop = loop
-    job = Job(body, "BAKE")
+    batch.run(Job(body, "BAKE"))
+    job = Job(body, "BAKE", stored=False)  # in all coordinates; shape keys have only as many as show the motion
     batch.run(job)
     ends, surfaces = (job.input.settings.frame_start, job.input.settings.frame_end), []
     for frame in ends:
