@@ -8,6 +8,7 @@ import weakref
 import bpy
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
+from bl_ext.user_default.dynamic_morph_targets.core.motion import player
 from bl_ext.user_default.dynamic_morph_targets.run import live
 from bl_ext.user_default.dynamic_morph_targets.scene import model_store, rig_motion
 from bl_ext.user_default.dynamic_morph_targets.write.authoring import suggest
@@ -114,3 +115,13 @@ def test_a_model_goes_with_its_file(soft_arm, stand_in):
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
     gc.collect()
     assert model() is None
+
+
+@pytest.mark.parametrize("solver", ["REDUCED", "FULL"])
+def test_a_simulation_goes_with_its_bake(soft_arm, solver):
+    """The engine asks a simulation whether to go on, which must not keep both alive."""
+    soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 120, 5
+    soft_arm.dynamorph.model.solver = solver
+    assert bpy.ops.dynamorph.bake() == {"FINISHED"}
+    gc.collect()
+    assert not [each for each in gc.get_objects() if isinstance(each, player.Player)]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -75,7 +76,7 @@ def statistics(frames: Sequence[Frame], names: Sequence[str] = STEP) -> np.ndarr
 class Player:
     """One character, stepped frame by frame, for bakes and playback.
 
-    keep_going() -> bool is asked at every frame, for an unreduced model at every iteration; False raises
+    keep_going(player) -> bool is asked at every frame, for an unreduced model at every iteration; False raises
     dynamorph.Cancelled. number: the current frame; passes: how often the motion has begun again. amounts: applied by
     `shown`; skin: what the coordinates move. first: the first sample. modes (3 free, dofs): displacement of the free
     nodes by each coordinate of a reduced model. engine: None for static targets.
@@ -87,7 +88,7 @@ class Player:
         character: Character,
         settings: SimulationSettings,
         *,
-        keep_going: Callable[[], bool] | None = None,
+        keep_going: Callable[[Player], bool] | None = None,
     ):
         self.model, self.character, self.settings = model, character, settings
         self.number, self.passes = settings.first, 0
@@ -103,7 +104,7 @@ class Player:
             ready = prepared(model, character, settings)
             self.engine = ready.engine
             self._shapes = model.target_coordinates(self.engine)
-            self._simulation = _stepper(model, self.engine, settings, keep_going)
+            self._simulation = _stepper(model, self.engine, settings, self._asked_by_engine())
             self.hand = Hand(model, self.engine, character, self._simulation)
             self.hand.track = from_text(settings.drags, len(character.vertices))
             self._simulation.set_limit(ready.limit)
@@ -219,7 +220,7 @@ class Player:
                 self.number = int(number)
                 if self.hand:
                     self.hand.begin(self.number)
-                if self._keep_going and not self._keep_going():
+                if self._keep_going and not self._keep_going(self):
                     raise dynamorph.Cancelled("canceled")
                 for left in reversed(range(samples)):
                     end = (k + 1) * substeps - left * stride
@@ -257,6 +258,13 @@ class Player:
     def shown(self, frame: Frame) -> np.ndarray:
         """The frame's coordinates with `amounts`."""
         return self.amounts.shown(frame.coordinates, frame.weights)
+
+    def _asked_by_engine(self) -> Callable[[], bool] | None:
+        """`keep_going` for the engine. It must not hold the player, which holds the engine's simulation: Python's
+        collector does not see what the engine holds, and neither would ever be freed.
+        """
+        keep_going, this = self._keep_going, weakref.proxy(self)
+        return (lambda: keep_going(this)) if keep_going else None
 
     def _begin_with(self, first: RigSamples) -> None:
         """What the first sample says: which colliders there are, and how the targets' shapes are balanced. These are

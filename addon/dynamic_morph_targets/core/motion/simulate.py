@@ -48,7 +48,7 @@ def simulate(
 def _player(model: Model, character: Character, settings: SimulationSettings, progress: ProgressFn | None) -> Player:
     """A player that reports to `progress`."""
 
-    def keep_going() -> bool:
+    def keep_going(player: Player) -> bool:
         done = (player.number - settings.first) / len(settings.simulated)
         message = Message("Simulating frame {frame}", frame=player.number)
         if settings.loop:  # the number of passes is not known
@@ -56,8 +56,7 @@ def _player(model: Model, character: Character, settings: SimulationSettings, pr
             message = Message("Simulating frame {frame}, pass {count}", frame=player.number, count=player.passes + 1)
         return progress is None or progress(done, message)
 
-    player = Player(model, character, settings, keep_going=keep_going)
-    return player
+    return Player(model, character, settings, keep_going=keep_going)
 
 
 def build_for(
