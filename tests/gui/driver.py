@@ -333,14 +333,14 @@ class Region:
         return False
 
     def scroll(self, wheel: str, clicks: int):
-        """Turn the wheel; False when the view did not move."""
+        """Turn the wheel; by how many pixels what is shown has moved up."""
         view = self.region.view2d
-        before = view.region_to_view(0, 0)
+        _, before = view.view_to_region(0, 0, clip=False)
         yield from move(self.top)
         for _ in range(clicks):
             send(wheel, "PRESS", self.top)
         yield 0.05
-        return view.region_to_view(0, 0) != before
+        return view.view_to_region(0, 0, clip=False)[1] - before
 
     def press(self, wanted: str):
         """Click a button."""
@@ -423,12 +423,21 @@ class Region:
                     self.headers[panel] = header
                     return
                 if now != before:  # another section
-                    yield from self._click_header(header)
-                    height -= HEADER - ROW // 2
-            if not (yield from self.scroll("WHEELDOWNMOUSE", 6)):
+                    yield from self._put_back(header, before)
+                    height = header[1] - HEADER
+            moved = yield from self.scroll("WHEELDOWNMOUSE", 6)
+            if not moved:
                 raise AssertionError(f"no section {panel} in {self.editor}")
             scrolls += 1
-            height = self.ceiling - ROW // 2
+            height += moved
+
+    def _put_back(self, header, before: frozenset):
+        """Click a header until the panels are as before: a click while the section still slides is lost."""
+        for _ in range(5):
+            yield from self._click_header(header)
+            if (yield from self.panels()) == before:
+                return
+        raise AssertionError(f"the section at {header} of {self.editor} stays as it is")
 
     def _click_header(self, header):
         yield from move(header)
