@@ -408,28 +408,38 @@ class Region:
         if (panel in before) == wanted:
             return
         actions += 1
+        if panel in self.headers and not (yield from self._try(self.headers[panel], panel, wanted, before)):
+            return
         _, top = yield from self.find("dynamorph.delete_bake")
         height = top - ROW
         while True:
             while height > self.box[1] + ROW // 2:
-                header = (self.box[0] + ASIDE, height)
-                height -= ROW // 2
-                if (yield from self.look(header)):
-                    continue
-                yield from self._click_header(header)
-                now = yield from self.panels()
-                parent = getattr(bpy.types, panel).bl_parent_id
-                if (panel in now) == wanted and (parent in now) == (parent in before):
-                    self.headers[panel] = header
+                down = yield from self._try((self.box[0] + ASIDE, height), panel, wanted, before)
+                if not down:
                     return
-                if now != before:  # another section
-                    yield from self._put_back(header, before)
-                    height = header[1] - HEADER
+                height -= down
             moved = yield from self.scroll("WHEELDOWNMOUSE", 6)
             if not moved:
                 raise AssertionError(f"no section {panel} in {self.editor}")
             scrolls += 1
             height += moved
+
+    def _try(self, place, panel: str, wanted: bool, before: frozenset):
+        """Click where a section's header may be; pixels down to the next such place, 0 if this one opened or closed it
+        as wanted. Another section is as before.
+        """
+        if (yield from self.look(place)):
+            return ROW // 2
+        yield from self._click_header(place)
+        now = yield from self.panels()
+        parent = getattr(bpy.types, panel).bl_parent_id
+        if (panel in now) == wanted and (parent in now) == (parent in before):
+            self.headers[panel] = place
+            return 0
+        if now == before:
+            return ROW // 2
+        yield from self._put_back(place, before)
+        return HEADER
 
     def _put_back(self, header, before: frozenset):
         """Click a header until the panels are as before: a click while the section still slides is lost."""

@@ -138,7 +138,7 @@ def record():
     driver.photograph("grab_recorded", properties.box)
     yield from properties.press("dynamorph.clear_drags")
     yield from until(lambda: not settings().simulation.drags, "the drags to be removed")
-    yield from close("advanced")
+    yield from close("solver", "advanced")
 
 
 @step("Without it")
