@@ -79,6 +79,7 @@ def collide():
 def section():
     collision = settings().collision
     yield from properties.look_into("collision.collection")
+    yield from properties.look_into("excluded_group")
     yield from properties.press("collision.use_self")
     yield from until(lambda: collision.use_self, "Self Collision to be on")
     yield from properties.enter("collision.distance", "0.004")
