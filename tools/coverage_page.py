@@ -17,7 +17,8 @@ import subprocess
 import sys
 import sysconfig
 import tomllib
-from collections import defaultdict
+from collections import Counter, defaultdict
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -116,9 +117,20 @@ def test(python: Path, tests: list[str]) -> None:
         run(OUT / "cpp" / "engine_tests", "--no-version", f"-tc={STEPS}", DYNAMORPH_ISA=instructions)
     paths = (start, OUT / "cpp/python", ROOT / "addon", sysconfig.get_path("purelib"))
     environment = {"PYTHONPATH": os.pathsep.join(map(str, paths)), "COVERAGE_PROCESS_START": str(settings)}
-    for each in tests:
-        run(python, "-m", "pytest", each, *LEFT_OUT, **environment)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        pool.map(lambda each: run(python, "-m", "pytest", "-q", each, *LEFT_OUT, **environment), folders(tests))
     run(sys.executable, "-m", "coverage", "combine", f"--rcfile={settings}", "--quiet")
+
+
+def folders(tests: list[str]) -> list[str]:
+    """The folders with tests, those with most first: each is run in a process of its own."""
+    found = dict.fromkeys(tests, 0)
+    for each in tests:
+        inside = Counter(path.parent.relative_to(ROOT).as_posix() for path in (ROOT / each).rglob("test_*.py"))
+        if inside:
+            del found[each]
+            found.update(inside)
+    return sorted(found, key=lambda each: -found[each])
 
 
 def of_cpp() -> dict[str, Covered]:
