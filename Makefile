@@ -200,7 +200,7 @@ faults: build
 	done; exit $$status
 
 # docs/coverage.md: which lines and branches the tests run, C++ and Python, with what tests/not_covered.toml says of files
-# that are low; takes about 40 minutes. tests="tests/engine tests/addon/cli/test_command_line.py" runs those alone, and writes to
+# that are low; takes up to an hour. tests="tests/engine tests/addon/cli/test_command_line.py" runs those alone, and writes to
 # build/coverage.
 tests ?=
 coverage: build
