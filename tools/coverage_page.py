@@ -118,12 +118,15 @@ def test(python: Path, tests: list[str]) -> None:
     paths = (start, OUT / "cpp/python", ROOT / "addon", sysconfig.get_path("purelib"))
     environment = {"PYTHONPATH": os.pathsep.join(map(str, paths)), "COVERAGE_PROCESS_START": str(settings)}
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        pool.map(lambda each: run(python, "-m", "pytest", "-q", each, *LEFT_OUT, **environment), folders(tests))
+        for each in folders(tests):
+            pool.submit(run, python, "-m", "pytest", "-q", each, *LEFT_OUT, **environment)
     run(sys.executable, "-m", "coverage", "combine", f"--rcfile={settings}", "--quiet")
 
 
 def folders(tests: list[str]) -> list[str]:
-    """The folders with tests, those with most first: each is run in a process of its own."""
+    """The folders with tests, those with most files first, and the files that are named: each runs in a process of its
+    own.
+    """
     found = dict.fromkeys(tests, 0)
     for each in tests:
         inside = Counter(path.parent.relative_to(ROOT).as_posix() for path in (ROOT / each).rglob("test_*.py"))
