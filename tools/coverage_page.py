@@ -38,8 +38,15 @@ TESTS = ("tests/engine", "tests/addon")
 # Those that look at the compiled engine itself, which counters change.
 LEFT_OUT = tuple(f"--ignore=tests/engine/test_{name}.py" for name in ("examples", "instruction_sets"))
 STEPS = "*golden*,*inertia*"  # C++ tests that run what is compiled for each instruction set
-# Data at the end of the processes that the tests start, and of those that end at once, too.
-STARTS = "import coverage\n\ncoverage.process_startup()\n"
+# Data at the end of the processes that the tests start, and of those that end at once, too; not of another Python, for
+# which the package coverage is not compiled.
+STARTS = f"""import sys
+
+if sys.version_info[:2] == {sys.version_info[:2]}:
+    import coverage
+
+    coverage.process_startup()
+"""
 SETTINGS = f"""
 [run]
 branch = true
@@ -112,10 +119,13 @@ def test(python: Path, tests: list[str]) -> None:
     settings.write_text(SETTINGS)
     start.mkdir(exist_ok=True)
     (start / "sitecustomize.py").write_text(STARTS)  # which every Python imports
+    package = start / "coverage"  # alone: pip of another Python fails with the other packages of this one
+    package.unlink(missing_ok=True)
+    package.symlink_to(Path(sysconfig.get_path("purelib"), "coverage"))
     run(OUT / "cpp" / "engine_tests", "--no-version")
     for instructions in ("baseline", "avx2"):  # the first took the best that the processor has
         run(OUT / "cpp" / "engine_tests", "--no-version", f"-tc={STEPS}", DYNAMORPH_ISA=instructions)
-    paths = (start, OUT / "cpp/python", ROOT / "addon", sysconfig.get_path("purelib"))
+    paths = (start, OUT / "cpp/python", ROOT / "addon")
     environment = {"PYTHONPATH": os.pathsep.join(map(str, paths)), "COVERAGE_PROCESS_START": str(settings)}
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for each in folders(tests):
