@@ -28,7 +28,7 @@ LONGEST = 60.0  # seconds for a build and a bake: the mesher gives up earlier
 FRAMES, SUBSTEPS = 5, 2
 ADVICE = re.compile(
     r"\b(add|apply|check|choose|clean|close|delete|give|lower|merge|model|move|raise|recalculate|remove|repair|"
-    r"separate|weight)\b",
+    r"scale|separate|weight)\b",
     re.IGNORECASE,
 )
 

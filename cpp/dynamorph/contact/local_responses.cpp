@@ -111,6 +111,7 @@ void LocalResponses::patches_at(const Vector3d& rest, const Vector3d& normal,
 LocalResponses::LocalResponses(const FullModel& model, const MatrixXd& basis, const SkinPlaces& places,
                                const Embedding& embedding, const std::vector<int>& centers)
     : centers_(at(places, centers)), size_(model.body().size), shear_(model.body().sets()) {
+  if (centers.empty()) throw std::invalid_argument("centers: at least one is needed");
   check_size("normals", places.normals.rows(), places.rest.rows());
   check_size("corners", places.points.size(), places.rest.rows());
   check_points(places.points, embedding.nodes.rows());

@@ -40,8 +40,8 @@ struct SkinPlaces {
 class LocalResponses {
  public:
   /// places (L): spread evenly over the soft skin. embedding: of the skin's vertices in the mesh. Every one of
-  /// `centers` is in the middle of a patch. B (3 free, dofs). Throws std::invalid_argument for arrays that do not fit
-  /// each other.
+  /// `centers` is in the middle of a patch; at least one. B (3 free, dofs). Throws std::invalid_argument for arrays
+  /// that do not fit each other.
   LocalResponses(const FullModel& model, const MatrixXd& basis, const SkinPlaces& places, const Embedding& embedding,
                  const std::vector<int>& centers);
 

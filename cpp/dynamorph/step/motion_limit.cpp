@@ -81,7 +81,7 @@ void append(const Embedding& more, Embedding& points) {
   points.weights.conservativeResize(after, Eigen::NoChange);
   points.nodes.bottomRows(after - before) = more.nodes;
   points.weights.bottomRows(after - before) = more.weights;
-  points.distances.setZero(after);
+  points.distances.conservativeResizeLike(VectorXd::Zero(after));
 }
 
 /// Values at points of the skin, extended to the free nodes.

@@ -98,6 +98,7 @@ TEST_CASE("places without a patch nearby belong to the nearest, and centers must
   local.patches_at(Vector3d(100, 0, 0), Vector3d::UnitX(), found);
   REQUIRE(found.size() == 1);
   CHECK(found[0].second == 1);
+  CHECK_THROWS_WITH_AS(scene.responses({}), "centers: at least one is needed", std::invalid_argument);
   CHECK_THROWS_WITH_AS(scene.responses({100000}), "centers: there is no such place", std::invalid_argument);
 }
 

@@ -2,8 +2,6 @@
 // A soft skin comes out of a model file as it went in, and nothing that does not fit together comes out.
 #include <doctest/doctest.h>
 
-#include <cstring>
-
 #include "dynamorph/file/soft_skin.hpp"
 #include "dynamorph/step/simulation.hpp"
 #include "scenes.hpp"
@@ -16,10 +14,8 @@ using Shape = std::vector<std::int64_t>;
 
 template <class Number>
 file::Array stored(const std::vector<Number>& numbers, const char* dtype, const Shape& shape) {
-  file::Array array{dtype, shape, {}};
-  array.bytes.resize(sizeof(Number) * numbers.size());
-  std::memcpy(array.bytes.data(), numbers.data(), array.bytes.size());
-  return array;
+  const auto* bytes = reinterpret_cast<const unsigned char*>(numbers.data());
+  return {dtype, shape, {bytes, bytes + sizeof(Number) * numbers.size()}};
 }
 
 /// A matrix, rows first, of the given shape.
