@@ -81,6 +81,7 @@ void append(const Embedding& more, Embedding& points) {
   points.weights.conservativeResize(after, Eigen::NoChange);
   points.nodes.bottomRows(after - before) = more.nodes;
   points.weights.bottomRows(after - before) = more.weights;
+  // Not setZero: Eigen 3.4 frees a vector again whose new size is refused.
   points.distances.conservativeResizeLike(VectorXd::Zero(after));
 }
 
