@@ -2,6 +2,7 @@
 """Random setups and command lines: taken, or refused with a sentence; never a bug."""
 
 import json
+from contextlib import chdir
 from pathlib import Path
 
 import bpy
@@ -92,7 +93,8 @@ def shot(addon, tmp_path_factory):
     obj.dynamorph.model.cage_nodes, obj.dynamorph.model.modes = 60, 3
     bpy.context.scene.frame_end = 3
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "shot.blend"))
-    return folder / "shot.blend"
+    with chdir(folder):  # a word may be taken as the name of a file to write
+        yield folder / "shot.blend"
 
 
 @target(st.sampled_from(COMMANDS), st.booleans(), st.lists(st.sampled_from(WORDS), max_size=7), examples=60)
