@@ -28,7 +28,7 @@ from test_exports import add_sleeve
 
 BEND, WAVE = range(1, 13), range(5, 18)  # the frames of the Actions
 CLOSE = 2e-5  # of an arm of 2.4 m
-GAP = 1e-7  # of its loop, in body sizes: two searches with the usual gap may end farther apart than that
+GAP = 1e-7  # of its loop, in body sizes: with the usual one, two searches for it may end farther apart than CLOSE
 
 
 def new_action(rig, name, bone, axis, keys):
