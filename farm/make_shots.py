@@ -15,7 +15,6 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "sample_blends"))
 import bpy
 import bulging_cylinder as limb
 import dynamic_morph_targets
-from dynamic_morph_targets.__main__ import leave
 from stage import add_mesh, add_shape_keys, add_soft_skin, add_vertex_groups, save_scene, set_up_scene
 
 FRAMES = 3000
@@ -74,4 +73,3 @@ if __name__ == "__main__":
     dynamic_morph_targets.register()
     for name, period in SHOTS.items():
         make(folder / f"{name}.blend", period)
-    leave(0)

@@ -19,7 +19,6 @@ try:
     import dynamic_morph_targets
     import numpy as np
     from contact_sheet import MARGIN, Row, caption, compose, only_python, quiet, render, save
-    from dynamic_morph_targets.__main__ import run_script
     from dynamic_morph_targets.cli import record
     from dynamic_morph_targets.core import engine
     from dynamic_morph_targets.run import batch
@@ -242,4 +241,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

@@ -23,7 +23,6 @@ try:
     import plots
     import results_page
     from contact_sheet import Row, compose, render, save
-    from dynamic_morph_targets.__main__ import run_script
     from dynamic_morph_targets.core.result import compare
     from dynamic_morph_targets.core.settings import VARIANTS
     from dynamic_morph_targets.write.bake.writer import free, write_keys
@@ -413,4 +412,4 @@ def timed(what: str, function, *arguments):
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

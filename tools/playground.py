@@ -65,7 +65,6 @@ def export(scene: str, name: str, path: str) -> None:
     """Build the model of an object of a sample scene, and write it as the format Soft Skin. In a process of its own."""
     import bpy
     import dynamic_morph_targets
-    from dynamic_morph_targets.__main__ import leave
     from dynamic_morph_targets.run import batch, export_actions, job
 
     dynamic_morph_targets.register()
@@ -73,7 +72,6 @@ def export(scene: str, name: str, path: str) -> None:
     obj = bpy.data.objects[name]
     batch.run_all(batch.Batch([job.Job(obj, "BUILD")], "BUILD"))
     export_actions.export(obj, "SOFT_SKIN", Path(path), (1, 1))
-    leave(0)
 
 
 def model(described: dict) -> Path:

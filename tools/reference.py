@@ -403,15 +403,12 @@ def renewed(name: str) -> str:
 
 def main() -> None:
     import dynamic_morph_targets
-    from dynamic_morph_targets.__main__ import leave
 
     if bpy.app.version[:2] != VERSION:
-        print(f"reference: the pages are made with Blender {'.'.join(map(str, VERSION))}", file=sys.stderr)
-        leave(2)
+        sys.exit(f"reference: the pages are made with Blender {'.'.join(map(str, VERSION))}")
     dynamic_morph_targets.register()
     for name in PAGES:
         (ROOT / "docs" / name).write_text(renewed(name), encoding="utf-8")
-    leave(0)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,6 @@ Imports wait until `register`: core and io then serve and are tested without Ble
 compiled engine is imported when it is first used (see core.engine), so that the add-on can say what is missing.
 """
 
-import atexit
-
 _registered: list = []  # modules, in the order in which they were registered
 _commands: list = []  # handles that Blender wants back
 
@@ -84,27 +82,24 @@ def register():
         for module in _modules():
             _registered.append(module)  # first, so that what it leaves when it fails is taken back too
             module.register()
-        _commands.append(bpy.utils.register_cli_command("dynamorph", run_command))
+        if not _commands:
+            _commands.append(bpy.utils.register_cli_command("dynamorph", run_command))
     except BaseException:
         unregister()
         raise
-    if bpy.app.module:
-        atexit.register(unregister)  # the wheel does not do it, and then crashes or hangs while Python ends
 
 
 def unregister():
     """Takes back what `register` has done, however far it came; a second time there is nothing left to do.
 
     Each module's own `unregister` takes back what there is of it, for the same reason.
-
-    atexit does it in the wheel, which disables its add-ons once more as it ends.
     """
     import bpy
 
     from .core import logger
 
-    atexit.unregister(unregister)
-    while _commands:
+    # In the wheel it stays: with a command taken back, bpy 4.5 is not freed as Python ends, and then waits forever.
+    while _commands and not bpy.app.module:
         bpy.utils.unregister_cli_command(_commands.pop())
     while _registered:
         module = _registered.pop()

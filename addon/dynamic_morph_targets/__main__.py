@@ -3,7 +3,6 @@
 
 import os
 import sys
-import traceback
 
 try:
     here = os.getcwd()  # noqa: PTH109 - pathlib may be in there too
@@ -11,10 +10,6 @@ except FileNotFoundError:  # it was deleted
     here = ""
 if __name__ == "__main__" and sys.path[:1] == [here]:
     del sys.path[0]  # a stranger's .blend may have brought a bpy.py into the current folder
-
-from collections.abc import Callable
-from contextlib import suppress
-from typing import NoReturn
 
 
 def run() -> int:
@@ -37,36 +32,16 @@ def run() -> int:
     return main.main(sys.argv[1:], opens_file=True)
 
 
-def leave(code: int) -> NoReturn:
-    """End this process, for scripts too: as it tears itself down, bpy 4.5 may wait for ever for a thread of its own."""
-    if "bpy" in sys.modules:
-        from .write.export import child
-
-        child.remove_temporary()  # which it would have done
-    for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError):  # `main` has reported it
-            stream.flush()
-    os._exit(code)
-
-
-def run_script(main: Callable[[], int]) -> NoReturn:
-    """`leave` with what `main` returns, for scripts; also when it fails."""
-    try:
-        code = main()
-    except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else int(end.code is not None)
-        if isinstance(end.code, str):
-            print(end.code, file=sys.stderr)
-    except BaseException:
-        traceback.print_exc()
-        code = 1
-    leave(code)
-
-
-def script() -> NoReturn:
-    """The command `dynamorph` of the wheel."""
-    leave(run())
+def script() -> int:
+    """The command `dynamorph` of the wheel: its exit code."""
+    code = run()
+    for name in ("stdout", "stderr"):
+        try:
+            getattr(sys, name).flush()
+        except OSError:  # `main` has reported it, and Python would once more
+            setattr(sys, name, None)
+    return code
 
 
 if __name__ == "__main__":
-    script()
+    sys.exit(script())

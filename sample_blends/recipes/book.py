@@ -18,7 +18,6 @@ sys.path[:0] = [str(ROOT / folder) for folder in ("addon", "sample_blends", "too
 import bpy  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
-from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from measured import measured_at, write_between  # noqa: E402
 from run import machine  # noqa: E402
 
@@ -123,4 +122,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The add-on inside the bpy wheel, loaded from its sources as Blender loads an installed extension."""
 
+import os
+import shutil
 import sys
 from functools import partial
 from pathlib import Path
@@ -25,12 +27,11 @@ def pytest_sessionfinish(session, exitstatus):
 
 @pytest.hookimpl(trylast=True)
 def pytest_unconfigure(config):
-    """Leave at once when all is reported: as Python ends, bpy 4.5 may wait forever for one of its own threads."""
+    """Leave at once when all is reported: pytest keeps bpy, and bpy 4.5 crashes as Python ends if anything does."""
     if bpy.app.version < (5, 0) and EXIT in config.stash:
-        from dynamic_morph_targets.__main__ import leave
-
         config.get_terminal_writer().flush()
-        leave(config.stash[EXIT])
+        shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
+        os._exit(config.stash[EXIT])
 
 
 @pytest.fixture(scope="session")

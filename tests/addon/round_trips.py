@@ -427,7 +427,6 @@ def measure(obj, folder: Path, forms=FORMS, frames: tuple[int, int] | None = Non
 
 def main():
     import dynamic_morph_targets
-    from dynamic_morph_targets.__main__ import leave
 
     dynamic_morph_targets.register()
     shot = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "sample_blends" / "bulging_cylinder.blend"
@@ -437,7 +436,6 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         rows = measure(obj, Path(folder))
     print(json.dumps({"blender": bpy.app.version_string, "file": shot.name, "forms": rows}, indent=1), flush=True)
-    leave(0)
 
 
 if __name__ == "__main__":

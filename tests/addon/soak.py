@@ -40,7 +40,6 @@ from bl_ext.user_default.dynamic_morph_targets.cli import commands  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.core import engine  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.write.export import exports  # noqa: E402
 from builders import activate, make_arm, make_soft, soon  # noqa: E402
-from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from pressed import Pressed  # noqa: E402
 from test_undo_and_files import handlers  # noqa: E402
 
@@ -516,4 +515,4 @@ def walk_on(walk: Walk, steps: float, until: float) -> list[str]:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

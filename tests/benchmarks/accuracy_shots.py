@@ -31,7 +31,6 @@ import numpy as np  # noqa: E402
 import subjects  # noqa: E402
 from accuracy import FITTED, FRAMES, MODES, SUBJECTS, Subject  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
-from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from dynamic_morph_targets.core.character import Character  # noqa: E402
 from dynamic_morph_targets.core.geometry import diagonal  # noqa: E402
 from dynamic_morph_targets.core.model.model import EngineModel, Model  # noqa: E402
@@ -275,4 +274,4 @@ def reduce(row, unreduced: Model, full: Sequence[Solved], mass, regions) -> tupl
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

@@ -34,7 +34,6 @@ import test_time  # noqa: E402
 import walks  # noqa: E402
 from builders import make_arm, make_soft  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
-from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from dynamic_morph_targets.core.result import slider_keys  # noqa: E402
 from dynamic_morph_targets.io import model_file, paths  # noqa: E402
 from dynamic_morph_targets.run import bake_input, batch  # noqa: E402
@@ -256,4 +255,4 @@ def draw_errors(rows: list[dict]):
 SECTIONS = {section.__name__: section for section in (round_trips, loops, long, kills, times)}
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

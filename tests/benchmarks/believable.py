@@ -30,7 +30,6 @@ import numpy as np  # noqa: E402
 from assets import ASSETS, require  # noqa: E402
 from characters import SHOTS, attribution  # noqa: E402
 from contact_sheet import Row, compose, save  # noqa: E402
-from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from measured import measured_at  # noqa: E402
 from performance_page import grid  # noqa: E402
 from PIL import Image  # noqa: E402
@@ -567,4 +566,4 @@ def images(found: dict, names: Sequence[str]) -> list[Image.Image]:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

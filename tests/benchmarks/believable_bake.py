@@ -29,7 +29,6 @@ import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
 from believable_measure import NATURAL, baked_keys, positions, rest, show, world_points  # noqa: E402
 from contact_sheet import quiet, render  # noqa: E402
-from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from dynamic_morph_targets.core.geometry import diagonal  # noqa: E402
 from dynamic_morph_targets.run import job, preview  # noqa: E402
 from dynamic_morph_targets.ui.operators import jobs  # noqa: E402
@@ -378,4 +377,4 @@ def displacements(obj, frames) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

@@ -44,7 +44,6 @@ sys.path[:0] = [str(ROOT / folder) for folder in ("addon", "tests/addon")]
 
 import bpy  # noqa: E402
 import numpy as np  # noqa: E402
-from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from dynamic_morph_targets.core.geometry import diagonal, vertex_areas  # noqa: E402
 from dynamic_morph_targets.core.result.judge import SPLINTER, flicker_of, quantiles  # noqa: E402
 from mathutils import Vector  # noqa: E402
@@ -451,4 +450,4 @@ def largest_gap(soft: Sequence, others: Sequence, baked: dict, plain: dict, size
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

@@ -30,7 +30,6 @@ import table  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.core import engine  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run import batch, live  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job  # noqa: E402
-from dynamic_morph_targets import __main__ as entry  # noqa: E402
 
 try:
     from bl_ext.user_default.dynamic_morph_targets.run.first_look import FirstLook
@@ -155,6 +154,4 @@ def cpu_seconds() -> float:
 
 
 if __name__ == "__main__":
-    if hasattr(entry, "run_script"):
-        entry.run_script(main)
-    entry.leave(main())  # in a checkout of before
+    sys.exit(main())

@@ -27,7 +27,6 @@ import numpy as np
 from assets import ASSETS, require
 from collision_press import DRAGS, LAST, RESTS, ROOT
 from contact_sheet import Row, compose, save
-from dynamic_morph_targets.__main__ import run_script
 from dynamic_morph_targets.core.motion.contact import OWN_SAMPLES
 from measured import measured_at
 from performance_page import grid
@@ -355,4 +354,4 @@ def bold(text: str, wrong: bool) -> str:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

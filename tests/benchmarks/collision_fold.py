@@ -26,7 +26,6 @@ import characters  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
 from contact_sheet import quiet, render  # noqa: E402
-from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from dynamic_morph_targets.core.engine import dynamorph  # noqa: E402
 from dynamic_morph_targets.core.motion.contact_points import contact_points  # noqa: E402
 from dynamic_morph_targets.core.motion.player import Player  # noqa: E402
@@ -246,4 +245,4 @@ def photograph(body, skin: np.ndarray, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

@@ -18,7 +18,6 @@ import characters
 import dynamic_morph_targets
 import numpy as np
 from contact_sheet import quiet
-from dynamic_morph_targets.__main__ import run_script
 from dynamic_morph_targets.core.motion.grab import FIRM, Grab, pinch
 from dynamic_morph_targets.core.motion.player import Player
 from dynamic_morph_targets.core.settings import SimulationSettings
@@ -66,4 +65,4 @@ def held(player: Player, rig) -> Grab:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

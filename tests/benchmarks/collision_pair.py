@@ -22,7 +22,6 @@ import characters
 import dynamic_morph_targets
 import numpy as np
 from contact_sheet import quiet, render
-from dynamic_morph_targets.__main__ import run_script
 from dynamic_morph_targets.core.motion import simulate
 from dynamic_morph_targets.core.motion.player import STEP
 from dynamic_morph_targets.core.settings import SimulationSettings
@@ -189,4 +188,4 @@ def photograph(bodies, skins, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

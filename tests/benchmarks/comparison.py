@@ -32,7 +32,6 @@ from believable_measure import triangles_of, world_points  # noqa: E402
 from claims import FLEXED, SHAKEN, STRAIGHT  # noqa: E402
 from collision_press import HELD, dynamics_assets, set_socket  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
-from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from dynamic_morph_targets.run import batch  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402
 from how_long import busy  # noqa: E402
@@ -240,4 +239,4 @@ def row(way: Way, found: dict | None) -> list[str]:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

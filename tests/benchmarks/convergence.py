@@ -30,7 +30,6 @@ import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
 from assets import require  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
-from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from dynamic_morph_targets.core.character import Target  # noqa: E402
 from dynamic_morph_targets.core.material import calibration  # noqa: E402
 from dynamic_morph_targets.core.motion import simulate  # noqa: E402
@@ -162,4 +161,4 @@ def rms(motion: np.ndarray, areas: np.ndarray) -> float:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

@@ -31,7 +31,6 @@ from believable_measure import (
     vertex_areas,
 )
 from contact_sheet import Row, compose, quiet, save
-from dynamic_morph_targets.__main__ import run_script
 from dynamic_morph_targets.core.geometry import diagonal
 from dynamic_morph_targets.core.material.feel import FEELS
 from dynamic_morph_targets.core.result import judge
@@ -193,4 +192,4 @@ def write_page(bodies: list[dict]) -> None:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

@@ -28,7 +28,6 @@ import characters  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
 from contact_sheet import quiet, render  # noqa: E402
-from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from dynamic_morph_targets.core.geometry import diagonal  # noqa: E402
 from dynamic_morph_targets.run import batch  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402
@@ -209,4 +208,4 @@ def dissolved(pictures: Sequence[Image.Image]) -> list[Image.Image]:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

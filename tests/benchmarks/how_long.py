@@ -29,7 +29,6 @@ sys.path[:0] = [str(ROOT / folder) for folder in ("addon", "sample_blends", "too
 import bpy  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
-from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from dynamic_morph_targets.run import batch, live  # noqa: E402
 from dynamic_morph_targets.run.first_look import FirstLook  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402
@@ -323,4 +322,4 @@ def setting_row(name: str, each: dict[str, float], defaults: dict[str, float]) -
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

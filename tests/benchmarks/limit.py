@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -18,7 +19,6 @@ import numpy as np
 import plots
 from assets import require
 from believable_bake import choose_clip
-from dynamic_morph_targets.__main__ import run_script
 from dynamic_morph_targets.core.geometry import diagonal
 from dynamic_morph_targets.core.model.model import Model
 from dynamic_morph_targets.core.motion import simulate
@@ -279,4 +279,4 @@ def step_lengths(fine: Shot, model: Model) -> list[str]:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

@@ -66,7 +66,6 @@ else:
         mesh.vertices.foreach_get("co", points)
         found.append(points)
     np.save(path, found)
-os._exit(0)  # Blender 4.5 sometimes waits for ever when its process ends
 """
 
 

@@ -19,7 +19,6 @@ import dynamic_morph_targets
 import numpy as np
 from accuracy import RESPONSES, SUBJECTS
 from contact_sheet import quiet
-from dynamic_morph_targets.__main__ import run_script
 from dynamic_morph_targets.core.motion import simulate
 from motion_error import errors
 
@@ -109,4 +108,4 @@ def lacking(full, reduced, basis, stiffness, tabulated: int, q: np.ndarray) -> I
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

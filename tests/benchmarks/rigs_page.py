@@ -29,7 +29,6 @@ from bl_ext.user_default.dynamic_morph_targets.scene.skinning import Skinning  #
 from bl_ext.user_default.dynamic_morph_targets.ui import messages  # noqa: E402
 from builders import evaluated_points  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
-from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from measured import measured_at, write_between  # noqa: E402
 from run import machine  # noqa: E402
 
@@ -142,4 +141,4 @@ def write(rows: list[tuple[str, ...]]) -> None:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

@@ -26,7 +26,6 @@ import numpy as np  # noqa: E402
 import test_defects  # noqa: E402
 from assets import require  # noqa: E402
 from contact_sheet import Row, compose, quiet, render, save  # noqa: E402
-from dynamic_morph_targets.__main__ import run_script  # noqa: E402
 from dynamic_morph_targets.core.geometry import diagonal  # noqa: E402
 from dynamic_morph_targets.core.material.feel import FEELS  # noqa: E402
 from dynamic_morph_targets.run import batch  # noqa: E402
@@ -304,4 +303,4 @@ def boundary(tets: np.ndarray) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    sys.exit(main())

@@ -20,7 +20,6 @@ sys.path.insert(0, str(ROOT / "addon"))
 import bpy  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
-from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from dynamic_morph_targets.core.material import fit  # noqa: E402
 from dynamic_morph_targets.core.model import build  # noqa: E402
 from dynamic_morph_targets.run import session  # noqa: E402
@@ -51,7 +50,6 @@ def main() -> None:
         errors = [frequencies(each, built, painted) for each in (quick, built)]
         print(f"lower half painted {weight:g}: the slowest modes are too fast by up to "
               f"{errors[0]:.1%} after the stroke, {errors[1]:.1%} after the build")  # fmt: skip
-    leave(0)
 
 
 def character(path: str) -> bpy.types.Object:

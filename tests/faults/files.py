@@ -16,7 +16,6 @@ import os
 import re
 import sys
 import tempfile
-import traceback
 from pathlib import Path
 from random import Random
 
@@ -30,7 +29,6 @@ sys.path[:0] = [str(ROOT / folder) for folder in ("addon", "tests", "tests/addon
 import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
 from builders import make_arm  # noqa: E402
-from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from dynamic_morph_targets.cli import main as command_line  # noqa: E402
 from dynamic_morph_targets.io import outputs  # noqa: E402
 
@@ -204,10 +202,4 @@ def main(name: str, samples: int) -> None:
 
 
 if __name__ == "__main__":
-    result = 1
-    try:
-        main(sys.argv[1], int(sys.argv[2]))
-        result = 0
-    except BaseException:
-        traceback.print_exc()
-    leave(result)
+    main(sys.argv[1], int(sys.argv[2]))

@@ -251,9 +251,8 @@ def test_versions_rise_together(tmp_path, built, name):
 # Installing ----------------------------------------------------------------------------------------------------------
 
 BLENDER = """
-import atexit, os, sys
+import os, sys
 from pathlib import Path
-atexit.register(os._exit, 0)  # as a process ends, bpy 4.5 may wait forever for a thread of its own
 folder, *arguments = sys.argv[1:]
 os.environ["BLENDER_USER_RESOURCES"] = folder
 ours = ("dynamorph", "dynamic_morph_targets")

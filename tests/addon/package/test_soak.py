@@ -72,7 +72,7 @@ spoil = globals()[sys.argv.pop()]
 if spoil is unused_data:
     soak.press = spoil
 soak.STEPS = {spoil: 1}
-soak.run_script(soak.main)
+sys.exit(soak.main())
 """
 
 

@@ -6,9 +6,6 @@ The extension is not part of it, as it would show Live again.
 """
 
 import json
-import os
-import re
-import shutil
 import sys
 import traceback
 from pathlib import Path
@@ -73,26 +70,14 @@ def positions(mesh):
     return found
 
 
-def remove_temporary():
-    """Delete the temporary folder of this process. Where Blender could not make one, as on a full disk, it takes the
-    one that all share.
-    """
-    folder = Path(bpy.app.tempdir)
-    if re.fullmatch(r"blender_\w{6}", folder.name) and folder != Path(os.environ.get("TMPDIR", "")):
-        shutil.rmtree(folder, ignore_errors=True)
-
-
 def main():
-    code = 1
     try:
         run(json.loads(Path(sys.argv[-1]).read_text(encoding="utf-8")))
-        code = 0
     except Exception:
         traceback.print_exc()
-    remove_temporary()
-    sys.stderr.flush()
-    os._exit(code)  # bpy 4.5 may wait for ever for a thread of its own as it ends
+        return 1
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
