@@ -87,7 +87,7 @@ def simulated(job: job.Job, size: int, stiffness: float | None) -> dict:
     frames = len(job.input.settings.frames)
     character = job.outcome.character.with_settings(solver="FULL", modes=frames, cage_nodes=size)
     model = simulate.build_for(character, job.computation.rig, job.input.settings)
-    character = calibration.calibrated(character, list(calibration.references(model, character)))
+    character = calibration.calibrated(character, calibration.reference(model, character))
     own = character.targets[0].material.stiffness
     figures = {
         "nodes": len(model.nodes),

@@ -174,7 +174,7 @@ def presets():
     for key in ("CARTOON", "SUBTLE", "NATURAL"):
         yield from sidebar.press(f"dynamorph.apply_feel(feel='{key}')")
         yield from until(lambda key=key: chosen() == key, f"the preset {key}")
-        assert abs(settings().targets[0].frequency - feel.FEELS[key].frequency) < 1e-5
+        assert abs(settings().targets[0].bounce - feel.FEELS[key].frequency) < 1e-5
         yield from bake()
         swings[key] = swinging()
     assert swings["CARTOON"] > swings["NATURAL"] > swings["SUBTLE"] > 0.0, f"they swing {swings}"

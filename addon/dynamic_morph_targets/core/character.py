@@ -73,9 +73,8 @@ class Target:
     neutral. bones: names of the bones whose rotations place it in pose space. local (B, 4, 4): the captured pose of
     the whole skeleton as `Skeleton.local_transforms`; rig_world (4, 4): where the armature stood then.
     fade_out_angle: joint angle from its pose, radians, at which the target has faded out; 0 for never. motion_amount:
-    how much of the tissue's motion shows in its pose, 0 to 1. frequency: Hz that a build gives its stiffness, 0 where
-    the material says it; by_hand: whether the artist has set it, so that it does not follow the neutral
-    target.
+    how much of the tissue's motion shows in its pose, 0 to 1. frequency: undamped, Hz, from which a build computes its
+    stiffness, 0 where the material says it.
     """
 
     name: str
@@ -87,7 +86,6 @@ class Target:
     fade_out_angle: float = 0.0
     motion_amount: float = 1.0
     frequency: float = 0.0
-    by_hand: bool = False
 
 
 @dataclass(frozen=True)

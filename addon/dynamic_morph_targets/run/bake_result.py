@@ -17,7 +17,7 @@ from ..core.material import calibration
 from ..core.model.model import MODES, Model
 from ..core.motion import baked
 from ..io import disk
-from ..scene import skin, staleness, target_properties
+from ..scene import skin, staleness
 from ..scene.model_store import PACKED, blend_folder, index_in, remember, stored_model
 from ..write.bake.baked_action import check_rig_action
 from ..write.bake.before import Before
@@ -234,14 +234,15 @@ class Writer:
         if given.reasons and not given.only_cage:
             obj.dynamorph.live.checks = ""
             fit_modes(obj, model.summary.tabulated)
-            self._store_references(obj)
+            self._store_measured(obj, model)
 
-    def _store_references(self, obj: bpy.types.Object) -> None:
-        character, references = self.outcome.character, self.outcome.references
+    def _store_measured(self, obj: bpy.types.Object, model: Model) -> None:
+        character, reference = self.outcome.character, self.outcome.reference
+        obj.dynamorph.model.set_reference(reference or 0.0, character.material(0).poisson)
+        volumes = calibration.volumes(model, character)
         for target in obj.dynamorph.targets:
             index = index_in(character, obj, target)
-            bounce, volume = references[index] if index is not None else (0.0, 0.0)
-            target.set_references(bounce, volume, character.material(index or 0).poisson)
+            target.volume = volumes[index] if index is not None else 0.0
 
     def _record(self, obj: bpy.types.Object) -> None:
         """Store what the panels show about the bake."""
@@ -261,20 +262,16 @@ class Writer:
 
 
 def store_materials(obj: bpy.types.Object, character: Character) -> None:
-    """Store what a build has made of the targets' frequencies. One that was set since the build began stays."""
+    """Store the stiffness that a build has computed from the targets' frequencies."""
     for target in obj.dynamorph.targets:
         index = index_in(character, obj, target)
-        if index is None:
+        if index is None or not target.frequency:
             continue
         built = character.targets[index]
-        if (target.frequency, target.by_hand) != (built.frequency, built.by_hand):
-            if target.frequency:
-                target.set_frequency(target.frequency, (target.mass_damping, target.stiffness_damping))
-            continue
-        with target_properties.as_computed():
-            for name, value in calibration.stored(built).items():
-                if getattr(target, name) != value:
-                    setattr(target, name, value)
+        if (target.frequency, target.density) == (built.frequency, built.material.density):
+            target.set_computed_stiffness(built.material.stiffness)
+        else:  # set since the build began
+            target.follow_frequency()
 
 
 # For the artist ------------------------------------------------------------------------------------------------------

@@ -143,26 +143,26 @@ class Computation:
         self._measure(model)
         if self.progress.canceled:
             return
-        adopt(outcome, calibration.calibrated(given.character, outcome.references))
+        adopt(outcome, self._calibrated())
         self._prepare(model.with_settings(outcome.character.settings), outcome.character)
         self.progress.fraction = self._shot_from = built
         outcome.warnings += model.summary.warnings
 
     def _measure(self, model: Model) -> None:
-        """What its targets' frequencies follow from. That does not depend on the modes: a draft's are the model's."""
-        if self.outcome.references:
-            return
-        with self.progress.stage("measure"):
-            for reference in calibration.references(model, self.given.character):
-                self.outcome.references.append(reference)
-                if self.progress.canceled:
-                    return
+        """What its targets' frequencies follow from. That does not depend on the modes: a draft's is the model's."""
+        if self.outcome.reference is None:
+            with self.progress.stage("measure"):
+                self.outcome.reference = calibration.reference(model, self.given.character)
+
+    def _calibrated(self) -> Character:
+        assert self.outcome.reference is not None  # it was measured
+        return calibration.calibrated(self.given.character, self.outcome.reference)
 
     def _offer(self, draft: Model) -> None:
         self._measure(draft)
         if self.progress.canceled:
             return
-        character = calibration.calibrated(self.given.character, self.outcome.references)
+        character = self._calibrated()
         self._prepare(draft, character)
         self.progress.draft = draft, character
 
@@ -221,7 +221,7 @@ def adopt(outcome: Outcome, character: Character) -> None:
         name = "" if index == 0 else target.name
         known = outcome.inputs.get("targets", {}).get(name)
         if known is not None and (index == 0 or index not in neutrals):
-            known |= {key: value for key, value in calibration.stored(target).items() if key in known}
+            known["stiffness"] = target.material.stiffness
 
 
 def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:

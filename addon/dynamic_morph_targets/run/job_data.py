@@ -140,7 +140,7 @@ class Outcome:
     model: Model = field(init=False)
     packed: bytes | None = None  # the model, if it was built
     stored: Model | None = None  # which that is of
-    references: list[tuple[float, float]] = field(default_factory=list)  # of it: `calibration.references`
+    reference: float | None = None  # of it: `calibration.reference`
     warnings: list[str] = field(default_factory=list)
     inputs: dict = field(default_factory=dict)
     bake: Bake = field(init=False)

@@ -147,7 +147,7 @@ def _target(source: Source, target) -> Target:
         )
     return Target(
         target.name, shape, target.bone_names(), local, rig_world, material, target.fade_out_angle, target.amount,
-        target.frequency, target.by_hand,
+        target.frequency,
     )  # fmt: skip
 
 

@@ -194,8 +194,23 @@ class DynamorphModel(PropertyGroup):
         description="How far the reduced motion of a hop is from that of Full Quality, as a fraction of it",
     )  # fmt: skip
     expected_from: StringProperty(name="Error Of", description="Hash of what the expected error was measured with")
+    bounce_reference: FloatProperty(
+        name="Bounce Reference",
+        description="Undamped frequency in Hz of the neutral body where stiffness over density is 1, measured by the "
+        "last build",
+        options={"SKIP_SAVE"},
+    )  # fmt: skip
+    poisson_reference: FloatProperty(
+        name="Poisson Reference",
+        description="Poisson's ratio of the neutral target at which the bounce reference was measured",
+        options={"SKIP_SAVE"},
+    )
     stale: StringProperty(name="Out of Date", description="Why a change of the mesh requires another build")
     stale_part: StringProperty(name="Rebuilt From", description="The first part of the model that this build rebuilds")
+
+    def set_reference(self, bounce: float, poisson: float):
+        """Store what the build measured at this Poisson's ratio: Hz, 0 where it could not."""
+        self.bounce_reference, self.poisson_reference = bounce, poisson
 
     def settings(self) -> ModelSettings:
         """As the panels show them."""

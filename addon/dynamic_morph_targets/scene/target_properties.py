@@ -12,7 +12,7 @@ from bpy.props import BoolProperty, CollectionProperty, FloatProperty, FloatVect
 from bpy.types import PropertyGroup
 
 from ..core.character import Skeleton
-from ..core.material import fit, oscillation
+from ..core.material import calibration, oscillation
 from ..core.material.feel import FEELS
 from ..core.settings import Material
 from .events import shown_changed
@@ -20,7 +20,7 @@ from .references import OVERRIDE, OVERRIDE_LIST, KeyReference, key_displacement,
 from .skin import unit_scale
 
 NEUTRAL = "Neutral"
-MASS_DAMPING, STIFFNESS_DAMPING = FEELS["NATURAL"].damping  # of a new soft skin
+MASS_DAMPING, STIFFNESS_DAMPING = FEELS["NATURAL"].damping.values()  # of a new soft skin
 IDENTITY = tuple(np.eye(4).ravel())
 NEVER = 1e5  # seconds, for a swing that nothing damps
 
@@ -51,37 +51,40 @@ class DynamorphBonePose(PropertyGroup):
 
 
 def _get_bounce(target) -> float:
-    if target.awaits_build:
-        return target.frequency
-    return oscillation.swing(target.bounce_reference, target.material()).frequency if target.is_measured else 0.0
+    return oscillation.damped(target.omega, target.material()).frequency if target.is_measured else 0.0
 
 
-def _set_bounce(target, frequency: float):
+def _set_bounce(target, bounce: float):
+    material = target.material()
     if target.is_measured:
-        target.set_material(fit.with_bounce(target.bounce_reference, target.material(), frequency))
-    if target.is_measured or target.awaits_build:
-        target.frequency, target.by_hand = frequency, True
+        target.set_swing(*oscillation.with_bounce(target.omega, material, bounce))
+    else:
+        target.set_swing(oscillation.undamped(bounce, material), material)
+    target.by_hand = True
 
 
 def _get_settle_time(target) -> float:
     if not target.is_measured:
         return 0.0
-    return min(oscillation.swing(target.bounce_reference, target.material()).settle, NEVER)
+    return min(oscillation.damped(target.omega, target.material()).settle, NEVER)
 
 
 def _set_settle_time(target, seconds: float):
-    if target.is_measured:
-        target.mass_damping, target.stiffness_damping = oscillation.damping_for(
-            target.bounce_reference, target.material(), seconds
-        )
+    if not target.is_measured:
+        return
+    material, bounce = target.material(), target.bounce
+    if target.frequency and bounce:
+        target.set_swing(*oscillation.with_swing(material, bounce, seconds))
+    else:  # the artist has set the stiffness, or it only creeps
+        target.mass_damping, target.stiffness_damping = oscillation.damping_for(target.omega, material, seconds)
 
 
 def _get_mass(target) -> float:
-    return target.density * target.volume / _kilograms() if target.is_measured else 0.0
+    return target.density * target.volume / _kilograms()
 
 
 def _set_mass(target, mass: float):
-    if target.is_measured:
+    if target.volume:
         target.density = mass * _kilograms() / target.volume
 
 
@@ -90,12 +93,12 @@ def _kilograms() -> float:
     return unit_scale() ** 3
 
 
-_computed = False  # whether a stiffness that is written now follows from something else
+_computed = False  # whether what is written now follows from something else
 
 
 @contextmanager
 def as_computed():
-    """A stiffness written inside this context does not count as set by hand."""
+    """A stiffness written inside this context does not count as set by hand, and none follows a density."""
     global _computed
     before, _computed = _computed, True
     try:
@@ -108,6 +111,12 @@ def _stiffness_set(target, _context):
     """update: the artist, or a script, wants the stiffness in pascals as it is."""
     if not _computed:
         target.frequency, target.by_hand = 0.0, True
+
+
+def _density_set(target, _context):
+    """update: a bounce that was set stays, and the stiffness follows."""
+    if not _computed:
+        target.follow_frequency()
 
 
 def _region_chosen(target, _context):
@@ -123,7 +132,8 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     mute: BoolProperty(name="Mute", description="Leave this target out of the model", override=OVERRIDE)
     stiffness: FloatProperty(
         name="Stiffness",
-        description="Young's modulus at this target in pascals. Raise it to make the soft tissue firmer",
+        description="Young's modulus at this target in pascals. Raise it to make the soft tissue firmer. Once it is "
+        "set, it stays, and Bounce and Settle Time follow from it",
         default=Material.stiffness, min=1.0, max=1e12, soft_min=1e3, soft_max=1e6, step=10000, precision=0,
         override=OVERRIDE, update=_stiffness_set,
     )  # fmt: skip
@@ -135,19 +145,21 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     )  # fmt: skip
     density: FloatProperty(
         name="Density",
-        description="Mass per volume at this target in kg/m³. Water has 1000. Raise it for tissue that swings more "
-        "slowly",
+        description="Mass per volume at this target in kg/m³. Water has 1000. Where Stiffness was set, raise it for "
+        "tissue that swings more slowly. Where Bounce was set, Bounce and Settle Time stay, and Stiffness follows",
         default=Material.density, min=1.0, max=1e5, soft_min=500.0, soft_max=2000.0, step=1000, precision=0,
-        override=OVERRIDE,
+        override=OVERRIDE, update=_density_set,
     )  # fmt: skip
     mass_damping: FloatProperty(
         name="Mass Damping",
-        description="Rayleigh damping in proportion to mass, in 1/s. Raise it to calm slow, large motion",
+        description="Rayleigh damping in proportion to mass, in 1/s. Raise it to calm slow, large motion. Stiffness "
+        "stays, and Bounce and Settle Time follow",
         default=MASS_DAMPING, min=0.0, max=1e4, soft_max=20.0, override=OVERRIDE,
     )  # fmt: skip
     stiffness_damping: FloatProperty(
         name="Stiffness Damping",
-        description="Rayleigh damping in proportion to stiffness, in seconds. Raise it to calm fast ripples",
+        description="Rayleigh damping in proportion to stiffness, in seconds. Raise it to calm fast ripples. Stiffness "
+        "stays, and Bounce and Settle Time follow",
         default=STIFFNESS_DAMPING, min=0.0, max=10.0, soft_max=0.1, step=0.1, precision=4, override=OVERRIDE,
     )  # fmt: skip
     fade_out_angle: FloatProperty(
@@ -196,67 +208,61 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     )  # fmt: skip
     frequency: FloatProperty(
         name="Frequency",
-        description="Natural frequency from which the next build computes the stiffness of this target. 0 leaves the "
+        description="Undamped natural frequency from which the stiffness of this target follows. 0 leaves the "
         "stiffness in pascals unchanged",
         default=0.0, min=0.0, max=1000.0, override=OVERRIDE,
     )  # fmt: skip
     by_hand: BoolProperty(
         name="Set by Hand",
-        description="Whether the artist has set the bounce or the stiffness. No build then changes them",
+        description="Whether the artist has set the bounce or the stiffness. No Feel then changes them",
         override=OVERRIDE,
     )  # fmt: skip
     # The artist's view, computed from the properties above and from what the last build measured.
     bounce: FloatProperty(
         name="Bounce",
-        description="Natural frequency of the soft tissue in this pose. It sets the stiffness, and both dampings so "
-        "that the settle time stays the same. Lower it for softer, slower motion",
+        description="How fast the whole body would swing if it were as soft as this target. It sets the stiffness, and "
+        "both dampings so that the settle time stays the same. Lower it for softer, slower motion. 0 is tissue that "
+        "is damped too much to swing",
         min=0.05, max=1000.0, soft_min=0.5, soft_max=20.0, step=10, precision=2, subtype="FREQUENCY",
         options={"SKIP_SAVE"}, get=_get_bounce, set=_set_bounce,
     )  # fmt: skip
     settle_time: FloatProperty(
         name="Settle Time",
-        description="Time until a twentieth of a swing is left, in this pose. It sets both dampings and keeps their "
-        "proportion. Raise it for skin that wobbles longer",
+        description="Time until a twentieth of a swing is left, if the whole body were as soft as this target. It sets "
+        "both dampings and keeps their proportion. Bounce stays, or Stiffness where that was set. Raise it for skin "
+        "that wobbles longer",
         min=0.001, max=NEVER, soft_min=0.05, soft_max=5.0, step=10, precision=2, subtype="TIME_ABSOLUTE",
         options={"SKIP_SAVE"},
         get=_get_settle_time, set=_set_settle_time,
     )  # fmt: skip
     mass: FloatProperty(
         name="Mass",
-        description="Mass of the soft tissue in the target's region, including tissue that the bones hold. It only "
-        "sets the density: heavier tissue bounces more slowly",
+        description="Mass of the soft tissue in the target's region, including tissue that the bones hold. It sets the "
+        "density. Where Stiffness was set, heavier tissue bounces more slowly; where Bounce was set, that stays",
         min=1e-12, max=1e12, soft_max=100.0, step=10, precision=3, unit="MASS", options={"SKIP_SAVE"},
         get=_get_mass, set=_set_mass,
     )  # fmt: skip
-    bounce_reference: FloatProperty(
-        name="Bounce Reference",
-        description="Undamped frequency in Hz where stiffness over density is 1, measured by the last build",
-        options={"SKIP_SAVE"},
-    )  # fmt: skip
-    poisson_reference: FloatProperty(
-        name="Poisson Reference",
-        description="Poisson's ratio at which the bounce reference was measured",
-        options={"SKIP_SAVE"},
-    )
     volume: FloatProperty(
         name="Volume", description="Volume of the soft tissue in the target's region in m³, measured by the last build",
         options={"SKIP_SAVE"},
     )  # fmt: skip
 
     @property
-    def is_measured(self) -> bool:
-        """Whether the last build measured how the tissue swings here. If not, settle time and mass are 0."""
-        measured = self.bounce_reference > 0.0 and self.volume > 0.0
-        return measured and math.isclose(self.poisson, self.poisson_reference, rel_tol=1e-5)
+    def reference(self) -> float:
+        """What the last build measured of the body: see `calibration.reference`. 0 if it did not."""
+        skin = self.id_data.dynamorph
+        model, poisson = skin.model, skin.targets[0].poisson
+        return model.bounce_reference if math.isclose(poisson, model.poisson_reference, rel_tol=1e-5) else 0.0
 
     @property
-    def awaits_build(self) -> bool:
-        """Whether no build has measured it yet. A bounce that is set then becomes a stiffness in the build."""
-        return self.bounce_reference == 0.0
+    def omega(self) -> float:
+        """The undamped angular frequency of the whole body if it were of this material, rad/s; 0 if not known."""
+        return 2.0 * math.pi * (self.frequency or self.reference * math.sqrt(self.stiffness / self.density))
 
-    def set_references(self, bounce: float, volume: float, poisson: float):
-        """Store what the build measured at this Poisson's ratio: bounce in Hz, volume in m^3."""
-        self.bounce_reference, self.volume, self.poisson_reference = bounce, volume, poisson
+    @property
+    def is_measured(self) -> bool:
+        """Whether it is known how this material swings. If not, bounce and settle time are 0."""
+        return self.omega > 0.0
 
     def material(self) -> Material:
         return Material(self.stiffness, self.poisson, self.density, self.mass_damping, self.stiffness_damping)
@@ -270,17 +276,22 @@ class DynamorphTarget(KeyReference, PropertyGroup):
 
     def set_computed_stiffness(self, stiffness: float):
         """Young's modulus in pascals that follows from the frequency: it does not count as set by hand."""
-        with as_computed():
-            self.stiffness = stiffness
+        if stiffness != self.stiffness:
+            with as_computed():
+                self.stiffness = stiffness
 
-    def set_frequency(self, frequency: float, damping: tuple[float, float]):
-        """Let it swing at this frequency (Hz), with this mass and stiffness damping: at once if it is measured,
-        otherwise from the next build on. It does not count as set by hand.
+    def set_swing(self, frequency: float, material: Material):
+        """Swing at this undamped frequency (Hz) with the dampings of a material; the stiffness follows, once the body
+        is measured.
         """
-        self.mass_damping, self.stiffness_damping = damping
-        self.frequency, self.by_hand = frequency, False
-        if self.is_measured:
-            self.set_computed_stiffness(oscillation.stiffness_for(self.bounce_reference, self.material(), frequency))
+        self.mass_damping, self.stiffness_damping = material.mass_damping, material.stiffness_damping
+        self.frequency = frequency
+        self.follow_frequency()
+
+    def follow_frequency(self):
+        """Compute the stiffness from the frequency, if there is one and the body is measured."""
+        if self.frequency and self.reference:
+            self.set_computed_stiffness(calibration.stiffness_for(self.reference, self.density, self.frequency))
 
     def bone_names(self) -> tuple[str, ...]:
         return tuple(bone.name for bone in self.bones)

@@ -94,7 +94,7 @@ def test_single_material_leaves_other_targets_as_they_are(arm):
     """A build that changes the neutral stiffness is no reason to bake again."""
     neutral, flexed = arm.dynamorph.targets
     for target in (neutral, flexed):
-        target.set_frequency(5.0, (0.0, 0.01))
+        target.bounce = 5.0
     before, stiffness = neutral.stiffness, flexed.stiffness
     run(arm, method="SINGLE")
     assert neutral.stiffness != before and flexed.stiffness == stiffness

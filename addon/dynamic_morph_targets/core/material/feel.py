@@ -10,8 +10,8 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class Feel:
-    """frequency: natural frequency, Hz; damping_ratio: fraction of critical damping; max_displacement: how far the skin
-    may move, as a fraction of the body's size; max_thickness: the same as a fraction of the local thickness.
+    """frequency: at which it is seen to swing, Hz; damping_ratio: fraction of critical damping; max_displacement: how
+    far the skin may move, as a fraction of the body's size; max_thickness: the same of the local thickness.
     """
 
     label: str
@@ -22,10 +22,14 @@ class Feel:
     max_thickness: float
 
     @property
-    def damping(self) -> tuple[float, float]:
-        """Mass damping (1/s) and stiffness damping (s) that give a swing of this frequency this damping ratio."""
-        undamped = 2.0 * pi * self.frequency / sqrt(1.0 - self.damping_ratio**2)
-        return 0.0, 2.0 * self.damping_ratio / undamped
+    def undamped(self) -> float:
+        """The frequency that it would have without damping, Hz."""
+        return self.frequency / sqrt(1.0 - self.damping_ratio**2)
+
+    @property
+    def damping(self) -> dict[str, float]:
+        """The dampings of a `Material`, SI, that give a swing of this frequency this damping ratio."""
+        return {"mass_damping": 0.0, "stiffness_damping": self.damping_ratio / (pi * self.undamped)}
 
 
 # Half of the thickness is the way to the middle of the body: tissue that is pressed farther turns inside out.
@@ -56,7 +60,7 @@ def active(neutral: NeutralTarget, simulation: Simulation) -> str:
         return ""
     for key, feel in FEELS.items():
         pairs = [
-            (neutral.frequency, feel.frequency),
+            (neutral.frequency, feel.undamped),
             (simulation.max_displacement, feel.max_displacement),
             (simulation.max_thickness, feel.max_thickness),
         ]

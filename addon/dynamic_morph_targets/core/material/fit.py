@@ -12,7 +12,7 @@ A free oscillation of one mode is
 of linear tetrahedra is too stiff: the fit finds the Young's modulus that makes *this* cage move as observed.
 
 The artist's units: bounce is w / 2 pi, settle time the time until a twentieth of the swing is left, mass that of the
-tissue. `references` measures a built model once, so that they can be shown and set without it.
+tissue. `calibration` measures a built model once, so that they can be shown and set without it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from ..errors import FitError
 from ..geometry import interpolated
 from ..model.model import Model
 from ..settings import Material
-from .oscillation import Oscillation, damped, damping_for, swing
+from .oscillation import Oscillation, damped
 
 if TYPE_CHECKING:
     from dynamorph import FullModel
@@ -209,17 +209,6 @@ def _least_squares(residual: Callable[[float], np.ndarray], x: float) -> tuple[f
             break
         x, r = x + step, tried
     return x, r
-
-
-def with_bounce(reference: float, material: Material, frequency: float) -> Material:
-    """The material with which such tissue swings at `frequency` Hz, with the same settle time. The dampings keep their
-    proportion.
-    """
-    now = swing(reference, material)
-    undamped = (2 * pi * frequency) ** 2 + now.decay**2
-    stiffer = replace(material, stiffness=material.density * undamped / (2 * pi * reference) ** 2)
-    alpha, beta = damping_for(reference, stiffer, now.settle)
-    return replace(stiffer, mass_damping=alpha, stiffness_damping=beta)
 
 
 # What both fits share ----------------------------------------------------------------------------------------------

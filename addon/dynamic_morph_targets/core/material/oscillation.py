@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import csv
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, inf, log, pi, sqrt
 from pathlib import Path
 
@@ -164,33 +164,28 @@ def damped(omega: float, material: Material) -> Oscillation:
     return Oscillation(sqrt(omega**2 - decay**2) / (2 * pi), decay)
 
 
-def swing(reference: float, material: Material) -> Oscillation:
-    """How tissue with this reference frequency swings with this material."""
-    return damped(_omega(reference, material), material)
-
-
-def stiffness_for(reference: float, material: Material, frequency: float) -> float:
-    """Young's modulus with which such tissue swings at `frequency` Hz, or as fast as its damping permits.
+def undamped(frequency: float, material: Material) -> float:
+    """The undamped frequency, Hz, at which tissue with this material's dampings swings at `frequency` Hz, or as fast as
+    they permit.
 
     With x = w0^2: x - (alpha + beta x)^2 / 4 = (2 pi frequency)^2. The upper one of its two roots is nearly overdamped.
     """
     alpha, beta = material.mass_damping, material.stiffness_damping
     if alpha * beta >= 1.0:  # overdamped whatever the stiffness
-        return material.stiffness
+        return frequency
     half = 1.0 - alpha * beta / 2
     wanted = (2 * pi * frequency) ** 2 + alpha**2 / 4
     if beta:
         wanted = min(wanted, (half / beta) ** 2)
-    x = 2 * wanted / (half + sqrt(max(half**2 - beta**2 * wanted, 0.0)))
-    return material.density * x / (2 * pi * reference) ** 2
+    return sqrt(2 * wanted / (half + sqrt(max(half**2 - beta**2 * wanted, 0.0)))) / (2 * pi)
 
 
-def damping_for(reference: float, material: Material, settle: float) -> tuple[float, float]:
-    """Mass and stiffness damping, in their present proportion, with which such tissue has this settle time in seconds.
+def damping_for(omega: float, material: Material, settle: float) -> tuple[float, float]:
+    """Mass and stiffness damping, in their present proportion, with which tissue that would swing at omega, rad/s,
+    without damping has this settle time in seconds.
 
     Critical damping settles soonest: more damping only makes it creep.
     """
-    omega = _omega(reference, material)
     wanted = min(decay_of(settle), omega)
     now = (material.mass_damping + material.stiffness_damping * omega**2) / 2
     if not now:
@@ -198,5 +193,15 @@ def damping_for(reference: float, material: Material, settle: float) -> tuple[fl
     return material.mass_damping * wanted / now, material.stiffness_damping * wanted / now
 
 
-def _omega(reference: float, material: Material) -> float:
-    return 2 * pi * reference * sqrt(material.stiffness / material.density)
+def with_bounce(omega: float, material: Material, bounce: float) -> tuple[float, Material]:
+    """What swings at `bounce` Hz and settles as before: its undamped frequency in Hz, and the material with other
+    dampings in the same proportion. omega: the undamped frequency now, rad/s.
+    """
+    return with_swing(material, bounce, damped(omega, material).settle)
+
+
+def with_swing(material: Material, bounce: float, settle: float) -> tuple[float, Material]:
+    """As `with_bounce`, for this settle time in seconds: w0^2 = w^2 + s^2 with the decay s."""
+    omega = hypot(2 * pi * bounce, decay_of(settle))
+    alpha, beta = damping_for(omega, material, settle)
+    return omega / (2 * pi), replace(material, mass_damping=alpha, stiffness_damping=beta)

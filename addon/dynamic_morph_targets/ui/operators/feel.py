@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from math import sqrt
+
 import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
@@ -20,19 +23,22 @@ from .jobs import StartsJob
 
 def give_feel(obj, feel: Feel):
     """Give the neutral target this feel and limit the motion. Every other target that was not set by hand keeps its
-    ratio of stiffness to the neutral target.
+    ratio of undamped frequency to the neutral target.
     """
     settings = obj.dynamorph
-    neutral, *others = settings.targets
-    before = neutral.stiffness
-    neutral.set_frequency(feel.frequency, feel.damping)
-    for target in others:
-        if not target.by_hand:
-            target.mass_damping, target.stiffness_damping = feel.damping
-            target.frequency = feel.frequency
-            target.set_computed_stiffness(target.stiffness * neutral.stiffness / before)
+    ratios = [_frequency_ratio(target, settings.targets[0]) for target in settings.targets]
+    for target, ratio in zip(settings.targets, ratios, strict=True):
+        if target == settings.targets[0] or not target.by_hand:
+            target.set_swing(ratio * feel.undamped, replace(target.material(), **feel.damping))
+            target.by_hand = False
     simulation = settings.simulation
     simulation.max_displacement, simulation.max_thickness = feel.max_displacement, feel.max_thickness
+
+
+def _frequency_ratio(target, neutral) -> float:
+    if target.frequency and neutral.frequency:
+        return target.frequency / neutral.frequency
+    return sqrt(target.stiffness / target.density * neutral.density / neutral.stiffness)
 
 
 class DYNAMORPH_OT_apply_feel(SoftSkinOperator, Operator):

@@ -109,12 +109,8 @@ class DYNAMORPH_OT_fit_material(FitsBounce, Operator):
 
     def _ask(self, context):
         obj = skin.mesh_in(context)
-        target = obj.dynamorph.active_target
-        if target.is_measured:
-            self.frequency, self.settle_time = target.bounce or self.frequency, target.settle_time
-        else:  # it was built with another Poisson's ratio
-            now = material_fit.bounce(*model_store.fit_input(obj, target))
-            self.frequency, self.settle_time = now.frequency or self.frequency, now.settle
+        now = material_fit.bounce(*model_store.fit_input(obj, obj.dynamorph.active_target))
+        self.frequency, self.settle_time = now.frequency or self.frequency, now.settle
         return context.window_manager.invoke_props_dialog(self)
 
     def execute(self, context):

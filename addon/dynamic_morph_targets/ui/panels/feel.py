@@ -31,10 +31,10 @@ def icon_of(obj, target) -> str:
 
 
 def draw_swing(layout, target):
-    """Bounce of a target, which a new one can be given before the build, and Settle Time, which the build measures."""
+    """Bounce and Settle Time of a target."""
     column = layout.column(align=True)
     bounce, settle = column.column(align=True), column.column(align=True)
-    bounce.enabled = (target.is_measured or target.awaits_build) and batch.running is None
+    bounce.enabled = batch.running is None
     bounce.prop(target, "bounce")
     settle.enabled = target.is_measured and batch.running is None
     settle.prop(target, "settle_time")
@@ -54,7 +54,7 @@ def draw_material(layout, _context, obj):
         column.prop(target, name)
     column.prop(target, "stiffness_damping", text="Stiff. Damping")  # that much fits
     mass = column.column(align=True)
-    mass.enabled = target.is_measured
+    mass.enabled = target.volume > 0.0
     mass.prop(target, "mass")
     layout.operator("dynamorph.fit_material")
 
