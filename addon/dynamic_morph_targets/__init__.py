@@ -82,8 +82,7 @@ def register():
         for module in _modules():
             _registered.append(module)  # first, so that what it leaves when it fails is taken back too
             module.register()
-        if not _commands:
-            _commands.append(bpy.utils.register_cli_command("dynamorph", run_command))
+        _commands.append(bpy.utils.register_cli_command("dynamorph", run_command))
     except BaseException:
         unregister()
         raise
@@ -98,9 +97,10 @@ def unregister():
 
     from .core import logger
 
-    # In the wheel it stays: with a command taken back, bpy 4.5 is not freed as Python ends, and then waits forever.
-    while _commands and not bpy.app.module:
-        bpy.utils.unregister_cli_command(_commands.pop())
+    while _commands:
+        command = _commands.pop()
+        if not bpy.app.module:  # in the wheel nobody can call it, and without it bpy 4.5 waits forever as Python ends
+            bpy.utils.unregister_cli_command(command)
     while _registered:
         module = _registered.pop()
         try:

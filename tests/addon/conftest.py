@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The add-on inside the bpy wheel, loaded from its sources as Blender loads an installed extension."""
 
-import os
-import shutil
 import sys
 from functools import partial
 from pathlib import Path
@@ -27,11 +25,10 @@ def pytest_sessionfinish(session, exitstatus):
 
 @pytest.hookimpl(trylast=True)
 def pytest_unconfigure(config):
-    """Leave at once when all is reported: pytest keeps bpy, and bpy 4.5 crashes as Python ends if anything does."""
+    """When all is reported."""
     if bpy.app.version < (5, 0) and EXIT in config.stash:
         config.get_terminal_writer().flush()
-        shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
-        os._exit(config.stash[EXIT])
+        installed.leave(config.stash[EXIT])
 
 
 @pytest.fixture(scope="session")

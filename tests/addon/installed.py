@@ -4,6 +4,8 @@ import them under the name that it has there. To be imported before bpy is.
 """
 
 import os
+import shutil
+import sys
 import tempfile
 from pathlib import Path
 
@@ -14,3 +16,12 @@ import bpy
 PACKAGE = Path(__file__).parents[2] / "addon" / "dynamic_morph_targets"
 MODULE = f"bl_ext.user_default.{PACKAGE.name}"
 (Path(bpy.utils.user_resource("EXTENSIONS", path="user_default", create=True)) / PACKAGE.name).symlink_to(PACKAGE)
+
+
+def leave(code: int):
+    """End this process at once: where anything still refers to bpy 4.5 as Python ends, it crashes or waits forever."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    for folder in (bpy.app.tempdir, os.environ["BLENDER_USER_RESOURCES"]):
+        shutil.rmtree(folder, ignore_errors=True)
+    os._exit(code)

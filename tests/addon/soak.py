@@ -30,7 +30,7 @@ ROOT = Path(__file__).resolve().parents[2]
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = map(str, (ROOT / "addon", ROOT / "tests", HERE, *filter(Path.is_dir, HERE.iterdir())))
 
-from installed import MODULE  # noqa: E402, I001 - before bpy
+from installed import MODULE, leave  # noqa: E402, I001 - before bpy
 
 import addon_utils  # noqa: E402 - of bpy
 import bpy  # noqa: E402
@@ -515,4 +515,4 @@ def walk_on(walk: Walk, steps: float, until: float) -> list[str]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

@@ -251,8 +251,9 @@ def test_versions_rise_together(tmp_path, built, name):
 # Installing ----------------------------------------------------------------------------------------------------------
 
 BLENDER = """
-import os, sys
+import atexit, os, sys
 from pathlib import Path
+atexit.register(os._exit, 0)  # the extension that bpy 4.5 refers to is gone by then: it may wait forever
 folder, *arguments = sys.argv[1:]
 os.environ["BLENDER_USER_RESOURCES"] = folder
 ours = ("dynamorph", "dynamic_morph_targets")

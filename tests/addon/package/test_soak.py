@@ -72,7 +72,7 @@ spoil = globals()[sys.argv.pop()]
 if spoil is unused_data:
     soak.press = spoil
 soak.STEPS = {spoil: 1}
-sys.exit(soak.main())
+soak.leave(soak.main())
 """
 
 
