@@ -317,6 +317,7 @@ def calls() -> dict[str, tuple[object, dict]]:
 # What the stub says --------------------------------------------------------------------------------------------------
 
 
+@cache
 def declared() -> dict[str, dict[str, str]]:
     """The types of the parameters of each callable in the stub, by name; of overloads the first. Enumerations and
     exceptions are left out: pybind11 makes them.
@@ -504,6 +505,7 @@ def outcome(name: str, parameter: str, how: str) -> str:
 
 def main(first: int) -> None:
     np.seterr(all="ignore")
+    np.set_printoptions(threshold=1, edgeitems=1)  # pybind11 writes all arguments into its refusals
     for number in range(first, len(cases())):
         print(json.dumps([number, None]), flush=True)
         print(json.dumps([number, outcome(*cases()[number])]), flush=True)
