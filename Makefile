@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first. `make help` lists them.
-.PHONY: help setup build module test gui-test demo gallery figures materials bench bench-docs robustness believable \
+.PHONY: help setup build module quick test gui-test demo gallery figures materials bench bench-docs robustness believable \
 	believable-docs convergence accuracy bakes farm-demo golden fuzz soak faults coverage sanitize stubs format lint wheels \
 	platforms extension repository sdist version reliability feels limit collision rigs recipes reference how-long comparison playground site clean
 
@@ -45,6 +45,11 @@ build: setup
 module: setup
 	$(configure)
 	@$(compile) core_$(word 2,$(subst /, ,$(python)))
+
+# Whether a change is right, in two to three minutes: lint, and all tests under one Python but the slow ones; of the files
+# that have changed, those too. It says what it leaves to `make test`.
+quick: lint
+	@$(python) tools/run_tests.py --quick
 
 # All tests under every Python in .venv. A change must pass `make lint test`, which says at its end how long it took.
 test: build

@@ -80,7 +80,7 @@ def main() -> int:
     os.environ.update(LARGE | os.environ)
     for version in SUPPORTED:
         for suite in SUITES if python_of(version).exists() else ():
-            failed += run_pytest(version, suite, "-m", "fault", name="faults")["failed"]
+            failed += run_pytest(version, suite, (suite, "-m", "fault"), "faults")["failed"]
             if (report := report_of(version, suite, "faults")).exists():  # not when pytest died
                 add_report(found, report)
     groups = tomllib.loads(FAULTS.read_text(encoding="utf-8"))

@@ -21,7 +21,7 @@ import pytest
 
 LONGEST = 120.0  # seconds for one call, on a busy machine
 # TetGen crashes and hangs on some input, which is why `mesh_body` runs it in a process of its own: see its docstring.
-MAY_DIE = {"tetrahedralize": 5.0}  # and after how many seconds it counts as such
+MAY_DIE = {"tetrahedralize": 2.0}  # and after how many seconds it counts as such
 
 
 @pytest.fixture(scope="module")
