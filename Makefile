@@ -227,8 +227,10 @@ format: setup
 	@$(tools)ruff format --quiet .
 	@$(tools)clang-format -i $(c_sources)
 
-# Style, formatting, types, workflows, and whether the stubs fit the compiled module.
+# Style, formatting, types, workflows, subjects of commits, and whether the stubs fit the compiled module.
 lint: build
+	@git log --since=2026-11-29T07:00Z --format=%s 2>/dev/null | awk 'length > 72 { bad = 1; \
+		print "lint: the subject of a commit has more than 72 characters: " $$0 } END { exit bad }'
 	@$(tools)ruff check --quiet .
 	@$(tools)ruff format --quiet --check .
 	@$(tools)clang-format --dry-run -Werror $(c_sources)

@@ -23,8 +23,8 @@ ROOT = Path(__file__).resolve().parent.parent
 SUPPORTED = {"3.11": "Blender 4.5 LTS", "3.13": "Blender 5.2 LTS"}
 COUNTED = ("-o", "console_output_style=count")
 ROW = re.compile(r"([.sxXFE]*)(?: *\[ *(\d+)/(\d+)\])?")  # of pytest: a letter for each test, how many were done
-# In separate processes, of which each core runs one: a crash of Blender does not lose the others' results. Those that
-# take longest come first.
+# In separate processes, one on each core: a crash of Blender does not lose the others' results. Those that take longest
+# come first.
 ADDON = ("run", "samples", "ui", "write", "core", "cli", "package", "scene", "io")
 SUITES = ("tests/engine", *(f"tests/addon/{folder}" for folder in ADDON))
 # What only computes does the same under each Python, so one tests it. Under the others, the engine's module is tried.

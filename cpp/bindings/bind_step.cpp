@@ -123,14 +123,13 @@ void bind_limit(py::module_& m, const char* name) {
            "stretch"_a = LimitConstants().stretch, "pulled_stretch"_a = LimitConstants().pulled_stretch,
            "edges_between"_a = LimitConstants().edges_between,
            "rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the "
-           "soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, "
-           "meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. "
-           "painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for ones. "
-           "The others are LimitConstants, which docs/limit.md tables: slack, how many limits of a static answer count "
-           "as "
-           "one; stretch, of an edge's length, by which a static answer may change it; pulled_stretch, of its length: "
-           "at "
-           "0.6 of that change an edge begins to be pulled back; edges_between, how many more edges are. Raises "
+           "soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' "
+           "shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise "
+           "None. painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for "
+           "ones. The others are LimitConstants, which docs/limit.md tables: slack, how many limits of a static "
+           "answer count as one; stretch, of an edge's length, by which a static answer may change it; "
+           "pulled_stretch, of its length: at 0.6 of that change an edge begins to be pulled back; edges_between, "
+           "how many more edges are. Raises "
            "ValueError for those below zero, and Error if the tissue has no stiffness at rest.")
       .def_property_readonly("frequency", &Limit::frequency, "Of the neutral tissue, 1/s (angular).")
       .def_property_readonly("numbers", &Limit::numbers, "How many numbers of a static answer are looked at.");
@@ -184,22 +183,18 @@ void bind_simulation_of(py::module_& m, const char* name) {
             return summary(worst, int(moving.steps()), elapsed.count());
           },
           "bones"_a, "weights"_a, "external"_a = py::none(), "grabs"_a = py::none(), "colliders"_a = py::none(),
-          "Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, "
-          "world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. colliders: what "
-          "pushes "
-          "the points of `set_contact`. Returns a report on the steps: total iterations, converged, worst residual, "
-          "elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, "
-          "which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from "
-          "its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back. With "
-          "colliders: the largest number of contacts in a step; "
-          "penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point "
-          "into a collider, or into the body itself, than it can give way, so that contact does (0: nowhere), and the "
-          "sample "
-          "(-1: none) and collider (-1: the body; below that, of a coupling, -2 less the number of another body) where "
-          "that is; body_force (3), newtons that the others of a coupling push it with at the end; contact_forces, "
-          "newtons on each collider (C, 3) at "
-          "the last step; "
-          "unusable_colliders, the "
+          "Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the "
+          "nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. colliders: "
+          "what pushes the points of `set_contact`. Returns a report on the steps: total iterations, converged, "
+          "worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess "
+          "of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest "
+          "distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything "
+          "was pulled back. With colliders: the largest number of contacts in a step; penetration, the largest depth "
+          "of a point under a surface; too_deep, how much deeper the bones take a point into a collider, or into the "
+          "body itself, than it can give way, so that contact does (0: nowhere), and the sample (-1: none) and "
+          "collider (-1: the body; below that, of a coupling, -2 less the number of another body) where that is; "
+          "body_force (3), newtons that the others of a coupling push it with at the end; contact_forces, newtons on "
+          "each collider (C, 3) at the last step; unusable_colliders, the "
           "numbers of those that were active but not finite or without extent.")
       .def(
           "solve_static",
@@ -270,9 +265,8 @@ void bind_simulation_of(py::module_& m, const char* name) {
             changing(s, [&] { s.set_state(state); });
           },
           "(coordinates, bones' transforms (B, 12), excess (G), contact (any)): the first two now and at the last "
-          "three "
-          "steps, the third of each bone's load, empty without a motion limit, the last what was touched, empty "
-          "without "
+          "three steps, the third of each bone's load, empty without a motion limit, the last what was touched, "
+          "empty without "
           "colliders. Set it to resume a simulation; raises Error for what is not finite.");
 }
 

@@ -155,7 +155,8 @@ group. Bold: missed.
 {goals}
 ### Parts of the MakeHuman bodies
 
-With the same choice of *Detail*; means over the clips. Bold: above the mean of the whole.
+With the same choice of *Detail*; means over the clips. Bold: above the mean of the whole. Rows are equal where the
+choice is.
 
 {regions}
 ## Characters

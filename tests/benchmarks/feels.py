@@ -179,7 +179,7 @@ def write_page(bodies: list[dict]) -> None:
          f"{each['flicker']:+.2f}", each["verdict"]]
         for found in bodies for feel, each in ((feel, found["feels"][feel]) for feel in FEELS)
     ]  # fmt: skip
-    titles = ["", "Bounce", "damping ratio", "Max Displacement", "Max Thickness"]
+    titles = ["", "Bounce", "damping ratio", "Max Displacement", "Of Thickness"]
     PAGE.write_text(
         PAGE_TEXT.format(
             commit=measured_at(PAGE.name),

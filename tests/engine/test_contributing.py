@@ -31,6 +31,35 @@ def test_named_files_exist(page):
     assert [name for name in sorted(names) if not any(any(folder.glob(name)) for folder in FOLDERS)] == []
 
 
+def sources() -> str:
+    """All of them, and what they are made and tested with."""
+    paths = [
+        path for folder in ("cpp", "addon", "tests", "tools", "sample_blends") for path in (ROOT / folder).rglob("*")
+    ]
+    return "\n".join(
+        path.read_text(encoding="utf-8") for path in paths if path.suffix in (".py", ".hpp", ".cpp", ".json")
+    )
+
+
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "docs/architecture.md"])
+def test_named_identifiers_exist(page):
+    """Those of a recipe's step in one of the files that it names, all others anywhere."""
+    text, everything, wrong = (ROOT / page).read_text(encoding="utf-8"), sources(), []
+    names = 0
+    for step in re.split(r"\n\n|\n(?=\d+\. |- |\| )", re.sub(r"```.*?```", "", text, flags=re.DOTALL)):
+        recipe = re.match(r"\d+\. ", step)
+        files = [
+            path for name in named_files(step if recipe else "") for folder in FOLDERS for path in folder.glob(name)
+        ]
+        within = "\n".join(path.read_text(encoding="utf-8") for path in files) if files else everything
+        for name in re.findall(r"`([A-Za-z]\w*(?:_\w+|[A-Z]\w*))(?:\(\))?`", step):
+            names += 1
+            if not re.search(rf"\b{name}\b", within) and name not in str(files):
+                wrong.append(f"{name} in {[path.name for path in files] or 'any source'}")
+    assert names > 10
+    assert wrong == []
+
+
 def test_help_lists_every_target_with_a_text():
     if shutil.which("make") is None:
         pytest.skip("make is not installed")

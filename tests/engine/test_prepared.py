@@ -4,7 +4,9 @@
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import replace
+from functools import partial
 
+import dynamorph
 import numpy as np
 import pytest
 from dynamic_morph_targets.core.model.build import build
@@ -54,6 +56,14 @@ def moved():
 )
 def test_another_skin_does_not(model, other):
     assert prepared(*other(model)) is not prepared(model, bar(), SETTINGS)
+
+
+def test_other_constants_do_not(model, monkeypatch):
+    """As docs/limit.md compares them."""
+    first = prepared(model, bar(), SETTINGS)
+    monkeypatch.setattr(dynamorph, "FullMotionLimit", partial(dynamorph.FullMotionLimit, slack=3.0))
+    other = prepared(model, bar(), SETTINGS)
+    assert other.limit is not first.limit and prepared(model, bar(), SETTINGS) is other
 
 
 def test_only_the_latest_are_kept(model):

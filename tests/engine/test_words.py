@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-ADDON = ROOT / "addon/dynamic_morph_targets"
 CODE = (".py", ".pyi", ".hpp", ".cpp")
 PAGES = (".md", ".toml", ".yaml", ".yml", ".js", ".sh", ".cmake", ".txt", "Makefile", "de.json", "fr.json")
 # Here words stand that are old on purpose, or quoted.
@@ -48,39 +47,6 @@ ENGLISH = {
     r"\bSuggest Pose\b": "Find Uncovered Pose",
     r"\bFade-Out Radius\b": "Fade-Out Angle",
 }
-# For code only: names that were, or that hide what a thing is.
-NAMES = {
-    r"told\s*\+?=[^=]|told, .*=|def \w*told\(": "messages, reported",
-    r"heeded|unheard|_heed\b": "propagated, without_handlers, sync_settings",
-    r"simulate\.STRETCH\b": "CHUNK_FRAMES",
-    r"NativeMissing": "EngineNotFoundError",
-    r"\.and_then\(": "concatenate",
-    r"\bgo_on\b": "next_chunk",
-    r"base\.guarded\(": "report_errors",
-    r"obstacle": "disabled_reason",
-    r"SinkError|SINKS?\b|\.sink\b": "WriteError, format",
-    r"ClipError|CollectError": "KeysError, ReportPageError",
-    r"RowProducts": "GramAccumulator",
-    r"inversion_energy": "stabilizer",
-    r"\bFloats\b|\bDoubles\b": "FloatW, DoubleW",
-    r"in_parallel\(|for_chunks": "run_tasks, parallel_for",
-    r"\bScheme\b": "Integrator",
-    r"\bLaw::|enum class Law\b": "MaterialModel",
-    r"\bheld_(?!\w)": "rest_gravity_",
-    r"\btrial_(?!\w)|\bimage_(?!\w)": "d_, Hd_",
-    r"\bdescend\(": "newton_direction",
-    r"captured_variance": "explained_variance",
-    r"modal_terms|namespace dynamorph::terms|\bterms::|for_each_term|add_eight_terms": "bone_pairs",
-    r"set_threads\(int most": "limit",
-    r"struct Under\b": "a name that says what it does",
-    r"key_reach|baked\.reach|draw_reach": "key_displacement, largest_displacement, draw_extent",
-    r"class (?:Volume|Flesh|Ways)\b": "Cage, InteriorGraph, ShortestPaths",
-    r"struct (?:Cage|Flesh|Ways|Parting)\b": "CageSurface, InteriorGraph, ShortestPaths, MeshCut",
-    r"modes\.frequencies\b": "omega",
-}
-# Modules of the extension that have other names now.
-MODULES = {"sinks": "write/bake", "clips": "keys", "share": "cache_dir", "collect": "report_page", "volume": "cage"}
-MODULES |= {"changes": "staleness"}
 
 
 def files(suffixes: tuple[str, ...]) -> list[Path]:
@@ -130,11 +96,6 @@ def test_english_is_plain():
     assert in_files(CODE + PAGES, partial(wrong, ENGLISH)) == []
 
 
-def test_old_names_are_gone():
-    assert in_files(CODE, partial(wrong, NAMES)) == []
-    assert [path.name for path in ADDON.rglob("*.py") if path.stem in MODULES] == []
-
-
 @pytest.mark.parametrize(
     ("check", "text", "lines"),
     [
@@ -149,11 +110,6 @@ def test_old_names_are_gone():
             partial(wrong, ENGLISH),
             "bones, of which two move\ntwo bones, both of which move; each of which\nanew",
             {1, 3},
-        ),
-        (
-            partial(wrong, NAMES),
-            "told = []\nheld_ = 1\nheld_parts\nterms::x\nSTRETCHED\nsimulate.STRETCH\n",
-            {1, 2, 4, 6},
         ),
     ],
 )

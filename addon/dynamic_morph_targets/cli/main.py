@@ -172,7 +172,8 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
 
 
 def add_quiet(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("--quiet", action="store_true", help="print nothing but warnings and errors")
+    sub.add_argument("--quiet", action="store_true",
+                     help="print nothing but warnings and errors, Dynamorph's and Blender's")  # fmt: skip
 
 
 def add_command(

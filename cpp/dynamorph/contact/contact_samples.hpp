@@ -6,12 +6,13 @@
 //
 // where C_p is the compliance of the body at the sample along its normal, n^T E K^-1 E^T n at the neutral targets,
 // 1 / C_p + m_p / (c h)^2 that in a step (m_p is fitted at 1/96 s), and f_p how much stiffer the blended targets are.
-// So what is left of a dent that the surface makes is about 1/30 at every mesh size, stiffness and step, no number has
-// to be tuned, and what is held firmly is pushed firmly. K is the model's own: a reduced model is stiffer at a point.
-// Its few coordinates can move firm skin only by moving other skin far: where that would move any other sample more
-// than twice as far as the pushed one they take no part in contact, and all of it from 1.1 times as far on. Without the
-// local responses of patches (local_responses.hpp) such a sample is not pushed; with them they give way there alone,
-// C_p is the compliance of both, and the samples of a patch push as much as ten together, however many they are.
+// So what is left of a dent that the surface makes is about 1/30 at every mesh size, stiffness and step without a
+// setting for it, and what is held firmly is pushed firmly. K is the model's own: a reduced model is stiffer at a
+// point. Its few coordinates can move firm skin only by moving other skin far: where that would move any other sample
+// more than twice as far as the pushed one they take no part in contact, and all of it from 1.1 times as far on.
+// Without the local responses of patches (local_responses.hpp) such a sample is not pushed; with them they give way
+// there alone, C_p is the compliance of both, and the samples of a patch push as much as ten together, however many
+// they are.
 //
 // A sample is a vertex of the skin or a point of one of its edges or faces. It is where the mean of its corners is, as
 // the skin is drawn, and a push on it pushes all of them.

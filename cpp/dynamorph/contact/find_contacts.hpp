@@ -6,7 +6,7 @@
 // 1. It begins where it was, x, in the collider's own moving frame. If it is behind a plane that held it in the last
 //    step, n . (x - P) < 0, and the way from x along n leaves the collider, it begins there instead.
 // 2. It is on its way to where it is predicted. What it runs into stops it, and it slides on along the surface, up to
-//    three times. P is the point nearest to where it gets, and n leads from P to there.
+//    eight times along three planes. P is the point nearest to where it gets, and n leads from P to there.
 // 3. What is inside without having come in (at the beginning, or after a jump of the collider or the body) gets out at
 //    the nearest point if n . N < -0.3, N the normal of the skin. Otherwise the nearest way out leads through the body,
 //    and a ball that appears in a belly would push the skin outward: it gets out along -N, with n = -N. A sheet that is

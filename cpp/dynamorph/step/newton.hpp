@@ -10,8 +10,8 @@
 //                stiffness (PointStiffness)
 //   round_off()  how exact these are, see RoundOff; asked after gradient()
 //
-// Each computes only what it is asked for, and at most once: the line search asks for values alone, and the Hessian is
-// needed only where Newton's method goes on.
+// at() may compute what the others return: of a reduced model, value and gradient come from one pass. The Hessian is
+// asked for only where Newton's method goes on; the line search asks for values.
 #pragma once
 
 #include <algorithm>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The terms of a step's potential, as newton.hpp needs them. To add one, add a struct here and its name to the list of
-// terms in Simulation.
+// The terms of a step's potential, as newton.hpp needs them, but for that of contact (contact_term.hpp). To add one,
+// add a struct here and its name to `Sum` of Simulation.
 #pragma once
 
 #include <algorithm>

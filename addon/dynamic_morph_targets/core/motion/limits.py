@@ -29,6 +29,11 @@ def largest_distances(model: Model, character: Character, settings: SimulationSe
     return out
 
 
+def limit_class(model: Model) -> Callable[..., Any]:
+    """The engine's class of limits for such a model; its defaults are the limits' constants."""
+    return dynamorph.FullMotionLimit if model.settings.solver == "FULL" else dynamorph.ReducedMotionLimit
+
+
 def motion_limit(model: Model, engine: EngineModel, character: Character, settings: SimulationSettings) -> Any:
     """What limits the motion of such an engine model; None without limits, or where no skin is soft."""
     distances = largest_distances(model, character, settings)
@@ -36,10 +41,7 @@ def motion_limit(model: Model, engine: EngineModel, character: Character, settin
     if not np.isfinite(distances).all() or not len(soft):
         return None
     painted = max_distance.pulled(character.max_distance)
-    kind: Callable[..., Any] = (
-        dynamorph.FullMotionLimit if model.settings.solver == "FULL" else dynamorph.ReducedMotionLimit
-    )
-    return kind(
+    return limit_class(model)(
         engine,
         character.bind_points,
         model.embedding,

@@ -7,6 +7,7 @@ them in its thread for those that play next.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
@@ -15,20 +16,21 @@ import numpy as np
 from ..character import Character
 from ..model.model import EngineModel, Model
 from ..settings import SimulationSettings
-from .limits import motion_limit
+from .limits import limit_class, motion_limit
 
 KEPT = 2  # of the last skins
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """engine: the model with the character's materials; limit: what limits its motion, None without limits. Players may
-    share them, in any thread.
+    """engine: the model with the character's materials; limit: what limits its motion, None without limits, made by
+    `limits`: the engine's class with its constants, Max Displacement, Of Thickness. Players may share them, in any
+    thread.
     """
 
     model: Model
     character: Character
-    limits: tuple[float, float]
+    limits: tuple[Callable[..., Any], float, float]
     engine: EngineModel
     limit: Any
 
@@ -38,7 +40,7 @@ _kept: list[Prepared] = []
 
 def prepared(model: Model, character: Character, settings: SimulationSettings) -> Prepared:
     """What was made of these before, or made now. Raises SceneError if the model is not the character's."""
-    limits = settings.max_displacement, settings.max_thickness
+    limits = limit_class(model), settings.max_displacement, settings.max_thickness
     for known in _kept[:]:  # other threads prepare others
         if known.limits == limits and _is_model(known.model, model) and _same(known.character, character):
             return known
