@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first. `make help` lists them.
-.PHONY: help setup build module quick test gui-test demo gallery figures materials bench bench-docs robustness believable \
+.PHONY: help setup build modules module quick test gui-test demo gallery figures materials bench bench-docs robustness believable \
 	believable-docs convergence accuracy bakes farm-demo golden fuzz soak faults coverage sanitize stubs format lint wheels \
 	platforms extension repository sdist version reliability feels limit collision rigs recipes reference how-long comparison playground site clean
 
@@ -12,7 +12,7 @@ tools = $(CURDIR)/$(dir $(python))
 pythons = $(shell ls -d $(CURDIR)/.venv/3.*/bin/python | paste -sd';')
 jobs ?= $(shell nproc)
 build = build/cmake
-before_wheels = $(if $(filter native,$(platforms)),build,setup)
+before_wheels = $(if $(filter native,$(platforms)),modules,setup)
 before_packing = $(if $(or $(filter native,$(platforms)),$(wildcard dist/wheels/dynamorph-*.whl)),$(before_wheels),wheels)
 c_sources = $(shell find cpp web tests/cpp tests/benchmarks -name '*.[ch]pp')
 workflows = $(wildcard .github/workflows/*.yml) farm/github_actions.yml
@@ -21,7 +21,7 @@ define configure
 @$(tools)cmake -S . -B $(build) -G Ninja -DCMAKE_MAKE_PROGRAM=$(tools)ninja -DDYNAMORPH_TESTS=ON \
 	-DDYNAMORPH_PYTHONS="$(pythons)" --log-level=WARNING >build/configure.log || { cat build/configure.log; exit 1; }
 endef
-compile = $(python) tools/compile.py $(jobs) "$(filter-out build module,$(MAKECMDGOALS))"
+compile = $(python) tools/compile.py $(jobs) "$(filter-out build modules module,$(MAKECMDGOALS))"
 # numpy.bool: the same stub with NumPy 1, which has no such name.
 stubgen = $(python) -W ignore -m pybind11_stubgen dynamorph._core --exit-code \
 	--enum-class-locations '.*:dynamorph._core' --ignore-unresolved-names 'numpy\.bool'
@@ -41,7 +41,12 @@ build: setup
 	$(configure)
 	@$(compile)
 
-# The engine's Python module for the first Python in .venv, which is all that the demo needs.
+# The engine's Python module for every Python in .venv, without the C++ tests.
+modules: setup
+	$(configure)
+	@$(compile) $(patsubst .venv/%/bin/python,core_%,$(wildcard .venv/3.*/bin/python))
+
+# The same for the first Python in .venv, which is all that the demo needs.
 module: setup
 	$(configure)
 	@$(compile) core_$(word 2,$(subst /, ,$(python)))
@@ -244,7 +249,7 @@ lint: build
 	@diff -u cpp/bindings/dynamorph/_core.pyi build/stubs/dynamorph/_core.pyi || { echo 'Run make stubs.'; exit 1; }
 
 # Wheels of the engine for every system, and of the add-on, in dist/wheels; takes an hour the first time. platforms="linux-x64
-# windows-x64" makes those alone; platforms=native packs what `make build` compiles, for this machine alone, into dist/.
+# windows-x64" makes those alone; platforms=native packs what `make modules` compiles, for this machine alone, into dist/.
 platforms ?=
 wheels: $(before_wheels)
 ifeq ($(platforms),native)
@@ -268,7 +273,7 @@ endif
 
 # The Blender extension as zips in dist/: one for each platform of the wheels in dist/wheels, and one for all of them.
 # Without any such wheel it makes them first. platforms="linux-x64 windows-x64" packs those alone; platforms=native what
-# `make build` compiles, for this machine alone.
+# `make modules` compiles, for this machine alone.
 extension: $(before_packing)
 	@$(python) tools/package.py extension $(platforms)
 
@@ -286,7 +291,7 @@ sdist: setup
 
 # The engine as WebAssembly and the page around it, in build/playground (docs/playground.md); takes about 4 minutes the
 # first time.
-playground: build
+playground: module
 	@tools/setup.sh site
 	@$(python) tools/playground.py
 
