@@ -77,10 +77,11 @@ frame counts with the fastest of {rounds} rounds, and the median over the frames
 What each constant of `LimitConstants` (motion_limit.hpp) trades, one changed at a time: the share of the unlimited
 motion that is kept (its projection onto that), the 99.9th percentile of the displacement in the worst frame in percent
 of size, and the 0.1th percentile of the edges' lengths over those at rest in the bind pose, in the worst frame. Motion
-capture is to be kept, displacements are to stay below 5 %, edges above 0.6. A larger *stretch* keeps a little more of a
-walk and lets landings squeeze edges; a larger *slack* lets fish go farther. A smaller *pulled stretch* takes motion
-away from everything. *Edges between* count on bodies whose skin gives way between few edges, see
-[Believable](believable.md); they cost time.
+capture is to be kept, displacements are to stay below 5 %, edges above 0.6. A smaller *stretch* takes most from
+gallops and jumps, a larger one keeps a little more and lets edges be squeezed more. A larger *slack* lets fish and
+falling bodies go farther. A smaller *pulled stretch* spares edges, and costs a gallop and a jump some of their motion.
+Fewer *edges between* show on the anglerfish alone, whose skin gives way between few edges; more of them change nothing
+here, and cost time.
 
 {constants}
 ## The step

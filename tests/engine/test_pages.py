@@ -38,6 +38,71 @@ def test_pictures_of_pages():
     assert not set((measured.DOCS / "images/guide").glob("*.png")) - shown
 
 
+# Measurements -------------------------------------------------------------------------------------------------------
+
+MEASURED = re.compile(r"\b\d*[1-9]\d*\.\d+|\b\d+\.\d*[1-9]")  # with decimals: counts may be equal
+EQUAL = "Rows are equal where"  # what the text before a table says of those that may be
+
+
+def tables(text):
+    """(title, cells of a row) of each row of each table that does not say that its rows may be equal."""
+    found, before = [], ""
+    for block in text.split("\n\n"):
+        rows = [line.strip()[1:-1].split("|") for line in block.splitlines() if line.startswith("|")]
+        if len(rows) > 2 and EQUAL not in before.replace("\n", " "):
+            found.append([[cell.strip() for cell in row] for row in rows if not set("".join(row)) <= set("-: ")])
+        before = block
+    return found
+
+
+def equal_rows(text):
+    """Names of rows with at least three measurements that are all those of the row before or of another one."""
+    wrong = []
+    for _title, *rows in tables(text):
+        seen = {}
+        for name, *cells in rows:
+            if sum(bool(MEASURED.search(cell)) for cell in cells) >= 3:
+                wrong += [f"{seen[tuple(cells)]} and {name}"] if tuple(cells) in seen else []
+                seen[tuple(cells)] = name
+    return wrong
+
+
+def goals_alone(text):
+    """Names of rows with a goal and without a figure beside it."""
+    wrong = []
+    for title, *rows in tables(text):
+        goals = [column for column, name in enumerate(title) if re.search(r"goal|asked", name.lower())][:1]
+        for row in rows if goals else ():
+            figures = [cell for column, cell in enumerate(row) if column not in (0, *goals)]
+            if row[goals[0]] and not any(re.search(r"\d", cell) for cell in figures):
+                wrong.append(row[0])
+    return wrong
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_measurements_make_sense(name):
+    """What is varied makes a difference, and a goal has a figure."""
+    text = (measured.DOCS / name).read_text(encoding="utf-8")
+    assert (equal_rows(text), goals_alone(text)) == ([], [])
+
+
+ROWS = (
+    "| | a | b | c |",
+    "| --- | --- | --- | --- |",
+    "| as it is | 0.1 | 1.5 s | 0.2 |",
+    "| slack 2 | 0.1 | 1.5 s | 0.2 |",
+)
+TABLE = "\n".join(ROWS)
+GOALS = (
+    "| work | goal | measured |\n| --- | --- | --- |\n| one | \u2264 3 s | 2 s |\n| two | \u2264 3 s | |\n| three | | |"
+)
+
+
+def test_what_makes_no_sense_is_found():
+    assert equal_rows(TABLE) == ["as it is and slack 2"] and goals_alone(GOALS) == ["two"]
+    assert equal_rows(f"{EQUAL} it is so.\n\n{TABLE}") == equal_rows(TABLE.replace("2 | 0.1", "2 | 0.3")) == []
+
+
 @pytest.mark.filterwarnings("default::UserWarning")
 def test_aged_pages_are_listed():
     if not measured.has_history():
