@@ -69,7 +69,8 @@ def rows(name: str, folder: Path, body: bpy.types.Object, hands: steps.Hands, mo
     scene, settings = bpy.context.scene, body.dynamorph
     files = sorted(folder.glob(f"{name}*.*"), key=lambda path: (path.suffix != ".blend", "done" in path.stem))
     most, frame = pictures.farthest(moved)
-    targets = [f"{target.name} {target.bounce:.3g} Hz" for target in settings.targets]
+    swings = ((each.name, f"{each.bounce:.3g} Hz" if each.bounce else "overdamped") for each in settings.targets)
+    targets = [f"{name} {swing}" for name, swing in swings]
     return {
         "Files": ", ".join(f"`{path.name}` ({path.stat().st_size / 1e6:.1f} MB)" for path in files),
         "Frames": f"{scene.frame_start} to {scene.frame_end}, {scene.render.fps} per second",

@@ -673,7 +673,8 @@ def test_what_damping_forbids(built_arm):
     assert critical.frequency < 0.1 and target.settle_time > 0.01
     target.mass_damping, target.stiffness_damping = 200.0, 0.02  # it creeps at any stiffness
     settle = target.settle_time
-    assert target.bounce == 0.0
+    built_arm.dynamorph.active_target_index = 1
+    assert target.bounce == 0.0 and "Damped too much to swing" in drawn(built_arm)
     target.bounce = 3.0  # it is no longer overdamped, and settles as late
     assert target.bounce == pytest.approx(3.0, rel=1e-3) and target.settle_time == pytest.approx(settle, rel=1e-3)
     target.mass_damping = target.stiffness_damping = 0.0

@@ -61,7 +61,7 @@ def check_jiggle(cooked):
 def check_bulge(cooked):
     neutral, biceps = cooked.body.dynamorph.targets
     assert biceps.bone_names() == ("forearm",) and biceps.region
-    assert biceps.bounce > 2 * neutral.bounce
+    assert biceps.omega > 2 * neutral.omega
     flexed = cooked.motion[steps.FLEXED - bpy.context.scene.frame_start]
     assert flexed.max() > 0.02
     assert cooked.of_bones("chest") * cooked.size < 0.1 * flexed.max()

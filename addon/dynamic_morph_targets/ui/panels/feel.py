@@ -40,6 +40,8 @@ def draw_swing(layout, target):
     settle.prop(target, "settle_time")
     if not target.is_measured:
         column.label(text="Measured by the next build", icon="INFO")
+    elif not target.bounce:
+        column.label(text="Damped too much to swing", icon="INFO")
 
 
 def draw_material(layout, _context, obj):
