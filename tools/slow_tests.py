@@ -26,11 +26,11 @@ def listed() -> dict[str, float]:
     return {name: float(seconds) for seconds, name in (line.split() for line in lines if not line.startswith("#"))}
 
 
-def measured(name: str) -> Counter[str]:
-    """The same of all test functions of the last run, tests or quick, under the first Python in .venv."""
+def measured() -> Counter[str]:
+    """The same of all test functions of the last `make test`, under the first Python in .venv."""
     version = min(path.parts[-3] for path in ROOT.glob(".venv/3.*/bin/python"))
     found: Counter[str] = Counter()
-    for report in (ROOT / "build/reports").glob(f"{name}-{version}-*.xml"):
+    for report in (ROOT / "build/reports").glob(f"tests-{version}-*.xml"):
         for case in ElementTree.parse(report).iter("testcase"):
             test = f"{case.get('classname', '').replace('.', '/')}.py::{case.get('name', '').partition('[')[0]}"
             seconds = [float(each.get("value", 0)) for each in case.iterfind("properties/property[@name='cpu']")]
@@ -41,11 +41,11 @@ def measured(name: str) -> Counter[str]:
 def missing() -> list[str]:
     """Tests that the list should have by the last `make test`: on a busy machine they take up to twice as long."""
     known = listed()
-    return [name for name, seconds in measured("tests").items() if seconds > 3 * LIMIT and name not in known]
+    return [name for name, seconds in measured().items() if seconds > 3 * LIMIT and name not in known]
 
 
 def main() -> None:
-    found = measured("tests")
+    found = measured()
     files: Counter[str] = Counter()
     for name, seconds in found.items():
         files[name.partition("::")[0]] += seconds
