@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Targets for random input: a few examples, the same each time, in `make test`; as many as time allows in `make fuzz`.
+"""Targets for random input: a few examples, the same each time, in `make test`; as many as time allows in `make -C
+evidence fuzz`.
 
 What fails there is tried first the next time (build/fuzz). Once fixed it becomes an `@example`, or a file of
 tests/fuzz/corpus, which are all tried each time. The model is that of tests/golden.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What `make faults`, `fuzz`, `sanitize`, `soak` and `coverage` found, kept for docs/reliability.md."""
+"""What `make -C evidence faults`, `fuzz`, `sanitize`, `soak` and `coverage` found, kept for docs/reliability.md."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Runs the programs of tests/faults, with tests/faults/fail_nth.c preloaded.
 
-DYNAMORPH_FAULTS=all lets every call fail once (`make faults`), not a few of each kind.
+DYNAMORPH_FAULTS=all lets every call fail once (`make -C evidence faults`), not a few of each kind.
 """
 
 from __future__ import annotations

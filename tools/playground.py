@@ -20,7 +20,7 @@ from pathlib import Path
 from measured import write_between
 
 ROOT = Path(__file__).resolve().parent.parent
-WEB, SCENES, BUILD = ROOT / "web", ROOT / "sample_blends", ROOT / "build"
+WEB, SCENES, BUILD = ROOT / "site/playground", ROOT / "sample_blends", ROOT / "build"
 OUT = BUILD / "playground"
 SCRIPTS = ("playground.mjs", "engine.mjs", "picture.mjs")
 PAGE = ("index.html", "style.css", *SCRIPTS)
@@ -39,7 +39,7 @@ def tool(name: str) -> str:
 
 
 def compile_engine(folder: Path, *options: str) -> Path:
-    """The folder in which web/CMakeLists.txt is built."""
+    """The folder in which site/playground/CMakeLists.txt is built."""
     environment = os.environ | {"NODE_PATH": "/usr/share/nodejs"}  # Debian's modules, for a Node that is not Debian's
     configure = [tool("cmake"), "-S", WEB, "-B", folder, "-G", "Ninja", f"-DCMAKE_MAKE_PROGRAM={tool('ninja')}"]
     for command in ([*configure, "--log-level=WARNING", *options], [tool("cmake"), "--build", folder]):
@@ -75,7 +75,7 @@ def export(scene: str, name: str, path: str) -> None:
 
 
 def model(described: dict) -> Path:
-    """The file of one of web/models.json."""
+    """The file of one of site/playground/models.json."""
     path, scene = BUILD / "soft_skins" / f"{described['file']}.dynamorph", SCENES / described["scene"]
     makers = (ROOT / "addon").rglob("*.py"), (BUILD / "cmake" / "python").rglob("*.so")
     newest = max(each.stat().st_mtime for each in itertools.chain([scene], *makers))

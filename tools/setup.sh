@@ -4,11 +4,11 @@
 # no time when there is nothing to do. What few people need is in groups, which are installed when they are named, as
 # in `setup.sh emulate farm`:
 #   bench     the benchmarks
-#   coverage  what measures which lines the tests run (tools/coverage_page.py)
+#   coverage  what measures which lines the tests run (evidence/coverage_page.py)
 #   emulate   the tests with another processor than this one (tests/engine/test_instruction_sets.py)
 #   farm      the demo of a render farm; contains openjd
-#   openjd    the tests of farm/ with the tools of Open Job Description (tests/addon/package/test_farm.py)
-#   platforms what runs the programs of other systems (tests/benchmarks/platforms_page.py); contains emulate and wheels
+#   openjd    the tests of examples/farm/ with the tools of Open Job Description (tests/addon/package/test_farm.py)
+#   platforms what runs the programs of other systems (evidence/platforms_page.py); contains emulate and wheels
 #   site      what makes the website (tools/site.py)
 #   wheels    the compiler for other systems, and what looks into its files (tools/wheels.py)
 set -euo pipefail

@@ -42,7 +42,7 @@ def assemble() -> None:
     """What Sphinx reads: docs/, the project's own pages, and the sources of the references."""
     shutil.rmtree(BUILD, ignore_errors=True)
     shutil.copytree(ROOT / "docs", SOURCE)
-    shutil.copytree(ROOT / "site", SOURCE, dirs_exist_ok=True)
+    shutil.copytree(ROOT / "site", SOURCE, ignore=shutil.ignore_patterns("playground"), dirs_exist_ok=True)
     (SOURCE / "project").mkdir()
     for name in PROJECT:
         shutil.copy2(ROOT / name, SOURCE / "project")

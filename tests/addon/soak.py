@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Random walks over all that an artist can press and change, in one process: `make soak`.
+"""Random walks over all that an artist can press and change, in one process: `make -C evidence soak`.
 
     python tests/addon/soak.py --minutes 5
     python tests/addon/soak.py --seed 7 --steps 240      the first 240 steps of the walk with that seed again
@@ -496,7 +496,7 @@ def main() -> int:
         for text in wrong:
             print(f"soak: after step {walk.steps}: {text}", file=terminal)
         if wrong:
-            print(f"soak: again: make soak seed={args.seed} steps={walk.steps}", file=terminal)
+            print(f"soak: again: make -C evidence soak seed={args.seed} steps={walk.steps}", file=terminal)
     return 1 if wrong else 0
 
 

@@ -3,18 +3,14 @@
 
 import json
 import math
-import sys
 from pathlib import Path
 
+import accuracy
+import motion_error
 import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[2]
-sys.path[:0] = [str(ROOT / folder) for folder in ("tests/benchmarks", "sample_blends", "tools")]
-
-import accuracy  # noqa: E402
-import motion_error  # noqa: E402
-
 MASS = np.array([1.0, 3.0])
 SWING = np.sin(np.linspace(0, 2 * np.pi, 24, endpoint=False))[:, None, None] * np.ones((1, 2, 3))
 FIRST, SECOND = {"first": np.array([True, False])}, {"second": np.array([False, True])}

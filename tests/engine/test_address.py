@@ -2,17 +2,13 @@
 """The public addresses stand in pyproject.toml, and wherever else they are shown they are the same."""
 
 import shutil
-import sys
 import tomllib
 from pathlib import Path
 
+import address
 import pytest
 
 ROOT = Path(__file__).parents[2]
-sys.path.append(str(ROOT / "tools"))
-
-import address  # noqa: E402
-
 URLS = {"Homepage": "https://site.example/dynamorph", "Repository": "https://code.example/them/dynamorph"}
 
 

@@ -11,11 +11,9 @@ import sys
 from pathlib import Path
 
 import pytest
+import run_tests
 
 ROOT = Path(__file__).parents[2]
-sys.path.append(str(ROOT / "tools"))
-import run_tests  # noqa: E402
-
 FOLDERS = [ROOT, ROOT / "addon/dynamic_morph_targets", ROOT / "cpp/dynamorph"]  # that paths are relative to
 
 
@@ -33,9 +31,8 @@ def test_named_files_exist(page):
 
 def sources() -> str:
     """All of them, and what they are made and tested with."""
-    paths = [
-        path for folder in ("cpp", "addon", "tests", "tools", "sample_blends") for path in (ROOT / folder).rglob("*")
-    ]
+    folders = ("cpp", "addon", "tests", "evidence", "tools", "sample_blends")
+    paths = [path for folder in folders for path in (ROOT / folder).rglob("*")]
     return "\n".join(
         path.read_text(encoding="utf-8") for path in paths if path.suffix in (".py", ".hpp", ".cpp", ".json")
     )
@@ -60,13 +57,32 @@ def test_named_identifiers_exist(page):
     assert wrong == []
 
 
-def test_help_lists_every_target_with_a_text():
+def targets(folder: str) -> set[str]:
+    """What a Makefile can make."""
+    makefile = (ROOT / folder / "Makefile").read_text(encoding="utf-8")
+    return set(re.search(r"^\.PHONY: ((?:.*\\\n)*.*)$", makefile, re.MULTILINE)[1].replace("\\\n", " ").split())
+
+
+@pytest.mark.parametrize("folder, lines", [(".", 50), ("evidence", 80)])
+def test_help_lists_every_target_with_a_text(folder, lines):
     if shutil.which("make") is None:
         pytest.skip("make is not installed")
-    targets = re.search(r"^\.PHONY: ((?:.*\\\n)*.*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
-    shown = subprocess.run(["make", "help"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    described = dict(re.findall(r"^make (\S+)\n((?:    .+\n)+)", shown, re.MULTILINE))
-    assert set(described) == set(targets[1].replace("\\\n", " ").split())
+    command = ["make", "--no-print-directory", "-C", folder, "help"]
+    shown = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert set(re.findall(r"^([a-z-]+) +\w", shown, re.MULTILINE)) == targets(folder)
+    assert shown.count("\n") <= lines
+
+
+def test_few_things_are_made_in_the_root():
+    assert len(targets(".")) <= 20
+
+
+def test_what_pages_say_to_make_can_be_made():
+    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / ".github/workflows/release.yml"]
+    text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
+    said = set(re.findall(r"\bmake (?:-C (evidence) )?([a-z]+(?:-[a-z]+)*)`", text))
+    assert len(said) > 20
+    assert [(folder, name) for folder, name in said if name not in targets(folder or ".")] == []
 
 
 def test_make_alone_is_make_help():

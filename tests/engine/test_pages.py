@@ -3,17 +3,13 @@
 
 import re
 import subprocess
-import sys
 import warnings
 from pathlib import Path
 
+import measured
 import pytest
 
 ROOT = Path(__file__).parents[2]
-sys.path.append(str(ROOT / "tools"))
-
-import measured  # noqa: E402
-
 PAGES = [name for name in measured.PAGES if (measured.DOCS / name).exists()]
 
 

@@ -1,18 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """docs/performance.md says which goals are missed, and where VegaFEM is faster."""
 
-import sys
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("matplotlib", reason="needs what draws the plots")
+import performance_page
+import table
+
 ROOT = Path(__file__).parents[2]
-sys.path.append(str(ROOT / "tests" / "benchmarks"))
-
-import performance_page  # noqa: E402
-import table  # noqa: E402
-
 STEP = "converged_step/targets:1/r:19"
 WHOLE_STEP = "whole step with its rig, to convergence, r = 19"
 

@@ -38,7 +38,7 @@ def unpacked(tmp_path_factory) -> Path:
 
 
 def test_sdist_holds_what_builds_the_engine_and_nothing_else(unpacked):
-    tracked = subprocess.run(["git", "ls-files", "cmake", "cpp"], cwd=ROOT, capture_output=True, text=True, check=False)
+    tracked = subprocess.run(["git", "ls-files", "cpp"], cwd=ROOT, capture_output=True, text=True, check=False)
     if tracked.returncode:
         pytest.skip("needs a git checkout")
     found = {path.relative_to(unpacked).as_posix() for path in unpacked.rglob("*") if path.is_file()}
@@ -91,7 +91,7 @@ def fetch(project: Path, script: str) -> subprocess.CompletedProcess:
     (project / "tools").mkdir()
     (project / "tools/tetgen.txt").write_text(f"# A comment.\n{PIN}\n")
     settings = (f"-DPROJECT_SOURCE_DIR={project}", f"-Dpython={fake_pip(project, script)}")
-    return cmake(*settings, "-P", ROOT / "cmake/tetgen.cmake")
+    return cmake(*settings, "-P", ROOT / "cpp/cmake/tetgen.cmake")
 
 
 def test_offline_the_message_says_what_to_put_where(tmp_path):

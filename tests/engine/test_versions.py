@@ -3,17 +3,14 @@
 
 import re
 import shutil
-import sys
 import tomllib
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+import version
 
 ROOT = Path(__file__).parents[2]
-sys.path.append(str(ROOT / "tools"))
-
-import version  # noqa: E402
 
 
 @pytest.fixture

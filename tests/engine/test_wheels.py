@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What `make wheels` compiles for, and what it tells the linkers. The compiling itself is tried by `make platforms`."""
+"""What `make wheels` compiles for, and what it tells the linkers. The compiling itself is tried by `make -C evidence
+platforms`."""
 
 import importlib.util
 import re
-import sys
 import sysconfig
 from pathlib import Path
 
 import pytest
+import wheels
 
 ROOT = Path(__file__).parents[2]
-sys.path.append(str(ROOT / "tools"))
-
-import wheels  # noqa: E402
 
 
 def test_tags_of_wheels_are_platforms_of_blender():

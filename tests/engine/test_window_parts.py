@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`make gui-test` in parts: which run, where each begins, and that each ends. The window itself is faked."""
+"""`make -C evidence gui-test` in parts: which run, where each begins, and that each ends. The window itself is
+faked."""
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
-sys.path.append(str(ROOT / "tools"))
-
-gui_test = pytest.importorskip("gui_test", reason="needs what tools/gui_test.py imports")
+gui_test = pytest.importorskip("gui_test", reason="needs what evidence/gui_test.py imports")
 
 
 @pytest.fixture
@@ -42,7 +40,7 @@ def blender(monkeypatch, code=0, printed="", ok=True):
 
 def test_every_part_is_a_module_of_steps():
     for part in gui_test.PARTS:
-        assert "@step(" in (ROOT / f"tests/gui/{part}.py").read_text(encoding="utf-8")
+        assert "@step(" in (ROOT / f"evidence/window/{part}.py").read_text(encoding="utf-8")
 
 
 def test_named_parts_run_in_their_order():

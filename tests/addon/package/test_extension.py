@@ -16,12 +16,9 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import wheels
 
 ROOT = Path(__file__).parents[3]
-sys.path.append(str(ROOT / "tools"))
-
-import wheels  # noqa: E402
-
 SAMPLE = ROOT / "sample_blends" / "bulging_cylinder.blend"
 SOURCES = (
     "addon",

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What is in farm/: the job template, how Slurm runs one of its tasks, the job type for Flamenco.
 
-`make farm-demo` runs the first two on a real Slurm. Here, stand-ins for the schedulers record how they are called.
-"""
+`make -C evidence farm-demo` runs the first two on a real Slurm. Here, stand-ins for the schedulers record how they are
+called."""
 
 import json
 import os
@@ -15,7 +15,7 @@ from bl_ext.user_default.dynamic_morph_targets.cli import commands, main
 from bl_ext.user_default.dynamic_morph_targets.write.export import exports
 
 ROOT = Path(__file__).parents[3]
-FARM = ROOT / "farm"
+FARM = ROOT / "examples/farm"
 OPENJD = ROOT / "build/openjd/bin"
 
 FLAMENCO = """

@@ -76,6 +76,7 @@ def test_the_page_names_the_versions_of_bpy_that_are_tested():
     assert extra == [f"bpy=={version}.*; python_version == '{python}'" for python, version in tested.items()]
     for python, version in tested.items():
         assert f'"bpy=={version}.*"' in PAGE and f"python{python}" in PAGE
-    workflow = (ROOT / "farm/github_actions.yml").read_text()  # Python 3.13, with the wheels of both in one folder
+    workflow = (ROOT / "examples/farm/github_actions.yml").read_text()
+    # It has Python 3.13, with the wheels of both in one folder.
     assert set(re.findall(r"pip install bpy==(\d+\.\d+)", workflow)) == {tested["3.13"]}
     assert "whl" not in workflow and workflow.count("--no-index --find-links wheels dynamic_morph_targets") == 2

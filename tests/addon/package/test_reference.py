@@ -13,10 +13,9 @@ import pytest
 from bl_ext.user_default.dynamic_morph_targets.cli import main
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
-ROOT = Path(__file__).parents[3]
-sys.path.append(str(ROOT / "tools"))
+import reference
 
-import reference  # noqa: E402
+ROOT = Path(__file__).parents[3]
 
 
 def page(name):
@@ -26,7 +25,7 @@ def page(name):
 @pytest.mark.skipif(bpy.app.version[:2] != reference.VERSION, reason="the pages are made with another Blender")
 @pytest.mark.parametrize("name", reference.PAGES)
 def test_tables_are_up_to_date(scene, name):
-    assert reference.renewed(name) == page(name), "run: python tools/reference.py"
+    assert reference.renewed(name) == page(name), "run: python evidence/reference.py"
 
 
 def test_every_exit_code_is_explained():

@@ -93,7 +93,7 @@ def test_a_walk_sees_what_is_wrong(tmp_path, what, words):
     arguments = ("--steps", "9", "--seed", "1", "--log", tmp_path / "log.txt", what, SOAK.parent)
     run = subprocess.run([sys.executable, "-c", SPOIL, *arguments], capture_output=True, text=True, check=False)
     assert run.returncode == 1 and f"after step 2: {words}" in run.stdout, run.stdout + run.stderr
-    assert "again: make soak seed=1 steps=2" in run.stdout
+    assert "again: make -C evidence soak seed=1 steps=2" in run.stdout
 
 
 def test_growing_memory_is_seen():

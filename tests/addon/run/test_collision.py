@@ -542,7 +542,7 @@ def press_slowly(ball):
 
 @pytest.mark.fault("X09")
 def test_very_many_faces_stop_the_skin_like_few(arm, ball):
-    """As many as DYNAMORPH_FACES says: two million in `make reliability`."""
+    """As many as DYNAMORPH_FACES says: two million in `make -C evidence reliability`."""
     around = round(np.sqrt(int(os.environ.get("DYNAMORPH_FACES", "20000")) / 2.0))
     turn, polar = np.meshgrid(np.arange(around) * 2.0 * np.pi / around, np.linspace(0.0, np.pi, around + 1))
     points = RADIUS * np.stack([np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), -np.cos(polar)], axis=-1)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A rigged, animated body made by others, headless from end to end: built, baked, compared and rendered."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -111,7 +110,6 @@ def test_a_target_s_pose_shows_the_sculpted_shape(baked):
 def test_picture(baked, single):
     """Plain skinning, single material and dynamic morph targets, at the same frames: build/reports/."""
     pytest.importorskip("PIL", reason="needs Pillow")
-    sys.path.insert(0, str(ROOT / "sample_blends"))
     from contact_sheet import Row, compose, save
 
     body, job = baked

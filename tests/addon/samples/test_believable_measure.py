@@ -7,17 +7,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import believable
+import believable_measure
 import bpy
 import numpy as np
 import pytest
 import scenes
 from builders import add_key, make_mesh, make_rig
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-sys.path.append(str(BENCHMARKS))
-import believable  # noqa: E402
-import believable_measure  # noqa: E402
-
+EVIDENCE = Path(believable.__file__).parent
 FRAMES = np.arange(1, 49)
 FAR = 0.02  # of size
 
@@ -221,7 +219,7 @@ def test_program_prints_one_line_or_says_why_not(scene, tmp_path):
 
     def run(name):
         bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / name), copy=True)
-        command = [sys.executable, BENCHMARKS / "believable_measure.py", tmp_path / name]
+        command = [sys.executable, EVIDENCE / "believable_measure.py", tmp_path / name]
         return subprocess.run(command, capture_output=True, text=True, check=False)
 
     done = run("body.blend")

@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What docs/results.md claims of the sample scenes holds in reduced models, as artists bake them."""
 
-import sys
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("dynamorph", reason="needs the engine")
-sys.path.append(str(Path(__file__).parents[3] / "sample_blends"))
 import claims
 import subjects
 

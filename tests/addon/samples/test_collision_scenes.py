@@ -1,23 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The sample scenes in which the skin is touched: by something that it does not let in, by itself, and by a hand."""
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
+import measures
 import numpy as np
 import pytest
+from bl_ext.user_default.dynamic_morph_targets.core.geometry import diagonal
+from bl_ext.user_default.dynamic_morph_targets.run import batch
+from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene import colliders, extract, mesh_data
 from builders import warnings_of
 from mathutils import Vector
 
 SAMPLES = Path(__file__).parents[3] / "sample_blends"
-sys.path.append(str(SAMPLES))
-import measures  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.core.geometry import diagonal  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.run import batch  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.scene import colliders, extract, mesh_data  # noqa: E402
 
 DEEP, SHALLOW = 0.01, 0.002  # of the body's size: how deep the skin goes without collision, and with it
 

@@ -2,17 +2,14 @@
 """The gallery: its page shows each loop with its recipe, and commands say which characters they lack."""
 
 import re
-import sys
 from pathlib import Path
 
+import assets
+import gallery
 import pytest
+from PIL import Image
 
 ROOT = Path(__file__).parents[3]
-sys.path += [str(ROOT / "tests/benchmarks")]
-import assets  # noqa: E402
-import gallery  # noqa: E402
-from PIL import Image  # noqa: E402
-
 PAGE = gallery.PAGE.read_text(encoding="utf-8")
 
 

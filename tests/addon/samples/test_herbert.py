@@ -6,20 +6,17 @@ import sys
 from pathlib import Path
 
 import bpy
+import herbert_motion as motion
+import herbert_skeleton as kinematics
 import numpy as np
 import pytest
+from bl_ext.user_default.dynamic_morph_targets.run import batch
+from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene import extract, rig_motion
 from builders import warnings_of
 
 SAMPLES = Path(__file__).parents[3] / "sample_blends"
 SCENE = SAMPLES / "herbert.blend"
-sys.path.append(str(SAMPLES))
-
-import herbert_motion as motion  # noqa: E402
-import herbert_skeleton as kinematics  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.run import batch  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, rig_motion  # noqa: E402
-
 WALL = 128  # first frame of the second shot
 TAKE_OFF, ENTRY = (1 + round(t * motion.FPS) for t in (motion.TAKE_OFF, motion.ENTRY))
 IMPACT = WALL + round(motion.IMPACT * motion.FPS)

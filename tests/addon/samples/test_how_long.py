@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What docs/how_long.md and the table of docs/comparison.md say of figures that are made up."""
 
-import sys
 from pathlib import Path
 
 import pytest
@@ -9,7 +8,6 @@ import pytest
 pytest.importorskip("dynamorph", reason="needs the engine")
 pytest.importorskip("matplotlib", reason="needs what draws the plots")
 ROOT = Path(__file__).parents[3]
-sys.path += [str(ROOT / folder) for folder in ("tests/benchmarks", "sample_blends", "tools")]
 
 
 @pytest.fixture(scope="module")

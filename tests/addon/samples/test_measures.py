@@ -1,16 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The measures behind the figures, on shapes and signals whose answer is known."""
 
-import sys
-from pathlib import Path
-
+import measures
 import numpy as np
 import pytest
 import scenes
 from bl_ext.user_default.dynamic_morph_targets.core.geometry import vertex_areas
-
-sys.path.append(str(Path(__file__).parents[3] / "sample_blends"))
-import measures
 
 
 def sphere(center=(0.0, 0.0, 0.0), radius=1.0, rings=32, around=48):

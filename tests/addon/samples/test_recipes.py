@@ -4,19 +4,17 @@
 import json
 import re
 import struct
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
+from bl_ext.user_default.dynamic_morph_targets.core.geometry import diagonal
+from bl_ext.user_default.dynamic_morph_targets.core.result import judge
+from recipes import cast, pictures, steps
 
 ROOT = Path(__file__).parents[3]
-sys.path.append(str(ROOT / "sample_blends"))
-from bl_ext.user_default.dynamic_morph_targets.core.geometry import diagonal  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.core.result import judge  # noqa: E402
-from recipes import cast, pictures, steps  # noqa: E402
 
 PAGES, PICTURES = ROOT / "docs/recipes", ROOT / "docs/images/recipes"
 ADDON = ROOT / "addon/dynamic_morph_targets"

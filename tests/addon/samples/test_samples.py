@@ -10,20 +10,18 @@ from pathlib import Path
 
 import bmesh
 import bpy
+import measures
 import numpy as np
 import pytest
+from bl_ext.user_default.dynamic_morph_targets.run import batch
+from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene import extract, rig_motion
+from bl_ext.user_default.dynamic_morph_targets.scene.skin import soft_skins
+from bl_ext.user_default.dynamic_morph_targets.write.authoring import setups
 from builders import warnings_of
 from PIL import Image
 
 SAMPLES = Path(__file__).parents[3] / "sample_blends"
-sys.path.append(str(SAMPLES))
-import measures  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.run import batch  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, rig_motion  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.scene.skin import soft_skins  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.write.authoring import setups  # noqa: E402
-
 SCENE = SAMPLES / "bulging_cylinder.blend"
 SCENES = sorted(path.stem for path in SAMPLES.glob("*.blend"))
 THESIS = {"bulging_cylinder", "herbert", "shoulder"}  # held by the bones, as in the thesis; others as buttons set it

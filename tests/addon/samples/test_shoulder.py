@@ -1,24 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The shoulder scene: one folded target, two ways to fold, and no skin that runs into itself in either."""
 
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import bmesh
 import bpy
+import measures
 import numpy as np
 import pytest
+from bl_ext.user_default.dynamic_morph_targets.run import batch
+from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene import extract, rig_motion
 from builders import warnings_of
 from mathutils.bvhtree import BVHTree
 
 SAMPLES = Path(__file__).parents[3] / "sample_blends"
-sys.path.append(str(SAMPLES))
-import measures  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.run import batch  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, rig_motion  # noqa: E402
-
 SCENE = SAMPLES / "shoulder.blend"
 FOLDS = {"Arm raised": (38, 68, 104), "Arm lowered": (148, 170, 214)}  # frames: open, folded, open again
 CHEST, CLAVICLE, UPPERARM, FOREARM = range(4)

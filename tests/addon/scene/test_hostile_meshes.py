@@ -55,7 +55,7 @@ def test_concave_ngons_and_what_is_loose(scene):
 
 @pytest.mark.fault("M13")
 def test_very_many_faces(scene, tmp_path):
-    """As many as DYNAMORPH_FACES says: two million in `make reliability`."""
+    """As many as DYNAMORPH_FACES says: two million in `make -C evidence reliability`."""
     resource = pytest.importorskip("resource", reason="needs a system that counts the memory of a process")
     around = round(np.sqrt(FACES / 2.0))
     turn, height = np.meshgrid(np.arange(around) * 2.0 * np.pi / around, np.linspace(0.0, 2.0, around))
