@@ -5,7 +5,6 @@ of ../shared that belong to a family. Nothing in it is typed here.
 
 from __future__ import annotations
 
-import sys
 import time
 import traceback
 from collections.abc import Callable
@@ -15,7 +14,7 @@ from functools import partial
 from project import ROOT
 
 # isort: split
-from installed import MODULE  # before bpy
+from installed import MODULE, leave  # before bpy
 
 # isort: split
 import addon_utils  # of bpy
@@ -141,4 +140,4 @@ def write(rows: list[tuple[str, ...]]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

@@ -350,7 +350,7 @@ EXPORT int dm_fixed_motion(int frames) {
 #include <fstream>
 #include <iterator>
 
-/// Adds the keys of a slider of site/playground/models.json. Throws std::invalid_argument for a target that the model lacks.
+/// Adds the keys of a slider of models.json. Throws std::invalid_argument for a target that the model lacks.
 static void add_keys(int set, const nlohmann::json& slider) {
   const std::vector<MorphTarget>& targets = play->character.targets;
   for (const auto& key : slider["keys"]) {
@@ -362,7 +362,7 @@ static void add_keys(int set, const nlohmann::json& slider) {
 }
 
 /// playground MODEL FRAMES SLIDERS: prints the hash of the fixed motion, then its last coordinates. SLIDERS: those of a
-/// model of site/playground/models.json.
+/// model of models.json.
 int main(int count, char** arguments) {
   if (count != 4) return std::fprintf(stderr, "playground MODEL FRAMES SLIDERS\n"), 2;
   std::ifstream stream(arguments[1], std::ios::binary);
