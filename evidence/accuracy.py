@@ -111,10 +111,10 @@ class Goal:
 
 PAGE_TEXT = """# Accuracy of the reduced model
 
-What you lose with *Quality: Reduced*, and what you gain. Reduced Quality simulates a number of modes (**Detail**)
-instead of every node of the cage, and is many times faster. This page compares its motion with that of Full Quality,
-the unreduced model. `make -C evidence accuracy` measures and writes this page and its plot; nothing on it is written by
-hand but the goals.
+This page shows what you lose with *Quality: Reduced*, and what you gain. Reduced Quality simulates a number of modes
+(**Detail**) instead of every node of the cage, and is many times faster. This page compares its motion with that of
+Full Quality, the unreduced model. `make -C evidence accuracy` measures and writes this page and its plot; nothing on it
+is written by hand but the goals.
 
 **What an error means.** The error is relative to the motion of the soft tissue itself, not to the body. An error of 10%
 says that, on average, the skin is a tenth of its own swing away from where Full Quality has it: 2 mm where it swings by

@@ -31,12 +31,12 @@ CHARACTERS = ("mh_shoulder_arm_4bones.blend", "mh_male_53bones.blend", "Fox.glb"
 IMAGES = "images/bakes"
 SAME = 1e-6  # body sizes: surfaces nearer than this are one
 
-PAGE_TEXT = """# Bakes
+PAGE_TEXT = """# Bakes, measured
 
-How exactly a bake shows what was simulated: in every output format, as a loop, over many frames, after being killed, at
-other frame rates and on a farm. `make -C evidence bakes` measures and writes this page, its pictures and
-[bakes.json](bakes.json); nothing on it is written by hand. Sections keep their figures until they are measured again:
-`make -C evidence bakes sections="loops kills"` measures these two.
+This page measures how exactly a bake shows what was simulated: in every output format, as a loop, over many frames,
+after being killed, at other frame rates and on a farm. `make -C evidence bakes` measures and writes this page, its
+pictures and [bakes.json](bakes.json); nothing on it is written by hand. Sections keep their figures until they are
+measured again: `make -C evidence bakes sections="loops kills"` measures these two.
 
 {commits}
 
@@ -141,9 +141,8 @@ sizes. *Seconds*: to write it, without the simulation. Each version of Blender h
 {forms}
 ### How many keys
 
-{budgets}
-The last has every mode and every target. *Said*: the error that the bake itself states. *Shown*: the error of
-Blender's evaluated mesh.
+{budgets} The last row has every mode and every target. *Said* is the error that the bake reports, and *shown* the error
+of Blender's evaluated mesh.
 
 ### Keys of single frames
 

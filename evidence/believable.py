@@ -54,9 +54,9 @@ COLUMNS = ("bones alone", "baked", "blue 1 % of size, green 3 %, yellow 5 %, red
 
 PAGE_TEXT = """# Believable from the first click
 
-How characters look after *Add Soft Skin* and *Bake* with no other setting: whether the skin moves at all, stays near
-the animation, and neither trembles, tears nor turns inside out. Nearly all of these characters were made elsewhere.
-`make -C evidence believable` measures and writes this page; nothing on it is written by hand.
+This page judges how characters look after *Add Soft Skin* and *Bake* with no other setting: the skin should move, stay
+near the animation, and neither tremble nor tear nor turn inside out. Nearly all of these characters were made
+elsewhere. `make -C evidence believable` measures and writes this page; nothing on it is written by hand.
 
 **How to read it.** Each character is baked with two clips, and every bake is judged by its worst frame against all the
 limits in the summary. A bake that misses one of them is not broken: it plays and can be saved, but in at least one

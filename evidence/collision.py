@@ -54,16 +54,12 @@ MORE = 10.0  # microseconds, asked
 DENT = 0.001  # of size: what is shallower is none
 NONE = "-"
 
-PAGE_TEXT = """# Collision
+PAGE_TEXT = """# Contact, measured
 
-How well *Collision* keeps objects, the body's own skin, other bodies and your hand out of each other, and what it
-costs. `make -C evidence collision` measures it and writes this page.
+This page measures how well [Collision](panels/collision.md) keeps objects, the body's own skin, other bodies and your
+hand out of each other, and what it costs. `make -C evidence collision` measures it and writes this page.
 
-**What the figures mean for you.** Depths are in percent of the body's size: 0.1% of a person with a size of 2 m is 2
-mm. Soft, thick parts such as bellies stay out of the ball, and with the default *Distance* nothing shows through. Firm
-and coarse bodies, such as the heads of low-poly animals, give way too little, because their cage is too coarse and
-stiff to dent: there the ball stays in the skin, and its rows are bold. Goals that are missed are bold in the other
-tables too.
+Depths are in percent of the body's size: 0.1% of a person with a size of 2 m is 2 mm. Goals that are missed are bold.
 
 {commit}; {machine}; two at a time.
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the tests run of the sources, lines and branches: docs/coverage.md, by `make coverage`.
+"""What the tests run of the sources, lines and branches: evidence/coverage.md, by `make coverage`.
 
     .venv/coverage/bin/python evidence/coverage_page.py PYTHON [TESTS...]
     .venv/coverage/bin/python evidence/coverage_page.py --page
@@ -28,7 +28,7 @@ import long_runs
 from measured import measured_at
 
 OUT = ROOT / "build" / "coverage"
-PAGE = ROOT / "docs" / "coverage.md"
+PAGE = ROOT / "evidence/coverage.md"
 CPP, PYTHON = ("cpp/dynamorph", "cpp/bindings"), ("addon/dynamic_morph_targets", "cpp/bindings/dynamorph")
 WHY = ROOT / "tests" / "not_covered.toml"  # file: why it is below LOW
 COMMIT = OUT / "commit"  # of the last run
@@ -113,7 +113,7 @@ def test(python: Path, tests: list[str]) -> None:
         counts.unlink()
     shutil.rmtree(OUT / "python", ignore_errors=True)
     (OUT / "python").mkdir(parents=True)
-    COMMIT.write_text(measured_at(PAGE.name))
+    COMMIT.write_text(measured_at("evidence/coverage.md"))
     settings, start = OUT / "settings", OUT / "start"
     settings.write_text(SETTINGS)
     start.mkdir(exist_ok=True)

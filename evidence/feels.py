@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`make feels`: docs/feels.md and its picture, the presets of Feel on six bodies of ../shared, side by side.
+"""`make feels`: the presets of Feel in docs/panels/feel.md, and a picture of them on six bodies of ../shared.
 
-python evidence/feels.py               bakes all of them and writes the page
+python evidence/feels.py               bakes all of them and writes into the page
 python evidence/feels.py ASSET FOLDER  one body: FOLDER gets figures.json and a picture for each preset
 """
 
@@ -24,51 +24,30 @@ from believable_bake import aim, belongs, click, render, seen
 from believable_measure import (
     baked_keys,
     displacement,
-    flicker,
-    quantiles,
     rest,
     show,
-    swings,
-    triangles_of,
-    vertex_areas,
 )
 from contact_sheet import Row, compose, quiet, save
 from dynamic_morph_targets.core.geometry import diagonal
 from dynamic_morph_targets.core.material.feel import FEELS
-from dynamic_morph_targets.core.result import judge
-from measured import measured_at
+from measured import measured_at, write_between
 from performance_page import grid
 from PIL import Image
 
 BODIES = ("mh_chubby_53bones.blend", "mh_male_53bones.blend", "zoo/Woman_Casual.glb", "zoo/Cow.glb", "zoo/Husky.glb",
           "zoo/Blobfish.glb")  # fmt: skip
 CACHE = ROOT / "build" / "feels"
-PAGE, PICTURE = ROOT / "docs/feels.md", "images/feels/side_by_side.png"
+PAGE, PICTURE = ROOT / "docs/panels/feel.md", "images/feels/side_by_side.png"
+BEGIN, END = "<!-- presets -->", "<!-- end of presets -->"  # in the page
 CELL = (330, 260)
 PLAIN = "plain"  # the picture of what the bones alone do
 
-PAGE_TEXT = """# Subtle, Natural and Cartoon
+TEXT = """{settings}
+The clips are the liveliest of their files, so a livelier preset may squeeze or press a body too far: take the next
+calmer preset there, or raise *Bounce*. {commit}.
 
-Which *Feel* to choose: the three presets on six bodies, side by side. `make -C evidence feels` bakes them and writes
-this page.
-
-*Subtle* is for firm, athletic bodies, *Natural*, the default, for average ones, and *Cartoon* swings farther and
-longer. The verdicts at the right are those that Blender shows after the bake. The clips are the liveliest of their
-files, so a livelier preset may squeeze or press a body too far: take the next calmer preset there, or raise *Bounce*.
-
-{commit}
-
-{settings}
-Each body is baked with the liveliest 48 frames of its clips, or a hop and a twist, and shown at the frame in which
-*Natural* moves it farthest.
-
-![Six bodies in the presets]({picture})
-
-*Farthest*: the largest displacement, of size. *Alive*: RMS motion of the liveliest tenth of the surface, of size.
-*Flicker*: how often the skin's own motion turns from frame to frame, from -1, a slow swing, to 1; see
-[Believable](believable.md).
-
-{figures}"""
+![Six bodies with the bones alone and in the presets](../{picture})
+"""
 
 
 def main() -> int:
@@ -113,11 +92,11 @@ def bake(asset: Path, folder: Path) -> int:
         obj.hide_render = obj not in shown and obj.type != "LIGHT"
     scene.display.shading.show_cavity, scene.view_settings.view_transform = True, "Standard"
     bpy.context.view_layer.objects.active = body
-    found["feels"] = {}
+    found["farthest"] = {}
     for feel in sorted(FEELS, key=lambda each: each != "NATURAL"):  # that one says which frame is shown
         bpy.ops.dynamorph.apply_feel(feel=feel)
         bpy.ops.dynamorph.bake()
-        found["feels"][feel], worst = figures(body, scene, frames)
+        found["farthest"][feel], worst = farthest(scene, frames)
         if feel == "NATURAL":
             found["frame"] = frames[worst]
             scene.frame_set(found["frame"])
@@ -128,21 +107,11 @@ def bake(asset: Path, folder: Path) -> int:
     return 0
 
 
-def figures(body, scene, frames: range) -> tuple[dict, int]:
-    """Of the present bake, and the number of the frame with the largest displacement."""
+def farthest(scene, frames: range) -> tuple[float, int]:
+    """The largest displacement of the present bake, of the body's size, and the number of its frame."""
     soft = [obj for obj in scene.objects if baked_keys(obj)]
-    points = [rest(obj) for obj in soft]
-    motion = displacement(soft, frames) / diagonal(np.concatenate(points))
-    areas = np.concatenate([vertex_areas(each, triangles_of(obj)) for each, obj in zip(points, soft, strict=True)])
-    far, moves = np.linalg.norm(motion, axis=2), swings(motion)
-    lively = moves >= quantiles(moves, areas, [0.9])[0]
-    found = {
-        "farthest": float(far.max()),
-        "alive": float(np.sqrt((areas * moves**2)[lively].sum() / areas[lively].sum())),
-        "flicker": flicker(motion, areas),
-        "verdict": judge.parsed(body.dynamorph.bake.verdict).text,
-    }
-    return found, int(far.max(axis=1).argmax())
+    far = np.linalg.norm(displacement(soft, frames), axis=2) / diagonal(np.concatenate([rest(obj) for obj in soft]))
+    return float(far.max()), int(far.max(axis=1).argmax())
 
 
 def photograph(name: str, frame: int, folder: Path) -> None:
@@ -159,39 +128,22 @@ def write_page(bodies: list[dict]) -> None:
     for found in bodies:
         folder = CACHE / found["name"].replace(" ", "_")
         pictures = [Image.open(folder / f"{name}.png").convert("RGB") for name in (PLAIN, *FEELS)]
-        notes = ["", *(f"farthest {found['feels'][feel]['farthest']:.1%}" for feel in FEELS)]
+        notes = ["", *(f"farthest {found['farthest'][feel]:.1%}" for feel in FEELS)]
         rows.append(Row(found["name"], f"{found['clip']}, frame {found['frame']}", pictures, notes))
     columns = ("bones alone", *(feel.label for feel in FEELS.values()))
     save(
         compose("Feel", "At the frame in which Natural moves farthest", columns, rows),
-        PAGE.parent / PICTURE,
+        ROOT / "docs" / PICTURE,
         small=True,
     )
     settings = [
-        [
-            feel.label,
-            f"{feel.frequency:g} Hz",
-            f"{feel.damping_ratio:g}",
-            f"{feel.max_displacement:g}",
-            f"{feel.max_thickness:g}",
-        ]
+        [feel.label, f"{feel.frequency:g} Hz", f"{feel.damping_ratio:g}", f"{feel.max_displacement:g}",
+         f"{feel.max_thickness:g}"]
         for feel in FEELS.values()
-    ]
-    measured_figures = [
-        [found["name"], found["clip"], FEELS[feel].label, f"{each['farthest']:.3f}", f"{each['alive']:.4f}",
-         f"{each['flicker']:+.2f}", each["verdict"]]
-        for found in bodies for feel, each in ((feel, found["feels"][feel]) for feel in FEELS)
     ]  # fmt: skip
-    titles = ["", "Bounce", "damping ratio", "Max Displacement", "Of Thickness"]
-    PAGE.write_text(
-        PAGE_TEXT.format(
-            commit=measured_at(PAGE.name),
-            settings=grid(titles, settings),
-            picture=PICTURE,
-            figures=grid(["", "clip", "", "farthest", "alive", "flicker", "verdict"], measured_figures),
-        ),
-        encoding="utf-8",
-    )
+    titles = ["Preset", "Bounce", "Damping ratio", "Max Displacement, of the size", "of the thickness"]
+    about = TEXT.format(settings=grid(titles, settings), commit=measured_at("panels/feel.md"), picture=PICTURE)
+    write_between(PAGE, BEGIN, END, about)
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ from PIL import Image, ImageChops, ImageDraw, ImageFont
 CHROOT = Path(os.environ.get("DYNAMORPH_GUI", ROOT / "build/gui")).resolve()
 WORK = ROOT / "build/gui-test"
 INSTALLED = WORK / "user/extensions/user_default/dynamic_morph_targets"
-PAGE = ROOT / "docs/window_test.md"
+PAGE = ROOT / "evidence/window_test.md"
 BEGIN, END = "<!-- measured -->", "<!-- end of measured -->"  # in the page
 PICTURES = ROOT / "docs/images/guide"
 DISC, ACCENT = 10, "#d3531b"  # pixels, its radius: of the numbers in pictures, and their color

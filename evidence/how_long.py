@@ -52,9 +52,10 @@ BALL, PRESSED = 0.1, 0.8  # meters; where its middle is in front of the belly, o
 
 PAGE_TEXT = """# How long will my character take?
 
-How long you wait, how much memory Blender needs, and how much larger your file becomes. Look up the row that is closest
-to your character, then the settings that you changed. A machine of today with more cores and a faster clock is quicker
-than the one that these figures come from; compare the columns with each other rather than with your own clock.
+This page tells you how long you wait, how much memory Blender needs, and how much larger your file becomes. Look up the
+row that is closest to your character, then the settings that you changed. A machine of today with more cores and a
+faster clock is quicker than the one that these figures come from; compare the columns with each other rather than with
+your own clock.
 
 `make -C evidence how-long` measures and writes this page; nothing on it is typed by hand.
 

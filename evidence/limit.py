@@ -48,12 +48,12 @@ TRIED = (
     {"pulled_stretch": 0.5}, {"edges_between": 100}, {"edges_between": 800},
 )  # fmt: skip  # LimitConstants of the engine: as they are, then one changed at a time
 
-PAGE_TEXT = """# What the limits of the motion do
+PAGE_TEXT = """# The motion's limits, measured
 
-Why the skin of a character that is thrown about does not fly off, and what that costs. Soft tissue limits itself, see
-[theory](theory.md): where a bone drives its tissue faster than the tissue can follow, the load is held back, and what
-still comes near the largest distance (**Max Displacement**) is pulled back. `make -C evidence limit` measures it on
-characters made elsewhere, after one click, and writes this page.
+This page shows why the skin of a character that is thrown about does not fly off, and what that costs. The motion of
+soft tissue is limited in two ways ([theory](theory.md)): where a bone drives tissue faster than it can follow, the load
+is held back, and tissue that still comes near the largest distance (**Max Displacement**) is pulled back. `make -C
+evidence limit` measures it on characters made elsewhere, after one click, and writes this page.
 
 The clips are chosen to be extreme. A fish that thrashes out of the water is held back in nearly every step and keeps a
 small part of its unlimited motion, because all of it would carry the skin far away from the bones; a walk keeps nearly
@@ -69,21 +69,21 @@ The offset of the vertex that goes farthest without limits, along its main axis,
 ## How often they act, and what they cost
 
 *Held back*: share of the steps in which the load of some bone is held back. *Pulled*: share of the steps in which
-anything is pulled back. *Without*: microseconds a step without limits. Then what a step with limits takes over one
-without, in frames in which nothing is pulled, and in those whose steps all pull; asked of the former: {cost:g}. Each
-frame counts with the fastest of {rounds} rounds, and the median over the frames is shown.
+anything is pulled back. *Without*: microseconds a step without limits. The last two columns divide the time of a step
+with limits by that of a step without: first in frames in which nothing is pulled (goal: {cost:g}), then in frames in
+which every step pulls. Each frame counts with the fastest of {rounds} rounds, and the median over the frames is shown.
 
 {costs}
 ## The constants
 
-What each constant of `LimitConstants` (motion_limit.hpp) trades, one changed at a time: the share of the unlimited
+The table changes one constant of `LimitConstants` (motion_limit.hpp) at a time. It gives the share of the unlimited
 motion that is kept (its projection onto that), the 99.9th percentile of the displacement in the worst frame in percent
 of size, and the 0.1th percentile of the edges' lengths over those at rest in the bind pose, in the worst frame. Motion
-capture is to be kept, displacements are to stay below 5 %, edges above 0.6. A smaller *stretch* takes most from
-gallops and jumps, a larger one keeps a little more and lets edges be squeezed more. A larger *slack* lets fish and
-falling bodies go farther. A smaller *pulled stretch* spares edges, and costs a gallop and a jump some of their motion.
-Fewer *edges between* show on the anglerfish alone, whose skin gives way between few edges; more of them change nothing
-here, and cost time.
+capture is to be kept, displacements are to stay below 5 %, edges above 0.6. A smaller *stretch* takes most from gallops
+and jumps, a larger one keeps a little more and lets edges be squeezed more. A larger *slack* lets fish and falling
+bodies go farther. A smaller *pulled stretch* spares edges, and costs a gallop and a jump some of their motion. Fewer
+*edges between* show only on the anglerfish, whose skin gives way between few edges; more of them change nothing here,
+and cost time.
 
 {constants}
 ## The step

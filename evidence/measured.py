@@ -31,7 +31,7 @@ PAGES = {
                     "sample_blends/*.blend"),
     "believable.md": (*ENGINE, *ADDON, "evidence/believable_bake.py", "evidence/believable_measure.py",
                       "evidence/convergence.py"),
-    "feels.md": (*ENGINE, *ADDON, "evidence/feels.py"),
+    "panels/feel.md": (*ENGINE, *ADDON, "evidence/feels.py"),
     "collision.md": (*ENGINE, *ADDON, "evidence/collision.py", "evidence/collision_press.py"),
     "limit.md": (*ENGINE, *ADDON, "evidence/limit.py"),
     "rigs.md": (*ENGINE, *ADDON, "evidence/rigs_page.py", "tests/addon/rig_families.py",
@@ -40,14 +40,14 @@ PAGES = {
     "comparison.md": (*ENGINE, *ADDON, "evidence/comparison.py", "evidence/collision_press.py",
                       "sample_blends/bulging_cylinder.blend"),
     "gallery.md": (*ENGINE, *ADDON, "evidence/gallery_loop.py", "sample_blends"),
-    "coverage.md": ("cpp", "addon/dynamic_morph_targets", "tests/engine", "tests/addon", "tests/cpp",
+    "evidence/coverage.md": ("cpp", "addon/dynamic_morph_targets", "tests/engine", "tests/addon", "tests/cpp",
                     "evidence/coverage_page.py"),
     "farm.md": ("addon/dynamic_morph_targets/cli", "addon/dynamic_morph_targets/io/cache_dir.py", "examples/farm",
                 "evidence/farm_demo.py"),
     "materials.md": ("addon/dynamic_morph_targets/core/material/presets.py",),
     "platforms.md": ("cpp", "CMakeLists.txt", "tools/wheels.py", "evidence/platforms_page.py"),
     "reliability.md": (*ENGINE, "addon/dynamic_morph_targets", "tests/faults.toml"),
-    "window_test.md": (*ENGINE, "addon/dynamic_morph_targets", "evidence/window", "evidence/gui_test.py"),
+    "evidence/window_test.md": (*ENGINE, "addon/dynamic_morph_targets", "evidence/window", "evidence/gui_test.py"),
 }  # fmt: skip
 PAGES |= {
     f"recipes/{page.name}": (
@@ -60,11 +60,12 @@ PAGES |= {
     for page in (DOCS / "recipes").glob("*.md")
     if page.name != "index.md"
 }
-# Pages that are written by hand, or made from the program itself (evidence/reference.py).
+# Pages that are written by hand, or made from the program itself (evidence/reference.py) or from other pages
+# (evidence/how_well.py).
 WRITTEN = ("architecture.md", "attribution.md", "command_line.md", "cpp.md", "decisions/", "file_format.md",
-           "first_steps.md", "glossary.md", "install.md", "limitations.md", "panels/", "playground.md", "python.md",
-           "recipes/index.md", "releasing.md", "report.md", "scripting.md", "theory.md", "troubleshooting.md",
-           "upgrading.md")  # fmt: skip
+           "first_steps.md", "glossary.md", "how_well.md", "install.md", "limitations.md", "measurements.md",
+           "panels/", "playground.md", "python.md", "recipes/index.md", "releasing.md", "report.md",
+           "scripting.md", "theory.md", "troubleshooting.md", "upgrading.md")  # fmt: skip
 
 
 def measured_at(page: str) -> str:
@@ -98,7 +99,12 @@ def write_between(page: Path, begin: str, end: str, text: str) -> None:
 
 def name_of(page: Path) -> str:
     """As PAGES names it."""
-    return page.relative_to(DOCS).as_posix() if page.is_relative_to(DOCS) else page.name
+    return page.relative_to(DOCS if page.is_relative_to(DOCS) else ROOT).as_posix()
+
+
+def path_of(name: str) -> Path:
+    """Of a page of PAGES."""
+    return (ROOT if name.startswith("evidence/") else DOCS) / name
 
 
 def commits(page: Path) -> list[tuple[str, bool]]:
@@ -117,7 +123,7 @@ def aged(page: Path) -> str:
         elif since := git("log", "--oneline", "--no-merges", f"{commit}..HEAD", "--", *PAGES[name]).splitlines():
             reasons.append(f"commits to its sources since {commit}: {len(since)}")
             last = f" (last: {since[0]})"
-    return f"docs/{name}: {'; '.join(reasons)}{last}" if reasons else ""
+    return f"{page.relative_to(ROOT).as_posix()}: {'; '.join(reasons)}{last}" if reasons else ""
 
 
 def git(*words: str) -> str:
@@ -140,7 +146,7 @@ def main() -> int:
         stamp(Path(sys.argv[1]))
         return 0
     for name in PAGES:
-        if (DOCS / name).exists() and (text := aged(DOCS / name)):
+        if path_of(name).exists() and (text := aged(path_of(name))):
             print(text)
     return 0
 

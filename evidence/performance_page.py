@@ -30,10 +30,10 @@ STAGES = {
 
 OPENING = """# Performance
 
-What the engine and the pipeline cost, for those who change them or build on them. How long a character takes an artist,
-and which settings make it longer, is on [How long](how_long.md). `make -C evidence bench` measures; `make -C evidence
-bench-docs` writes this page and its plots from `build/reports/bench.json`. Only the goals and the comparison with
-VegaFEM are written by hand; they are in `evidence/table.py`.
+This page is for programmers: it gives the cost of each part of the engine and of the pipeline. For the time that a
+character takes an artist, and the settings that change it, see [How long](how_long.md). `make -C evidence bench`
+measures; `make -C evidence bench-docs` writes this page and its plots from `build/reports/bench.json`. Only the goals
+and the comparison with VegaFEM are written by hand; they are in `evidence/table.py`.
 
 A goal is what the project asks of itself on this machine. Where it is missed, everything works, only more slowly than
 hoped: *measured / goal* says by how much.

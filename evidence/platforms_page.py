@@ -241,9 +241,9 @@ def speeds() -> dict[str, dict]:
 
 TEXT = """# Platforms
 
-What is compiled for which system, and how far it was tried. `make wheels` compiles everything on one Linux machine,
-with zig {zig}; `make -C evidence platforms` tries it on that machine and writes this page; nothing on it is written by
-hand.
+This page lists what is compiled for which system, and how far it was tested. `make wheels` compiles everything on one
+Linux machine, with zig {zig}; `make -C evidence platforms` tries it on that machine and writes this page; nothing on it
+is written by hand.
 
 {commit}.
 

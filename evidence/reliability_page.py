@@ -30,12 +30,12 @@ FAULTS = ROOT / "tests" / "faults.toml"
 LARGE = {"DYNAMORPH_FACES": "2000000", "DYNAMORPH_KILLS": "10"}  # unless they say otherwise; more than in `make test`
 TEXT = """# Reliability
 
-What may go wrong in production, and what happens then. The rule for all of it: never a silent wrong result, never lost
-work; a message names the object, the cause and the next step. Look here to find out what Dynamorph does with a broken
-mesh, a full disk, a killed process or a changed rig, before it happens to you. Each row has tests that are marked with
-its id, which `make test` runs with all others. `make -C evidence reliability` runs these alone and writes this page;
-nothing on it is written by hand. The largest mesh had {faces:,} faces, and one bake was killed {kills} times. What
-takes longer is [at the end](#longer-runs).
+This page lists what may go wrong in production, and what Dynamorph does about it: with a broken mesh, a full disk, a
+killed process or a changed rig. One rule holds for all of them: no result is silently wrong and no work is lost; a
+message names the object, the cause and the next step. Each row has tests that are marked with its id, which `make test`
+runs with all others. `make -C evidence reliability` runs only these and writes this page; nothing on it is written by
+hand. The largest mesh had {faces:,} faces, and one bake was killed {kills} times. What takes longer is [at the
+end](#longer-runs).
 
 {commit}. {machine}.
 
@@ -234,7 +234,7 @@ def of_coverage(parts: dict[str, dict]) -> str:
          f"{each['branches_run'] / each['branches']:.1%}"]
         for title, each in parts.items()
     ]  # fmt: skip
-    return grid(["", "lines", "run", "branches taken"], rows) + "\n[By folder and file](coverage.md).\n"
+    return grid(["", "lines", "run", "branches taken"], rows) + "\n`evidence/coverage.md` has the folders and files.\n"
 
 
 def failures(figures: dict) -> str:

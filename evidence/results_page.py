@@ -24,21 +24,21 @@ CLOSE = 0.05  # RMS error, relative to the motion, up to which two motions are c
 
 OPENING = """# Results
 
-Whether dynamic morph targets do what the thesis that introduced them claims. The table and the figures of N. Galoppo's
-thesis (chapter 5) are made again here from the scenes in `sample_blends`, with their claims as numbers: a limb that
-bulges and hardens as it bends, a shoulder that folds without passing through itself, and a belly that swings but for
-the tuck. `make -C evidence results` writes this page, its pictures and [results.json](results.json); nothing here is
-written by hand. We did not have the thesis's pictures, so which of its figures shows what is our interpretation.
+This page tests the claims of the thesis that introduced dynamic morph targets (N. Galoppo, chapter 5). It repeats the
+thesis's table and figures with the scenes in `sample_blends`, and gives each claim as a number: a limb bulges and
+hardens as it bends, a shoulder folds without passing through itself, and a belly swings, except in the tuck of a dive.
+`make -C evidence results` writes this page, its pictures and [results.json](results.json); nothing here is written by
+hand. We did not have the thesis's pictures, so which of its figures shows what is our interpretation.
 
-Methods, as *Advanced > Detail > Method* has them and the command line: *plain skinning* (bones alone), *static morphs*
-(geometric morph targets), *single material* (the neutral target alone), *pose-dependent shape* (the shape follows the
-pose, the material does not, after Capell et al. 2005), and *DMT*, dynamic morph targets.
+The methods are those of *Advanced > Detail > Method* and of the command line: *plain skinning* (only the bones),
+*static morphs* (geometric morph targets), *single material* (only the neutral target), *pose-dependent shape* (the
+shape follows the pose, the material does not, after Capell et al. 2005), and *DMT*, dynamic morph targets.
 
-Errors compare the skin's displacement before the bones move it, over all vertices and frames: the RMS distance from
-the reference in percent of its RMS displacement, and the largest in percent of its largest. *Total* displacement is
-from the neutral shape; *dynamic* is from the targets' blended shapes, and is the stricter measure. *Fitted*
-modes are chosen from a rehearsal of the shot. *At best* is the bound that no modes of that number can pass which hold
-the targets' shapes: the rest of the full motion's singular values.
+Errors compare the skin's displacement before the bones move it, over all vertices and frames: the RMS distance from the
+reference in percent of its RMS displacement, and the largest in percent of its largest. *Total* displacement is from
+the neutral shape; *dynamic* is from the targets' blended shapes, and is the stricter measure. *Fitted* modes are chosen
+from a rehearsal of the shot. *At best* is a lower bound, from the singular values of the full motion: no choice of as
+many modes that contain the targets' shapes has a smaller error.
 
 {commit}.
 """
@@ -237,7 +237,7 @@ def tell_shoulder(found: dict) -> list[str]:
         chest.append((name, mm(depths[-1]), f"{1000 * grown[name]:+.1f} mm", *shaken))
     return [
         "Intersecting pairs of triangles that share no vertex, and how deep the deepest vertex lies in another part of "
-        "the skin, at worst on the whole path of each fold. One target alone has a folded elbow; it serves both.\n",
+        "the skin, at worst on the whole path of each fold. Only one target has a folded elbow; it serves both.\n",
         grid(head, rows),
         f"From raised to lowered arm the chest changes its depth by {1000 * grown[PLAIN]:+.1f} mm with plain skinning "
         f"and {1000 * grown['DMT reduced']:+.1f} mm with dynamic morph targets.\n",
@@ -255,7 +255,7 @@ def tell_herbert(found: dict) -> list[str]:
         rows.append((name, *(mm(end) for span in spans for end in (min(span), max(span)))))
     head_swing = ("the belly under the same shake", UPRIGHT, TUCKED, "ratio")
     return [
-        "How far belly and back stand out from where the bones alone would have them, frames "
+        "This is how far belly and back stand out from where plain skinning has them, frames "
         f"{found['frames'][tuck][0]} to {found['frames'][tuck][-1]} and {found['frames'][wall][0]} to "
         f"{found['frames'][wall][-1]}.\n",
         grid(head, rows),

@@ -52,9 +52,9 @@ DEFECTS = {
 
 PAGE_TEXT = """# Robustness
 
-Whether meshes and rigs come through a build and a bake as they are found in the wild: with holes, loose parts, flipped
-faces and imports at odd scales. Most of the files here were made elsewhere. You need not clean up a mesh before you
-press **Add Soft Skin**: what is wrong with it is counted, and the cage is built around it.
+This page builds and bakes meshes and rigs as people find them: with holes, loose parts, flipped faces and imports at
+odd scales. Most of the files were made elsewhere. You need not clean up a mesh before you press **Add Soft Skin**: what
+is wrong with it is counted, and the cage is built around it.
 
 **This page is about survival, not about looks.** Its bakes are harder on the engine than yours will be: nothing limits
 how far the skin moves, and only the bones hold it. That is why the skin of a jumping man leaves the animation by a

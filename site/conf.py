@@ -10,6 +10,11 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]  # HERE is build/site/source
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 BLENDS = (ROOT / "dist/recipes", ROOT / "dist/gallery")  # whose files can be downloaded where a page names them
+BRANCHES = {  # pages, and how they link to what is below them
+    "recipes/index": r"\]\((\w+)\.md",
+    "panels/index": r"\]\((\w+)\.md",
+    "measurements": r"^- \[[^\]]+\]\((\w+)\.md",
+}
 REPOSITORY = PROJECT.get("urls", {}).get("Repository", "")
 
 project = "Dynamorph"
@@ -86,9 +91,9 @@ def link_out_of_docs(app, name, source):
 
 
 def list_below(app, name, source):
-    """An index of a folder of docs/ has the pages that it links to below it in the navigation, in its order."""
-    if name in ("recipes/index", "panels/index"):
-        pages = dict.fromkeys(re.findall(r"\]\((\w+)\.md", source[0]))
+    """A page of BRANCHES has the pages that it lists below it in the navigation, in its order."""
+    if name in BRANCHES:
+        pages = dict.fromkeys(re.findall(BRANCHES[name], source[0], re.MULTILINE))
         source[0] += "\n\n```{toctree}\n:hidden:\n:titlesonly:\n\n" + "\n".join(pages) + "\n```\n"
 
 

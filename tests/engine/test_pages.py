@@ -10,7 +10,7 @@ import measured
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGES = [name for name in measured.PAGES if (measured.DOCS / name).exists()]
+PAGES = [name for name in measured.PAGES if measured.path_of(name).exists()]
 
 
 def test_pages_are_known():
@@ -22,7 +22,7 @@ def test_pages_are_known():
 
 @pytest.mark.parametrize("name", PAGES)
 def test_generated_pages_name_a_commit(name):
-    assert measured.commits(measured.DOCS / name)
+    assert measured.commits(measured.path_of(name))
 
 
 def test_pictures_of_pages():
@@ -35,6 +35,15 @@ def test_pictures_of_pages():
 
 
 # Measurements -------------------------------------------------------------------------------------------------------
+
+
+def test_how_well_it_works_has_the_figures_of_its_pages():
+    pytest.importorskip("matplotlib", reason="needs what draws the plots")
+    import how_well
+
+    assert how_well.PAGE.read_text(encoding="utf-8") == how_well.text(), "run: make -C evidence how-well"
+    assert len(how_well.text().split()) <= 600
+
 
 MEASURED = re.compile(r"\b\d*[1-9]\d*\.\d+|\b\d+\.\d*[1-9]")  # with decimals: counts may be equal
 EQUAL = "Rows are equal where"  # what the text before a table says of those that may be
@@ -78,7 +87,7 @@ def goals_alone(text):
 @pytest.mark.parametrize("name", PAGES)
 def test_measurements_make_sense(name):
     """What is varied makes a difference, and a goal has a figure."""
-    text = (measured.DOCS / name).read_text(encoding="utf-8")
+    text = measured.path_of(name).read_text(encoding="utf-8")
     assert (equal_rows(text), goals_alone(text)) == ([], [])
 
 
@@ -103,7 +112,7 @@ def test_what_makes_no_sense_is_found():
 def test_aged_pages_are_listed():
     if not measured.has_history():
         pytest.skip("needs the history of the project")
-    aged = [text for name in PAGES if (text := measured.aged(measured.DOCS / name))]
+    aged = [text for name in PAGES if (text := measured.aged(measured.path_of(name)))]
     if aged:
         warnings.warn("pages to be measured again:\n" + "\n".join(aged), UserWarning, stacklevel=1)
 
@@ -165,7 +174,8 @@ def test_without_history_nothing_is_claimed(tmp_path, monkeypatch):
     assert measured.measured_at("results.md") == ""
 
 
-def test_page_without_a_line_is_refused(tmp_path):
+def test_page_without_a_line_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(measured, "DOCS", tmp_path)
     page = tmp_path / "results.md"
     page.write_text("# Results\n")
     with pytest.raises(ValueError, match="names a commit"):

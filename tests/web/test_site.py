@@ -34,6 +34,9 @@ def test_all_pages_are_in_the_navigation():
     listed = {word for block in re.findall(r"```{toctree}\n(.*?)```", start, re.DOTALL) for word in block.split()}
     pages = {page.relative_to(ROOT / "docs").with_suffix("").as_posix() for page in (ROOT / "docs").rglob("*.md")}
     below = {page for page in pages if "/" in page and page.split("/")[0] + "/index" in listed}
+    assert "measurements" in listed
+    measurements = (ROOT / "docs/measurements.md").read_text("utf-8")
+    below |= set(re.findall(r"^- \[.+\]\((\w+)\.md\)", measurements, re.MULTILINE))
     assert not pages - below - listed
 
 

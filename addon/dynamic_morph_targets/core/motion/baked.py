@@ -99,7 +99,7 @@ class Bake:
 
     frames (F,): numbers, or with fractions between the whole ones; coordinates (F, r), weights (F, J), modes (r, V, 3),
     residual_shapes (J, V, 3): what the cage cannot carry of each target's shape. target_names (J,). static (F, r): the
-    coordinates of the targets' shapes alone, without motion. node_modes (r, n, 3): the modes of the cage's nodes, bind
+    coordinates of only the targets' shapes, without motion. node_modes (r, n, 3): the modes of the cage's nodes, bind
     space, for what else moves with the tissue. key_names (r + J,): of the shape keys that modes and residual shapes
     become; empty: numbered, and by the targets.
     """

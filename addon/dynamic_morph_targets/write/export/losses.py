@@ -95,7 +95,7 @@ def _skinning_losses(obj, key: str) -> Iterator[str]:
     yield from _modifier_losses(obj, key, modifiers)
     if skinning.beyond_bones:
         yield Message(
-            "'{name}' is skinned with {beyond}, {format} skins by plain bones: it will differ. Use {others}",
+            "'{name}' is skinned with {beyond}, but {format} knows only plain bones, so it will differ. Use {others}",
             name=obj.name,
             beyond=skinning.beyond_bones,
             format=label,

@@ -44,7 +44,7 @@ def check_soft_skin(obj):
         beyond = Skinning.of(mesh).beyond_bones
         if beyond:
             raise ExportError(
-                "'{name}' is skinned with {beyond}, but programs that read a soft skin file skin by plain bones: "
+                "'{name}' is skinned with {beyond}, but programs that read a soft skin file know only plain bones: "
                 "remove that first",
                 name=mesh.name,
                 beyond=beyond,
