@@ -99,6 +99,7 @@ def write_between(page: Path, begin: str, end: str, text: str) -> None:
 
 def name_of(page: Path) -> str:
     """As PAGES names it."""
+    page = page.resolve()
     return page.relative_to(DOCS if page.is_relative_to(DOCS) else ROOT).as_posix()
 
 
