@@ -190,7 +190,12 @@ def against_each_other(shot: Shot):
 
 def buried(skin: np.ndarray, limbs) -> int:
     """How many vertices of a skin (V, 3) are inside of the others, of `against_each_other`."""
-    return sum(int((measures.winding_numbers(skin[own], skin, others) > 0.5).sum()) for own, others in limbs)
+    found = 0
+    for own, others in limbs:
+        low, high = skin[others].min(axis=(0, 1)), skin[others].max(axis=(0, 1))
+        near = own[((skin[own] > low) & (skin[own] < high)).all(axis=1)]  # no other vertex can be inside
+        found += int((measures.winding_numbers(skin[near], skin, others) > 0.5).sum())
+    return found
 
 
 def waist(vertices: np.ndarray, patch: str) -> np.ndarray:

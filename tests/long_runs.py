@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / "build" / "reports" / "long_runs.json"
-sys.path.append(str(ROOT / "tools"))
+sys.path.append(str(ROOT / "evidence"))
 
 from measured import measured_at  # noqa: E402
 

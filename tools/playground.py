@@ -17,9 +17,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from measured import write_between
-
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.append(str(ROOT / "evidence"))
+from measured import write_between  # noqa: E402
+
 WEB, SCENES, BUILD = ROOT / "site/playground", ROOT / "sample_blends", ROOT / "build"
 OUT = BUILD / "playground"
 SCRIPTS = ("playground.mjs", "engine.mjs", "picture.mjs")

@@ -11,7 +11,7 @@ import math
 import sys
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "sample_blends"))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "sample_blends"))
 import bpy
 import bulging_cylinder as limb
 import dynamic_morph_targets

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Fails the n-th write, fsync, rename, open or read of a command; tests/addon/cli/test_failing_calls.py runs it.
 
-    LD_PRELOAD=fail_nth.so python tests/faults/files.py COMMAND SAMPLES      of each kind of call; 0: all
+    LD_PRELOAD=fail_nth.so python tests/faults/files.py SAMPLES KINDS COMMAND ...
+
+SAMPLES of each kind of call fail, 0: all. KINDS: of calls, as in write,rename.
 
 The result of an earlier run is there before. After a failure it is as it was, or a whole new one is in its place; no
 partial file is left; the exit code and the message say why; and the same command works again.
@@ -59,7 +61,7 @@ COMMANDS = {
 class Attack:
     """One command in a folder in which calls fail."""
 
-    def __init__(self, name: str, folder: Path):
+    def __init__(self, name: str, folder: Path, kinds: list[str]):
         self.folder, self.said = folder / "work", folder / "said.txt"
         self.counter = folder / "counter"
         self.counter.write_bytes(bytes(8 * len(KINDS)))
@@ -69,9 +71,9 @@ class Attack:
         self.arguments = [each.format(shot=shot, folder=self.folder) for each in COMMANDS[name]]
         if name == "save":
             (self.folder / "own.blend").write_bytes(shot.read_bytes())
-        self.kinds = [kind for kind in KINDS if kind != "read" or name == "cache"]
+        self.kinds = [kind for kind in kinds if kind != "read" or name == "cache"]
         assert self.run() == 0, self.said.read_text()
-        self.run()  # from now on there is an earlier result each time
+        self.counts = self.counted()  # and from now on there is an earlier result each time
         self.before = self.files()
 
     def run(self) -> int:
@@ -109,7 +111,6 @@ class Attack:
         """How many calls of each kind the command has."""
         assert self.failing("write", 0, once=True) == 0, self.said.read_text()
         counts = np.frombuffer(self.counter.read_bytes(), np.int64)
-        self.put_back()
         return {kind: int(count) for kind, count in zip(KINDS, counts, strict=True) if kind in self.kinds}
 
     def files(self) -> dict[str, bytes]:
@@ -178,12 +179,12 @@ def opens(path: Path) -> bool:
         return False
 
 
-def main(name: str, samples: int) -> None:
-    dynamic_morph_targets.register()
+def attacked(name: str, samples: int, kinds: list[str]) -> dict:
+    """Of each kind of call how many there are and how many failed, and what was wrong then."""
     tally, wrong = {}, []
     with tempfile.TemporaryDirectory(prefix="dynamorph_faults_") as folder:
-        attack = Attack(name, Path(folder))
-        for kind, count in attack.counted().items():
+        attack = Attack(name, Path(folder), kinds)
+        for kind, count in attack.counts.items():
             cases = [(n, once) for n in range(1, count + 1) for once in (True, False)]
             if samples:
                 cases = Random(f"{name} {kind}").sample(cases, min(samples, len(cases)))
@@ -198,8 +199,13 @@ def main(name: str, samples: int) -> None:
                 attack.put_back()
         if attack.run():
             wrong.append(f"{name}: it fails afterward: {attack.said.read_text()}")
-    print(json.dumps({"calls": tally, "wrong": wrong}))
+    return {"calls": tally, "wrong": wrong}
+
+
+def main(samples: str, kinds: str, *names: str) -> None:
+    dynamic_morph_targets.register()
+    print(json.dumps({name: attacked(name, int(samples), kinds.split(",")) for name in names}))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]))
+    main(*sys.argv[1:])
