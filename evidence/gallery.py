@@ -209,7 +209,13 @@ def section(found: dict[str, dict], differs: str) -> str:
 def about(loop: Loop, found: dict) -> str:
     """Of one loop: its title, what it shows, its picture, what was baked, and its files."""
     if loop.body:
-        farthest = "; ".join(f"{title} {1000 * most:.3g} mm" for title, most in found["farthest"].items())
+        shown = {title: f"{1000 * most:.3g} mm" for title, most in found["farthest"].items()}
+        # Collision moves the skin elsewhere, not farther: a comparison would mislead.
+        farthest = (
+            [*shown.values()][-1]
+            if loop.differs in (COLLISION, SELF_COLLISION)
+            else "; ".join(f"{title} {most}" for title, most in shown.items())
+        )
         files = f"`{loop.name}.blend`, baked `{loop.name}_baked.blend`"
     else:
         farthest = f"{found['farthest']:.1%} of the body's size, in *{found['clip'].rpartition('|')[2]}*"
