@@ -37,7 +37,8 @@ def test_any_call_of_the_writer_may_fail(library):
 
 @pytest.mark.fault("C06", "F13")
 def test_what_a_format_writes_may_fail(library):
-    assert_nothing_lost(attack(library, 1, ["write"], *FORMATS), ["write"])
+    kinds = ["write", "rename"]
+    assert_nothing_lost(attack(library, 1, kinds, *FORMATS), kinds)
 
 
 @pytest.mark.fault("C06", "F13")
