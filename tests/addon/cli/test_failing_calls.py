@@ -37,7 +37,7 @@ def test_any_call_of_the_writer_may_fail(library):
 
 @pytest.mark.fault("C06", "F13")
 def test_what_a_format_writes_may_fail(library):
-    kinds = ["write", "rename"]
+    kinds = ["write", "rename", "open"]
     assert_nothing_lost(attack(library, 1, kinds, *FORMATS), kinds)
 
 
