@@ -31,7 +31,7 @@ HEADERS = {  # the folders of cpp/dynamorph, in the order in which a program mee
     "reduced": "Reduced models",
     "pose": "Poses and skinning",
     "step": "Time steps and limits",
-    "contact": "Collision",
+    "contact": "Contact",
     "file": "Files",
     "core": "Basics",
 }
