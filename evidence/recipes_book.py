@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """`make recipes`: follows each recipe of docs/recipes, and writes its files, its picture and the table of its page.
 
-    python evidence/recipes/book.py [NAME ...] [--pictures] [--out FOLDER]
+    python evidence/recipes_book.py [NAME ...] [--pictures] [--out FOLDER]
 
 FOLDER, dist/recipes by default, gets NAME_start.blend, as it is before the first step, and NAME_done.blend.
 """
@@ -19,7 +19,6 @@ import dynamic_morph_targets
 from bench import machine
 from contact_sheet import quiet
 from measured import measured_at, write_between
-
 from recipes import pictures, steps
 
 PAGES, PICTURES = ROOT / "docs" / "recipes", ROOT / "docs" / "images" / "recipes"
