@@ -113,11 +113,11 @@ PAGE_TEXT = """# Accuracy of the reduced model
 
 This page shows what you lose with *Quality: Reduced*, and what you gain. Reduced Quality simulates a number of modes
 (**Detail**) instead of every node of the cage, and is many times faster. This page compares its motion with that of
-Full Quality, the unreduced model. `make -C evidence accuracy` measures and writes this page and its plot; nothing on it
-is written by hand but the goals.
+Full Quality, the unreduced model. `make -C evidence accuracy` measures and writes this page and its plot; only the
+goals are written by hand.
 
 **What an error means.** The error is relative to the motion of the soft tissue itself, not to the body. An error of 10%
-says that, on average, the skin is a tenth of its own swing away from where Full Quality has it: 2 mm where it swings by
+says that, on average, the skin is a tenth of its own swing away from its place in Full Quality: 2 mm where it swings by
 20 mm. Reduced Quality keeps the bulk of the motion. It loses local ripples, and exaggerates motion that is larger than
 the tissue is thick. Where these matter, bake with *Quality: Full*. Goals that are missed are bold; [decision
 4](decisions/0004-where-the-error-of-responses-is.md) explains where the rest of the error comes from, and why a higher
@@ -154,7 +154,7 @@ group. Bold: missed.
 ### Parts of the MakeHuman bodies
 
 With the same choice of *Detail*; means over the clips. Bold: above the mean of the whole. Rows are equal where the
-choice is.
+choice is the same.
 
 {regions}
 ## Characters

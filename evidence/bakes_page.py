@@ -190,11 +190,11 @@ def show_round_trips(by_version: dict) -> str:
 
 LOOPS = """## Walks that loop
 
-Walk cycles as their artists made them, carried forward or around a circle, on soft bodies. *Loop* looks for the
-motion that ends as it began. *Without*: how far the last frame is from the first without it. *In place*, *in velocity*
-(a frame): what is left with it, by the engine; *shown*: in place, by Blender's evaluated mesh, seen by who goes along.
-*Simulated on*: what is left where the cycle is simulated {repeated} times one after the other instead. All in body
-sizes.
+These are walk cycles as their artists made them, carried forward or around a circle, on soft bodies. *Loop* looks for
+the motion that ends as it began. *Without*: how far the last frame is from the first without it. *In place*, *in
+velocity* (a frame): what is left with it, by the engine; *shown*: in place, by Blender's evaluated mesh, as seen by
+somebody who moves along. *Simulated on*: what is left where the cycle is simulated {repeated} times one after the other
+instead. All in body sizes.
 
 ![Where a walk begins again, without and with Loop]({images}/seam.png)
 
@@ -342,8 +342,8 @@ def show_times(found: dict) -> str:
 FARM_TEXT = """## Farm
 
 Shots of two characters in two variants on Slurm, by `make -C evidence farm-demo`: *tasks* are checks, builds, bakes and
-one that collects. On the last run a bake is killed, and a whole node, so that its wall time includes the work that was
-lost and waiting until the loss is noticed. {times}
+one that collects. In the last run a bake and a whole node are killed, so its wall time includes the lost work and the
+wait until the loss is noticed. {times}
 
 {table}
 {versions}; {machine}.

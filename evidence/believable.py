@@ -77,21 +77,20 @@ is measured from Blender's evaluated meshes, in every frame.
 {broken} Flicker counts how often the skin's own motion turns, not how far it goes: in a calm walk that motion
 is a small fraction of the body's size, and so is the tremble.
 
-{limits}
-*Size*: diagonal of the box around the character at rest. Figures of a frame are of its worst one. *Displacement*: how
-far the skin is from where the bones alone have it, before they move it. *Over thickness*: 99th percentile of the
-displacement divided by the local thickness, from the skin through all that is there: an eye, or the root of a fin,
-counts as the body that it is sunk into, a pocket as the coat that it lies on, and a sheet has no thickness. *Stretch*:
-length of edges, compared with plain skinning. *Stretch, least, of the bones' own*: divided by the same figure of plain
-skinning, because the bones alone may make an edge vanish where a joint folds.
-*Flipped*: share of the surface that turns over. *Inverted*: share of the cage's volume that turns inside out. *Thin
-parts*: how much the thinnest fifth of the surface moves, compared with the thickest, if that is at least twice as
-thick. *Seam*: gap between meshes that touch at rest. *Alive*: motion of the liveliest tenth of the surface, and the
-share of it that moves at least a tenth as much; counted where the clip shakes the thickest fifth of the character by
-{shaken:g} of its size: wings must not move.
-*Flicker*: how often the skin's own motion turns from frame to frame: a slow swing is near -1, a swing of a quarter of
-the frame rate 0, up and down at every other frame 1; it may be above 0 where that of the bones alone in the world is,
-and then {more_flicker:g} above it. Wholly hard characters ({hard}) must be refused with "nothing soft found".
+{limits} *Size*: diagonal of the box around the character at rest. Figures of a frame are of its worst one.
+*Displacement*: how far the skin is from where plain skinning puts it, before the bones move it. *Over thickness*: 99th
+percentile of the displacement divided by the local thickness, from the skin through all that is there: an eye, or the
+root of a fin, counts as the body that it is sunk into, a pocket as the coat that it lies on, and a sheet has no
+thickness. *Stretch*: length of edges, compared with plain skinning. *Stretch, least, of the bones' own*: divided by the
+same figure of plain skinning, because the bones alone may make an edge vanish where a joint folds. *Flipped*: share of
+the surface that turns over. *Inverted*: share of the cage's volume that turns inside out. *Thin parts*: how much the
+thinnest fifth of the surface moves, compared with the thickest, if that is at least twice as thick. *Seam*: gap between
+meshes that touch at rest. *Alive*: motion of the liveliest tenth of the surface, and the share of it that moves at
+least a tenth as much; counted where the clip shakes the thickest fifth of the character by {shaken:g} of its size, so a
+clip that moves only the wings does not count. *Flicker*: how often the skin's own motion turns from frame to frame: a
+slow swing is near -1, a swing of a quarter of the frame rate 0, up and down at every other frame 1; it may be above 0
+where that of the bones alone in the world is, and then {more_flicker:g} above it. Wholly hard characters ({hard}) must
+be refused with "nothing soft found".
 
 Without a limit: *jitter*, the share of the acceleration's power above 0.35 of the frame rate, and the same at 24 frames
 a second; *between frames*, the largest distance over the limit of the place where it is, at any step; *held back*, the
@@ -116,8 +115,8 @@ The liveliest clip, at the frame of the largest displacement.
 {pictures}
 ### Frame after frame
 
-Five consecutive frames around that one. The camera follows the place of the largest displacement as the bones alone
-move it.
+These are five consecutive frames around that one. The camera follows the place of the largest displacement as only the
+bones move it.
 
 {strips}
 {convergence}## Attribution
@@ -128,8 +127,8 @@ move it.
 
 CONVERGENCE_TEXT = """## The cage converges
 
-Whether a finer cage would move differently. It hardly does where *apart* is small: the default of about 2,000 nodes is
-then enough, and more **Cage Nodes** are for slim parts and small sculpts.
+This section tests whether a finer cage would move differently. It hardly does where *apart* is small: the default of
+about 2,000 nodes is then enough, and more **Cage Nodes** are for slim parts and small sculpts.
 
 The MakeHuman man after one click, {frames} frames of his liveliest clip, without reduction, in cages of more and more
 nodes. *Apart*: RMS over the surface of the motion about its mean less that of the finest cage, as a part of the RMS of

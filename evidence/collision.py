@@ -116,8 +116,8 @@ figure is noise of the measurement. The goal is strict: at 24 frames a second, a
 
 Blender's Soft Body and Cloth are made for other tasks, which [Comparison](comparison.md) lists. Here they get this one.
 The same ball and the same body ({peer_body}, {vertices:,} vertices). Soft Body, Cloth and Cloth Dynamics (of Blender
-5.2, experimental) as they come, with all of the body held at {held:g}: they are shells, and know no volume. Depth as
-above; seconds for {last} frames, ours with the build of the model.
+5.2, experimental) as they come, with all of the body held at {held:g}: they are shells and do not simulate volume.
+Depth as above; seconds for {last} frames, ours with the build of the model.
 
 {peers}"""
 

@@ -130,9 +130,9 @@ The same drags in both qualities: *Full* follows the hand more closely than *Red
 {quality}
 ## Characters
 
-*Add Soft Skin* and *Bake*, with no other setting, beside plain skinning. The clips are the liveliest of their files.
-The characters' files are not published with this project; [Attribution](attribution.md) says where they come from.
-All characters that were tried, with their figures: [Believable](believable.md).
+Each character is shown after *Add Soft Skin* and *Bake*, with no other setting, beside plain skinning. The clips are
+the liveliest of their files. The characters' files are not published with this project; [Attribution](attribution.md)
+says where they come from. All characters that were tried, with their figures: [Believable](believable.md).
 
 {characters}
 ## Attribution

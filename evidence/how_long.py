@@ -83,9 +83,9 @@ depend on its vertices. Memory and file size do grow with them, because each key
 
 ## What makes it longer
 
-The same character with {compared:,} vertices and one setting changed at a time: how many times as long as with the
-defaults it takes, in one run each. *Build* is the whole model after the click. *Simulation* is the part of the bake
-without reading the rig and writing.
+The same character with {compared:,} vertices is measured with one setting changed at a time. The table gives its times
+as multiples of those with the defaults, in one run each. *Build* is the whole model after the click. *Simulation* is
+the part of the bake without reading the rig and writing.
 
 {settings}
 - **Detail** is the number of modes: each simulated step takes longer, and a bake writes as many shape keys. Lower it

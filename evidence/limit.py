@@ -63,7 +63,8 @@ everything. If your character moves less than you want, raise *Max Displacement*
 
 ## The worst vertex
 
-The offset of the vertex that goes farthest without limits, along its main axis, in percent of the body's size.
+The plots show the offset of the vertex that goes farthest without limits, along its main axis, in percent of the body's
+size.
 
 {curves}
 ## How often they act, and what they cost
@@ -77,20 +78,20 @@ which every step pulls. Each frame counts with the fastest of {rounds} rounds, a
 ## The constants
 
 The table changes one constant of `LimitConstants` (motion_limit.hpp) at a time. It gives the share of the unlimited
-motion that is kept (its projection onto that), the 99.9th percentile of the displacement in the worst frame in percent
-of size, and the 0.1th percentile of the edges' lengths over those at rest in the bind pose, in the worst frame. Motion
-capture is to be kept, displacements are to stay below 5 %, edges above 0.6. A smaller *stretch* takes most from gallops
-and jumps, a larger one keeps a little more and lets edges be squeezed more. A larger *slack* lets fish and falling
-bodies go farther. A smaller *pulled stretch* spares edges, and costs a gallop and a jump some of their motion. Fewer
-*edges between* show only on the anglerfish, whose skin gives way between few edges; more of them change nothing here,
-and cost time.
+motion that is kept (the projection of the limited motion onto it), the 99.9th percentile of the displacement in the
+worst frame in percent of size, and the 0.1th percentile of the edges' lengths over those at rest in the bind pose, in
+the worst frame. Motion capture should be kept, and displacements should stay below 5 %, edges above 0.6. A smaller
+*stretch* takes most from gallops and jumps; a larger one keeps a little more, but lets edges be squeezed more. A larger
+*slack* lets fish and falling bodies go farther. A smaller *pulled stretch* spares edges, and costs a gallop and a jump
+some of their motion. Fewer *edges between* show only on the anglerfish, whose skin gives way between few edges; more of
+them change nothing here, and cost time.
 
 {constants}
 ## The step
 
 The same clip with steps that are 2, 4 and 8 times as long as the shortest: largest displacement and RMS motion of the
-whole skin, over those with the shortest. Asked: within {like:.0%} of one. What the rows without limits show is due to
-the time stepping alone.
+whole skin, over those with the shortest. Asked: within {like:.0%} of one. The differences in the rows without limits
+come only from the time stepping.
 
 {steps}"""
 

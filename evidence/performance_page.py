@@ -39,7 +39,7 @@ A goal is what the project asks of itself on this machine. Where it is missed, e
 hoped: *measured / goal* says by how much.
 
 The solid has {dofs:,.0f} degrees of freedom, 4 bones and materials of 100 to 300 kPa; a step is one Newton iteration of
-1/60 s with the bones moving. What runs on one core counts processor time; of repeated runs the fastest counts.
+1/60 s with the bones moving. Work on one core is measured in processor time; of repeated runs, the fastest counts.
 
 {missed}
 
@@ -55,9 +55,10 @@ twice as many modes and rehearses the shot with that. There its stages are liste
 VEGA = """## Against VegaFEM 3.1
 
 How many times as long as this engine VegaFEM 3.1 takes, with its own BLAS: measured once, side by side in one run on
-one machine (AMD EPYC, 2 cores, one thread), on solids of as many degrees of freedom; `make -C evidence bench` does not
-run it. Where VegaFEM is faster, the ratio is bold. VegaFEM has neither targets nor a rig with the inertia of moving
-bones. Its plain step is therefore compared twice: with one iteration of ours, which is the same work, and with a whole
+one machine (AMD EPYC, 2 cores, one thread), on solids with the same number of degrees of freedom; `make -C evidence
+bench` does not run it. Where VegaFEM is faster, the ratio is bold. VegaFEM has neither targets nor a rig with the
+inertia of moving bones. Its plain step is therefore compared twice: with one iteration of ours, which is the same work,
+and with a whole
 step, which has all that a bake needs. """
 
 PEAKS = """## The machine
@@ -76,7 +77,8 @@ a blended table holds p + p r + p (p + 1) / 2 coefficients: r⁴ / 8 for large r
   rows.
 
 Whichever takes longer at the machine's peak is the *bound*: bytes at the bandwidth of the cache that they fit in, or
-operations in double precision. A solve adds r³ / 3 operations, blending reads and adds one table a target that acts.
+operations in double precision. A solve adds r³ / 3 operations, and blending reads and adds one table for each target
+that acts.
 """
 
 STEP = """*Rest* is the step without one evaluation and the blend: skin frame, inertia, solve and update, and a second
@@ -85,26 +87,25 @@ evaluation where the step makes one.
 
 RIG = """## Rig: bones and nodes
 
-The weights of three targets at the rig's pose, the skin frame and the inertia of the moving bones in 20 modes: what a
-step costs beside the elastic forces, whatever the material model. As in the MakeHuman body, two fifths of the bones
-carry tissue that the modes move, three per node. {nodes}
+The weights of three targets at the rig's pose, the skin frame and the inertia of the moving bones in 20 modes: this is
+the cost of a step besides the elastic forces, whatever the material model. As in the MakeHuman body, two fifths of the
+bones carry tissue that the modes move, three per node. {nodes}
 """
 
 PIPELINE = """## Pipeline
 
 The MakeHuman body with {bones} bones, {targets} targets and {modes} modes of StVK, {substeps} substeps a frame.
-Milliseconds of the fastest of several bakes; what Blender takes to pose the rig is its own.
+Milliseconds of the fastest of several bakes; the time to pose the rig is Blender's own.
 """
 
 
 CLICK = """## From the click to Live
 
-What a user waits for: *Add Soft Skin*, the build that follows by itself, and *Live* until its first frame, each time in
-a process that has just opened the character. Live begins with a draft of few modes; *whole model* is when it goes on
-with all of them. Seconds of the median of {runs} runs; those of the processor count all cores and the process of the
-mesher. *Stroke*: from the end of a stroke of Firmness to Live. *Bake*: the first one of 250 frames; *rig* is what
-reading the rig takes of it. *Rigify* is the human of its metarig with a face, skinned with automatic
-weights.{before}
+A user waits for *Add Soft Skin*, the build that follows by itself, and *Live* until its first frame. Each run is in a
+process that has just opened the character. Live begins with a draft of few modes; *whole model* is when it goes on with
+all of them. Seconds of the median of {runs} runs; those of the processor count all cores and the process of the mesher.
+*Stroke*: from the end of a stroke of Firmness to Live. *Bake*: the first one of 250 frames; *rig* is the part of it
+that reads the rig. *Rigify* is the human of its metarig with a face, skinned with automatic weights.{before}
 """
 BEFORE = " *Before*: at commit `{}`, in the same run, in turn."
 

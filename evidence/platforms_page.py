@@ -251,9 +251,9 @@ is written by hand.
 - *Imports*: the module loads nothing but what the system and Python bring, and exports nothing but itself; auditwheel
   finds no symbol of the C library that is newer than glibc 2.28.
 - *Golden motion*: the C++ test of that name compares a motion from the basis to the last step with numbers that were
-  stored on x86-64 with gcc; the largest difference by the largest displacement. gcc's own is {golden:.0e}.
-- *Same bake*: `sample_blends/bulging_cylinder.blend` baked in Blender with this wheel and with gcc's engine from
-  one model; the largest difference of a vertex by the largest displacement of one.
+  stored on x86-64 with gcc; the largest difference, divided by the largest displacement. gcc's own is {golden:.0e}.
+- *Same bake*: `sample_blends/bulging_cylinder.blend` baked in Blender with this wheel and with gcc's engine from one
+  model; the largest difference of a vertex, divided by the largest displacement of one.
 - *Compiled again* in another folder, a clone. {again}
 - Windows: no Windows Python runs here, so the module is checked by what it imports and exports, and its engine by the
   C++ tests under Wine. macOS: nothing runs here; the module is checked by what it imports and exports.

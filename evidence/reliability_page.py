@@ -125,7 +125,7 @@ def page(groups: dict[str, dict[str, dict[str, str]]], found: dict[str, Shown]) 
 
 HEADING = "\n## Longer runs\n"
 LONGER_TEXT = """
-Searches for bugs that run for minutes to hours: they break things at random, or one at a time, until something fails.
+These searches for bugs run for minutes to hours. They break things at random, or one at a time, until something fails.
 Each table names the commits at which it was run. A figure in bold under *wrong* or *failures* is a bug that the search
 found at that commit, which is what it is for; what was found is listed below the table.
 """
@@ -139,23 +139,25 @@ whole new one is there, nothing partial is left, the exit code and the message s
 Shown: calls, and in how many cases one failed.""",
     "allocations": """Memory that is refused: `make -C evidence faults`
 
-Each allocation of a call of the engine fails once, in a process of its own. It must be a MemoryError or change nothing,
-and the same objects must serve on. A few are in libraries that end the process there, named in
+Each allocation of a call of the engine fails once, in a process of its own. It must raise a MemoryError or change
+nothing, and the same objects must still work afterward. A few are in libraries that end the process there; they are
+named in
 `tests/engine/test_allocations.py`.""",
     "fuzz": """Random input: `make -C evidence fuzz`
 
-Each is taken, or refused with an error that is expected, soon. What was found is kept and tried first.""",
+Each input is soon accepted, or refused with an expected error. Inputs that once failed are kept and tried first.""",
     "sanitize": """Sanitizers: `make -C evidence sanitize`
 
 gcc's, with Eigen's and the engine's asserts, which a release build leaves out.""",
     "soak": """Random walks: `make -C evidence soak`
 
-Over all that an artist can press and change, with undo, files and the add-on turned off and on, in one process. After
-each step: no bug was reported, no step took over a minute, and no handler, data, thread, open or partial file was left.
+Each walk presses and changes all that an artist can, with undo, files and the add-on turned off and on, in one process.
+After each step: no bug was reported, no step took over a minute, and no handler, data, thread, open or partial file was
+left.
 *Growth*: of the memory, at each new file.""",
     "coverage": """Coverage: `make -C evidence coverage`
 
-What of the sources the tests run.""",
+This is the part of the sources that the tests run.""",
 }
 
 

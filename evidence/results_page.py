@@ -37,15 +37,15 @@ shape follows the pose, the material does not, after Capell et al. 2005), and *D
 Errors compare the skin's displacement before the bones move it, over all vertices and frames: the RMS distance from the
 reference in percent of its RMS displacement, and the largest in percent of its largest. *Total* displacement is from
 the neutral shape; *dynamic* is from the targets' blended shapes, and is the stricter measure. *Fitted* modes are chosen
-from a rehearsal of the shot. *At best* is a lower bound, from the singular values of the full motion: no choice of as
-many modes that contain the targets' shapes has a smaller error.
+from a rehearsal of the shot. *At best* is a lower bound, from the singular values of the full motion: no choice of the
+same number of modes that contain the targets' shapes has a smaller error.
 
 {commit}.
 """
 
-ABOUT_ACCURACY = """How many modes a scene needs. Rows with few modes are there to show where the error begins to fall:
-the scenes themselves use modes that are fitted to the shot, which need far fewer. An error near 100% of the dynamic
-motion says that so few modes miss nearly all of it.
+ABOUT_ACCURACY = """This section shows how many modes a scene needs. Rows with few modes show where the error begins to
+fall: the scenes themselves use modes that are fitted to the shot, which need far fewer. An error near 100% of the
+dynamic motion says that so few modes miss nearly all of it.
 """
 
 
@@ -136,9 +136,9 @@ def table(machine: str, tables: dict[str, dict]) -> list[str]:
         counts = [then[key] for key in ("bones", "dofs", "modes", "targets")]
         rows.append(("thesis", *counts, *(then.get(kind, "") for kind in columns), f"{then['precompute']} s"))
     note = f"""\
-Steps a second *without → with* dynamic morph targets: frames a second at one step a frame, nothing drawn. Without is
-the neutral target alone. Medians over the frames of a bake; {machine}. The thesis measured on a 2.4 GHz Core 2 Duo.
-*Targets* counts the neutral target once; the shoulder's region at the elbow is simulated with one of its own.
+Steps a second *without → with* dynamic morph targets: frames a second at one step a frame, nothing drawn. *Without*
+means only the neutral target. Medians over the frames of a bake; {machine}. The thesis measured on a 2.4 GHz Core 2
+Duo. *Targets* counts the neutral target once; the shoulder's region at the elbow is simulated with one of its own.
 """
     return [grid(head, rows), note, *marginal(tables), *precompute(tables)]
 
@@ -162,10 +162,10 @@ def precompute(tables: dict[str, dict]) -> list[str]:
         for name, found in seconds.items()
     ]  # fmt: skip
     note = """\
-Precompute is of the reduced StVK model with all targets, from the skin to the polynomials, on one core. The scenes fit
-their modes to the shot. *Rehearsal* is what that takes: an unreduced simulation of the shot, or, for the shoulder, the
-polynomials of 40 modes and a simulation in these. [performance.md](performance.md) prints a shorter time for a shoulder
-of this size, because that one begins with the tetrahedra, rehearses nothing and uses all cores.
+Precompute is the time for the reduced StVK model with all targets, from the skin to the polynomials, on one core. The
+scenes fit their modes to the shot. *Rehearsal* is what that takes: an unreduced simulation of the shot, or, for the
+shoulder, the polynomials of 40 modes and a simulation in these. [performance.md](performance.md) prints a shorter time
+for a shoulder of this size, because that one begins with the tetrahedra, rehearses nothing and uses all cores.
 """
     return [grid(("precompute", *stages, "together"), rows), note]
 
@@ -208,10 +208,10 @@ def tell_cylinder(found: dict) -> list[str]:
         f"Flexed, plain skinning loses {-1e6 * lost:.0f} cm³ of the limb's volume; dynamic morph targets gain "
         f"{1e6 * dmt:.0f} cm³.\n",
         grid(head, volumes),
-        "*Give* is how far the skin at rest yields to the same push (the scene's wind), along it; *shaken* how far it "
-        f"leaves its shape, at most. Straight, the limb gives {ratios['DMT full']:.1f} times as far as flexed with "
-        f"dynamic morph targets, {ratios['pose-dependent shape']:.2f} times with a pose-dependent shape; static morphs "
-        "do not answer.\n",
+        "*Give* is how far the skin at rest yields to the same push (the scene's wind), in its direction; "
+        f"*shaken* is the farthest that it leaves its shape. Straight, the limb gives {ratios['DMT full']:.1f} times "
+        f"as far as flexed with dynamic morph targets, {ratios['pose-dependent shape']:.2f} times with a "
+        "pose-dependent shape; static morphs do not react.\n",
         grid(head_give, pushed),
     ]
 
@@ -236,11 +236,12 @@ def tell_shoulder(found: dict) -> list[str]:
         shaken = pair(swing, "relaxed", FLEXED) if swing else ("", "", "")
         chest.append((name, mm(depths[-1]), f"{1000 * grown[name]:+.1f} mm", *shaken))
     return [
-        "Intersecting pairs of triangles that share no vertex, and how deep the deepest vertex lies in another part of "
-        "the skin, at worst on the whole path of each fold. Only one target has a folded elbow; it serves both.\n",
+        "The table counts intersecting pairs of triangles that share no vertex, and gives the depth of the deepest "
+        "vertex in another part of the skin, at worst on the whole path of each fold. Only one target has a folded "
+        "elbow; it serves both folds.\n",
         grid(head, rows),
-        f"From raised to lowered arm the chest changes its depth by {1000 * grown[PLAIN]:+.1f} mm with plain skinning "
-        f"and {1000 * grown['DMT reduced']:+.1f} mm with dynamic morph targets.\n",
+        f"From raised to lowered arm, the depth of the chest changes by {1000 * grown[PLAIN]:+.1f} mm with plain "
+        f"skinning and {1000 * grown['DMT reduced']:+.1f} mm with dynamic morph targets.\n",
         grid(head_chest, chest),
     ]
 
@@ -255,15 +256,16 @@ def tell_herbert(found: dict) -> list[str]:
         rows.append((name, *(mm(end) for span in spans for end in (min(span), max(span)))))
     head_swing = ("the belly under the same shake", UPRIGHT, TUCKED, "ratio")
     return [
-        "This is how far belly and back stand out from where plain skinning has them, frames "
+        "This is how far the belly and the back stand out from where plain skinning puts them, frames "
         f"{found['frames'][tuck][0]} to {found['frames'][tuck][-1]} and {found['frames'][wall][0]} to "
         f"{found['frames'][wall][-1]}.\n",
         grid(head, rows),
-        "Half the way the belly swings about its shape when the body is shaken by the same centimeter at 4 Hz, in the "
-        "first and in the tucked pose.\n",
+        "This is half the distance that the belly swings about its shape when the body is shaken by the same "
+        "centimeter at 4 Hz, in the first and in the tucked pose.\n",
         grid(head_swing, [(name, *pair(swing, UPRIGHT, TUCKED)) for name, swing in found["swing"].items()]),
-        "Vertices of trunk and thighs that are inside each other in the tuck, away from the joint, at most. The scene "
-        "has Self Collision on; all other rows of this page are without it, as the thesis.\n",
+        "This is the largest number of vertices of trunk and thighs that are inside each other in the tuck, "
+        "away from the joint. The scene has Self Collision on; all other rows of this page are without it, as in the "
+        "thesis.\n",
         grid(("", "inside"), [(name, str(count)) for name, count in found["inside"].items()]),
     ]
 

@@ -74,15 +74,15 @@ more of them.
 The largest skinned mesh of each file as it is opened or imported, made a soft skin of about {nodes} nodes, {substeps}
 substeps a frame. Where a file has shape keys some are targets; the others are simulated with a single material.
 
-![Each character as the bones alone have it, and baked, colored by how far the skin has moved]({picture})
+![Each character with plain skinning, and baked, colored by how far the skin has moved]({picture})
 
 {attribution}
 - Sources and licenses: [Attribution](attribution.md).
 
 ### Meshes
 
-The defects that the cage must cope with, counted with vertices at the same place merged. The artist's mesh is not
-changed.
+The table counts the defects that the cage must cope with, after vertices at the same place are merged. The artist's
+mesh is not changed.
 
 {defects}
 ### Cages
