@@ -53,7 +53,8 @@ module: setup
 quick: lint
 	@$(python) tools/run_tests.py --quick
 
-# All tests under each Python in .venv: what a change must pass.
+# All tests under the first Python in .venv, and under the others what
+# depends on Blender: what a change must pass.
 test: build
 	@status=0; $(python) tools/run_tests.py || status=$$?; \
 	echo "make $(MAKECMDGOALS) took $$((($$(date +%s) - $(started) + 30) / 60)) min"; exit $$status

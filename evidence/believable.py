@@ -26,9 +26,9 @@ from pathlib import Path
 from project import ROOT
 
 import numpy as np
-from assets import ASSETS, require
+from assets import ASSETS, attribution, require
 from bench import machine
-from characters import SHOTS, attribution
+from characters import SHOTS
 from contact_sheet import Row, compose, save
 from measured import measured_at
 from performance_page import grid

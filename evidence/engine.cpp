@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// What the parts of the engine cost: `make bench`, whose run.py makes the table of it.
+// What the parts of the engine cost: `make bench`, whose bench.py makes the table of it.
 //
 // One solid throughout: the tetrahedra in the file that the command line names, else a bar of as many degrees of
 // freedom. Its long side lies along x, where a chain of bones swings it; it is pinned where the chain begins. A step is

@@ -8,6 +8,7 @@ python evidence/first_click.py CHARACTER [CHECKOUT]   prints JSON; CHECKOUT: ano
 from __future__ import annotations
 
 import json
+import os
 import resource
 import sys
 import time
@@ -19,7 +20,7 @@ HERE = Path(__file__).resolve().parents[1]
 ROOT = Path(sys.argv[2]).resolve() if len(sys.argv) > 2 else HERE
 sys.path[:0] = [str(ROOT / folder) for folder in ("build/cmake/python", "addon", "tests", "tests/addon", "tools")]
 
-from installed import MODULE, leave  # noqa: E402, I001 - before bpy
+from installed import MODULE  # noqa: E402, I001 - before bpy
 
 import addon_utils  # noqa: E402 - of bpy
 import bpy  # noqa: E402
@@ -154,4 +155,6 @@ def cpu_seconds() -> float:
 
 
 if __name__ == "__main__":
-    leave(main())
+    code = main()
+    sys.stdout.flush()
+    os._exit(code)  # bpy 4.5 may crash as Python ends; an older checkout has no helper for it

@@ -19,9 +19,8 @@ from pathlib import Path
 
 from project import ROOT
 
-from assets import ASSETS
+from assets import ASSETS, attribution
 from bench import machine
-from characters import attribution
 from measured import measured_at
 
 PAGE = ROOT / "docs" / "gallery.md"

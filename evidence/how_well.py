@@ -47,7 +47,7 @@ FIGURES = (
            "{error, Blender 4.5.15}", "Round trips"),
     Figure("A ball pressed into a belly: how deep it shows, of the body's size", "collision",
            "mh chubby 53bones", "{at rest 2} % (below zero: not at all)"),
-    Figure("The same on the worst of seven bodies, a low-poly head", "collision", "Husky", "{at rest 2} %"),
+    Figure("The same on a low-poly head, the Husky's", "collision", "Husky", "{at rest 2} %"),
     Figure("A body that folds up: points inside it, without and with Self Collision", "collision",
            "mh chubby 53bones, Full", "{inside, without / with}"),
     Figure("From the click to Live, 13,000 vertices", "performance", "from the click to Live, MakeHuman",
@@ -67,8 +67,8 @@ Each loop is in the [gallery](gallery.md), with its file and its recipe.
 
 ## In numbers
 
-These are from the [measurements](measurements.md), on a machine with two cores. Those pages say how each was measured,
-and name every goal that is missed and every character that fails. With the defaults,
+These are from the [measurements](measurements.md). Those pages say how and on which machine each was measured, and
+name every goal that is missed and every character that fails. With the defaults,
 {believable}. [What it cannot do](limitations.md) lists what no figure shows.
 
 {figures}

@@ -23,7 +23,7 @@ ADDON = ("addon/dynamic_morph_targets", *(f":!addon/dynamic_morph_targets/{name}
 # What each generated page is made from, as git's path specifications.
 PAGES = {
     "results.md": (*ENGINE, *ADDON, "sample_blends", "evidence/results.py", "evidence/claims.py",
-                   "evidence/subjects.py"),
+                   "evidence/plots.py", "evidence/results_page.py", "evidence/subjects.py"),
     "performance.md": (*ENGINE, *ADDON, "evidence/engine.cpp", "evidence/test_pipeline.py", "evidence/first_click.py"),
     "robustness.md": (*ENGINE, *ADDON, "evidence/robustness_page.py", "tests/addon/characters.py"),
     "bakes.md": (*ENGINE, *ADDON, "evidence/bakes.py", "evidence/walks.py"),
@@ -39,7 +39,7 @@ PAGES = {
     "how_long.md": (*ENGINE, *ADDON, "evidence/how_long.py", "sample_blends/herbert.blend"),
     "comparison.md": (*ENGINE, *ADDON, "evidence/comparison.py", "evidence/collision_press.py",
                       "sample_blends/bulging_cylinder.blend"),
-    "gallery.md": (*ENGINE, *ADDON, "evidence/gallery_loop.py", "sample_blends"),
+    "gallery.md": (*ENGINE, *ADDON, "evidence/gallery_loop.py", "evidence/subjects.py", "sample_blends"),
     "evidence/coverage.md": ("cpp", "addon/dynamic_morph_targets", "tests/engine", "tests/addon", "tests/cpp",
                     "evidence/coverage_page.py"),
     "farm.md": ("addon/dynamic_morph_targets/cli", "addon/dynamic_morph_targets/io/cache_dir.py", "examples/farm",
@@ -54,6 +54,7 @@ PAGES |= {
         *ENGINE,
         *ADDON,
         "evidence/recipes",
+        "evidence/recipes_book.py",
         "sample_blends/*.blend",
         "sample_blends/stage.py",
     )

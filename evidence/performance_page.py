@@ -9,8 +9,8 @@ from collections.abc import Iterable, Sequence
 
 from project import ROOT
 
+import bench
 import plots
-import run
 import table
 
 REPORT = ROOT / "build" / "reports" / "bench.json"
@@ -30,7 +30,7 @@ STAGES = {
 
 OPENING = """# Performance
 
-This page is for programmers: it gives the cost of each part of the engine and of the pipeline. For the time that a
+This page is for developers: it gives the cost of each part of the engine and of the pipeline. For the time that a
 character takes an artist, and the settings that change it, see [How long](how_long.md). `make -C evidence bench`
 measures; `make -C evidence bench-docs` writes this page and its plots from `build/reports/bench.json`. Only the goals
 and the comparison with VegaFEM are written by hand; they are in `evidence/table.py`.
@@ -124,7 +124,7 @@ def main() -> int:
     draw_rig(engine)
     if clicks := measured.get("clicks"):
         before = BEFORE.format(measured["before"]) if measured["before"] else ""
-        page += [CLICK.format(runs=run.CLICKS, before=before), waits(clicks, bool(before))]
+        page += [CLICK.format(runs=bench.CLICKS, before=before), waits(clicks, bool(before))]
         page += [f"![Stages from the click to Live]({IMAGES}/click.svg)\n"]
         draw_clicks(clicks)
     if pipeline:

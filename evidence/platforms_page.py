@@ -44,6 +44,7 @@ BLENDERS = {"3.11": "4.5", "3.13": "5.2", "3.14": "Debian's 5.2"}
 BAKE = """
 import os, sys
 engine, addon, source, path = sys.argv[1:]
+sys.path[:0] = [engine, addon]
 import bpy, dynamorph, numpy as np
 import dynamic_morph_targets
 assert dynamorph.__file__.startswith(engine), dynamorph.__file__

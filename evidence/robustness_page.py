@@ -21,7 +21,7 @@ import dynamorph
 import heat
 import numpy as np
 import test_defects
-from assets import require
+from assets import attribution, require
 from contact_sheet import Row, compose, quiet, render, save
 from dynamic_morph_targets.core.geometry import diagonal
 from dynamic_morph_targets.core.material.feel import FEELS
@@ -151,7 +151,7 @@ def write_page() -> None:
         nodes=characters.NODES,
         substeps=characters.SUBSTEPS,
         picture=PICTURE,
-        attribution=characters.attribution(shot.file for shot in characters.SHOTS.values()),
+        attribution=attribution(shot.file for shot in characters.SHOTS.values()),
         defects=grid(("", "vertices", "faces", *DEFECTS), defects),
         cages=grid(("", "nodes", "tetrahedra", "smallest dihedral angle", "under 5°", "inside", "glued",
                     "pinned loose parts"), cages),

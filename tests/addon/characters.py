@@ -9,19 +9,6 @@ import bpy
 import numpy as np
 from assets import ASSETS
 
-BY = "[CC BY 4.0](https://creativecommons.org/licenses/by/4.0/)"
-CREDITS = {  # for the captions of their pictures, as their licenses ask
-    "CesiumMan_notexture.glb": f"*Cesium Man*, © 2017 Cesium, {BY}; its textures, which carry a trademark, are "
-    "removed.",
-    "Fox.glb": f"*Fox*: mesh by PixelMannen, CC0; rig and animation by @tomkranis, {BY}; conversion to glTF by "
-    f"@AsoboStudio and @scurest, {BY}.",
-    "KayKit_": "*KayKit* characters by Kay Lousberg (kaylousberg.com), CC0.",
-    "mh_": "Bodies derived from the MakeHuman project (makehumancommunity.org), CC0. Some of their clips use data "
-    "obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217.",
-    "RobotExpressive.glb": "*RobotExpressive* by Tomás Laulhé (Quaternius) with modifications by Don McCurdy, CC0.",
-}
-OTHERS = "by Quaternius (quaternius.com), CC0, or by this project."
-CHANGED = "The pictures show them as simulated and rendered here."
 NODES, SUBSTEPS = 800, 2  # nodes of the cage, and steps per frame: enough to see what goes wrong, and quick
 
 
@@ -110,14 +97,6 @@ def armature_of(obj):
     """The armature object that skins a mesh object, or None."""
     rigs = [modifier.object for modifier in obj.modifiers if modifier.type == "ARMATURE" and modifier.object]
     return rigs[0] if rigs else None
-
-
-def attribution(files) -> str:
-    """Who made these files, as a list in Markdown; files: their names."""
-    names = list(files)
-    lines = [text for begin, text in CREDITS.items() if any(name.startswith(begin) for name in names)]
-    others = f"All others {OTHERS}" if lines else f"All {OTHERS}"
-    return "\n".join(f"- {text}" for text in (*lines, others, CHANGED))
 
 
 def play(rig, action):

@@ -19,7 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = Path(__file__).with_suffix(".json")
 SETS = ("baseline", "avx2", "avx512")
-sys.path.append(str(ROOT / "tools"))
+sys.path += [str(ROOT / "tools"), str(ROOT / "evidence")]
 
 import measured  # noqa: E402
 import version  # noqa: E402

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is in farm/: the job template, how Slurm runs one of its tasks, the job type for Flamenco.
+"""What is in examples/farm/: the job template, how Slurm runs one of its tasks, the job type for Flamenco.
 
 `make -C evidence farm-demo` runs the first two on a real Slurm. Here, stand-ins for the schedulers record how they are
 called."""

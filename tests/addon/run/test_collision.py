@@ -523,14 +523,12 @@ def is_split(shape):
 @pytest.mark.fault("X07")
 @pytest.mark.parametrize("change", [faces_inward, has_a_hole, is_half_open, has_fins, faces_both_ways, is_split])
 def test_a_faulty_mesh_stops_the_skin_like_a_clean_one(arm, ball, change):
-    """In Reduced Quality: both find the same contacts."""
     shape = bmesh.new()
     shape.from_mesh(ball.data)
     change(shape)
     shape.to_mesh(ball.data)
     shape.free()
     press_slowly(ball)
-    arm.dynamorph.collision.bake_full = False
     bake(arm)
     assert max(depths(shown(arm))) < 0.002 * SIZE
 

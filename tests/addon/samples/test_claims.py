@@ -58,7 +58,7 @@ def folding(addon):
 
 @pytest.mark.parametrize("way", claims.FOLDS)
 def test_the_elbow_folds_both_ways_without_running_into_itself(folding, way):
-    """On the whole path; plain skinning and a single material do in its deepest fold."""
+    """All along the path, at every second frame; plain skinning and a single material do in its deepest fold."""
     shot, runs = folding
     frames = claims.FOLDS[way][::2]
     assert max(claims.path(shot, DMT, runs[DMT], frames)["pairs"]) == 0
