@@ -21,12 +21,7 @@ import characters
 import numpy as np
 from assets import require
 from believable_bake import aim, belongs, click, render, seen
-from believable_measure import (
-    baked_keys,
-    displacement,
-    rest,
-    show,
-)
+from believable_measure import baked_keys, displacement, rest, show
 from contact_sheet import Row, compose, quiet, save
 from dynamic_morph_targets.core.geometry import diagonal
 from dynamic_morph_targets.core.material.feel import FEELS
