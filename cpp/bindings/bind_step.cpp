@@ -23,8 +23,8 @@ void balance_targets_in(InTurn<Stepper>& stepper, const FloatArray& bones) {
 }
 
 /// What a state remembers of contact, as numbers: how many planes and colliders there are, then the planes (sample,
-/// collider, point, normal), whether each collider acted, and the pressures (sample, collider, normal, force). Empty
-/// when there is nothing.
+/// collider, point, normal), whether each collider acted, and the pressures (sample, collider, normal, force, slip).
+/// Empty when there is nothing.
 VectorXd contact_numbers(const State& state) {
   std::vector<double> out;
   const auto add = [&](const Vector3d& v) { out.insert(out.end(), v.data(), v.data() + 3); };
@@ -40,6 +40,7 @@ VectorXd contact_numbers(const State& state) {
     out.insert(out.end(), {double(pressure.sample), double(pressure.collider)});
     add(pressure.normal);
     out.push_back(pressure.force);
+    add(pressure.slip);
   }
   return Eigen::Map<const VectorXd>(out.data(), Eigen::Index(out.size()));
 }
@@ -71,10 +72,11 @@ void read_contact(const VectorXd& numbers, State& state) {
   }
   for (int k = 0; k < colliders; ++k) state.contact.active.push_back(whole() != 0);
   while (at < numbers.size()) {
-    const int sample = whole(), collider = whole(kSkin);
+    const int sample = whole(), collider = whole(kOtherSkin);
     const Vector3d normal = vector();
     fits(at < numbers.size());
-    state.pressures.push_back({sample, collider, normal, numbers(at++)});
+    const double force = numbers(at++);
+    state.pressures.push_back({sample, collider, normal, force, vector()});
   }
 }
 

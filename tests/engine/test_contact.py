@@ -50,10 +50,10 @@ def touching(nodes, tets, pinned, young=3e4, poisson=0.4, where=True, thickness=
     return s
 
 
-def block(cells=(4, 4, 2)):
+def block(cells=(4, 4, 2), **material):
     """A free block of 0.3 x 0.3 x 0.15 m, its lower face at z = 0."""
     nodes, tets = bar(cells, (0.3, 0.3, 0.15))
-    return touching(nodes - [0.15, 0.15, 0.0], tets, np.zeros(len(nodes), bool))
+    return touching(nodes - [0.15, 0.15, 0.0], tets, np.zeros(len(nodes), bool), **material)
 
 
 def simulated(made, distance=0.0, **options):
@@ -130,18 +130,18 @@ def test_without_friction_it_lies_still_to_the_last_digits_and_with_a_distance_i
     assert penetration == 0
 
 
-@pytest.mark.parametrize("degrees", [24, 28, 35])
+@pytest.mark.parametrize("degrees", [20, 24, 28, 35])
 def test_a_block_on_an_incline_sticks_or_slides_as_coulomb_says(floor, degrees):
     """With a friction of 0.5 it sticks up to 26.6 degrees; steeper, it slides with g (sin - 0.5 cos)."""
-    made, angle = block(), np.radians(degrees)
+    made, angle = block(damping=0.02), np.radians(degrees)
     simulation = simulated(made, gravity=(GRAVITY * np.sin(angle), 0, -GRAVITY * np.cos(angle)))
     way = []
-    for _ in range(round(1 / H)):
+    for _ in range(round((1 if degrees > 26 else 2) / H)):
         assert step(simulation, floor, [placed(0, 0, 0)] * 2)["converged"]
         way.append(made.model.displacement(simulation.coordinates)[:, 0].mean())
     speed = np.diff(way) / H
     if degrees < 26:
-        assert abs(speed[-1]) < 0.002 * made.size
+        assert abs(speed[-24:]).max() < 2e-5 * made.size  # it does not creep either
     else:
         slope = np.polyfit(H * np.arange(48), speed[-48:], 1)[0]
         assert slope == pytest.approx(GRAVITY * (np.sin(angle) - 0.5 * np.cos(angle)), rel=0.02)
@@ -343,6 +343,45 @@ def test_local_responses_make_a_dent(belly, few):
     assert pressing < 1.7 * force
     step(patches, collider, [placed(0.6, 0, 0)] * 2)
     assert not patches.dents.any()  # they have no past
+
+
+@pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
+def test_how_far_a_search_looks_changes_nothing(belly, few, solver):
+    """With a hand that holds nothing it looks four times as far from the skin."""
+    kind = "Full" if solver == "FULL" else "Reduced"
+    model, local = (belly.model, {}) if solver == "FULL" else (few.model, {"local": few.local})
+    rest, weights = belly.samples["rest"], belly.samples["weights"]
+    skin = getattr(dynamorph, f"{kind}Skin")(model, rest, belly.samples["embedding"], weights)
+    collider, found = ball(0.05), []
+    for searches in (False, True):
+        simulation = getattr(dynamorph, f"{kind}Simulation")(model, H)
+        simulation.set_contact(getattr(dynamorph, f"{kind}Contact")(model, **belly.samples, **local), 0.001)
+        simulation.set_skin(skin)
+        simulation.start(STILL, STILL, ONE)
+        places = [pressed(depth) for depth in np.linspace(-0.004, 0.02, 12)]
+        for pair in itertools.pairwise(places):
+            grabs = dynamorph.Grabs([0], rest[None, :1], [0.0]) if searches else None
+            moving = dynamorph.ColliderMotion(collider, np.array(pair), 0.3)
+            simulation.advance(STILL[None], np.ones((1, 1)), colliders=[moving], grabs=grabs)
+        found.append((simulation.coordinates, simulation.dents))
+    for narrow, wide in zip(*found, strict=True):
+        assert len(narrow) == 0 or np.abs(narrow).max() > 0
+        np.testing.assert_allclose(wide, narrow, rtol=0, atol=1e-9 * np.abs(narrow).max(initial=1e-300))
+
+
+def test_patches_are_the_same_at_any_size(belly, few):
+    """Where most places are centers, and places lie as near to one of them as to another."""
+    rest, tenth = belly.samples["rest"].round(3), len(belly.samples["rest"]) // 10
+    core = np.linalg.norm(belly.nodes / [0.25, 0.2, 0.4], axis=1) < 0.45
+    for centers in (range(7 * tenth), range(len(rest))):
+        both = []
+        for scale in (1.0, 0.02):
+            made = touching(scale * belly.nodes, belly.tets, core, 8e4 * scale**2)  # of the same frequencies
+            places = scale * rest, belly.samples["normals"], belly.samples["embedding"]
+            local = dynamorph.LocalResponses(made.model, few.basis, *places, list(centers))
+            both.append((local.stiffness, scale**1.5 * local.shapes))
+        for whole, small in zip(*both, strict=True):
+            np.testing.assert_allclose(small, whole, rtol=0, atol=1e-6 * np.abs(whole).max())
 
 
 def test_a_state_with_dents_resumes_to_the_last_bit(belly, few):

@@ -96,6 +96,22 @@ def test_it_does_not_depend_on_the_order(solver):
         assert np.abs(one - other).max() < 1e-5 * np.abs(one).max()
 
 
+@pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
+def test_what_friction_holds_does_not_creep(solver):
+    """The upper block lies on the lower one, is pushed aside, and stays."""
+    lower, upper = block(solver, False, held=True), block(solver, True, held=True)
+    simulations = [simulation_of(s) for s in (lower, upper)]
+    coupling = lower.kind["Coupling"]([(made, s.skin) for made, s in zip(simulations, (lower, upper), strict=True)], 0.5)
+    ways = []
+    for k in range(300):  # the material's own creep dies out
+        now = posed((GAP + 0.02) * min(1.0, k / 20), 0.004 * min(1.0, max(0.0, k / 20 - 1)))
+        coupling.advance([motion(posed()), motion(now)])
+        ways.append(upper.model.displacement(simulations[1].coordinates)[upper.facing, 0].mean())
+    assert ways[-1] < -0.001  # it is held behind
+    creep = abs(ways[-1] - ways[-25]) / (24 * H)
+    assert creep < 2e-5 * upper.body.size
+
+
 def test_two_bodies_are_as_two_parts_of_one():
     """The same blocks as one mesh that touches itself, which is solved by another way through the engine."""
     law, overlap = dynamorph.MaterialModel.STABLE_STVK, 0.02

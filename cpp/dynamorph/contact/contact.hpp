@@ -9,6 +9,8 @@ namespace dynamorph {
 
 /// In place of a collider's number: skin, of the same body or of another one.
 constexpr int kSkin = -1;
+/// The same in a body's state: skin of another one.
+constexpr int kOtherSkin = -2;
 
 /// Samples of the skin on the other side of a contact.
 struct OtherSide {
@@ -27,6 +29,7 @@ struct Contact {
   Vector3d motion;     ///< of the collider's surface there over the step, meters
   double weight;       ///< in [0, 1]: 0 where the bones themselves leave no room
   double too_deep;     ///< how much deeper the bones take the sample in than it can give way, meters; <= 0: not
+  double gap;          ///< the least at the beginning of the step and where the sample is predicted at its end, meters
   OtherSide others{};  ///< of kSkin
   bool alone = false;  ///< of kSkin: the other side has no contacts of its own with this one
 

@@ -9,7 +9,7 @@
 // So what is left of a dent that the surface makes is about 1/30 at every mesh size, stiffness and step without a
 // setting for it, and what is held firmly is pushed firmly. K is the model's own: a reduced model is stiffer at a
 // point. Its few coordinates can move firm skin only by moving other skin far: where that would move any other sample
-// more than twice as far as the pushed one they take no part in contact, and all of it from 1.1 times as far on.
+// 1.7 times as far as the pushed one they take no part in contact, and all of it from 1.5 times as far on.
 // Without the local responses of patches (local_responses.hpp) such a sample is not pushed; with them they give way
 // there alone, C_p is the compliance of both, and the samples of a patch push as much as ten together, however many
 // they are.

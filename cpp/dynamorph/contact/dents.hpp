@@ -1,22 +1,14 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Local responses (local_responses.hpp) in a step. The contacts i have the depth d_i where the model's coordinates
-// alone put them, and the stiffness k_i. What gives way has no mass and no past, so it is always at rest:
+// Local responses (local_responses.hpp) in a step. What gives way has no mass and no past: its amplitudes a are unknowns
+// of the step beside the model's coordinates, with the energy
 //
-//   E = min_a  sum_i k_i ramp(d_i - rho_i a) + a^T C a / 2 + sum_m 1000 C_mm ramp(|a_m| - A_m)
+//   E = a^T C a / 2 + sum_m 1000 C_mm ramp(|a_m| - A_m),
 //
 // where A_m is the amplitude at which a patch moves some skin 1.5 times as far as the deepest contact is deep. Samples
-// that a patch is too coarse for would ask for more, and throw skin about.
-//
-// is a function of the depths alone. Its derivative in d_i is the force k_i ramp'(d_i - rho_i a), and its Hessian in
-// them is that of the springs D = diag(k_i ramp'') and of what gives way beneath them, in series:
-//
-//   S = (D^-1 + rho C^-1 rho^T)^-1,
-//
-// over those that are pressed, with the slope of the last term in C. With C = L L^T, this works with b = L^T a and the
-// rows rho L^-T, whose C is one.
+// that a patch is too coarse for would ask for more, and throw skin about. A contact i is moved by rho_i a along its
+// normal. With C = L L^T and c the mean of its diagonal, the unknowns are b = L^T a / sqrt(c): all have the stiffness c.
 #pragma once
 
-#include <Eigen/Cholesky>
 #include <vector>
 
 #include "dynamorph/core/types.hpp"
@@ -26,35 +18,37 @@ namespace dynamorph {
 /// The patches that take part in a step, m of them, and n contacts.
 class Dents {
  public:
-  void clear() { patches_.clear(); }
+  void clear();
   bool empty() const { return patches_.empty(); }
 
-  /// rho (n, m), C (m, m), A (m) > 0. They begin flat.
-  void begin(std::vector<int> patches, const MatrixXd& rows, const MatrixXd& stiffness, VectorXd most);
+  /// rho (n, m), C (m, m), A (m) > 0. They begin where these pressures (n), newtons, hold them: those of the step before.
+  void begin(std::vector<int> patches, const MatrixXd& rows, const MatrixXd& stiffness, VectorXd most,
+             const VectorXd& pressures);
 
-  /// Finds a for contacts of these depths (n), meters, and stiffness (n), N/m; width of the ramp, meters.
-  void settle(const VectorXd& depths, const VectorXd& stiffness, double width);
-  double energy() const { return energy_; }             ///< of what gives way alone, J
-  const VectorXd& given_way() const { return given_; }  ///< rho a (n), meters
-
-  /// Turns rows of contacts (k, dofs) with the stiffness D (k) > 0 into rows with a stiffness of one each, whose
-  /// squares sum to those of S. contacts (k): which ones.
-  void soften(const std::vector<int>& contacts, Eigen::Ref<RowMajor> rows, Eigen::Ref<VectorXd> stiffness) const;
+  /// Moves the unknowns to b (m).
+  void at(const Eigen::Ref<const VectorXd>& b);
+  const VectorXd& unknowns() const { return b_; }        ///< b (m)
+  const VectorXd& given_way() const { return given_; }   ///< rho a (n), meters
+  double energy() const { return energy_; }              ///< E, J
+  const VectorXd& resisting() const { return force_; }   ///< dE/db (m)
+  const RowMajor& rows() const { return rows_; }         ///< of the contacts over b (n, m)
+  double stiffness() const { return stiffness_; }        ///< c
+  /// Calls f(row over b, stiffness > 0) for each patch that has gone beyond A.
+  template <class F>
+  void each_hard(F&& f) const {
+    for (Eigen::Index m = 0; m < a_.size(); ++m)
+      if (hard_slope_(m) > 0) f(back_.row(m), hard_slope_(m));
+  }
 
   /// Sets the amplitudes of all patches.
   void amplitudes(VectorXd& all) const;
 
  private:
-  double evaluate(const VectorXd& depths, const VectorXd& stiffness, double width);
-  /// Of what gives way, over b: one, and more where patches harden.
-  MatrixXd own_stiffness() const;
-
   std::vector<int> patches_;
   VectorXd most_, hardness_;
-  MatrixXd back_;  ///< L^-T
-  RowMajor rows_;  ///< rho L^-T
-  VectorXd b_, a_, given_, force_, slope_, hard_force_, hard_slope_;
-  double energy_ = 0;
+  RowMajor back_, rows_;  ///< of a and of the contacts over b
+  double stiffness_ = 1, energy_ = 0;
+  VectorXd b_, a_, given_, force_, hard_force_, hard_slope_;
 };
 
 }  // namespace dynamorph

@@ -421,15 +421,16 @@ void ContactFinder::touch(const Collider& collider, int number, const Posed& pos
         if (last) depth = std::max(depth, sample.normal.dot(unmoved - last.point));
       }
       const double fade = (depth / thickness - kFadeBegins) / (kFadeEnds - kFadeBegins);
-      const double push =
-          std::min(found.normal.dot(found.at.point - sample.to), found.normal.dot(found.at.point - was));
-      const Vector3d point = found.at.point - std::max(0.0, push - found.most) * found.normal;
+      const double at_first = found.normal.dot(was - found.at.point);
+      const double at_last = found.normal.dot(sample.to - found.at.point);
+      const Vector3d point = found.at.point - std::max(0.0, -std::max(at_first, at_last) - found.most) * found.normal;
       const bool still = posed.begin == posed.end;
       const Vector3d came = posed.from_begin.to_world(still ? found.at.point : collider.at(*posed.begin, found.at));
       const Vector3d gets = posed.from_end.to_world(still ? found.at.point : collider.at(*posed.end, found.at));
       contacts.push_back({p, number, posed.from_end.to_world(point), (posed.from_end.turn * found.normal).normalized(),
                           before, jumps || !posed.came ? Vector3d(Vector3d::Zero()) : Vector3d(gets - came),
-                          1 - smooth_step(fade), std::min(depth, found.depth) - kFadeBegins * thickness});
+                          1 - smooth_step(fade), std::min(depth, found.depth) - kFadeBegins * thickness,
+                          std::min(at_first, at_last)});
     }
   }
 }

@@ -21,7 +21,7 @@
 namespace dynamorph {
 
 /// How much a push may do that moves its own place by `own` and something else by `farthest`: nothing where that is
-/// more than twice as far, and all from 1.1 times as far on.
+/// 1.7 times as far, and all from 1.5 times as far on.
 double stays_local(double own, double farthest);
 
 /// How unlike two points of a skin are, m^2: the square of their distance, and more for other unit normals. A right
@@ -58,7 +58,7 @@ class LocalResponses {
  private:
   /// How unlike a point is to a patch's center, meters.
   double unlike(int patch, const Vector3d& rest, const Vector3d& normal) const;
-  double reach_of(const SkinPlaces& places) const;
+  double reach_of(const SkinPlaces& places, const std::vector<int>& centers) const;
   RowMajor weights_of(const SkinPlaces& places) const;  ///< (L, P)
   /// Scales R and C. volume (free): of the nodes; compliance (P): of what is below the patches.
   void normalize(const VectorXd& volume, const VectorXd& compliance, MatrixXd& R);

@@ -408,7 +408,7 @@ void SelfContact<Model>::touch(const Body& body, int point, const Body& other, c
                                const OtherSide& others, const std::pair<int, int>& parts, std::vector<Found>& found) {
   const Vector3d& normal = nearest.normal;
   const int sample = body.first_sample + body.of.body_.points[std::size_t(point)];
-  Contact contact{sample, kSkin, {}, normal, {}, {}, 1, 0, others};
+  Contact contact{sample, kSkin, {}, normal, {}, {}, 1, 0, 0, others};
   // Of all samples of both sides: their places, the first with the tissue where it was, and where it is predicted.
   Vector3d unmoved = Vector3d::Zero(), kept = unmoved, predicted = unmoved, before = unmoved;
   Matrix3d turned_before = Matrix3d::Zero(), turned = turned_before;
@@ -434,7 +434,8 @@ void SelfContact<Model>::touch(const Body& body, int point, const Body& other, c
   if (!(room > 0)) return;  // neither side gives way
   const double at_first = nearest.gap + normal.dot(kept - unmoved);
   const double at_last = nearest.gap + normal.dot(predicted - unmoved);
-  if (std::min(at_first, at_last) > body.skin.near) return;
+  contact.gap = std::min(at_first, at_last);
+  if (contact.gap > body.skin.near) return;
   // What is deep already comes out slowly.
   const double push = -std::max(at_first, at_last), most = kEach * body.of.samples_->model().body().size;
   contact.point = unmoved - (nearest.gap + std::max(0.0, push - most)) * normal;

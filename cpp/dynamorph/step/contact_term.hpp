@@ -2,19 +2,23 @@
 // The term of contact in a step's potential. Each contact is a plane for the length of the step, with the gap g and the
 // slip t, which are linear in the coordinates q:
 //
-//   g = n . (x_p(q) - point),     t = (I - n n^T) (x_p(q) - x_p(before) - motion),
+//   g = n . (x_p(q) - point),     t = (I - n n^T) (x_p(q) - x_p(before) - motion + t'),
 //   E = s k ramp(distance - g) + mu lambda F(|t|),
 //
 // x_p is the place of a sample, less that of the other side where skin touches skin (self_contact.hpp). Here s is the
 // contact's weight, k the sample's stiffness (contact_samples.hpp), ramp and F are of contact_law.hpp, mu is the
-// friction, and lambda the pressure in the round before. With local responses the skin gives way beneath the contacts,
-// by rho a along their normals (dents.hpp), and the coordinates take a part of the push alone: then n . x_p in g is
-// that of the targets' shape, plus `taken` times what q moves it by, plus rho a. Friction has no potential of its own:
-// with lambda of the round before it has one, and each step takes two rounds. The first one has the pressures of the
-// step before.
+// friction, and lambda the pressure in the round before. t' is the slip of the step before, as far as friction gives way
+// before it holds: what sticks is held where it stuck, and does not creep. With local responses the skin gives way
+// beneath the contacts, by rho a along their normals, with the energy of dents.hpp, and the coordinates take a part of
+// the push alone: then n . x_p in g is that of the targets' shape, plus `taken` times what q moves it by, plus rho a.
+// The patches that give way are those of the samples that are nearer than `giving`: what else a search finds does not
+// change how soft the skin is.
+// Friction has no potential of its own: with lambda of the round before it has one, and each step takes two rounds. The
+// first one has the pressures of the step before.
 #pragma once
 
 #include <algorithm>
+#include <map>
 #include <utility>
 #include <vector>
 
@@ -26,11 +30,12 @@
 
 namespace dynamorph {
 
-/// How firmly a sample presses on a collider.
+/// How a sample presses on a collider.
 struct Pressure {
   int sample, collider;
   Vector3d normal;  ///< unit, out of the collider, world space
   double force;     ///< newtons
+  Vector3d slip;    ///< from where friction holds the sample, at most as far as it gives way there, world space, meters
 };
 
 /// The same for all contacts of a step. It owns nothing.
@@ -41,6 +46,7 @@ struct ContactStep {
   double distance;                      ///< at which samples begin to be pushed, meters
   double width;                         ///< over which the push grows to its full stiffness, meters
   double sticks;                        ///< slip below which friction holds, meters
+  double giving;                        ///< gap of a contact up to which the skin's patches there give way, meters
 };
 
 namespace contact_rows {
@@ -80,14 +86,8 @@ inline void make(const SparseRows& J, const std::vector<Sum>& sums, SparseRows& 
   out.parts.finalize();
 }
 
-// An unreduced model gives way where it is pressed.
 inline void scale(RowMajor& J, int row, double factor) { J.row(row) *= factor; }
 inline void scale(SparseRows&, int, double) {}
-inline void soften(const Dents& dents, const std::vector<int>& contacts, DensePoints& points) {
-  const Eigen::Index count = Eigen::Index(contacts.size());
-  dents.soften(contacts, points.rows.topRows(count), points.stiffness.head(count));
-}
-inline void soften(const Dents&, const std::vector<int>&, SparsePoints&) {}
 
 }  // namespace contact_rows
 
@@ -115,12 +115,15 @@ struct PosedSamples {
 template <class Model, class Samples = PosedSamples<Model>>
 struct ContactTerm {
   using Points = PointStiffness<typename Model::Matrix>;
+  /// Whether the skin may give way by patches: an unreduced model does so by itself.
+  static constexpr bool kGivesWay = std::is_same_v<Points, DensePoints>;
 
   /// Nothing touches anything.
   void clear() {
     touching_.clear();
     dents_.clear();
     points_.stiffness.resize(0);
+    if constexpr (kGivesWay) points_.own_rows.resize(0, 0);
   }
 
   /// contacts: by collider, and those of a collider by sample. pressures: of the step before, likewise.
@@ -149,18 +152,13 @@ struct ContactTerm {
         numbers_.add_row();
         contact.each_sample([&](int sample, double part) { samples.add(sample, part * direction, numbers_); });
       };
-      touching_.push_back({contact,
-                           numbers_.size(),
-                           stiffness,
-                           stiffness * far,
-                           friction,
-                           friction * force_of(pressures, contact),
-                           {},
-                           {}});
+      const Pressure last = pressure_of(pressures, contact);
+      touching_.push_back(
+          {contact, numbers_.size(), stiffness, stiffness * far, friction, last.force, friction * last.force, {}, {}});
       add(contact.normal, contact.point + step.distance * contact.normal);
       if (!(friction > 0)) continue;
       const Vector3d across = contact.normal.unitOrthogonal();
-      const Vector3d from = contact.before + contact.motion;
+      const Vector3d from = contact.before + contact.motion - last.slip;
       add(across, from);
       add(contact.normal.cross(across), from);
     }
@@ -168,8 +166,11 @@ struct ContactTerm {
     if (touching_.empty()) return;
     samples.rows(numbers_, scratch_, rows_);
     if constexpr (std::is_same_v<Samples, PosedSamples<Model>>)
-      if (samples.of.local()) begin_dents(samples.of, samples.weights);
+      if (samples.of.local()) begin_dents(samples.of, samples.weights, step.giving);
   }
+
+  /// The unknowns of the patches, which follow the coordinates.
+  const VectorXd& unknowns() const { return dents_.unknowns(); }
 
   /// Samples that are pushed, where it is.
   int count() const {
@@ -193,14 +194,19 @@ struct ContactTerm {
     for (Touch& touch : touching_) touch.slip_force.begin();
   }
 
-  void at(const VectorXd& q) {
-    gradient_.setZero(q.size());
-    value_ = magnitude_ = 0;
-    length_ = q.norm();
+  void at(const VectorXd& x) {
+    gradient_.setZero(x.size());
+    value_ = magnitude_ = pushing_ = 0;
+    length_ = x.norm();
     if (touching_.empty()) return;
-    multiply(rows_, q, values_);
+    multiply(rows_, x, values_);
     values_ += offsets_;
-    if (!dents_.empty()) give_way();
+    if (!dents_.empty()) {
+      dents_.at(x.tail(unknowns().size()));
+      value_ = dents_.energy();
+      for (std::size_t i = 0; i < touching_.size(); ++i)
+        values_(touching_[i].row) += dents_.given_way()(Eigen::Index(i));
+    }
     forces_.setZero(values_.size());
     for (Touch& touch : touching_) {
       touch.normal = contact_ramp(-values_(touch.row), width_);
@@ -214,25 +220,23 @@ struct ContactTerm {
       forces_.segment<2>(touch.row + 1) = touch.held / friction.compliance * slip;
     }
     add_transposed_product(rows_, forces_, gradient_);
+    pushing_ = gradient_.norm();
+    if (!dents_.empty()) push_patches();
   }
   double value() const { return value_; }
   const VectorXd& gradient() const { return gradient_; }
 
-  /// Along the normals, and along and across the slips.
+  /// Along the normals, of the patches that give way no further, and along and across the slips.
   const Points& hessian() {
     sums_.clear();
     stiffness_.clear();
-    pressed_.clear();
     const auto add = [&](double stiffness, const contact_rows::Sum& sum) {
       if (!(stiffness > 0)) return;
       stiffness_.push_back(stiffness);
       sums_.push_back(sum);
     };
-    for (std::size_t i = 0; i < touching_.size(); ++i) {
-      const Touch& touch = touching_[i];
-      if (touch.normal.stiffness > 0) pressed_.push_back(int(i));
-      add(touch.stiffness * touch.normal.stiffness, {touch.row, 1, 0});
-    }
+    for (const Touch& touch : touching_) add(touch.stiffness * touch.normal.stiffness, {touch.row, 1, 0});
+    if constexpr (kGivesWay) add_patches(add);
     for (Touch& touch : touching_) {
       if (!(touch.held > 0)) continue;
       const auto& [along, stiffness, across] = touch.slip_force.follow(values_.segment<2>(touch.row + 1), sticks_);
@@ -241,17 +245,17 @@ struct ContactTerm {
     }
     points_.stiffness = Eigen::Map<const VectorXd>(stiffness_.data(), Eigen::Index(stiffness_.size()));
     if (!stiffness_.empty()) contact_rows::make(rows_, sums_, points_.rows);
-    if (!dents_.empty() && !pressed_.empty()) contact_rows::soften(dents_, pressed_, points_);
     return points_;
   }
-  RoundOff round_off() const { return {gradient_.norm(), 1e-15 * magnitude_, length_}; }
+  RoundOff round_off() const { return {pushing_, 1e-15 * magnitude_, length_}; }
 
   /// Those where it is.
   void pressures(std::vector<Pressure>& out) const {
     out.clear();
     for (const Touch& touch : touching_)
       if (touch.normal.force > 0)
-        out.push_back({touch.contact.sample, touch.contact.collider, touch.contact.normal, touch.pressure()});
+        out.push_back(
+            {touch.contact.sample, touch.contact.collider, touch.contact.normal, touch.pressure(), slip_of(touch)});
   }
 
   /// The amplitudes of all patches, where it is.
@@ -305,65 +309,85 @@ struct ContactTerm {
     return (contact.alone ? 1.0 : 0.5) / (1 / own + compliance / others);
   }
 
-  /// Lets the skin give way by the patches that the contacts press.
-  void begin_dents(const ContactSamples<Model>& samples, const VectorXd& weights) {
-    std::vector<int> patches, sample_of(std::size_t(samples.local()->size()), -1);
-    for (const Touch& touch : touching_)
-      if (touch.presses_patches())
-        for (const int patch : samples.patches(touch.contact.sample)) {
-          if (sample_of[std::size_t(patch)] < 0) patches.push_back(patch);
-          sample_of[std::size_t(patch)] = touch.contact.sample;
-        }
-    if (patches.empty()) return;
-    std::sort(patches.begin(), patches.end());
-    const Eigen::Index m = Eigen::Index(patches.size());
-    VectorXd shape, at_shape, stiffer(m), deepest = VectorXd::Constant(m, width_);
+  /// Lets the skin give way by the patches beneath the contacts that are near.
+  void begin_dents(const ContactSamples<Model>& samples, const VectorXd& weights, double giving) {
+    struct Patch {
+      int sample;
+      double deepest;  ///< of its contacts, where the targets alone put them
+    };
+    std::map<int, Patch> found;
+    VectorXd shape, at_shape;
     blended_shape(samples.model(), weights, shape);
     multiply(rows_, shape, at_shape);
-    MatrixXd rows = MatrixXd::Zero(Eigen::Index(touching_.size()), m), stiffness(m, m);
+    for (const Touch& touch : touching_) {
+      if (!touch.presses_patches() || touch.contact.gap > giving) continue;
+      const double depth = std::max(-offsets_(touch.row) - at_shape(touch.row), width_);
+      for (const int number : samples.patches(touch.contact.sample)) {
+        Patch& patch = found.try_emplace(number, Patch{0, depth}).first->second;
+        patch = {touch.contact.sample, std::max(patch.deepest, depth)};
+      }
+    }
+    std::vector<int> patches;
+    for (const auto& [number, patch] : found) patches.push_back(number);
+    const Eigen::Index m = Eigen::Index(patches.size());
+    RowMajor rows = RowMajor::Zero(Eigen::Index(touching_.size()), m);
     for (std::size_t i = 0; i < touching_.size(); ++i) {
       const Touch& touch = touching_[i];
       if (!touch.presses_patches()) continue;
-      const int sample = touch.contact.sample, last = touch.friction > 0 ? touch.row + 2 : touch.row;
-      const double depth = -offsets_(touch.row) - at_shape(touch.row), taken = samples.taken(sample);
-      for (const int patch : samples.patches(sample)) {
-        const auto at = std::lower_bound(patches.begin(), patches.end(), patch) - patches.begin();
-        deepest(at) = std::max(deepest(at), depth);
-      }
-      for (int row = touch.row; row <= last; ++row) {
+      const double taken = samples.taken(touch.contact.sample);
+      for (int row = touch.row; row < touch.row + (touch.friction > 0 ? 3 : 1); ++row) {
         contact_rows::scale(rows_, row, taken);
         offsets_(row) += (1 - taken) * at_shape(row);
       }
       rows.row(Eigen::Index(i)) = samples.local_row(scratch_, touch.row, patches);
     }
-    for (Eigen::Index j = 0; j < m; ++j)
-      stiffer(j) = std::sqrt(samples.local_stiffer(sample_of[std::size_t(patches[std::size_t(j)])], weights));
-    for (Eigen::Index j = 0; j < m; ++j)
+    if (patches.empty()) return;
+    MatrixXd stiffness(m, m);
+    VectorXd stiffer(m), most(m);
+    Eigen::Index j = 0;
+    for (const auto& [number, patch] : found) {
+      stiffer(j) = std::sqrt(samples.local_stiffer(patch.sample, weights));
+      most(j++) = kFarther * patch.deepest / std::max(samples.local()->farthest()(number), 1e-300);
+    }
+    for (j = 0; j < m; ++j)
       for (Eigen::Index k = 0; k < m; ++k)
         stiffness(j, k) =
             stiffer(j) * stiffer(k) * samples.local()->stiffness()(patches[std::size_t(j)], patches[std::size_t(k)]);
-    for (Eigen::Index j = 0; j < m; ++j)
-      deepest(j) *= kFarther / std::max(samples.local()->farthest()(patches[std::size_t(j)]), 1e-300);
-    dents_.begin(std::move(patches), rows, stiffness, deepest);
+    VectorXd last(rows.rows());
+    for (std::size_t i = 0; i < touching_.size(); ++i) last(Eigen::Index(i)) = touching_[i].last;
+    dents_.begin(std::move(patches), rows, stiffness, most, last);
   }
 
-  /// Takes what gives way beneath the contacts from their depths.
-  void give_way() {
-    VectorXd depths(Eigen::Index(touching_.size())), stiffness(depths.size());
-    for (Eigen::Index i = 0; i < depths.size(); ++i) {
-      const Touch& touch = touching_[std::size_t(i)];
-      depths(i) = -values_(touch.row);
-      stiffness(i) = touch.stiffness;
-    }
-    dents_.settle(depths, stiffness, width_);
-    value_ += dents_.energy();
-    for (Eigen::Index i = 0; i < depths.size(); ++i) values_(touching_[std::size_t(i)].row) += dents_.given_way()(i);
+  /// Adds the forces on the patches.
+  void push_patches() {
+    VectorXd pressures(dents_.rows().rows());
+    for (std::size_t i = 0; i < touching_.size(); ++i) pressures(Eigen::Index(i)) = touching_[i].pressure();
+    auto own = gradient_.tail(unknowns().size());
+    own.noalias() -= dents_.rows().transpose() * pressures;
+    pushing_ = gradient_.norm();
+    own += dents_.resisting();
+  }
+
+  /// What the points' stiffness has of the patches: rows of the normals, which come first, and of the patches that are
+  /// hard.
+  template <class Add>
+  void add_patches(const Add& add) {
+    dents_.each_hard([&](const auto&, double stiffness) { add(stiffness, {0, 0, 0}); });
+    points_.own_stiffness = dents_.stiffness();
+    points_.own_rows.resize(Eigen::Index(stiffness_.size()), unknowns().size());
+    if (dents_.empty()) return;
+    Eigen::Index row = 0;
+    for (std::size_t i = 0; i < touching_.size(); ++i)
+      if (touching_[i].stiffness * touching_[i].normal.stiffness > 0)
+        points_.own_rows.row(row++) = dents_.rows().row(Eigen::Index(i));
+    dents_.each_hard([&](const auto& over_b, double) { points_.own_rows.row(row++) = over_b; });
   }
 
   struct Touch {
     Contact contact;
     int row;  ///< of the gap in rows_; those of the slip follow where there is friction
     double stiffness, magnitude, friction;
+    double last;  ///< pressure of the step before, newtons
     double held;  ///< friction times the pressure of the round before
     ContactRamp normal;
     SlipForce slip_force;
@@ -373,19 +397,29 @@ struct ContactTerm {
   };
 
   /// Of the one at the same place whose normal is nearest: a sample may touch several sides of a collider.
-  static double force_of(const std::vector<Pressure>& pressures, const Contact& contact) {
+  static Pressure pressure_of(const std::vector<Pressure>& pressures, const Contact& contact) {
     using Place = std::pair<int, int>;
     const Place place(contact.collider, contact.sample);
     const auto of = [](const Pressure& pressure) { return Place(pressure.collider, pressure.sample); };
     auto at = std::lower_bound(pressures.begin(), pressures.end(), place,
                                [&](const Pressure& pressure, const Place& wanted) { return of(pressure) < wanted; });
-    double force = 0, nearest = 0;
+    Pressure out{contact.sample, contact.collider, contact.normal, 0, Vector3d::Zero()};
+    double nearest = 0;
     for (; at != pressures.end() && of(*at) == place; ++at)
       if (const double near = at->normal.dot(contact.normal); near > nearest) {
         nearest = near;
-        force = at->force;
+        out = *at;
       }
-    return force;
+    return out;
+  }
+
+  /// From where friction holds it, world space.
+  Vector3d slip_of(const Touch& touch) const {
+    if (!(touch.friction > 0)) return Vector3d::Zero();
+    const Vector3d& normal = touch.contact.normal;
+    const Vector3d across = normal.unitOrthogonal();
+    const Eigen::Vector2d slip = values_.segment<2>(touch.row + 1);
+    return std::min(1.0, sticks_ / std::max(slip.norm(), 1e-300)) * (slip(0) * across + slip(1) * normal.cross(across));
   }
 
   static constexpr double kFarther = 1.5;  // than the deepest contact is deep: no patch moves any skin more than that
@@ -396,11 +430,10 @@ struct ContactTerm {
   typename Model::SkinPoints::Rows rows_;
   VectorXd offsets_, values_, forces_, gradient_;  ///< gaps (less the distance) and slips; at q = 0; what resists them
   Dents dents_;
-  std::vector<int> pressed_;  ///< of touching_: those whose normals come first in points_
   std::vector<contact_rows::Sum> sums_;
   std::vector<double> stiffness_;
   Points points_;
-  double value_ = 0, magnitude_ = 0, length_ = 0;
+  double value_ = 0, magnitude_ = 0, pushing_ = 0, length_ = 0;  ///< pushing: norm of the forces that push
 };
 
 }  // namespace dynamorph

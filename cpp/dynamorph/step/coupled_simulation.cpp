@@ -87,7 +87,7 @@ class CoupledSimulation<Model>::Sum {
     of_.contacts_.at(all);
     double out = of_.contacts_.value();
     for (std::size_t body = 0; body < sums_.size(); ++body) {
-      of_.layout_.take(all, body, own_);
+      of_.take(all, body, own_);
       out += sums_[body].value(own_);
     }
     return out;
@@ -100,9 +100,9 @@ class CoupledSimulation<Model>::Sum {
     out.round_off = of_.contacts_.round_off();
     VectorXd gradient = VectorXd::Zero(all.size());
     for (std::size_t body = 0; body < sums_.size(); ++body) {
-      of_.layout_.take(all, body, own_);
+      of_.take(all, body, own_);
       sums_[body].linearize(own_, part_);
-      of_.layout_.put(part_.gradient, body, gradient);
+      of_.put(part_.gradient, body, gradient);
       out.value += part_.value;
       out.magnitude += part_.magnitude;
       out.round_off = out.round_off + part_.round_off;
@@ -119,8 +119,7 @@ class CoupledSimulation<Model>::Sum {
       std::vector<const Rows*> rows(sums_.size());
       for (const auto* each : own.points) {
         rows[body] = &each->rows;
-        points_.emplace_back();
-        points_.back().stiffness = each->stiffness;
+        points_.push_back(*each);  // with the unknowns that they have of their own
         of_.layout_.join(rows, points_.back().rows);
       }
     }
@@ -197,19 +196,39 @@ std::vector<StepReport> CoupledSimulation<Model>::step(const std::vector<StepInp
   }
   for (std::size_t body = 0; body < bodies_.size(); ++body)
     bodies_[body].simulation->end_step(inputs[body], reports[body]);
+  remember_pressures();
   report_contacts(reports);
   return reports;
+}
+
+template <class Model>
+void CoupledSimulation<Model>::take(const VectorXd& all, std::size_t body, VectorXd& own) const {
+  layout_.take(all, body, own);
+  const Eigen::Index first = first_patch_[body], patches = first_patch_[body + 1] - first;
+  own.conservativeResize(own.size() + patches);
+  own.tail(patches) = all.segment(first, patches);
+}
+
+template <class Model>
+void CoupledSimulation<Model>::put(const VectorXd& own, std::size_t body, VectorXd& all) const {
+  layout_.put(own, body, all);
+  const Eigen::Index first = first_patch_[body], patches = first_patch_[body + 1] - first;
+  all.segment(first, patches) = own.tail(patches);
 }
 
 template <class Model>
 void CoupledSimulation<Model>::find_contacts(const std::vector<StepInput>& inputs) {
   std::vector<typename SelfContact<Model>::Body> skins;
   std::vector<PosedSamples<Model>> samples;
+  std::vector<Pressure> pressures;
   ContactStep step = bodies_[0].simulation->contact_step();
   for (std::size_t body = 0; body < bodies_.size(); ++body) {
     const auto& [simulation, skin] = bodies_[body];
     skins.push_back({*skin, simulation->posed_skin(inputs[body]), scratch_[body], first_sample_[body]});
     samples.push_back({skin->samples(), inputs[body].bones, inputs[body].weights});
+    for (const Pressure& last : simulation->state_.pressures)
+      if (last.collider == kOtherSkin)
+        pressures.push_back({first_sample_[body] + last.sample, kSkin, last.normal, last.force, last.slip});
     const ContactStep own = simulation->contact_step();
     step.distance = std::max(step.distance, own.distance);
     step.width = std::min(step.width, own.width);
@@ -218,7 +237,7 @@ void CoupledSimulation<Model>::find_contacts(const std::vector<StepInput>& input
   step.own_friction = friction_;
   SelfContact<Model>::find_between(skins, worn_, found_);
   contacts_.clear();
-  if (!found_.empty()) contacts_.begin({std::move(samples), first_sample_, layout_}, found_, step, {});
+  if (!found_.empty()) contacts_.begin({std::move(samples), first_sample_, layout_}, found_, step, pressures);
 }
 
 template <class Model>
@@ -229,11 +248,18 @@ std::vector<StepReport> CoupledSimulation<Model>::solve() {
     return reports;
   }
   NewtonLimits limits{kInfinity, kInfinity, 0, false};
-  all_.resize(layout_.dofs());
+  first_patch_.assign(1, layout_.dofs());
+  for (const auto& body : bodies_)
+    first_patch_.push_back(first_patch_.back() + body.simulation->contacts_.unknowns().size());
+  all_.resize(first_patch_.back());
+  VectorXd own;
   for (std::size_t body = 0; body < bodies_.size(); ++body) {
     const Simulation<Model>& simulation = *bodies_[body].simulation;
     const StepOptions& options = simulation.options();
-    layout_.put(simulation.next_, body, all_);
+    const VectorXd& patches = simulation.contacts_.unknowns();
+    own.resize(simulation.next_.size() + patches.size());
+    own << simulation.next_, patches;
+    put(own, body, all_);
     limits.tolerance = std::min(limits.tolerance, options.tolerance);
     limits.step =
         std::min(limits.step, options.tolerance * simulation.model().body().size * simulation.model().meter());
@@ -262,6 +288,17 @@ std::vector<StepReport> CoupledSimulation<Model>::solve() {
     layout_.take(all_, body, simulation.next_);
   }
   return reports;
+}
+
+template <class Model>
+void CoupledSimulation<Model>::remember_pressures() {
+  std::vector<Pressure> all;
+  contacts_.pressures(all);
+  for (auto last = all.rbegin(); last != all.rend(); ++last) {  // each goes before those of the body's own contacts
+    const auto [body, sample] = find_owner(first_sample_, last->sample);
+    std::vector<Pressure>& own = bodies_[body].simulation->state_.pressures;
+    own.insert(own.begin(), {sample, kOtherSkin, last->normal, last->force, last->slip});
+  }
 }
 
 template <class Model>

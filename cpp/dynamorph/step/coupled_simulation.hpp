@@ -51,9 +51,14 @@ class CoupledSimulation {
   using Matrix = typename Model::Matrix;
   class Sum;
 
+  /// A body's unknowns, its coordinates and those of its patches, out of those of all, and into them.
+  void take(const VectorXd& all, std::size_t body, VectorXd& own) const;
+  void put(const VectorXd& own, std::size_t body, VectorXd& all) const;
   /// The potentials of all are there: finds their minimum.
   std::vector<StepReport> solve();
   void find_contacts(const std::vector<StepInput>& inputs);
+  /// Leaves them to the bodies' states.
+  void remember_pressures();
   void report_contacts(std::vector<StepReport>& reports) const;
 
   std::vector<CoupledBody<Model>> bodies_;
@@ -65,7 +70,8 @@ class CoupledSimulation {
   std::vector<Contact> found_;
   ContactTerm<Model, JointSamples<Model>> contacts_;
   NewtonScratch<Matrix> newton_;
-  VectorXd all_;
+  VectorXd all_;                           ///< unknowns: the coordinates of all, then of each body those of its patches
+  std::vector<Eigen::Index> first_patch_;  ///< in them, of each body, and their end
 };
 
 extern template class CoupledSimulation<FullModel>;

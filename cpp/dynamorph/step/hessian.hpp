@@ -28,9 +28,14 @@ struct Hessian {
   std::vector<const PointStiffness<Matrix>*> points;
 };
 
-inline void multiply(const RowMajor& J, const VectorXd& x, VectorXd& out) { out.noalias() = J * x; }
+/// Whether there is anything that points add.
+inline bool acts(const SparsePoints& points) { return points.stiffness.size() > 0; }
+inline bool acts(const DensePoints& points) { return points.stiffness.size() > 0 || points.own_rows.cols() > 0; }
+
+/// Of rows over the coordinates, which others may follow in x and y.
+inline void multiply(const RowMajor& J, const VectorXd& x, VectorXd& out) { out.noalias() = J * x.head(J.cols()); }
 inline void add_transposed_product(const RowMajor& J, const VectorXd& f, VectorXd& y) {
-  y.noalias() += J.transpose() * f;
+  y.head(J.cols()).noalias() += J.transpose() * f;
 }
 
 inline void multiply(const SparseMatrix& A, const VectorXd& x, VectorXd& y) { y.noalias() = A * x; }
@@ -52,7 +57,7 @@ void diagonal_scales(const Matrix& A, VectorXd& out) {
   out = out.cwiseMax(kSmallest * out.maxCoeff());
 }
 
-/// Solves H x = b.
+/// Solves H x = b, with the unknowns that points have of their own after those of the base.
 template <class Matrix>
 class HessianSolver {
  public:

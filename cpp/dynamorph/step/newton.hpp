@@ -3,12 +3,15 @@
 //
 // A term is an energy E(q). It has
 //
-//   at(q)        moves it to q, for which all that follows holds
+//   at(x)        moves it to q, for which all that follows holds
 //   value()      E, J
 //   gradient()   dE/dq
 //   hessian()    d2E/dq2, a matrix of the model; of a term that acts at points of the skin, its rows and their
 //                stiffness (PointStiffness)
 //   round_off()  how exact these are, see RoundOff; asked after gradient()
+//
+// Newton's method is over x: the coordinates q, and after them the unknowns that points have of their own (DensePoints),
+// which contact's patches are. at(x) is given all of them; a gradient is over q, or over all.
 //
 // at() may compute what the others return: of a reduced model, value and gradient come from one pass. The Hessian is
 // asked for only where Newton's method goes on; the line search asks for values.
@@ -47,20 +50,21 @@ class Potential {
  public:
   explicit Potential(Terms&... terms) : terms_(terms...) {}
 
-  double value(const VectorXd& q) {
+  double value(const VectorXd& x) {
     return std::apply(
         [&](Terms&... terms) {
-          (terms.at(q), ...);
+          (terms.at(x), ...);
           return (... + terms.value());
         },
         terms_);
   }
 
-  void linearize(const VectorXd& q, Linearization& out) {
+  void linearize(const VectorXd& x, Linearization& out) {
     std::apply(
         [&](Terms&... terms) {
-          (terms.at(q), ...);
-          out.gradient = (... + terms.gradient());
+          (terms.at(x), ...);
+          out.gradient.setZero(x.size());
+          ((out.gradient.head(terms.gradient().size()) += terms.gradient()), ...);
           out.value = out.magnitude = 0;
           for (double energy : {terms.value()...}) {
             out.value += energy;
@@ -87,7 +91,7 @@ class Potential {
   static void collect(Hessian<Matrix>& out, const Sum& sum, Term& term, Others&... others) {
     const auto& hessian = term.hessian();
     if constexpr (std::is_same_v<decltype(hessian), const PointStiffness<Matrix>&>) {
-      if (hessian.stiffness.size() > 0) out.points.push_back(&hessian);
+      if (acts(hessian)) out.points.push_back(&hessian);
       collect(out, sum, others...);
     } else {
       collect(out, sum + values(hessian), others...);

@@ -57,14 +57,14 @@ bool came(const ColliderStep& step) {
 /// Throws Error unless a state's contacts are of samples that there are (0: without contact).
 void check_contacts(const State& state, Eigen::Index samples) {
   const auto good = [&](int sample, int collider, const Vector3d& normal) {
-    return sample >= 0 && sample < samples && collider >= kSkin && normal.allFinite();
+    return sample >= 0 && sample < samples && collider >= kOtherSkin && normal.allFinite();
   };
   for (const ContactMemory::Plane& plane : state.contact.planes)
-    if (!good(plane.sample, plane.collider, plane.normal) || plane.collider == kSkin || !plane.point.allFinite())
+    if (!good(plane.sample, plane.collider, plane.normal) || plane.collider < 0 || !plane.point.allFinite())
       throw Error("The state has a contact that does not fit");
   for (const Pressure& pressure : state.pressures)
     if (!good(pressure.sample, pressure.collider, pressure.normal) || !(pressure.force >= 0) ||
-        !std::isfinite(pressure.force))
+        !std::isfinite(pressure.force) || !pressure.slip.allFinite())
       throw Error("The state has a contact that does not fit");
 }
 
@@ -243,8 +243,8 @@ PosedSkin Simulation<Model>::posed_skin(const StepInput& input) {
 template <class Model>
 ContactStep Simulation<Model>::contact_step() const {
   const double size = model_->body().size;
-  return {friction_, own_friction_,        StepRule(options_).square,
-          distance_, kContactWidth * size, kSticks * size * options_.h};
+  return {friction_, own_friction_,        StepRule(options_).square,  distance_, kContactWidth * size,
+          kSticks * size * options_.h, distance_ + kContactNear * size};
 }
 
 template <class Model>
@@ -274,7 +274,8 @@ void Simulation<Model>::find_at_colliders(const StepInput& input) {
     for (const ColliderStep& step : *input.colliders) memory_.active.push_back(step.active);
     return;
   }
-  const double near = input.grabs ? margin : distance_ + kContactNear * size;  // a hand may lead the skin anywhere
+  const bool held = input.grabs && !input.grabs->empty();  // a hand may lead the skin anywhere
+  const double near = held ? margin : distance_ + kContactNear * size;
   finder_.find(*input.colliders, near_, near, margin, memory_, found_);
   unusable_ = finder_.unusable();
   for (const ColliderStep& collider : *input.colliders) friction_.push_back(collider.friction);
@@ -545,8 +546,13 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();
   };
   const double negligible = options_.tolerance * model_->body().size * model_->meter();
-  return report(dynamorph::minimize(potential, newton_, q,
-                                    {options_.tolerance, negligible, max_iterations, contacts_.empty()}, ask));
+  const VectorXd& patches = contacts_.unknowns();
+  unknowns_.resize(q.size() + patches.size());
+  unknowns_ << q, patches;
+  const NewtonReport found = dynamorph::minimize(
+      potential, newton_, unknowns_, {options_.tolerance, negligible, max_iterations, contacts_.empty()}, ask);
+  q = unknowns_.head(q.size());
+  return report(found);
 }
 
 template <class Model>

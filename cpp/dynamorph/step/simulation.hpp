@@ -178,6 +178,7 @@ class Simulation {
   typename Model::Inertia inertia_;
   Matrix damped_;
   VectorXd next_, velocity_, resistance_;  ///< coordinates of the step, bind-pose velocity, and damping at it
+  VectorXd unknowns_;                      ///< of Newton's method: coordinates, and what patches give way by
   QuadraticTerm<Matrix> quadratic_;
   ElasticTerm<Model> elastic_;
   GrabTerm<Model> grabs_;

@@ -22,8 +22,8 @@ struct QuadraticTerm {
   VectorXd g, origin;
   double round_off_of_g = 0;
 
-  void at(const VectorXd& q) {
-    d_ = q - origin;
+  void at(const VectorXd& x) {
+    d_ = x.head(origin.size()) - origin;
     multiply(H, d_, Hd_);
     gradient_ = Hd_ + g;
   }
@@ -50,8 +50,8 @@ struct ElasticTerm {
     workspace_.begin(tolerance);
   }
 
-  void at(const VectorXd& q) {
-    q_ = q;
+  void at(const VectorXd& x) {
+    q_ = x.head(model_->dofs());
     known_ = Known::nothing;
   }
   double value() {
@@ -129,11 +129,11 @@ struct GrabTerm {
     skin->rows(input.bones, numbers_, scratch_, points_.rows);
   }
 
-  void at(const VectorXd& q) {
-    gradient_.setZero(q.size());
-    length_ = q.norm();
+  void at(const VectorXd& x) {
+    gradient_.setZero(x.size());
+    length_ = x.norm();
     if (points_.stiffness.size() == 0) return;
-    multiply(points_.rows, q, offset_);
+    multiply(points_.rows, x, offset_);
     offset_ += from_goal_;
     force_ = points_.stiffness.cwiseProduct(offset_);
     add_transposed_product(points_.rows, force_, gradient_);
@@ -184,11 +184,11 @@ struct PullTerm {
   /// Distance of the point that is farthest at the predicted coordinates, relative to its limit.
   double farthest() const { return farthest_; }
 
-  void at(const VectorXd& q) {
-    gradient_.setZero(q.size());
+  void at(const VectorXd& x) {
+    gradient_.setZero(x.size());
     value_ = force_norms_ = 0;
     if (watched_.empty()) return;
-    from_shape_ = q - shape_;
+    from_shape_ = x.head(shape_.size()) - shape_;
     multiply(rows_, from_shape_, values_);
     forces_.resize(values_.size());
     for (const Pull& pull : watched_) {

@@ -9,12 +9,19 @@
 
 namespace scenes {
 
-/// J^T diag(d) J x of rows at points, beside a product with a model's own matrix.
+/// What the stiffness at points, with unknowns of their own, makes of x, beside a product with a model's own matrix.
 inline void add_points(const SparsePoints& points, const VectorXd& x, VectorXd& y) {
   add_stiffness_product(points, x, y);
 }
 inline void add_points(const DensePoints& points, const VectorXd& x, VectorXd& y) {
-  if (points.stiffness.size() > 0) y += points.rows.transpose() * points.stiffness.cwiseProduct(points.rows * x);
+  const Eigen::Index p = points.own_rows.rows(), m = points.own_rows.cols();
+  y.tail(m) += points.own_stiffness * x.tail(m);
+  if (points.stiffness.size() == 0) return;
+  VectorXd moved = points.rows * x.head(points.rows.cols());
+  moved.head(p) += points.own_rows * x.tail(m);
+  const VectorXd forces = points.stiffness.cwiseProduct(moved);
+  y.head(points.rows.cols()) += points.rows.transpose() * forces;
+  y.tail(m) += points.own_rows.transpose() * forces.head(p);
 }
 
 /// The term at a distance from other coordinates, where its derivatives are checked: its second ones have kinks.

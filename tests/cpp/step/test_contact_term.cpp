@@ -51,17 +51,18 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
                         0.004 * normal.unitOrthogonal(),
                         0.7,
                         -1,
+                        -depth,
                         {{q, r, 0, 0}, {0.3, 0.7, 0, 0}}});
-    pressures.push_back({p, kSkin, normal, 0.1 * (p % 7)});
+    pressures.push_back({p, kSkin, normal, 0.1 * (p % 7), 0.002 * normal.unitOrthogonal()});
   }
   for (int c = 0; c < 2; ++c)
     for (int p = 3 * c; p < int(samples.size()); p += 6) {
       const Vector3d normal = random_vector(3, 1, unsigned(p)).normalized(), x = before.segment<3>(3 * p);
       const double depth = kWidth * (p % 4 - 0.5);
-      contacts.push_back({p, c, x + depth * normal, normal, x, 0.004 * normal.unitOrthogonal() * (1 + p % 5), 0.7, -1});
-      if (c == 0) pressures.push_back({p, 0, normal, 0.1 * (p % 7)});
+      contacts.push_back({p, c, x + depth * normal, normal, x, 0.004 * normal.unitOrthogonal() * (1 + p % 5), 0.7, -1, -depth});
+      if (c == 0) pressures.push_back({p, 0, normal, 0.1 * (p % 7), 0.002 * normal.unitOrthogonal()});
     }
-  const ContactStep step{friction, 0.5, 1e-4, 0, kWidth, 0.01};
+  const ContactStep step{friction, 0.5, 1e-4, 0, kWidth, 0.01, 0};
   const PosedSamples<Model> posed{samples, bones, kBetween};
   AtFirst<Model> term;
   term.begin(posed, contacts, step, pressures);
@@ -70,12 +71,18 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
   typename Model::Matrix K = model->zero();
   VectorXd force;
   model->linearize(blend, shape, force, K);
-  const VectorXd scales = K.diagonal().cwiseAbs().cwiseSqrt().cwiseInverse();
-  Around<AtFirst<Model>> around{term, shape};
+  VectorXd scales = K.diagonal().cwiseAbs().cwiseSqrt().cwiseInverse(), center = shape;
+  const Eigen::Index patches = term.unknowns().size();
+  CHECK((patches > 0) == (local != nullptr));
+  scales.conservativeResize(shape.size() + patches);
+  scales.tail(patches).setConstant(scales.head(shape.size()).mean());
+  center.conservativeResize(scales.size());
+  center.tail(patches) = scales.tail(patches).cwiseProduct(random_vector(patches, 1e-3, 3));
+  Around<AtFirst<Model>> around{term, center};
   check_term<typename Model::Matrix>(around, scales, 1e-5);
 
   // What presses is pushed with its stiffness, and pushes the colliders as much as the body.
-  term.at(shape);
+  term.at(center);
   std::vector<Pressure> now_pressed;
   term.pressures(now_pressed);
   std::vector<Vector3d> forces(2, Vector3d::Zero());

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/reduced/responses/arrow_matrix.hpp"
 
+#include <Eigen/Cholesky>
+
 #include "dynamorph/elastic/dense_kernels.hpp"
 #include "dynamorph/reduced/modes/polynomial_kernels.hpp"
 
@@ -81,29 +83,78 @@ double work_dense(double n, double k) { return n * n * n / 6 + k * n * n / 2; }
 
 bool ArrowSolver::solve(const ArrowMatrix& H, const std::vector<const DensePoints*>& points, const VectorXd& b,
                         VectorXd& x) {
-  gather(points, H.rows());
-  const double r = double(H.corner_size()), n = double(H.rows()), k = double(stiffness_.size());
-  if (k == 0) {
-    if (!arrow_.compute(H)) return false;
-    arrow_.solve(b, x);
-    return true;
-  }
-  if (work_by_rows(r, n - r, k) < work_dense(n, k) && solve_by_rows(H, b, x)) return true;
-  return solve_dense(H, b, x);  // also where H alone is not positive definite
+  if (!gather(points, H.rows(), b)) return false;
+  if (softened_.empty()) return solve_reduced(H, x);
+  if (!solve_reduced(H, reduced_x_)) return false;
+  solve_own(points, b, x);
+  return true;
 }
 
-void ArrowSolver::gather(const std::vector<const DensePoints*>& points, Eigen::Index size) {
+/// Sets the rows with a stiffness, and the right side, without the unknowns that points have of their own.
+bool ArrowSolver::gather(const std::vector<const DensePoints*>& points, Eigen::Index size, const VectorXd& b) {
   Eigen::Index count = 0;
   for (const DensePoints* each : points) count += (each->stiffness.array() > 0).count();
   rows_.resize(count, size);
   stiffness_.resize(count);
-  count = 0;
-  for (const DensePoints* each : points)
+  reduced_b_ = b.head(size);
+  softened_.clear();
+  Eigen::Index row = 0, own = size;
+  for (const DensePoints* each : points) {
+    const Eigen::Index first = row, m = each->own_rows.cols();
     for (Eigen::Index i = 0; i < each->stiffness.size(); ++i) {
       if (!(each->stiffness(i) > 0)) continue;
-      rows_.row(count) = each->rows.row(i);
-      stiffness_(count++) = each->stiffness(i);
+      rows_.row(row) = each->rows.row(i);
+      stiffness_(row++) = each->stiffness(i);
     }
+    if (m > 0 && !soften(*each, b.segment(own, m), first)) return false;
+    own += m;
+  }
+  return true;
+}
+
+bool ArrowSolver::soften(const DensePoints& points, const Eigen::Ref<const VectorXd>& own_b, Eigen::Index first_row) {
+  const RowMajor& R = points.own_rows;
+  const double c = points.own_stiffness;
+  softened_.push_back({MatrixXd::Zero(R.rows(), R.rows()), R * own_b / c, first_row});
+  Softened& softened = softened_.back();
+  softened.lower.selfadjointView<Eigen::Lower>().rankUpdate(R, 1 / c);
+  softened.lower.diagonal() += points.stiffness.head(R.rows()).cwiseInverse();
+  if (Eigen::LLT<Eigen::Ref<MatrixXd>>(softened.lower).info() != Eigen::Success) return false;
+  const auto lower = softened.lower.triangularView<Eigen::Lower>();
+  auto rows = rows_.middleRows(first_row, R.rows());
+  lower.solveInPlace(rows);
+  lower.solveInPlace(softened.forces);
+  stiffness_.segment(first_row, R.rows()).setOnes();
+  reduced_b_.noalias() -= rows.transpose() * softened.forces;
+  return true;
+}
+
+/// x from that without the unknowns of points.
+void ArrowSolver::solve_own(const std::vector<const DensePoints*>& points, const VectorXd& b, VectorXd& x) const {
+  x.resize(b.size());
+  x.head(reduced_x_.size()) = reduced_x_;
+  Eigen::Index own = reduced_x_.size();
+  auto softened = softened_.begin();
+  for (const DensePoints* each : points) {
+    const RowMajor& R = each->own_rows;
+    if (R.cols() == 0) continue;
+    VectorXd forces = softened->forces + rows_.middleRows(softened->first_row, R.rows()) * reduced_x_;
+    softened->lower.triangularView<Eigen::Lower>().adjoint().solveInPlace(forces);
+    x.segment(own, R.cols()) = (b.segment(own, R.cols()) - R.transpose() * forces) / each->own_stiffness;
+    own += R.cols();
+    ++softened;
+  }
+}
+
+bool ArrowSolver::solve_reduced(const ArrowMatrix& H, VectorXd& x) {
+  const double r = double(H.corner_size()), n = double(H.rows()), k = double(stiffness_.size());
+  if (k == 0) {
+    if (!arrow_.compute(H)) return false;
+    arrow_.solve(reduced_b_, x);
+    return true;
+  }
+  if (work_by_rows(r, n - r, k) < work_dense(n, k) && solve_by_rows(H, reduced_b_, x)) return true;
+  return solve_dense(H, reduced_b_, x);  // also where H alone is not positive definite
 }
 
 bool ArrowSolver::solve_by_rows(const ArrowMatrix& H, const VectorXd& b, VectorXd& x) {

@@ -57,27 +57,42 @@ class ArrowFactor {
   DenseFactor factor_;
 };
 
-/// Stiffness at points beside an arrow matrix: J^T diag(d) J with d >= 0.
+/// Stiffness at points beside an arrow matrix: J^T diag(d) J with d >= 0. The first points may also give way by
+/// unknowns a of their own, which have the stiffness c each: [J R]^T diag(d) [J R] and c over a.
 struct DensePoints {
-  RowMajor rows;       ///< J (k, rows of the matrix)
-  VectorXd stiffness;  ///< d (k)
+  RowMajor rows;             ///< J (k, rows of the matrix)
+  VectorXd stiffness;        ///< d (k)
+  RowMajor own_rows;         ///< R (p, m) of the first p <= k points, whose d > 0
+  double own_stiffness = 1;  ///< c > 0
 };
 
-/// Solves (H + the points' J^T diag(d) J) x = b: with few rows of J by H's own factor (Woodbury), with many by that of
-/// the whole dense matrix, whichever takes less arithmetic. Allocates only when the sizes grow.
+/// Solves (H + that of the points) x = b, where x are the unknowns of H, and then those that points have of their own:
+/// these are eliminated. With few rows it uses H's own factor (Woodbury), with many that of the whole dense matrix,
+/// whichever takes less arithmetic. Allocates only when the sizes grow.
 class ArrowSolver {
  public:
   /// Returns false when the sum is not positive definite.
   bool solve(const ArrowMatrix& H, const std::vector<const DensePoints*>& points, const VectorXd& b, VectorXd& x);
 
  private:
-  void gather(const std::vector<const DensePoints*>& points, Eigen::Index size);
+  /// Points without their own unknowns: L^-1 J with a stiffness of one each, where L L^T = diag(d)^-1 + R R^T / c.
+  struct Softened {
+    MatrixXd lower;          ///< L
+    VectorXd forces;         ///< L^-1 R b_a / c
+    Eigen::Index first_row;  ///< of them in rows_
+  };
+
+  bool gather(const std::vector<const DensePoints*>& points, Eigen::Index size, const VectorXd& b);
+  bool soften(const DensePoints& points, const Eigen::Ref<const VectorXd>& own_b, Eigen::Index first_row);
+  bool solve_reduced(const ArrowMatrix& H, VectorXd& x);
+  void solve_own(const std::vector<const DensePoints*>& points, const VectorXd& b, VectorXd& x) const;
   bool solve_by_rows(const ArrowMatrix& H, const VectorXd& b, VectorXd& x);
   bool solve_dense(const ArrowMatrix& H, const VectorXd& b, VectorXd& x);
 
   ArrowFactor arrow_;
   RowMajor rows_;  ///< those with a stiffness
-  VectorXd stiffness_;
+  VectorXd stiffness_, reduced_b_, reduced_x_;
+  std::vector<Softened> softened_;  ///< of those that have unknowns of their own
   MatrixXd answers_, small_, dense_;  ///< H^-1 J^T, d^-1 + J H^-1 J^T, H + J^T d J
   VectorXd one_, right_, forces_;
   DenseFactor factor_;

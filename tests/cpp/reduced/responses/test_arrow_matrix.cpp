@@ -154,3 +154,35 @@ TEST_CASE("an arrow that only its points hold is solved, and one that they do no
   points.stiffness(0) = 1;
   CHECK(!solver.solve(H, {&points}, b, x));
 }
+
+TEST_CASE("points give way by unknowns of their own, as the dense matrix of all unknowns has it") {
+  for (const auto& [r, h] : kSizes)
+    for (const int pressed : {0, 3, 40}) {
+      const ArrowMatrix H = arrow(r, h);
+      const Eigen::Index n = H.rows();
+      MatrixXd sum = MatrixXd::Zero(n + 7, n + 7);
+      sum.topLeftCorner(n, n) = H.dense();
+      std::vector<DensePoints> all(3);  // those of two bodies, and others without
+      Eigen::Index own = n;
+      for (std::size_t k = 0; k < all.size(); ++k) {
+        DensePoints& points = all[k];
+        const int rows = pressed + 2, m = k == 2 ? 0 : 3 + int(k);
+        points.rows = random_vector(rows * n, 1, 31).reshaped<Eigen::RowMajor>(rows, n);
+        points.stiffness = VectorXd::LinSpaced(rows, 40, 2);
+        points.stiffness(rows - 1) = 0;  // the last does not act
+        points.own_rows = random_vector(pressed * m, 1, 33 + unsigned(k)).reshaped<Eigen::RowMajor>(pressed, m);
+        points.own_stiffness = 5;
+        MatrixXd over = MatrixXd::Zero(rows, n + 7);
+        over.leftCols(n) = points.rows;
+        over.block(0, own, pressed, m) = points.own_rows;
+        sum += over.transpose() * points.stiffness.asDiagonal() * over;
+        for (int j = 0; j < m; ++j) sum(own + j, own + j) += 5;
+        own += m;
+      }
+      const VectorXd b = random_vector(n + 7, 1, 32);
+      VectorXd x;
+      ArrowSolver solver;
+      REQUIRE(solver.solve(H, {&all[0], &all[1], &all[2]}, b, x));
+      CHECK((sum * x - b).norm() <= 1e-11 * (sum.norm() * x.norm() + b.norm()));
+    }
+}
