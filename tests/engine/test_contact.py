@@ -225,6 +225,42 @@ def test_a_ball_that_appears_deep_inside_is_let_out(belly):
     assert reports[-1]["too_deep"] == 0
 
 
+def in_one(parts):
+    """A mesh of several."""
+    firsts = np.cumsum([0, *(len(points) for points, _ in parts[:-1])])
+    triangles = [triangles + first for (_, triangles), first in zip(parts, firsts, strict=True)]
+    return np.concatenate([points for points, _ in parts]), np.concatenate(triangles)
+
+
+def fingers():
+    """Three that press from the front, and a thumb against them."""
+    points, triangles = sphere(2)
+    places = [(0.26, 0, -0.1), (0.265, 0, 0), (0.26, 0, 0.1), (-0.265, 0, 0.02)]
+    return [(points * [0.03, 0.12, 0.03] + place, triangles) for place in places]
+
+
+def balls():
+    points, triangles = sphere(3)
+    return [(0.06 * points + [side * 0.285, 0.001, 0.002], triangles) for side in (-1, 1)]
+
+
+@pytest.mark.parametrize("parts", [balls, fingers])
+def test_one_collider_on_both_sides_presses_as_its_parts_do(belly, parts):
+    """Two fingers in one mesh that pinch, and a hand that grips."""
+    moved = []
+    for meshes in ([in_one(parts())], parts()):
+        simulation = simulated(belly)
+        still = [
+            dynamorph.ColliderMotion(dynamorph.Collider(*mesh), np.repeat(placed(0, 0, 0)[None], 9, 0), 0.5)
+            for mesh in meshes
+        ]
+        report = simulation.advance(np.repeat(STILL[None], 8, 0), np.ones((8, 1)), colliders=still)
+        assert report["converged"] and report["too_deep"] == 0
+        moved.append(belly.model.displacement(simulation.coordinates))
+    assert np.abs(moved[0]).max() > 0.01
+    np.testing.assert_allclose(moved[0], moved[1], atol=1e-5)
+
+
 @pytest.mark.fault("X04")
 def test_where_the_bones_leave_no_room_it_gives_way_and_says_so(belly, floor):
     """Half of the body is under a floor: bounded, converged and reported."""

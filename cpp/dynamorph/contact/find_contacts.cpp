@@ -159,6 +159,7 @@ class ContactFinder::Search {
     return (sample.to - sample.from - drift_).norm() > sample.thickness + size_;
   }
   Vector3d let_out(const Vector3d& x, const Vector3d& point, const Vector3d& normal) const;
+  double last_below(const Vector3d& unmoved, const Sample& sample) const;
   void run(const Sample& sample);
   void appear(const Sample& sample);
 
@@ -312,6 +313,22 @@ bool ContactFinder::Search::open(const Vector3d& point, const Vector3d& normal) 
   return !collider_.contains(end_, x, collider_.nearest(end_, x));
 }
 
+/// How deep the collider reaches along -N from where bones and targets alone put a sample: under a small one that has
+/// gone past, that is deeper than under its plane. What begins only beyond the middle of the body, one thickness below
+/// the skin, presses on its other side, as a belt does, or the thumb of a hand that grips.
+double ContactFinder::Search::last_below(const Vector3d& unmoved, const Sample& sample) const {
+  const auto below = [&](double thicknesses) -> Vector3d {
+    return unmoved - thicknesses * sample.thickness * sample.normal;
+  };
+  const auto first = [&](const Vector3d& from, const Vector3d& to) {
+    return collider_.first_crossing(end_, end_, from, to, Collider::Crossing::entering);
+  };
+  Vector3d from = below(kSeen);
+  if (const ColliderPoint other = first(below(1), from)) from = other.point + nudge_ * sample.normal;
+  const ColliderPoint last = first(from, below(kFadeBegins));
+  return last ? sample.normal.dot(unmoved - last.point) : -kInfinity;
+}
+
 // --- All -------------------------------------------------------------------------------------------------------------
 
 namespace {
@@ -413,13 +430,7 @@ void ContactFinder::touch(const Collider& collider, int number, const Posed& pos
     for (int i = 0; i < search.count; ++i) {
       const Plane& found = search.planes[i];
       double depth = found.normal.dot(found.at.point - unmoved);
-      if (collider.solid()) {  // under a small one that has gone past it is deeper than under the plane
-        const Vector3d below = unmoved - kSeen * thickness * sample.normal;
-        const Vector3d matters = unmoved - kFadeBegins * thickness * sample.normal;
-        const ColliderPoint last =
-            collider.first_crossing(*posed.end, *posed.end, below, matters, Collider::Crossing::entering);
-        if (last) depth = std::max(depth, sample.normal.dot(unmoved - last.point));
-      }
+      if (collider.solid()) depth = std::max(depth, search.last_below(unmoved, sample));
       const double fade = (depth / thickness - kFadeBegins) / (kFadeEnds - kFadeBegins);
       const double at_first = found.normal.dot(was - found.at.point);
       const double at_last = found.normal.dot(sample.to - found.at.point);

@@ -18,6 +18,8 @@
 // under the plane or along -N, whichever is more, and T the thickness of the tissue below, a contact has the weight
 //
 //   s = 1 - smooth_step((D - 0.7 T) / (0.5 T)).
+//
+// Along -N, what begins only below T is on the other side of the body, and does not count.
 #pragma once
 
 #include <cstdint>

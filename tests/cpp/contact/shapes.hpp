@@ -60,6 +60,21 @@ inline Mesh floor(double half) {
   return mesh;
 }
 
+/// A closed ring of rectangular section around z, as a belt or a cuff, outward.
+inline Mesh tube(double inner, double outer, double half, int around = 48) {
+  Mesh mesh{Points(4 * around, 3), Triangles(8 * around, 3)};
+  const double radius[] = {inner, outer, outer, inner}, height[] = {-half, -half, half, half};
+  for (int i = 0, t = 0; i < around; ++i)
+    for (int k = 0; k < 4; ++k) {
+      const double angle = 2 * kPi * i / around;
+      const int next = 4 * ((i + 1) % around), a = 4 * i + k, b = 4 * i + (k + 1) % 4, c = next + (k + 1) % 4;
+      mesh.points.row(a) << radius[k] * std::cos(angle), radius[k] * std::sin(angle), height[k];
+      mesh.triangles.row(t++) << a, c, b;
+      mesh.triangles.row(t++) << a, next + k, c;
+    }
+  return mesh;
+}
+
 inline Mesh joined(const Mesh& a, const Mesh& b) {
   Mesh mesh{Points(a.points.rows() + b.points.rows(), 3), Triangles(a.triangles.rows() + b.triangles.rows(), 3)};
   mesh.points << a.points, b.points;

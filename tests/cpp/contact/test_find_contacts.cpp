@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include <doctest/doctest.h>
 
+#include <algorithm>
 #include <random>
 
 #include "contact/shapes.hpp"
@@ -27,6 +28,21 @@ shapes::Skin patch(double height, double thickness, int half = 5) {
   for (int i = 0; i < side * side; ++i) skin.at.row(i) << 0.02 * (i % side - half), 0.02 * (i / side - half), height;
   skin.normal = skin.normal.replicate(side * side, 1).eval();
   skin.thickness.setConstant(side * side, thickness);
+  return skin;
+}
+
+/// The skin of a limb along z around x, as thick as it is deep.
+shapes::Skin limb(double radius, double x = 0) {
+  const int around = 40, along = 21;
+  shapes::Skin skin({0, 0, 0}, {1, 0, 0}, radius);
+  skin.at.resize(around * along, 3);
+  skin.normal.resize(around * along, 3);
+  for (int i = 0; i < around * along; ++i) {
+    const double angle = 2 * kPi * (i % around) / around;
+    skin.normal.row(i) << std::cos(angle), std::sin(angle), 0;
+    skin.at.row(i) = radius * skin.normal.row(i) + Eigen::RowVector3d(x, 0, 0.01 * (i / around - along / 2));
+  }
+  skin.thickness.setConstant(around * along, radius);
   return skin;
 }
 
@@ -270,6 +286,89 @@ TEST_CASE("a contact fades where the bones take a sample in deeper than it can g
   }
   CHECK(last == 0);
   CHECK(skin.at(0, 2) == doctest::Approx(-0.145));
+}
+
+TEST_CASE("what is on both sides of a limb presses as its parts do") {
+  const double radius = 0.07;
+  const shapes::Mesh ball = shapes::sphere(0.05, 16), finger = shapes::box({0.01, 0.06, 0.008});
+  const auto beside = [](const shapes::Mesh& mesh, double x, double z = 0) {
+    return shapes::moved(mesh, {x, 0.0012, z + 0.0017});
+  };
+  const auto pinch = [&](double deep) {
+    return std::vector{beside(ball, radius + 0.05 - deep), beside(ball, deep - radius - 0.05)};
+  };
+  const std::vector<std::vector<shapes::Mesh>> cases = {
+      pinch(0.01),
+      pinch(0.03),
+      pinch(0.055),  // their weight fades
+      {beside(finger, 0.06, 0.05), beside(finger, 0.06, 0.02), beside(finger, 0.06, -0.01),
+       beside(finger, -0.06, 0.02)},
+      {beside(shapes::tube(0.06, 0.09, 0.05), 0),
+       beside(shapes::tube(0.06, 0.09, 0.05), 0.18)},                                    // the legs of trousers
+      {beside(shapes::sphere(0.012, 8), radius - 0.055), beside(ball, -radius - 0.02)},  // one of them has gone past
+  };
+  const RowMajor there = shifted(0, 0, 0);
+  for (const auto& parts : cases) {
+    shapes::Mesh all = parts[0];
+    std::vector<Collider> colliders;
+    std::vector<ColliderStep> steps;
+    for (std::size_t k = 1; k < parts.size(); ++k) all = shapes::joined(all, parts[k]);
+    for (const shapes::Mesh& part : parts) colliders.push_back(shapes::collider(part));
+    for (const Collider& each : colliders) steps.push_back({each, rows(there), rows(there), 0, true});
+    const Collider whole = shapes::collider(all);
+    shapes::Skin one = limb(radius), several = limb(radius);
+    const Points unmoved = one.at;
+    for (int k = 0; k < 4; ++k) {
+      one.step(way(whole, there, there), unmoved, 0.02, 0.02);
+      several.step(steps, unmoved, 0.02, 0.02);
+      // Of two facets that are as near, either may be chosen.
+      CHECK((one.at - several.at).cwiseAbs().maxCoeff() < 0.002);
+      for (const Contact& contact : one.contacts)
+        CHECK(std::any_of(several.contacts.begin(), several.contacts.end(), [&](const Contact& other) {
+          return other.sample == contact.sample && std::abs(other.weight - contact.weight) < 1e-5 &&
+                 std::abs(other.too_deep - contact.too_deep) < 1e-4;
+        }));
+    }
+    CHECK((one.at - unmoved).rowwise().norm().maxCoeff() > 0.009);
+  }
+}
+
+TEST_CASE("a belt or a cuff presses all around, as deep as it is") {
+  const RowMajor there = shifted(0, 0, 0);
+  for (const double half : {0.015, 0.075})
+    for (const double inner : {0.065, 0.06, 0.05}) {
+      const Collider belt = shapes::collider(shapes::tube(inner, 0.09, half, 240));
+      shapes::Skin skin = limb(0.07);
+      const Points unmoved = skin.at;
+      for (int k = 0; k < 4; ++k) skin.step(way(belt, there, there), unmoved, 0.02);
+      int pressed = 0;
+      for (const Contact& contact : skin.contacts) {
+        CHECK(contact.weight == 1);
+        CHECK(contact.too_deep < 0);
+        pressed += contact.normal.dot(Vector3d(skin.normal.row(contact.sample))) < -0.99;
+      }
+      CHECK(pressed >= 40 * (2 * int(half / 0.01) - 1));
+      for (Eigen::Index p = 0; p < skin.at.rows(); ++p)
+        if (std::abs(unmoved(p, 2)) < half - 0.011)
+          CHECK(skin.at.row(p).head<2>().norm() == doctest::Approx(inner).epsilon(1e-3));
+    }
+}
+
+TEST_CASE("a rod that has gone past the skin into the body lets it go") {
+  const Collider rod = shapes::collider(shapes::box({0.004, 0.3, 0.004}));
+  const RowMajor there = shifted(0.07 - 0.06, 0, 0);
+  for (const bool partner : {false, true}) {
+    shapes::Skin skin = limb(0.07);
+    const Points unmoved = skin.at;
+    // Pushed along so far by the rod.
+    for (Eigen::Index p = 0; p < skin.at.rows(); ++p)
+      if (unmoved(p, 0) > 0.01 && std::abs(unmoved(p, 2)) < 0.004) skin.at(p, 0) = 0.005;
+    const Collider both = shapes::collider(
+        shapes::joined(shapes::box({0.004, 0.3, 0.004}), shapes::moved(shapes::box({0.02, 0.3, 0.3}), {-0.09, 0, 0})));
+    for (int k = 0; k < 3; ++k) skin.step(way(partner ? both : rod, there, there), unmoved, 0.02);
+    for (const Contact& contact : skin.contacts)
+      if (unmoved(contact.sample, 2) == 0 && unmoved(contact.sample, 0) > 0.069) CHECK(contact.weight == 0);
+  }
 }
 
 TEST_CASE("a ball driven right through a body and back neither drags the skin along nor out") {
