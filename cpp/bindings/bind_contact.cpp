@@ -47,8 +47,9 @@ void bind_collider(py::module_& m) {
            }),
            "points"_a, "triangles"_a, "one_sided"_a = false,
            "points (V, 3): meters, in its own frame. triangles (T, 3): any triangle soup; closed parts push outward, "
-           "open ones from both sides. one_sided: all that is behind its faces counts as inside. Raises ValueError "
-           "without triangles, for indices out of range and for points that are not finite.")
+           "open ones from both sides. one_sided: all that is behind its faces counts as inside, unless both sides of "
+           "one are there. Raises ValueError without triangles, for indices out of range and for points that are not "
+           "finite.")
       .def(
           "signed_distances",
           [](const Collider& collider, const FloatArray& points) {

@@ -463,3 +463,53 @@ def test_what_does_not_fit_is_refused(belly, floor):
     lost = simulated(belly)
     report = step(lost, floor, [placed(0, 0, 0), placed(np.nan, 0, 0)])
     assert report["unusable_colliders"] == [0] and report["converged"]
+
+
+def doubled(triangles, kind):
+    """A mesh's triangles with some of them twice."""
+    turned = triangles[:, ::-1]
+    return {
+        "reversed": np.concatenate([triangles, turned]),
+        "reversed first": np.concatenate([turned, triangles]),
+        "same side": np.concatenate([triangles, triangles]),
+        "some": np.concatenate([triangles, turned[::3]]),
+    }[kind]
+
+
+@pytest.mark.parametrize("kind", ["reversed", "reversed first", "same side", "some", "reversed, own vertices"])
+def test_faces_that_are_there_twice_press_once(belly, kind):
+    """As the collider without them does, also where it is called one-sided, as Blender's are by default."""
+    points, triangles = sphere(3)
+    twice, corners = points, triangles
+    if kind.endswith("own vertices"):
+        twice, corners = in_one([(points, triangles), (points, triangles[:, ::-1])])
+    else:
+        corners = doubled(triangles, kind)
+    one_sided = kind != "same side"
+    moved, forces = [], []
+    for collider in (
+        dynamorph.Collider(0.05 * points, triangles),
+        dynamorph.Collider(0.05 * twice, corners),
+        dynamorph.Collider(0.05 * twice, corners, one_sided),
+    ):
+        simulation = simulated(belly)
+        places = [placed(0.3 - depth, 0.0031, 0.0042) for depth in (-0.001, 0.004, 0.009, 0.014)]
+        report = step(simulation, collider, places)
+        moved.append(belly.model.displacement(simulation.coordinates))
+        forces.append(report["contact_forces"])
+    for k in (1, 2):
+        np.testing.assert_allclose(forces[k], forces[0], rtol=1e-9)
+        np.testing.assert_allclose(moved[k], moved[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("one_sided", [False, True])
+def test_an_open_sheet_with_both_sides_modeled_presses_from_both(belly, one_sided):
+    corners, faces = np.array([[0, -9, -9], [0, 9, -9], [0, 9, 9], [0, -9, 9.0]]), np.array([[0, 1, 2], [0, 2, 3]])
+    for side in (1, -1):
+        collider = dynamorph.Collider(side * corners, doubled(faces, "reversed"), one_sided)
+        simulation = simulated(belly)
+        report = step(
+            simulation, collider, [placed(side * (0.25 - depth), 0, 0) for depth in (-0.005, 0.0, 0.005, 0.01)]
+        )
+        assert side * report["contact_forces"][0, 0] > 10
+        assert report["penetration"] < 0.0015 * belly.size

@@ -522,7 +522,7 @@ class Collider:
     """
     def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], one_sided: bool = False) -> None:
         """
-        points (V, 3): meters, in its own frame. triangles (T, 3): any triangle soup; closed parts push outward, open ones from both sides. one_sided: all that is behind its faces counts as inside. Raises ValueError without triangles, for indices out of range and for points that are not finite.
+        points (V, 3): meters, in its own frame. triangles (T, 3): any triangle soup; closed parts push outward, open ones from both sides. one_sided: all that is behind its faces counts as inside, unless both sides of one are there. Raises ValueError without triangles, for indices out of range and for points that are not finite.
         """
     def signed_distances(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
         """

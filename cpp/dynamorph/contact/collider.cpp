@@ -2,9 +2,11 @@
 #include "dynamorph/contact/collider.hpp"
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <cmath>
 #include <numeric>
+#include <set>
 #include <stdexcept>
 
 #include "dynamorph/core/disjoint_sets.hpp"
@@ -140,7 +142,7 @@ Collider::Collider(Points points, Triangles triangles, bool one_sided)
   id_ = ++count;
   check(points, triangles_);
   place_ = number_places(points);
-  drop_collapsed();
+  drop_needless();
   find_neighbors();
   find_kinds(points);
   find_corners();
@@ -152,12 +154,18 @@ Collider::Collider(Points points, Triangles triangles, bool one_sided)
   if (needs_winding()) find_dipoles(rest_.points, winding_triangles(), rest_.bvh, rest_.dipoles);
 }
 
-/// Keeps the triangles with three different corners. Others would make three faces of an edge.
-void Collider::drop_collapsed() {
+/// Keeps the triangles with three different corners, each once. Others would make more than two faces of an edge. Where
+/// both sides of a face are there, as in a mesh with modeled backfaces, normals do not tell which side is meant.
+void Collider::drop_needless() {
+  std::set<std::array<int, 3>> kept;  // places of their corners in turn, from the first one on
   Eigen::Index count = 0;
   for (Eigen::Index t = 0; t < triangles_.rows(); ++t) {
-    const int a = place_[triangles_(t, 0)], b = place_[triangles_(t, 1)], c = place_[triangles_(t, 2)];
-    if (a != b && b != c && c != a) triangles_.row(count++) = triangles_.row(t).eval();
+    std::array<int, 3> face{place_[triangles_(t, 0)], place_[triangles_(t, 1)], place_[triangles_(t, 2)]};
+    if (face[0] == face[1] || face[1] == face[2] || face[2] == face[0]) continue;
+    std::rotate(face.begin(), std::min_element(face.begin(), face.end()), face.end());
+    const bool turned = kept.count({face[0], face[2], face[1]}) > 0;
+    if (turned) one_sided_ = false;
+    if (!turned && kept.insert(face).second) triangles_.row(count++) = triangles_.row(t).eval();
   }
   if (count == 0) throw std::invalid_argument("triangles: none of them has three different corners");
   triangles_.conservativeResize(count, 3);

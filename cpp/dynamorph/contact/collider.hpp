@@ -13,7 +13,8 @@
 //            which may overlap.
 //   sheet    a floor, a plate, cloth. Nothing is inside; it stops what comes from either side.
 //
-// A one-sided collider is different: what is behind its normals is inside, whatever its kind.
+// A one-sided collider is different: what is behind its normals is inside, whatever its kind. A face counts once. If
+// one is there from both sides, the collider is not one-sided.
 #pragma once
 
 #include <cstdint>
@@ -46,7 +47,7 @@ struct ColliderPoint {
 class Collider {
  public:
   /// points (V, 3) in its own frame, meters; triangles (T, 3). A closed or holed piece that is inside out is turned,
-  /// unless the collider is one-sided. Triangles without area do no harm.
+  /// unless the collider is one-sided. Triangles without area, and those that are there twice, do no harm.
   /// Throws std::invalid_argument without triangles, for indices out of range and for points that are not finite.
   Collider(Points points, Triangles triangles, bool one_sided = false);
 
@@ -108,7 +109,7 @@ class Collider {
   bool needs_winding() const { return solids_ > 0 && !by_normals_; }
   const Triangles& winding_triangles() const { return winding_.size() ? winding_ : triangles_; }
 
-  void drop_collapsed();
+  void drop_needless();
   void find_neighbors();
   void find_corners();
   std::vector<bool> orient();

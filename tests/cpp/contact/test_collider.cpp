@@ -107,6 +107,32 @@ TEST_CASE("split vertices and triangles without area leave a mesh closed") {
   for (const Vector3d& x : random_points(500, 1.5)) CHECK(contains(pierced, x) == (box_distance(x, {1, 1, 1}) < 0));
 }
 
+TEST_CASE("faces that are there twice count once") {
+  const auto turned = [](const Triangles& triangles) { return Triangles(triangles.rowwise().reverse()); };
+  const auto both = [](const Triangles& a, const Triangles& b) {
+    Triangles out(a.rows() + b.rows(), 3);
+    out << a, b;
+    return out;
+  };
+  const shapes::Mesh box = shapes::box({1, 1, 1}), floor = shapes::floor(1);
+  const Triangles& own = box.triangles;
+  // Reversed, in either order; some of them; from the same side; and as a shell of its own vertices.
+  for (const Triangles& triangles :
+       {both(own, turned(own)), both(turned(own), own), both(own, turned(own.topRows(5))), both(own, own)}) {
+    const Collider collider(box.points, triangles);
+    CHECK(collider.triangles().rows() == own.rows());
+    for (const Vector3d& x : random_points(300, 1.5)) CHECK(contains(collider, x) == (box_distance(x, {1, 1, 1}) < 0));
+  }
+  const Collider shell = shapes::collider(shapes::joined(box, shapes::inside_out(box)), true);
+  CHECK_FALSE(shell.one_sided());
+  for (const Vector3d& x : random_points(300, 1.5)) CHECK(contains(shell, x) == (box_distance(x, {1, 1, 1}) < 0));
+  // An open sheet stays one, and has both of its sides.
+  const Collider sheet(floor.points, both(floor.triangles, turned(floor.triangles)), true);
+  CHECK_FALSE(sheet.solid());
+  CHECK(sheet.sheet(0));
+  CHECK(Collider(floor.points, both(floor.triangles, floor.triangles), true).one_sided());
+}
+
 TEST_CASE("a body with a hole has an inside, a hemisphere has none") {
   shapes::Mesh mesh = shapes::sphere(1, 24);
   const Eigen::Index all = mesh.triangles.rows();
