@@ -163,13 +163,21 @@ void bind_simulation_of(py::module_& m, const char* name) {
            "so that targets do not sag.")
       .def(
           "start",
-          [](Sim& s, const FloatArray& now, const FloatArray& next, const VectorXd& weights) {
+          [](Sim& s, const FloatArray& now, const FloatArray& next, const VectorXd& weights,
+             const std::optional<std::vector<ColliderMotion>>& colliders) {
             const Transforms a = transforms("now", now), b = transforms("next", next);
-            return summary(changing(s, [&] { return s.start(a, b, weights); }), 0, 0);
+            std::vector<ColliderStep> met;
+            const auto at_rest = colliders.value_or(std::vector<ColliderMotion>());
+            for (const ColliderMotion& collider : at_rest) {
+              check_size("colliders: steps", collider.steps(), 1);
+              met.push_back(collider.at(0));
+            }
+            return summary(changing(s, [&] { return s.start(a, b, weights, &met); }), 0, 0);
           },
-          "now"_a, "next"_a, "weights"_a,
+          "now"_a, "next"_a, "weights"_a, "colliders"_a = py::none(),
           "Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to "
-          "`next` backward.")
+          "`next` backward. colliders: what the skin lies on then, each with the motion of one step in which it stays "
+          "where it is.")
       .def(
           "advance",
           [](Sim& s, const FloatArray& bones, const FloatArray& weights, const std::optional<FloatArray>& external,

@@ -296,7 +296,10 @@ def calls() -> dict[str, tuple[object, dict]]:
             ),
             f"{kind}.balance_targets": (new, {"bones": np.repeat(s.bones[None], 2, 0)}),
             f"{kind}.solve_static": (new, {"bones": s.bones, "weights": s.weights, **push, "guess": zero}),
-            f"{kind}.start": (new, {"now": s.bones, "next": s.next, "weights": s.weights}),
+            f"{kind}.start": (
+                new,
+                {"now": s.bones, "next": s.next, "weights": s.weights, "colliders": [s.collider_motion]},
+            ),
             f"{kind}.state": (new, {"value": touched(s.collider_motion, kind)[1].state}),
         }
         coupling = kind.replace("Simulation", "Coupling")

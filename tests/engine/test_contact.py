@@ -513,3 +513,70 @@ def test_an_open_sheet_with_both_sides_modeled_presses_from_both(belly, one_side
         )
         assert side * report["contact_forces"][0, 0] > 10
         assert report["penetration"] < 0.0015 * belly.size
+
+
+@pytest.fixture(scope="module")
+def bed():
+    """Its surface at z = 0."""
+    corners = np.array(list(itertools.product([-2, 2], [-2, 2], [-1, 0.0])))
+    faces = [[0, 2, 6, 4], [1, 5, 7, 3], [0, 4, 5, 1], [2, 3, 7, 6], [0, 1, 3, 2], [4, 6, 7, 5]]
+    return dynamorph.Collider(corners, [face[k : k + 2] + face[:1] for face in faces for k in (1, 2)])
+
+
+def lies(simulation, collider, places, deforming=None):
+    """Where it begins on a collider, and how far each of the steps after that moves any coordinate."""
+    path = np.array(places if deforming is None else deforming)
+
+    def motion(steps):
+        return [dynamorph.ColliderMotion(collider, np.repeat(path, steps + 1, axis=0), 0.5)]
+
+    begun = simulation.start(STILL, STILL, ONE, motion(1))
+    moved = [simulation.coordinates]
+    for _ in range(8):
+        report = simulation.advance(STILL[None], ONE[None], colliders=motion(1))
+        moved.append(simulation.coordinates)
+    return begun, report, np.abs(np.diff(moved, axis=0)).max()
+
+
+@pytest.mark.parametrize("deforms", [False, True])
+@pytest.mark.parametrize("depth", [0.015, 0.03])
+def test_what_begins_in_a_bed_lies_there(belly, bed, depth, deforms):
+    """Settled with what it touches, it does not move in the steps that follow, and is not called too deep."""
+    simulation = dynamorph.FullSimulation(belly.model, H, gravity=(0, 0, -GRAVITY))
+    simulation.set_contact(belly.contact, 0.0)
+    low = belly.nodes[:, 2].min() + depth
+    corners = np.array(list(itertools.product([-2, 2], [-2, 2], [low - 1, low])))
+    begun, report, moved = lies(simulation, bed, [placed(0, 0, low)], [corners] if deforms else None)
+    assert begun["converged"] and begun["contacts"] > 0 and begun["too_deep"] == 0
+    assert begun["penetration"] <= 0.0011 * belly.size
+    assert moved < 1e-4 * belly.size
+    np.testing.assert_allclose(begun["contact_forces"], report["contact_forces"], rtol=0.02, atol=0.5)
+
+
+def test_what_begins_with_a_ball_in_it_is_dented(belly):
+    simulation = dynamorph.FullSimulation(belly.model, H)
+    simulation.set_contact(belly.contact, 0.0)
+    begun, report, moved = lies(simulation, ball(0.05), [pressed(0.04 * belly.size)])
+    assert begun["converged"] and begun["contact_forces"][0, 0] > 0
+    assert moved < 1e-4 * belly.size
+    assert report["penetration"] <= 0.0011 * belly.size
+
+
+def test_a_reduced_model_begins_with_its_dents(belly, few, bed):
+    simulation = dynamorph.ReducedSimulation(few.model, H)
+    simulation.set_contact(dynamorph.ReducedContact(few.model, **belly.samples, local=few.local))
+    begun, report, moved = lies(simulation, bed, [placed(0, 0, belly.nodes[:, 2].min() + 0.02)])
+    assert begun["converged"] and report["converged"] and simulation.dents.any()
+    assert moved < 0.02 * np.abs(simulation.coordinates).max()
+
+
+def test_with_nothing_near_it_begins_as_without_colliders(belly, bed):
+    begun = []
+    for colliders in (None, [dynamorph.ColliderMotion(bed, np.repeat(placed(0, 0, -3)[None], 2, 0))]):
+        simulation = dynamorph.FullSimulation(belly.model, H, gravity=(0, 0, -GRAVITY))
+        simulation.set_contact(belly.contact, 0.0)
+        simulation.start(STILL, STILL, ONE, colliders)
+        begun.append(simulation.coordinates)
+    np.testing.assert_array_equal(*begun)
+    with pytest.raises(ValueError, match="colliders: steps: expected 1"):
+        simulation.start(STILL, STILL, ONE, [dynamorph.ColliderMotion(bed, np.repeat(placed(0, 0, 0)[None], 3, 0))])

@@ -723,9 +723,9 @@ class FullSimulation:
         """
         Returns (coordinates, report) of the static solution. The search starts from `guess`, or from the blended targets.
         """
-    def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> dict:
+    def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], colliders: collections.abc.Sequence[ColliderMotion] | None = None) -> dict:
         """
-        Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to `next` backward.
+        Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to `next` backward. colliders: what the skin lies on then, each with the motion of one step in which it stays where it is.
         """
     @property
     def coordinates(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
@@ -796,9 +796,9 @@ class ReducedSimulation:
         """
         Returns (coordinates, report) of the static solution. The search starts from `guess`, or from the blended targets.
         """
-    def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> dict:
+    def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], colliders: collections.abc.Sequence[ColliderMotion] | None = None) -> dict:
         """
-        Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to `next` backward.
+        Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to `next` backward. colliders: what the skin lies on then, each with the motion of one step in which it stays where it is.
         """
     @property
     def coordinates(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:

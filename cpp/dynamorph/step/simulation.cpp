@@ -14,8 +14,9 @@ namespace {
 
 using Box = Eigen::AlignedBox3d;
 
-constexpr int kStaticIterations = 200;   // needed only once, and gravity moves a soft body far
-constexpr double kWatched = 0.45;        // of its limit: what is nearer than that is not pulled in this step
+constexpr int kStaticIterations = 200;  // needed only once, and gravity moves a soft body far
+constexpr int kLieDown = 20;       // static solutions until contacts stay: 2 in a bed, 4 to 10 with a ball in a belly
+constexpr double kWatched = 0.45;  // of its limit: what is nearer than that is not pulled in this step
 constexpr double kContactWidth = 1e-3;   // of the body's size: the depth over which contact gets its full stiffness
 constexpr double kContactMargin = 0.02;  // of the size: samples that come so near in a step can touch something
 constexpr double kContactNear = 0.005;   // of the size: those that hardly move, only if they come so near
@@ -374,22 +375,44 @@ StepReport Simulation<Model>::solve_static(const StepInput& input, VectorXd& q) 
 }
 
 template <class Model>
-StepReport Simulation<Model>::start(const Transforms& now, const Transforms& next, const VectorXd& weights) {
+StepReport Simulation<Model>::start(const Transforms& now, const Transforms& next, const VectorXd& weights,
+                                    const std::vector<ColliderStep>* colliders) {
   if (next.rows() != now.rows() || !next.allFinite())
     throw std::invalid_argument("next: expected " + std::to_string(now.rows()) + " finite transforms, got " +
                                 std::to_string(next.rows()));
   VectorXd q;
-  const StepReport report = solve_static({now, weights}, q);
+  StepReport report = solve_static({now, weights}, q);
   dents_.setZero();
   weights_ = weights;
   state_.excess = excess_;
-  for (int k = 0; k < InertialTarget::kMoments; ++k) {
-    state_.q[k] = q;
-    state_.bones[k] = extrapolate_back(now, next, k);
-  }
+  state_.q.fill(q);
+  for (int k = 0; k < InertialTarget::kMoments; ++k) state_.bones[k] = extrapolate_back(now, next, k);
   state_.contact.clear();
   state_.pressures.clear();
+  lie_down({now, weights, nullptr, nullptr, colliders}, report);
   return report;
+}
+
+// Each static solution has the planes that are found where the last one ended. Friction has no pressure yet, so it does
+// not act.
+template <class Model>
+void Simulation<Model>::lie_down(const StepInput& input, StepReport& report) {
+  const double negligible = options_.tolerance * model_->body().size * model_->meter();
+  for (int round = 0; round < kLieDown; ++round) {
+    next_ = state_.q[0];
+    find_contacts(input);
+    if (contacts_.empty()) break;
+    const int iterations = report.iterations;
+    report = minimize(next_, options_.max_iterations);
+    report.iterations += iterations;
+    const bool lies = (next_ - state_.q[0]).norm() <= negligible;
+    state_.q.fill(next_);
+    state_.contact = memory_;
+    if (lies) break;
+  }
+  report_contacts(input, report);
+  contacts_.dents(dents_);
+  contacts_.pressures(state_.pressures);
 }
 
 template <class Model>

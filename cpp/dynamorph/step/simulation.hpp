@@ -75,8 +75,10 @@ class Simulation {
   void balance_targets(const std::vector<Transforms>& bones);
 
   /// Starts at rest with the bones `now`, while the rig moves on to `next` by the end of the first step. u is the
-  /// static solution, and the past continues the rig's motion backward.
-  StepReport start(const Transforms& now, const Transforms& next, const VectorXd& weights);
+  /// static solution, lying on what it touches, and the past continues the rig's motion backward. colliders: where they
+  /// are now, before and after alike; null for none.
+  StepReport start(const Transforms& now, const Transforms& next, const VectorXd& weights,
+                   const std::vector<ColliderStep>* colliders = nullptr);
 
   /// Takes one step to where the bones and weights are at its end.
   StepReport step(const StepInput& input);
@@ -140,6 +142,8 @@ class Simulation {
   /// The last part, at the minimum.
   void end_step(const StepInput& input, StepReport& report);
   void prepare(const StepInput& input);
+  /// Moves the state from the static solution to where what it touches holds it.
+  void lie_down(const StepInput& input, StepReport& report);
   /// Sets g of the quadratic term to the forces at its origin: inertia's toward `inertial` divided by `square` s^2,
   /// external forces on the nodes if there are any, and gravity in the targets' own poses.
   /// scales: of the transforms' loads (T), for external forces.

@@ -22,7 +22,7 @@ struct StepInput {
   const VectorXd& weights;                   ///< of the targets (J)
   const VectorXd* external = nullptr;        ///< newtons on the free nodes (3 free), world space
   const std::vector<Grab>* grabs = nullptr;  ///< need Simulation::set_skin()
-  /// Need Simulation::set_contact(). Static solutions ignore them.
+  /// Need Simulation::set_contact(). Simulation::solve_static ignores them.
   const std::vector<ColliderStep>* colliders = nullptr;
 };
 

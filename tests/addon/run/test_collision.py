@@ -392,6 +392,23 @@ def test_what_begins_inside_gets_out(arm, ball, solver):
     assert max(depths(shown(arm))[FRAMES // 2 :]) < 0.002 * SIZE
 
 
+@pytest.mark.fault("X01")
+@pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
+def test_settled_in_a_ball_it_begins_dented_and_stays(arm, ball, solver):
+    """In its rest shape it begins as the bones put it."""
+    ball.location.x = SURFACE + RADIUS - PRESSED
+    arm.dynamorph.collision.bake_full = solver == "FULL"
+    rest = evaluated_points(arm)
+    bake(arm)
+    points = shown(arm)
+    assert max(depths(points)) < 0.002 * SIZE
+    assert np.linalg.norm(points[0] - rest, axis=1).max() > 0.9 * PRESSED
+    assert np.linalg.norm(np.diff(points, axis=0), axis=2).max() < 0.05 * PRESSED
+    arm.dynamorph.simulation.initial_state = "REST_SHAPE"
+    bake(arm)
+    assert np.abs(shown(arm, [1])[0] - rest).max() < 1e-4
+
+
 @pytest.mark.fault("X02")
 def test_a_ball_that_jumps_in_is_met_where_it_is(arm, ball):
     """It is not swept along the way from there, and leaves nothing behind when it jumps away."""

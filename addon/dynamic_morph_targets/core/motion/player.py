@@ -174,7 +174,8 @@ class Player:
             self.state = [rest] * 4, [bones[0].reshape(-1, 12)] * 4, np.zeros(0), np.zeros(0)
             begun = NO_STEPS
         else:
-            begun = self._simulation.start(bones[0], bones[-1], weights[0])
+            lies_on = self.collision.motions(rig[:1].still(1)) if self.collision else None
+            begun = self._simulation.start(bones[0], bones[-1], weights[0], lies_on)
         self.number = self.settings.first
         return Frame(self.number, self.coordinates, weights[0], begun)
 
@@ -303,7 +304,7 @@ class _NothingMoves:
     coordinates = dents = np.zeros(0)
     state: State = (), (), np.zeros(0), np.zeros(0)
 
-    def start(self, _now: np.ndarray, _next: np.ndarray, _weights: np.ndarray) -> dict:
+    def start(self, *_at_rest: object) -> dict:
         return NO_STEPS
 
     def advance(self, *_moving: object) -> dict:
