@@ -101,9 +101,9 @@ def test_it_does_not_depend_on_the_order(solver):
 @pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
 def test_what_friction_holds_does_not_creep(solver):
     """The upper block lies on the lower one, is pushed aside, and stays."""
-    lower, upper = block(solver, False, held=True), block(solver, True, held=True)
-    simulations = [simulation_of(s) for s in (lower, upper)]
-    coupling = lower.kind["Coupling"]([(made, s.skin) for made, s in zip(simulations, (lower, upper), strict=True)], 0.5)
+    lower, upper = bodies = [block(solver, side, held=True) for side in (False, True)]
+    simulations = [simulation_of(s) for s in bodies]
+    coupling = lower.kind["Coupling"]([(made, s.skin) for made, s in zip(simulations, bodies, strict=True)], 0.5)
     ways = []
     for k in range(300):  # the material's own creep dies out
         now = posed((GAP + 0.02) * min(1.0, k / 20), 0.004 * min(1.0, max(0.0, k / 20 - 1)))
@@ -112,6 +112,22 @@ def test_what_friction_holds_does_not_creep(solver):
     assert ways[-1] < -0.001  # it is held behind
     creep = abs(ways[-1] - ways[-25]) / (24 * H)
     assert creep < 2e-5 * upper.body.size
+
+
+@pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
+@pytest.mark.parametrize("bad", [[1e4, 0.0], [1.0, 1e3]], ids=["scaled", "moved"])
+def test_a_bad_frame_of_one_does_not_throw_the_other(solver, bad):
+    bodies = [block(solver, upper, held=True) for upper in (False, True)]
+    simulations = [simulation_of(s) for s in bodies]
+    coupling = bodies[0].kind["Coupling"]([(made, s.skin) for made, s in zip(simulations, bodies, strict=True)], 0.5)
+    moved = []
+    for k in range(60):
+        now = posed((GAP + 0.02) * min(1.0, k / 20))
+        if k == 40:
+            now = bad[0] * now + bad[1] * np.eye(3, 4, 3)
+        coupling.advance([motion(posed()), motion(now)])
+        moved.append(np.abs(bodies[0].model.displacement(simulations[0].coordinates)).max())
+    assert max(moved[40:]) < 0.1 * bodies[0].body.size  # it swings back, which may hit
 
 
 def test_two_bodies_are_as_two_parts_of_one():

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Local responses (local_responses.hpp) in a step. What gives way has no mass and no past: its amplitudes a are unknowns
-// of the step beside the model's coordinates, with the energy
+// Local responses (local_responses.hpp) in a step. What gives way has no mass and no past: its amplitudes a are
+// unknowns of the step beside the model's coordinates, with the energy
 //
 //   E = a^T C a / 2 + sum_m 1000 C_mm ramp(|a_m| - A_m),
 //
 // where A_m is the amplitude at which a patch moves some skin 1.5 times as far as the deepest contact is deep. Samples
 // that a patch is too coarse for would ask for more, and throw skin about. A contact i is moved by rho_i a along its
-// normal. With C = L L^T and c the mean of its diagonal, the unknowns are b = L^T a / sqrt(c): all have the stiffness c.
+// normal. With C = L L^T and c the mean of its diagonal, the unknowns are b = L^T a / sqrt(c): all have the stiffness
+// c.
 #pragma once
 
 #include <vector>
@@ -21,18 +22,19 @@ class Dents {
   void clear();
   bool empty() const { return patches_.empty(); }
 
-  /// rho (n, m), C (m, m), A (m) > 0. They begin where these pressures (n), newtons, hold them: those of the step before.
+  /// rho (n, m), C (m, m), A (m) > 0. They begin where these pressures (n), newtons, hold them: those of the step
+  /// before.
   void begin(std::vector<int> patches, const MatrixXd& rows, const MatrixXd& stiffness, VectorXd most,
              const VectorXd& pressures);
 
   /// Moves the unknowns to b (m).
   void at(const Eigen::Ref<const VectorXd>& b);
-  const VectorXd& unknowns() const { return b_; }        ///< b (m)
-  const VectorXd& given_way() const { return given_; }   ///< rho a (n), meters
-  double energy() const { return energy_; }              ///< E, J
-  const VectorXd& resisting() const { return force_; }   ///< dE/db (m)
-  const RowMajor& rows() const { return rows_; }         ///< of the contacts over b (n, m)
-  double stiffness() const { return stiffness_; }        ///< c
+  const VectorXd& unknowns() const { return b_; }       ///< b (m)
+  const VectorXd& given_way() const { return given_; }  ///< rho a (n), meters
+  double energy() const { return energy_; }             ///< E, J
+  const VectorXd& resisting() const { return force_; }  ///< dE/db (m)
+  const RowMajor& rows() const { return rows_; }        ///< of the contacts over b (n, m)
+  double stiffness() const { return stiffness_; }       ///< c
   /// Calls f(row over b, stiffness > 0) for each patch that has gone beyond A.
   template <class F>
   void each_hard(F&& f) const {

@@ -15,15 +15,15 @@ using Eigen::Index;
 
 namespace {
 
-constexpr double kTurned = 0.1;        // of the body's size: as far as a normal at a right angle is unlike
-constexpr double kReach = 2;           // of the distance within which half of the other places have a center
+constexpr double kTurned = 0.1;  // of the body's size: as far as a normal at a right angle is unlike
+constexpr double kReach = 2;     // of the distance within which half of the other places have a center
 // Own motion below which a push may do nothing, and from which all. Between, coordinates and patches do not agree about
-// what a push does: with {0.5, 0.9}, a limb on a floor was 100 % off, with this 25 %; below 0.6 a dog's firm head throws
-// its body.
+// what a push does: with {0.5, 0.9}, a limb on a floor was 100 % off, with this 25 %; below 0.6 a dog's firm head
+// throws its body.
 constexpr double kOwn[] = {0.6, 0.65};
-constexpr Index kLookedAt = 300;       // places whose motion is compared
-constexpr double kGivesWay = 1e-6;     // of the most compliant patch: what is held firmer than that has no response
-constexpr double kAlike = 1e-9;        // patches that overlap give way nearly alike
+constexpr Index kLookedAt = 300;    // places whose motion is compared
+constexpr double kGivesWay = 1e-6;  // of the most compliant patch: what is held firmer than that has no response
+constexpr double kAlike = 1e-9;     // patches that overlap give way nearly alike
 
 SkinPlaces at(const SkinPlaces& places, const std::vector<int>& chosen) {
   SkinPlaces out{Points(Index(chosen.size()), 3), Points(Index(chosen.size()), 3), {}};

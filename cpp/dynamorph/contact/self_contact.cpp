@@ -254,7 +254,7 @@ Worn SelfContact<Model>::wear(int clothes, int body, const SelfContact& other, c
 
 template <class Model>
 void SelfContact<Model>::find(const PosedSkin& skin, Scratch& scratch, std::vector<Contact>& contacts) const {
-  const Body body{*this, skin, scratch, 0};
+  const Body body{*this, skin, scratch, 0, false};
   std::vector<Found> found;
   begin(body);
   search(body, body, nullptr, found);
@@ -279,6 +279,7 @@ void SelfContact<Model>::find_between(const std::vector<Body>& bodies, const std
   };
   for (std::size_t a = 0; a < bodies.size(); ++a)
     for (std::size_t b = a + 1; b < bodies.size(); ++b) {
+      if (bodies[a].jumps || bodies[b].jumps) continue;
       found.clear();
       back.clear();
       const Worn *on = lies_on(a, b), *under = lies_on(b, a);
@@ -488,6 +489,8 @@ void SelfContact<Model>::touch(const Body& body, int point, const Body& other, c
     });
   });
   if (!(room > 0)) return;  // neither side gives way
+  // What a bad frame of its rig has thrown farther than the body is large presses nothing.
+  if (std::max((kept - unmoved).norm(), (predicted - unmoved).norm()) > body.of.samples_->model().body().size) return;
   const double at_first = nearest.gap + normal.dot(kept - unmoved);
   const double at_last = nearest.gap + normal.dot(predicted - unmoved);
   contact.gap = std::min(at_first, at_last);

@@ -117,6 +117,7 @@ class SelfContact {
     PosedSkin skin;
     Scratch& scratch;
     int first_sample;  ///< of it among those of all bodies
+    bool jumps;        ///< by so much that it touches no other body in this step
   };
 
   /// Sets `contacts` to those of all points whose gap is less than `near` at the beginning of the step or at its

@@ -7,8 +7,8 @@
 //
 // x_p is the place of a sample, less that of the other side where skin touches skin (self_contact.hpp). Here s is the
 // contact's weight, k the sample's stiffness (contact_samples.hpp), ramp and F are of contact_law.hpp, mu is the
-// friction, and lambda the pressure in the round before. t' is the slip of the step before, as far as friction gives way
-// before it holds: what sticks is held where it stuck, and does not creep. With local responses the skin gives way
+// friction, and lambda the pressure in the round before. t' is the slip of the step before, as far as friction gives
+// way before it holds: what sticks is held where it stuck, and does not creep. With local responses the skin gives way
 // beneath the contacts, by rho a along their normals, with the energy of dents.hpp, and the coordinates take a part of
 // the push alone: then n . x_p in g is that of the targets' shape, plus `taken` times what q moves it by, plus rho a.
 // The patches that give way are those of the samples that are nearer than `giving`: what else a search finds does not

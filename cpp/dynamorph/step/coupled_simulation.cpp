@@ -4,6 +4,7 @@
 #include <algorithm>
 
 #include "dynamorph/core/progress.hpp"
+#include "dynamorph/step/teleport.hpp"
 
 namespace dynamorph {
 
@@ -224,7 +225,9 @@ void CoupledSimulation<Model>::find_contacts(const std::vector<StepInput>& input
   ContactStep step = bodies_[0].simulation->contact_step();
   for (std::size_t body = 0; body < bodies_.size(); ++body) {
     const auto& [simulation, skin] = bodies_[body];
-    skins.push_back({*skin, simulation->posed_skin(inputs[body]), scratch_[body], first_sample_[body]});
+    const SoftBody& soft = simulation->model().body();
+    const bool jumps = dynamorph::jumps(soft, soft.size, inputs[body].bones, simulation->state_.bones);
+    skins.push_back({*skin, simulation->posed_skin(inputs[body]), scratch_[body], first_sample_[body], jumps});
     samples.push_back({skin->samples(), inputs[body].bones, inputs[body].weights});
     for (const Pressure& last : simulation->state_.pressures)
       if (last.collider == kOtherSkin)

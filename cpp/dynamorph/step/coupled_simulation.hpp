@@ -6,7 +6,8 @@
 //
 // by one Newton's method over the coordinates of all, so that each gives way by its own compliance and the forces
 // between them sum to zero. Contacts are found as those of a body with itself (self_contact.hpp), from the poses alone,
-// with both bodies in either part: the order of the bodies does not matter.
+// with both bodies in either part: the order of the bodies does not matter. A body whose rig jumps by more than its
+// size in a step, as in a bad frame, touches no other one until its rig is back.
 #pragma once
 
 #include <memory>

@@ -10,8 +10,8 @@
 //                stiffness (PointStiffness)
 //   round_off()  how exact these are, see RoundOff; asked after gradient()
 //
-// Newton's method is over x: the coordinates q, and after them the unknowns that points have of their own (DensePoints),
-// which contact's patches are. at(x) is given all of them; a gradient is over q, or over all.
+// Newton's method is over x: the coordinates q, and after them the unknowns that points have of their own
+// (DensePoints), which contact's patches are. at(x) is given all of them; a gradient is over q, or over all.
 //
 // at() may compute what the others return: of a reduced model, value and gradient come from one pass. The Hessian is
 // asked for only where Newton's method goes on; the line search asks for values.
@@ -64,7 +64,8 @@ class Potential {
         [&](Terms&... terms) {
           (terms.at(x), ...);
           out.gradient.setZero(x.size());
-          ((out.gradient.head(terms.gradient().size()) += terms.gradient()), ...);
+          const auto add = [&](const VectorXd& gradient) { out.gradient.head(gradient.size()) += gradient; };
+          (add(terms.gradient()), ...);
           out.value = out.magnitude = 0;
           for (double energy : {terms.value()...}) {
             out.value += energy;

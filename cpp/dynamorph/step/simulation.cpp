@@ -244,8 +244,13 @@ PosedSkin Simulation<Model>::posed_skin(const StepInput& input) {
 template <class Model>
 ContactStep Simulation<Model>::contact_step() const {
   const double size = model_->body().size;
-  return {friction_, own_friction_,        StepRule(options_).square,  distance_, kContactWidth * size,
-          kSticks * size * options_.h, distance_ + kContactNear * size};
+  return {friction_,
+          own_friction_,
+          StepRule(options_).square,
+          distance_,
+          kContactWidth * size,
+          kSticks * size * options_.h,
+          distance_ + kContactNear * size};
 }
 
 template <class Model>

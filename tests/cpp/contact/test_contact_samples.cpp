@@ -53,14 +53,14 @@ struct DenseModel {
     return 1 / j.dot(A.ldlt().solve(j));
   }
   /// How much of its stiffness a sample presses with: all on a mesh; with few coordinates none if that would move
-  /// another one more than twice as far.
+  /// another one 1.7 times as far.
   double part(Eigen::Index sample) const {
     if (std::is_same_v<Model, FullModel>) return 1;
     const MatrixXd A = K + M / 100;  // a push of ten seconds
     const VectorXd answer = A.ldlt().solve(J.row(sample).transpose()), moved = vertices * answer;
     double farthest = 0;
     for (Eigen::Index v = 0; v < moved.size(); v += 3) farthest = std::max(farthest, moved.segment<3>(v).norm());
-    return smooth_step((J.row(sample).dot(answer) / farthest - 0.5) / 0.4);
+    return smooth_step((J.row(sample).dot(answer) / farthest - 0.6) / 0.05);
   }
 };
 

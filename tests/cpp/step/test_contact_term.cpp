@@ -59,7 +59,8 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
     for (int p = 3 * c; p < int(samples.size()); p += 6) {
       const Vector3d normal = random_vector(3, 1, unsigned(p)).normalized(), x = before.segment<3>(3 * p);
       const double depth = kWidth * (p % 4 - 0.5);
-      contacts.push_back({p, c, x + depth * normal, normal, x, 0.004 * normal.unitOrthogonal() * (1 + p % 5), 0.7, -1, -depth});
+      contacts.push_back(
+          {p, c, x + depth * normal, normal, x, 0.004 * normal.unitOrthogonal() * (1 + p % 5), 0.7, -1, -depth});
       if (c == 0) pressures.push_back({p, 0, normal, 0.1 * (p % 7), 0.002 * normal.unitOrthogonal()});
     }
   const ContactStep step{friction, 0.5, 1e-4, 0, kWidth, 0.01, 0};

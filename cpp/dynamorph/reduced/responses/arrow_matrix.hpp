@@ -92,7 +92,7 @@ class ArrowSolver {
   ArrowFactor arrow_;
   RowMajor rows_;  ///< those with a stiffness
   VectorXd stiffness_, reduced_b_, reduced_x_;
-  std::vector<Softened> softened_;  ///< of those that have unknowns of their own
+  std::vector<Softened> softened_;    ///< of those that have unknowns of their own
   MatrixXd answers_, small_, dense_;  ///< H^-1 J^T, d^-1 + J H^-1 J^T, H + J^T d J
   VectorXd one_, right_, forces_;
   DenseFactor factor_;
