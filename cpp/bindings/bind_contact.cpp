@@ -152,30 +152,25 @@ void bind_self_contact_of(py::module_& m, const char* name) {
   using Self = SelfContact<Model>;
   py::class_<Self, std::shared_ptr<Self>>(m, name,
                                           "Where the skin of a model touches the same skin. Simulations may share it.")
-      .def(
-          py::init([](std::shared_ptr<Samples> contact, const FloatArray& centers, const VectorXd& radii,
-                      const Embedding& embedding, const MatrixXd& weights, std::vector<int> points,
-                      std::vector<int> of_balls, std::vector<int> of_points, const FloatArray& vertices,
-                      const IndexArray& triangles, std::vector<std::array<int, 2>> joints) {
-            BodyParts body{skin_of(centers, embedding, weights, std::nullopt),
-                           radii,
-                           to_matrix<Points>(vertices, "vertices"),
-                           to_indices<Triangles>(triangles, "triangles"),
-                           std::move(points),
-                           std::move(of_balls),
-                           std::move(of_points),
-                           std::move(joints)};
-            return without_gil([&] { return std::make_shared<Self>(contact, std::move(body)); });
-          }),
-          "contact"_a.none(false), "centers"_a, "radii"_a, "embedding"_a, "weights"_a, "points"_a, "of_balls"_a,
-          "of_points"_a, "vertices"_a, "triangles"_a, "joints"_a = std::vector<std::array<int, 2>>(),
-          "contact: the points of the skin. centers (K, 3), radii (K): of balls that fill the body, meters, bind "
-          "space, as `Thickness.covering` finds them. embedding: of the centers in the body's mesh. weights (K, B): "
-          "skin weights of the centers. points (P): numbers of those points that touch the balls, ascending; a few "
-          "thousand, spread evenly. of_balls (K), of_points (P): which parts of the body they belong to, as the bones "
-          "that move them most; within a part nothing touches. vertices (V, 3), triangles (T, 3): the whole skin, "
-          "meters, bind space, which may be open; what a point is near to along it at rest, it does not touch. joints: "
-          "pairs of parts that share skin. Raises ValueError for arrays that do not fit each other.");
+      .def(py::init([](std::shared_ptr<Samples> contact, const FloatArray& centers, const VectorXd& radii,
+                       const Embedding& embedding, const MatrixXd& weights, std::vector<int> points,
+                       std::vector<int> of_balls, std::vector<int> of_points, std::vector<std::array<int, 2>> joints) {
+             BodyParts body{skin_of(centers, embedding, weights, std::nullopt),
+                            radii,
+                            std::move(points),
+                            std::move(of_balls),
+                            std::move(of_points),
+                            std::move(joints)};
+             return without_gil([&] { return std::make_shared<Self>(contact, std::move(body)); });
+           }),
+           "contact"_a.none(false), "centers"_a, "radii"_a, "embedding"_a, "weights"_a, "points"_a, "of_balls"_a,
+           "of_points"_a, "joints"_a = std::vector<std::array<int, 2>>(),
+           "contact: the points of the skin. centers (K, 3), radii (K): of balls that fill the body, meters, bind "
+           "space, as `Thickness.covering` finds them. embedding: of the centers in the body's mesh. weights (K, B): "
+           "skin weights of the centers. points (P): numbers of those points that touch the balls, ascending; a few "
+           "thousand, spread evenly. of_balls (K), of_points (P): which parts of the body they belong to, as the bones "
+           "that move them most; within a part nothing touches. joints: pairs of parts that share skin. What a point "
+           "touches at rest, or nearly, it does not touch. Raises ValueError for arrays that do not fit each other.");
 }
 
 }  // namespace

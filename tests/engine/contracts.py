@@ -80,7 +80,7 @@ def scene() -> SimpleNamespace:
     s.reduced_contact = dynamorph.ReducedContact(s.reduced, **s.samples, local=s.dents)
     balls = {"centers": s.points[:2], "radii": [0.05, 0.04], "weights": np.ones((2, 1)),
              "embedding": dynamorph.embed(s.mesh, s.points[:2]), "points": [0, 2], "of_balls": [0, 1],
-             "of_points": [1, 0], "vertices": s.nodes, "triangles": faces, "joints": [[0, 1]]}  # fmt: skip
+             "of_points": [1, 0], "joints": [[0, 1]]}  # fmt: skip
     s.full_own = {"contact": s.full_contact, **balls}
     s.reduced_own = {"contact": s.reduced_contact, **balls}
     s.full_self = dynamorph.FullSelfContact(**s.full_own)

@@ -14,8 +14,7 @@ using Box = Eigen::AlignedBox3d;
 
 namespace {
 
-constexpr double kSpacing = 0.01;       // of the size: between the points of the skin on paths along it, at most
-constexpr double kIgnored = 0.4;        // length of a path, in thicknesses, up to which a ball is not touched,
+constexpr double kIgnored = 0.4;        // distance at rest, in thicknesses, up to which a ball is not touched,
 constexpr double kWhole = 1.0;          // and from which it is touched where it is
 constexpr double kSharpness = 2e-3;     // tau, of the body's size
 constexpr double kCovered = 0.15;       // of the tissue's thickness: points so near to a ball are on its side
@@ -36,8 +35,6 @@ void check(const BodyParts& body, Index samples) {
   check_size("of_points", Index(body.of_points.size()), Index(points.size()));
   if (!body.radius.allFinite() || !(body.radius.array() > 0).all())
     throw std::invalid_argument("radius: must be finite and above zero");
-  if (!points.empty() && body.triangles.rows() == 0)
-    throw std::invalid_argument("triangles: must not be empty, as paths run along the skin");
   for (std::size_t i = 0; i < points.size(); ++i)
     if (points[i] < 0 || points[i] >= samples || (i > 0 && points[i] <= points[i - 1]))
       throw std::invalid_argument("points: must be numbers of samples, ascending");
@@ -79,13 +76,6 @@ void cluster(const Points& points, std::vector<int>::iterator begin, std::vector
   cluster(points, middle, end, out);
 }
 
-/// f of a ball.
-double touched_of(const NearBalls& near, int ball) {
-  const auto it = std::lower_bound(near.begin(), near.end(), ball,
-                                   [](const std::pair<int, double>& each, int wanted) { return each.first < wanted; });
-  return it != near.end() && it->first == ball ? it->second : 1;
-}
-
 void sort(std::vector<Contact>& contacts) {
   std::stable_sort(contacts.begin(), contacts.end(),
                    [](const Contact& a, const Contact& b) { return a.sample < b.sample; });
@@ -100,8 +90,7 @@ SelfContact<Model>::SelfContact(std::shared_ptr<const ContactSamples<Model>> sam
     : samples_((check(body, samples->size()), std::move(samples))),
       balls_(samples_->shared_model(), std::move(body.centers)),
       body_(std::move(body)),
-      sharpness_(kSharpness * samples_->model().body().size),
-      along_(body_.vertices, body_.triangles, kSpacing * samples_->model().body().size) {
+      sharpness_(kSharpness * samples_->model().body().size) {
   const Index P = Index(body_.points.size()), J = Index(samples_->model().targets().size());
   ball_shapes_.resize(3 * balls_.size(), J);
   for (Index j = 0; j < J; ++j) {
@@ -118,10 +107,6 @@ SelfContact<Model>::SelfContact(std::shared_ptr<const ContactSamples<Model>> sam
   for (const auto& [first, second] : body_.joints) joints_.insert(std::minmax(first, second));
   find_parts();
   find_covers();
-  for (Index i = 0; i < P; ++i) on_skin_.push_back(on_skin(rest_.row(i), normal(i)));
-  ShortestPaths paths(along_);
-  for (Index i = 0; i < P; ++i)
-    near_.push_back(near_at_rest(rest_.row(i), on_skin_[std::size_t(i)], thickness_(i), paths));
 }
 
 template <class Model>
@@ -166,9 +151,8 @@ void SelfContact<Model>::find_covers() {
   for (Index k = 0; k < balls_.size(); ++k) {
     nearest.clear();
     for (Index i = 0; i < rest_.rows(); ++i) {
-      const Vector3d out = rest_.row(i) - balls_.skin().rest.row(k);
-      if (!(normal(i).dot(out) > 0)) continue;
-      nearest.emplace_back(std::abs(out.norm() - body_.radius(k)) / thickness_(i), int(i));
+      const double gap = std::abs((rest_.row(i) - balls_.skin().rest.row(k)).norm() - body_.radius(k));
+      nearest.emplace_back(gap / thickness_(i), int(i));
     }
     const auto end = nearest.begin() + std::min<std::ptrdiff_t>(kMost, std::ptrdiff_t(nearest.size()));
     std::partial_sort(nearest.begin(), end, nearest.end());
@@ -178,58 +162,20 @@ void SelfContact<Model>::find_covers() {
 }
 
 template <class Model>
-Vector3d SelfContact<Model>::normal(Index point) const {
-  return samples_->normal(PointTransform::Identity(), body_.points[std::size_t(point)]);
-}
-
-template <class Model>
-int SelfContact<Model>::on_skin(const Vector3d& place, const Vector3d& normal) const {
-  int best = 0;
-  double least = kInfinity;
-  for (int i = 0; i < along_.size(); ++i) {
-    if ((along_.point(i) - place).squaredNorm() >= least) continue;
-    const double unlike =
-        squared_unlikeness(along_.point(i), along_.normal(i), place, normal, samples_->model().body().size);
-    if (unlike < least) least = unlike, best = i;
-  }
-  return best;
-}
-
-template <class Model>
-NearBalls SelfContact<Model>::near_at_rest(const Vector3d& place, int on_skin, double thickness,
-                                           ShortestPaths& paths) const {
-  NearBalls out;
-  double sum = 0;
-  paths.start(on_skin);
-  for (int k = 0; k < int(covers_.size()); ++k) {
-    const double radius = body_.radius(k), distance = (place.transpose() - balls_.skin().rest.row(k)).norm();
-    const double unit = std::min(thickness, radius);
-    if (distance - radius > kWhole * unit) continue;
-    double length = kInfinity;
-    for (const int point : covers_[std::size_t(k)]) {
-      const int to = on_skin_[std::size_t(point)];
-      length =
-          std::min(length, along_.part(to) == along_.part(on_skin) ? paths.to(to, kWhole * unit)
-                                                                   : (rest_.row(point) - place.transpose()).norm());
-    }
-    out.emplace_back(k, smooth_step((length / unit - kIgnored) / (kWhole - kIgnored)));
-    if (out.back().second > 0) sum += std::exp((out.back().second * radius - distance) / sharpness_);
-  }
-  const double nearer = sharpness_ * (1 + std::log(std::max(sum, 1e-300)));
-  if (nearer > 0)
-    for (auto& [ball, touched] : out) touched = std::max(0.0, touched - nearer / body_.radius(ball));
-  return out;
+double SelfContact<Model>::fade(const Vector3d& place, double thickness, int ball) const {
+  const double gap = (place.transpose() - balls_.skin().rest.row(ball)).norm() - body_.radius(ball);
+  return smooth_step((gap / std::min(thickness, body_.radius(ball)) - kIgnored) / (kWhole - kIgnored));
 }
 
 template <class Model>
 Worn SelfContact<Model>::wear(int clothes, int body, const SelfContact& other, const PointTransform& to_body) const {
   const Points &skin = other.samples_->rest(), &centers = other.balls_.skin().rest;
   const PointTransform still = PointTransform::Identity();
-  Worn out{clothes, body, {}, {}, {}, VectorXd::Zero(rest_.rows())};
+  Worn out{clothes, body, rest_ * to_body.template leftCols<3>().transpose(), {}, {}, VectorXd::Zero(rest_.rows())};
+  out.rest.rowwise() += to_body.col(3).transpose();
   std::vector<std::pair<double, int>> all;
-  ShortestPaths paths(other.along_);
-  for (Index i = 0; i < rest_.rows(); ++i) {
-    const Eigen::RowVector3d place = (to_body * rest_.row(i).transpose().homogeneous()).transpose();
+  for (Index i = 0; i < out.rest.rows(); ++i) {
+    const Eigen::RowVector3d place = out.rest.row(i);
     all.clear();
     for (Index s = 0; s < skin.rows(); ++s) all.emplace_back((skin.row(s) - place).norm(), int(s));
     out.below.push_back(nearest_of(all));
@@ -240,9 +186,7 @@ Worn SelfContact<Model>::wear(int clothes, int body, const SelfContact& other, c
       normal += weight * other.samples_->normal(still, sample);
       from -= weight * skin.row(sample).transpose();
     }
-    normal.stableNormalize();
-    out.deep(i) = std::min(0.0, normal.dot(from));
-    out.near.push_back(other.near_at_rest(place, other.on_skin(place, normal), kInfinity, paths));
+    out.deep(i) = std::min(0.0, normal.stableNormalized().dot(from));
     Index ball;
     ((centers.rowwise() - place).rowwise().norm() - other.body_.radius).minCoeff(&ball);
     out.parts.push_back(other.body_.of_balls[std::size_t(ball)]);
@@ -422,9 +366,7 @@ template <class Model>
 typename SelfContact<Model>::Nearest SelfContact<Model>::nearest(const Body& body, int point, const Body& other,
                                                                  const Worn* worn, const std::vector<int>& parts) {
   const SelfContact& of = other.of;
-  const NearBalls* at_rest = worn              ? &worn->near[std::size_t(point)]
-                             : &other == &body ? &of.near_[std::size_t(point)]
-                                               : nullptr;
+  const bool itself = &other == &body;
   const double margin = other.skin.margin;
   const Vector3d x = place(body, point);
   auto& near = body.scratch.near;
@@ -438,7 +380,9 @@ typename SelfContact<Model>::Nearest SelfContact<Model>::nearest(const Body& bod
         const double radius = scale * of.body_.radius(ball), reach = radius + margin;
         const double square = (x.transpose() - other.scratch.centers.row(ball)).squaredNorm();
         if (square > reach * reach) continue;
-        const double touched = at_rest ? touched_of(*at_rest, ball) : 1;
+        double touched = 1;
+        if (itself) touched = of.fade(of.rest_.row(point), of.thickness_(point), ball);
+        if (worn) touched = of.fade(worn->rest.row(point), kInfinity, ball);
         const double distance = std::sqrt(square) - touched * radius;
         if (touched > 0 && distance < margin) near.emplace_back(distance, ball);
       }

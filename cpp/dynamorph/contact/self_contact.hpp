@@ -6,12 +6,10 @@
 //
 //   g_p = -tau log sum_k exp(-d_k / tau),
 //
-// from the rest of the body, along the mean n of the balls' directions. f_pk grows from 0 to 1 with the length of the
-// shortest path along the skin from the sample to the ball at rest: at a joint or a crease nothing touches, and nothing
-// begins at a line. What is near through the air alone has no such path, and touches. Between loose parts of the skin,
-// such as an arm and a torso that only overlap, the straight line counts. Nothing pushes at rest: where g_p is less
-// than tau there, all r_k near p are less by the difference. The other side are the samples q nearest to the place
-// x_p - g_p n on its surface, with weights t_q. The contact is a plane between the two for the length of a step:
+// from the rest of the body, along the mean n of the balls' directions. f_pk grows from 0 to 1 with the distance of
+// sample and ball at rest: what touches at rest, or at a crease, is ignored, and nothing begins at a line. The other
+// side are the samples q nearest to the place x_p - g_p n on its surface, with weights t_q. The contact is a plane
+// between the two for the length of a step:
 //
 //   gap = g_p + n . (u_p - sum_q t_q u_q),        u = the displacement from x,
 //
@@ -29,8 +27,8 @@
 //
 // Two bodies touch each other in the same way: the samples of one meet the balls of the other, all of them, whatever is
 // near at rest. Clothes lie on a body: what the samples of clothes meet is the skin below them at rest, since the bones
-// move both alike, and balls that are far along that skin. Clothes that are in the body at rest stay as deep as they
-// are. The other way around nothing is searched for, since what clothes are around is not in them.
+// move both alike, and balls that were far away. Clothes that are in the body at rest stay as deep as they are. The
+// other way around nothing is searched for, since what clothes are around is not in them.
 #pragma once
 
 #include <array>
@@ -41,8 +39,6 @@
 
 #include "dynamorph/contact/contact.hpp"
 #include "dynamorph/contact/contact_samples.hpp"
-#include "dynamorph/mesh/interior_graph.hpp"
-#include "dynamorph/mesh/shortest_paths.hpp"
 
 namespace dynamorph {
 
@@ -50,8 +46,6 @@ namespace dynamorph {
 struct BodyParts {
   Skin centers;
   VectorXd radius;          ///< (K) > 0
-  Points vertices;          ///< of the whole skin, along which paths run
-  Triangles triangles;      ///< that may face either way, and may be open
   std::vector<int> points;  ///< numbers of the samples (P), ascending
   std::vector<int> of_balls,
       of_points;  ///< numbers of the parts that they belong to (K), (P); within one, nothing touches
@@ -66,14 +60,11 @@ struct PosedSkin {
   double near, margin;                      ///< meters: of a contact's gap; of g
 };
 
-/// The balls that are near a place at rest, ascending, and f of each.
-using NearBalls = std::vector<std::pair<int, double>>;
-
 /// Of two bodies that touch each other: the first are clothes that lie on the second. For each of the points of the
 /// clothes (P):
 struct Worn {
   int clothes, body;             ///< numbers of bodies
-  std::vector<NearBalls> near;   ///< of the body
+  Points rest;                   ///< in the bind space of the body (P, 3)
   std::vector<OtherSide> below;  ///< samples of the body at rest
   std::vector<int> parts;        ///< of the body, that they lie on
   VectorXd deep;                 ///< their gap at rest where that is below zero, otherwise zero, meters
@@ -151,11 +142,8 @@ class SelfContact {
   void find_covers();
   /// Poses the balls of a body, and forgets what was known of its points.
   static void begin(const Body& body);
-  Vector3d normal(Eigen::Index point) const;  ///< at rest
-  /// The point of `along_` that is nearest to a place at rest and faces the same way.
-  int on_skin(const Vector3d& place, const Vector3d& normal) const;
-  /// place: at rest, with so much tissue, meters; on_skin: where that is on `along_`.
-  NearBalls near_at_rest(const Vector3d& place, int on_skin, double thickness, ShortestPaths& paths) const;
+  /// f. place: at rest, of something that has so much tissue, meters.
+  double fade(const Vector3d& place, double thickness, int ball) const;
   static const PosedVertex& vertex(const Body& body, int vertex);
   /// The place of a point of a body in the targets' shapes, world space.
   static Vector3d place(const Body& body, int point);
@@ -186,10 +174,7 @@ class SelfContact {
   double sharpness_;      ///< tau, meters
   std::vector<Part> parts_;
   std::set<std::pair<int, int>> joints_;  ///< the lower number first
-  std::vector<std::vector<int>> covers_;  ///< the points nearest to each ball, on the skin around it
-  InteriorGraph along_;                   ///< the skin
-  std::vector<int> on_skin_;              ///< of each point, in that
-  std::vector<NearBalls> near_;           ///< to each point
+  std::vector<std::vector<int>> covers_;  ///< the points nearest to each ball
 };
 
 extern template class SelfContact<FullModel>;

@@ -29,7 +29,6 @@ class InteriorGraph {
 
   int size() const { return int(points_.size()); }
   const Vector3d& point(int i) const { return points_[i]; }
-  const Vector3d& normal(int i) const { return normals_[i]; }  ///< out of the body, unit
   /// The point of an input vertex; -1 when it has no triangle.
   int of_vertex(Eigen::Index vertex) const { return of_vertex_[vertex]; }
   /// The loose part of the skin that a point belongs to. There are no paths between parts.

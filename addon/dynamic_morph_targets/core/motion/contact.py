@@ -156,8 +156,7 @@ def _self_contact(contact: Any, model: Model, character: Character, points: Cont
     parts = of_bones.argmax(axis=1), points.of(character.weights).argmax(axis=1)
     full = model.settings.solver == "FULL"
     kind: Callable[..., Any] = dynamorph.FullSelfContact if full else dynamorph.ReducedSelfContact
-    skin = character.bind_points, character.soft_triangles
-    return kind(contact, centers, radii, embedding, weights, numbers, *parts, *skin, joints)
+    return kind(contact, centers, radii, embedding, weights, numbers, *parts, joints)
 
 
 def _balls(model: Model, character: Character, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
