@@ -44,8 +44,7 @@ LIKE, ROUNDS = 0.08, 5  # asked: how alike motions of different steps are; round
 COST = 1.3  # asked: of a step with limits that nobody comes near, over one without
 PANELS = 3  # in a row
 TRIED = (
-    {}, {"slack": 1.25}, {"slack": 2.0}, {"stretch": 0.45}, {"stretch": 0.8}, {"pulled_stretch": 0.3},
-    {"pulled_stretch": 0.5}, {"edges_between": 100}, {"edges_between": 800},
+    {}, {"stretch": 0.3}, {"stretch": 0.5}, {"edges_between": 100}, {"edges_between": 800},
 )  # fmt: skip  # LimitConstants of the engine: as they are, then one changed at a time
 
 PAGE_TEXT = """# The motion's limits, measured
@@ -81,10 +80,9 @@ The table changes one constant of `LimitConstants` (motion_limit.hpp) at a time.
 motion that is kept (the projection of the limited motion onto it), the 99.9th percentile of the displacement in the
 worst frame in percent of size, and the 0.1th percentile of the edges' lengths over those at rest in the bind pose, in
 the worst frame. Motion capture should be kept, and displacements should stay below 5 %, edges above 0.6. A smaller
-*stretch* takes most from gallops and jumps; a larger one keeps a little more, but lets edges be squeezed more. A larger
-*slack* lets fish and falling bodies go farther. A smaller *pulled stretch* spares edges, and costs a gallop and a jump
-some of their motion. Fewer *edges between* show only on the anglerfish, whose skin gives way between few edges; more of
-them change nothing here, and cost time.
+*stretch* takes most from gallops and jumps; a larger one keeps a little more, but lets edges be squeezed more. Fewer
+*edges between* show only on the anglerfish, whose skin gives way between few edges; more of them change nothing here,
+and cost time.
 
 {constants}
 ## The step

@@ -45,6 +45,24 @@ VectorXd contact_numbers(const State& state) {
   return Eigen::Map<const VectorXd>(out.data(), Eigen::Index(out.size()));
 }
 
+VectorXd driven_numbers(const DrivenLoad& driven) {
+  const Eigen::Index G = driven.reach.size();
+  VectorXd out(5 * G + driven.mean.size());
+  if (out.size() > 0)
+    out << driven.excess[0], driven.excess[1], driven.excess[2], driven.reach, driven.held, driven.mean;
+  return out;
+}
+
+/// The other way. dofs: of the mean. Throws std::invalid_argument for what that would not give.
+DrivenLoad read_driven(const VectorXd& numbers, Eigen::Index dofs) {
+  if (numbers.size() == 0) return {};
+  if (numbers.size() < dofs || (numbers.size() - dofs) % 5 != 0)
+    throw std::invalid_argument("state: its limit is not one that a simulation had");
+  const Eigen::Index G = (numbers.size() - dofs) / 5;
+  const auto part = [&](Eigen::Index k) { return VectorXd(numbers.segment(k * G, G)); };
+  return {numbers.tail(dofs), part(3), part(4), {part(0), part(1), part(2)}};
+}
+
 /// Throws std::invalid_argument for what `contact_numbers` would not give.
 void read_contact(const VectorXd& numbers, State& state) {
   if (numbers.size() == 0) return;
@@ -104,8 +122,8 @@ void bind_limit(py::module_& m, const char* name) {
       m, name, "How far a moving rig may drive the skin of a model. Simulations may share it.")
       .def(py::init([](std::shared_ptr<Model> model, const FloatArray& rest, const Embedding& embedding,
                        const IndexArray& triangles, const MatrixXd& weights, const VectorXd& distances,
-                       const std::optional<MatrixXd>& groups, const std::optional<VectorXd>& painted, double slack,
-                       double stretch, double pulled_stretch, int edges_between) {
+                       const std::optional<MatrixXd>& groups, const std::optional<VectorXd>& painted, double stretch,
+                       int edges_between) {
              SkinLimits limits{as_points(flat_points("rest", rest, -1)),
                                embedding,
                                to_indices<Triangles>(triangles, "triangles"),
@@ -113,7 +131,7 @@ void bind_limit(py::module_& m, const char* name) {
                                distances,
                                groups.value_or(MatrixXd()),
                                painted.value_or(VectorXd()),
-                               {slack, stretch, pulled_stretch, edges_between}};
+                               {stretch, edges_between}};
              check_finite("rest", limits.rest);
              check_finite("weights", weights);
              check_finite("groups", limits.groups);
@@ -121,17 +139,14 @@ void bind_limit(py::module_& m, const char* name) {
              return std::make_shared<Limit>(model, limits);
            }),
            "model"_a.none(false), "rest"_a, "embedding"_a, "triangles"_a, "weights"_a, "distances"_a,
-           "groups"_a = py::none(), "painted"_a = py::none(), py::kw_only(), "slack"_a = LimitConstants().slack,
-           "stretch"_a = LimitConstants().stretch, "pulled_stretch"_a = LimitConstants().pulled_stretch,
+           "groups"_a = py::none(), "painted"_a = py::none(), py::kw_only(), "stretch"_a = LimitConstants().stretch,
            "edges_between"_a = LimitConstants().edges_between,
            "rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the "
            "soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' "
            "shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise "
            "None. painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for "
-           "ones. The others are LimitConstants, which docs/limit.md tables: slack, how many limits of a static "
-           "answer count as one; stretch, of an edge's length, by which a static answer may change it; "
-           "pulled_stretch, of its length: at 0.6 of that change an edge begins to be pulled back; edges_between, "
-           "how many more edges are. Raises "
+           "ones. The others are LimitConstants, which docs/limit.md tables: stretch, of an edge's length, by which "
+           "it may change; edges_between, how many more than the most stretched are pulled back. Raises "
            "ValueError for those below zero, and Error if the tissue has no stiffness at rest.")
       .def_property_readonly("frequency", &Limit::frequency, "Of the neutral tissue, 1/s (angular).")
       .def_property_readonly("numbers", &Limit::numbers, "How many numbers of a static answer are looked at.");
@@ -265,19 +280,22 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "state",
           [](const Sim& s) {
             const State state = in_turn(s, [&] { return State(s.state()); });
-            return py::make_tuple(state.q, state.bones, state.excess, contact_numbers(state));
+            return py::make_tuple(state.q, state.bones, driven_numbers(state.driven), contact_numbers(state));
           },
           [](Sim& s,
              const std::tuple<std::array<VectorXd, 4>, std::array<Transforms, 4>, VectorXd, VectorXd>& numbers) {
-            const auto& [q, bones, excess, contact] = numbers;
-            State state{q, bones, excess, {}, {}};
+            const auto& [q, bones, limit, contact] = numbers;
+            State state{q, bones, read_driven(limit, s.model().dofs()), {}, {}};
             read_contact(contact, state);
             changing(s, [&] { s.set_state(state); });
           },
-          "(coordinates, bones' transforms (B, 12), excess (G), contact (any)): the first two now and at the last "
-          "three steps, the third of each bone's load, empty without a motion limit, the last what was touched, "
-          "empty without "
-          "colliders. Set it to resume a simulation; raises Error for what is not finite.");
+          "(coordinates, bones' transforms (B, 12), limit (any), contact (any)): the first two now and at the last "
+          "three steps, the third what the motion limit remembers of the load, empty without one, the last what was "
+          "touched, empty without colliders. Set it to resume a simulation; raises Error for what is not finite.")
+      .def_property_readonly(
+          "excess", [](const Sim& s) { return in_turn(s, [&] { return VectorXd(s.state().driven.excess[0]); }); },
+          "By how much each bone's load (G) exceeded its limit in the last step: above 1/2 it was held back. Empty "
+          "without a motion limit.");
 }
 
 /// Simulations for Python that take their steps together.

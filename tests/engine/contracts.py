@@ -188,8 +188,8 @@ def calls() -> dict[str, tuple[object, dict]]:
     skin = {"vertices": s.vertices, "triangles": s.triangles}
     points = {"rest": s.points, "embedding": s.embedding, "weights": np.ones((len(s.points), 1)),
               "residual_shapes": np.zeros((2, len(s.points), 3))}  # fmt: skip
-    own_limits = s.limits | {"groups": s.groups, "painted": s.painted, "slack": 1.5, "stretch": 0.6,
-                             "pulled_stretch": 0.4, "edges_between": 100}  # fmt: skip
+    own_limits = s.limits | {"groups": s.groups, "painted": s.painted, "stretch": 0.4,
+                             "edges_between": 100}  # fmt: skip
     found = {
         "TetMesh": (lib, {"nodes": s.nodes, "tets": s.tets}),
         "Embedding": (lib, {"nodes": s.embedding.nodes, "weights": s.embedding.weights}),

@@ -99,7 +99,7 @@ def _fits(kept: dict[str, np.ndarray], model: Model, states: int) -> bool:
         "steps": (done, len(STEP)),
         "past": (4, dofs),
         "bones": (4, bones + 1, 12),
-        "excess": (bones + 1 if len(kept.get("excess", ())) else 0,),  # where the motion is limited
+        "limit": (np.size(kept.get("limit", ())),),  # as much as it remembers
         "contact": (np.size(kept.get("contact", ())),),  # as much as was touched
         "pose": (bones, 4, 4),
     }

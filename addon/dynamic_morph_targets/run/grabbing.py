@@ -58,10 +58,10 @@ class Copy:
         state = None if session.now is None else session.state_at(session.now)
         if session.now is None or state is None:
             raise SceneError("What Live shows at this frame is not kept: go to the first frame and play")
-        coordinates, bones, excess, touched = state
+        coordinates, bones, limit, touched = state
         self.now, self._rig_changes = session.now, session.rig_changes
         self.frames = 0  # since a hand last did something
-        self._state: State = [coordinates[0]] * 4, [bones[0]] * 4, excess, touched
+        self._state: State = [coordinates[0]] * 4, [bones[0]] * 4, limit, touched
         substeps = session.tissue.player.settings.substeps
         self._rig = session.rig.after(obj, self.now)[:1].still(substeps)
 

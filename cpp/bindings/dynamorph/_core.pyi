@@ -655,9 +655,9 @@ class FullMotionLimit:
     """
     How far a moving rig may drive the skin of a model. Simulations may share it.
     """
-    def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], distances: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], groups: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None = None, painted: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None, *, slack: typing.SupportsFloat | typing.SupportsIndex = 1.5, stretch: typing.SupportsFloat | typing.SupportsIndex = 0.6, pulled_stretch: typing.SupportsFloat | typing.SupportsIndex = 0.4, edges_between: typing.SupportsInt | typing.SupportsIndex = 400) -> None:
+    def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], distances: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], groups: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None = None, painted: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None, *, stretch: typing.SupportsFloat | typing.SupportsIndex = 0.4, edges_between: typing.SupportsInt | typing.SupportsIndex = 400) -> None:
         """
-        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for ones. The others are LimitConstants, which docs/limit.md tables: slack, how many limits of a static answer count as one; stretch, of an edge's length, by which a static answer may change it; pulled_stretch, of its length: at 0.6 of that change an edge begins to be pulled back; edges_between, how many more edges are. Raises ValueError for those below zero, and Error if the tissue has no stiffness at rest.
+        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for ones. The others are LimitConstants, which docs/limit.md tables: stretch, of an edge's length, by which it may change; edges_between, how many more than the most stretched are pulled back. Raises ValueError for those below zero, and Error if the tissue has no stiffness at rest.
         """
     @property
     def frequency(self) -> float:
@@ -673,9 +673,9 @@ class ReducedMotionLimit:
     """
     How far a moving rig may drive the skin of a model. Simulations may share it.
     """
-    def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], distances: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], groups: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None = None, painted: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None, *, slack: typing.SupportsFloat | typing.SupportsIndex = 1.5, stretch: typing.SupportsFloat | typing.SupportsIndex = 0.6, pulled_stretch: typing.SupportsFloat | typing.SupportsIndex = 0.4, edges_between: typing.SupportsInt | typing.SupportsIndex = 400) -> None:
+    def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], distances: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], groups: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None = None, painted: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None, *, stretch: typing.SupportsFloat | typing.SupportsIndex = 0.4, edges_between: typing.SupportsInt | typing.SupportsIndex = 400) -> None:
         """
-        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for ones. The others are LimitConstants, which docs/limit.md tables: slack, how many limits of a static answer count as one; stretch, of an edge's length, by which a static answer may change it; pulled_stretch, of its length: at 0.6 of that change an edge begins to be pulled back; edges_between, how many more edges are. Raises ValueError for those below zero, and Error if the tissue has no stiffness at rest.
+        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for ones. The others are LimitConstants, which docs/limit.md tables: stretch, of an edge's length, by which it may change; edges_between, how many more than the most stretched are pulled back. Raises ValueError for those below zero, and Error if the tissue has no stiffness at rest.
         """
     @property
     def frequency(self) -> float:
@@ -743,6 +743,11 @@ class FullSimulation:
         Elastic energy, J, at the target weights of the last step.
         """
     @property
+    def excess(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        By how much each bone's load (G) exceeded its limit in the last step: above 1/2 it was held back. Empty without a motion limit.
+        """
+    @property
     def kinetic_energy(self) -> float:
         """
         Kinetic energy of the posed nodes, J, from the integrator's own velocity.
@@ -755,7 +760,7 @@ class FullSimulation:
     @property
     def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
         """
-        (coordinates, bones' transforms (B, 12), excess (G), contact (any)): the first two now and at the last three steps, the third of each bone's load, empty without a motion limit, the last what was touched, empty without colliders. Set it to resume a simulation; raises Error for what is not finite.
+        (coordinates, bones' transforms (B, 12), limit (any), contact (any)): the first two now and at the last three steps, the third what the motion limit remembers of the load, empty without one, the last what was touched, empty without colliders. Set it to resume a simulation; raises Error for what is not finite.
         """
     @state.setter
     def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]]) -> None:
@@ -816,6 +821,11 @@ class ReducedSimulation:
         Elastic energy, J, at the target weights of the last step.
         """
     @property
+    def excess(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        By how much each bone's load (G) exceeded its limit in the last step: above 1/2 it was held back. Empty without a motion limit.
+        """
+    @property
     def kinetic_energy(self) -> float:
         """
         Kinetic energy of the posed nodes, J, from the integrator's own velocity.
@@ -828,7 +838,7 @@ class ReducedSimulation:
     @property
     def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
         """
-        (coordinates, bones' transforms (B, 12), excess (G), contact (any)): the first two now and at the last three steps, the third of each bone's load, empty without a motion limit, the last what was touched, empty without colliders. Set it to resume a simulation; raises Error for what is not finite.
+        (coordinates, bones' transforms (B, 12), limit (any), contact (any)): the first two now and at the last three steps, the third what the motion limit remembers of the load, empty without one, the last what was touched, empty without colliders. Set it to resume a simulation; raises Error for what is not finite.
         """
     @state.setter
     def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]]) -> None:

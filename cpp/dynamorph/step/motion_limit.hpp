@@ -2,31 +2,41 @@
 // How far a moving rig may drive the tissue. Two limits, both local and both smooth:
 //
 // 1. On the load. The load f of a step is what the rig's acceleration, gravity's difference from the targets' own poses
-//    and force fields do to the tissue. Its static answer y = K^-1 f (K: the neutral stiffness) says how far it would
-//    carry the skin if it lasted. For each bone b
+//    and force fields do to the tissue. m is its mean over the time 1 / w of a swing, w the tissue's own angular
+//    frequency, and y = K^-1 m (K: the neutral stiffness) says how far it carries the skin. For each bone b, with
+//    k = exp(-h w) and ' for the step before,
 //
-//      r_b     = max(97th percentile of |y_i| / (1.5 L_i) over its skin,  largest |e . dy| / (0.6 l) over its edges)
-//      rbar_b += (1 - exp(-h w)) (r_b - rbar_b)
-//      s_b     = 1 where rbar_b <= 1/2,  otherwise (1/2 + 1/2 tanh(2 rbar_b - 1)) / rbar_b
+//      m   = k m' + (1 - k) f
+//      p_b = 97th percentile of |a_b (X_i, 1)| / L_i over its skin                          a_b = B_b - 2 B_b' + B_b''
+//      q_b = max(97th percentile of |y_i| / L_i over its skin,  largest |e . dy| / (0.4 l) over its edges)
+//      H_b = max(min(max(q_b / k, p_b), max(q_b', p_b')), k H_b')
+//      x_b = max(H_b, p_b)
+//      s_b = 1 where x_b <= 1/2,  otherwise (1/2 + 1/2 tanh(2 x_b - 1)) / x_b
 //
-//    with L_i the largest distance of a point from its targets' shape, l the length of an edge, and w the tissue's own
-//    angular frequency. The load of bone b is scaled by s_b: the tissue is driven less hard, and swings as it would.
-//    The mean over 1 / w is there because rigs with a key at each frame accelerate in one substep after it.
+//    with L_i the largest distance of a point from its targets' shape, l the length of an edge, and B_b the bone. The
+//    load of bone b is scaled by s_b: the tissue is driven less hard, and swings as it would.
+//
+//    The mean is of the load, not of its size: a velocity that jumps at a key counts as much as one that changes
+//    within a swing, and a position that jumps by d, which is an impulse and its opposite, as d, whatever the step. A
+//    step cannot tell the two jumps apart before the next one. So H holds what is still there a step later (q decays
+//    by k until then), and the jump p itself counts at once. What the steps before have let through is corrected when s
+//    changes (`Simulation::scaled`).
 //
 // 2. On the motion itself, for what a bounded load can build up (a landing, resonance). From 0.6 L on a point is pulled
 //    back, and from 0.6 of 0.4 of its length on the change of an edge,
 //
-//      E_p = 20 m_p w^2 ramp(|u_p - d_p|, L),    E_e = 240 W_b / n_b ramp(|e . d(u - d)| / (0.6 l), 0.4 / 0.6),
+//      E_p = 30 m_p w^2 ramp(|u_p - d_p|, L),    E_e = 240 W_b / n_b ramp(|e . d(u - d)| / (0.4 l), 1),
 //
 //    ramp(x, limit): cubic from 0.6 of the limit to the limit, then quadratic. The edges are those of the first limit
 //    and 400 between them. W_b is the elastic energy of the static answer in which those of bone b reach the first
 //    limit, and n_b their number, in which one between them counts by the square of its stretch over theirs.
-//    Where L is painted smaller, m times as large, a point is pulled back from 0.6 m L on, with 20 / m. The load keeps
+//    Where L is painted smaller, m times as large, a point is pulled back from 0.6 m L on, with 30 / m. The load keeps
 //    the unpainted L: a spot that must stay near the bones does not make all tissue of its bone sluggish.
 //
 // Below half of the first limit and 0.6 of the second, neither changes a bit of the motion.
 #pragma once
 
+#include <array>
 #include <memory>
 #include <optional>
 #include <type_traits>
@@ -41,10 +51,8 @@ namespace dynamorph {
 
 /// The trade between lively motion, far displacements and squeezed edges; docs/limit.md tables it.
 struct LimitConstants {
-  double slack = 1.5;           ///< a static answer of so many limits counts as 1: what swings goes farther
-  double stretch = 0.6;         ///< of an edge's length, by which a static answer may change it
-  double pulled_stretch = 0.4;  ///< of an edge's length: its limit; pulled back from 0.6 of it on
-  int edges_between = 400;      ///< are pulled back beside the most stretched one of each of a bone's loads
+  double stretch = 0.4;     ///< of an edge's length: its limit
+  int edges_between = 400;  ///< are pulled back beside the most stretched one of each of a bone's loads
 };
 
 /// How far P points of the skin may be from their targets' shape. Bind space, meters.
@@ -100,6 +108,13 @@ struct Pull {
   double limit, stiffness;  /// J per square of a number
 };
 
+/// What the limit on the load remembers. Empty where it has not acted yet.
+struct DrivenLoad {
+  VectorXd mean;                   ///< m (dofs)
+  VectorXd reach, held;            ///< max(q, p) and H (G)
+  std::array<VectorXd, 3> excess;  ///< x (G), at the last step and the two before
+};
+
 /// The limits of a model's motion. Immutable: simulations may share it.
 template <class Model>
 class MotionLimit {
@@ -118,12 +133,16 @@ class MotionLimit {
     std::vector<float> single;
     VectorXd answers, stiffness;                    ///< of each target set, relative to its neutral target
     std::vector<std::pair<double, double>> sorted;  ///< values of a bone's points, and weights
+    Transforms jump;
   };
 
-  /// r (G) of a load (dofs) at target weights (J): 1 where it would carry a bone's skin as far as it may go.
-  void excess(const VectorXd& load, const VectorXd& weights, Scratch& scratch, VectorXd& out) const;
+  /// A step of h seconds under a load f (dofs) at target weights (J). bones: now, at the last step, and before that.
+  void drive(const VectorXd& load, const VectorXd& weights, const std::array<const Transforms*, 3>& bones, double h,
+             const DrivenLoad& before, Scratch& scratch, DrivenLoad& out) const;
+  /// The same under a load that has lasted, as in a static solution.
+  void drive_long(const VectorXd& load, const VectorXd& weights, Scratch& scratch, DrivenLoad& out) const;
 
-  /// s (T) of the body's transforms from rbar (G). Returns whether any is below 1.
+  /// s (T) of the body's transforms from x (G). Returns whether any is below 1.
   bool scales(const VectorXd& excess, VectorXd& out) const;
 
   const std::vector<Pull>& pulls() const { return pulls_; }
@@ -136,12 +155,18 @@ class MotionLimit {
   static constexpr bool kNodal = std::is_same_v<typename Model::Matrix, SparseMatrix>;
   using Answers = std::conditional_t<kNodal, NodalAnswers, SingleRows>;
 
+  /// q (G) of a mean load: 1 where it carries a bone's skin as far as it may go.
+  void reach(const VectorXd& load, const VectorXd& weights, Scratch& scratch, VectorXd& out) const;
+  /// p (G) of bones that are off their course by scratch.jump.
+  void jumped(Scratch& scratch, VectorXd& out) const;
   /// Of the lengths of the answers at a bone's points.
   double percentile(const LimitedBone& bone, Scratch& scratch) const;
 
   std::shared_ptr<const Model> model_;
   std::vector<LimitedBone> bones_;
   int sampled_ = 0;  ///< points, whose three numbers each come first
+  Points sampled_rest_;
+  VectorXd sampled_distances_;  ///< L
   MatrixXd groups_;
   VectorXd neutral_stiffness_;  ///< mu of each set's neutral target
   double frequency_ = 0;
@@ -152,7 +177,7 @@ class MotionLimit {
   std::conditional_t<kNodal, SparseRows, std::optional<SingleRows>> pull_rows_;
 };
 
-/// s of rbar.
+/// s of x.
 double load_scale(double excess);
 
 /// The ramp of the second limit at a distance r from the shape, for a stiffness of one: its energy, and the stiffness

@@ -69,8 +69,25 @@ void check_contacts(const State& state, Eigen::Index samples) {
       throw Error("The state has a contact that does not fit");
 }
 
-/// The weight of this step's excess in the mean over a swing (motion_limit.hpp).
-double weight_of_step(double frequency, double h) { return 1 - std::exp(-h * frequency); }
+/// Of a limit that has not acted; `bones`: 0 without a limit.
+DrivenLoad not_driven(Eigen::Index bones, Eigen::Index dofs) {
+  const VectorXd none = VectorXd::Zero(bones);
+  return {VectorXd::Zero(bones > 0 ? dofs : 0), none, none, {none, none, none}};
+}
+
+/// Throws std::invalid_argument unless the load is empty or fits, and Error for what is not finite.
+void check_driven(const DrivenLoad& driven, Eigen::Index bones, Eigen::Index dofs) {
+  if (driven.mean.size() == 0) return;
+  bool fits = driven.mean.size() == dofs, finite = driven.mean.allFinite();
+  for (const VectorXd* x : {&driven.reach, &driven.held, &driven.excess[0], &driven.excess[1], &driven.excess[2]}) {
+    fits = fits && x->size() == bones;
+    finite = finite && x->allFinite() && (x->array() >= 0).all();
+  }
+  if (!fits)
+    throw std::invalid_argument("state: expected the limit of " + std::to_string(bones) + " bones, got " +
+                                std::to_string(driven.reach.size()));
+  if (!finite) throw Error("The state has an excess that is not a finite number");
+}
 
 }  // namespace
 
@@ -126,12 +143,27 @@ void Simulation<Model>::load(const InertialTarget& inertial, double square, cons
 }
 
 template <class Model>
-void Simulation<Model>::hold_back(const InertialTarget& inertial, double square, const StepInput& input,
-                                  const VectorXd& own, bool lasting) {
-  driven_ = own - quadratic_.g;
-  limit_->excess(driven_, input.weights, answers_, excess_);
-  if (!lasting) excess_ = state_.excess + weight_of_step(limit_->frequency(), options_.h) * (excess_ - state_.excess);
-  if (limit_->scales(excess_, scales_)) load(scaled(inertial, square), square, input.external, &scales_);
+void Simulation<Model>::drive(const InertialTarget& inertial, const StepInput& input) {
+  // By plain second differences of the bones: those of BDF2 spread a jump over three steps, forth and back.
+  const double h = options_.h;
+  InertialTarget plain = inertial;
+  plain.coefficients.setZero();
+  plain.coefficients.topLeftCorner<2, 3>() << 2, -2, 0, -1, 0, 1;
+  plain.gravity_offset = h * h * options_.gravity;
+  load(plain, h * h, input.external);
+  quadratic_.g *= -1;
+  limit_->drive(quadratic_.g, input.weights, {inertial.bones[0], inertial.bones[1], inertial.bones[2]}, h,
+                state_.driven, answers_, driven_);
+}
+
+template <class Model>
+void Simulation<Model>::hold_back(const InertialTarget& inertial, double square, const StepInput& input) {
+  bool any = false;
+  for (std::size_t k = 0; k < scales_.size(); ++k) any |= limit_->scales(driven_.excess[k], scales_[k]);
+  if (any)
+    load(scaled(inertial, square), square, input.external, &scales_[0]);
+  else
+    load(inertial, square, input.external);
 }
 
 template <class Model>
@@ -139,23 +171,31 @@ InertialTarget Simulation<Model>::scaled(InertialTarget inertial, double square)
   // Gravity is an acceleration like any other: a shift of the newest past. Without a past, one is made up.
   if (inertial.coefficients.isZero(0)) inertial.coefficients.row(0).head<2>() << 1, -1;
   const double newest = inertial.coefficients.col(1).sum();
-  const Transforms& now = *inertial.bones[0];
-  for (int n = 1; n < InertialTarget::kPoses; ++n) {
-    Transforms& slowed = slowed_[std::size_t(n - 1)];
-    slowed = *inertial.bones[std::size_t(n)];
+  const std::array<const Transforms*, InertialTarget::kPoses> bones = inertial.bones;
+  const Transforms& now = *bones[0];
+  const VectorXd &scale = scales_[0], &last = scales_[1], &before = scales_[2];
+  for (std::size_t n = 1; n < bones.size(); ++n) {
+    Transforms& slowed = slowed_[n - 1];
+    slowed = *bones[n];
     for (Eigen::Index t = 0; t < slowed.rows(); ++t)
-      if (scales_(t) < 1) slowed.row(t) = now.row(t) + scales_(t) * (slowed.row(t) - now.row(t));
-    inertial.bones[std::size_t(n)] = &slowed;
+      if (scale(t) < 1) slowed.row(t) = now.row(t) + scale(t) * (slowed.row(t) - now.row(t));
+    inertial.bones[n] = &slowed;
   }
   for (Eigen::Index t = 0; t < now.rows(); ++t) {
-    if (scales_(t) == 1) continue;
+    const auto acceleration = [&](std::size_t n) {
+      return bones[n]->row(t) - 2 * bones[n + 1]->row(t) + bones[n + 2]->row(t);
+    };
+    if (scale(t) != last(t))
+      slowed_[0].row(t) += (scale(t) - last(t)) / newest * (2 * acceleration(1) + (3 + newest) * acceleration(2));
+    if (last(t) != before(t)) slowed_[0].row(t) -= (last(t) - before(t)) / newest * acceleration(2);
+    if (scale(t) == 1) continue;
     Vector3d gravity = options_.gravity;  // less that of the targets' own poses, in this one
     if (rest_directions_.size() > 0) {
       const Matrix3d pose = transform(now, t).leftCols<3>();
       const Vector3d own = rest_directions_.middleRows<3>(3 * t) * blend_.weights / model_->body().sets();
       gravity -= pose * own * (3 / std::max(pose.squaredNorm(), 1e-12));
     }
-    const Vector3d shift = (1 - scales_(t)) * square / newest * gravity;
+    const Vector3d shift = (1 - scale(t)) * square / newest * gravity;
     for (int axis = 0; axis < 3; ++axis) slowed_[0](t, 4 * axis + 3) += shift(axis);
   }
   return inertial;
@@ -199,8 +239,7 @@ template <class Model>
 void Simulation<Model>::set_limit(std::shared_ptr<const MotionLimit<Model>> limit) {
   if (limit && &limit->model() != model_.get()) throw std::invalid_argument("limit: it belongs to another model");
   limit_ = std::move(limit);
-  state_.excess.setZero(limit_ ? limit_->bones() : 0);
-  excess_ = state_.excess;
+  driven_ = state_.driven = not_driven(limit_ ? limit_->bones() : 0, model_->dofs());
 }
 
 template <class Model>
@@ -368,7 +407,10 @@ StepReport Simulation<Model>::solve_static(const StepInput& input, VectorXd& q) 
   if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
   const InertialTarget gravity = at_rest(q, input.bones, options_.gravity);
   load(gravity, 1, input.external);
-  if (limit_) hold_back(gravity, 1, input, VectorXd::Zero(model_->dofs()), true);
+  if (limit_) {
+    limit_->drive_long(-quadratic_.g, weights, answers_, driven_);
+    hold_back(gravity, 1, input);
+  }
   grabs_.begin(skin_.get(), input);
   pulls_.begin(limit_.get(), weights, q, 0);
   contacts_.clear();
@@ -389,7 +431,7 @@ StepReport Simulation<Model>::start(const Transforms& now, const Transforms& nex
   StepReport report = solve_static({now, weights}, q);
   dents_.setZero();
   weights_ = weights;
-  state_.excess = excess_;
+  state_.driven = driven_;
   state_.q.fill(q);
   for (int k = 0; k < InertialTarget::kMoments; ++k) state_.bones[k] = extrapolate_back(now, next, k);
   state_.contact.clear();
@@ -431,11 +473,7 @@ void Simulation<Model>::set_state(const State& state) {
     if (!bones.allFinite()) throw Error("The state has a bone transform that is not a finite number");
   }
   const Eigen::Index limited = limit_ ? limit_->bones() : 0;
-  if (limit_ && state.excess.size() != limited && state.excess.size() != 0)
-    throw std::invalid_argument("state: expected the excess of " + std::to_string(limited) + " bones, got " +
-                                std::to_string(state.excess.size()));
-  if (!(state.excess.array() >= 0).all() || !state.excess.allFinite())
-    throw Error("The state has an excess that is not a finite number");
+  if (limit_) check_driven(state.driven, limited, model_->dofs());
   if (samples_) check_contacts(state, samples_->size());
   state_ = state;
   dents_.setZero();
@@ -443,7 +481,7 @@ void Simulation<Model>::set_state(const State& state) {
     state_.contact.clear();
     state_.pressures.clear();
   }
-  if (state_.excess.size() != limited) state_.excess.setZero(limited);
+  if (!limit_ || state_.driven.mean.size() == 0) state_.driven = not_driven(limited, model_->dofs());
 }
 
 template <class Model>
@@ -515,13 +553,11 @@ void Simulation<Model>::prepare(const StepInput& input) {
   }
   inertial.coefficients = rule.coefficients();
   inertial.gravity_offset = rule.square * options_.gravity;
-  load(inertial, rule.square, input.external);
   if (limit_) {
-    own_ = next_;
-    for (int m = 0; m < InertialTarget::kMoments; ++m) own_ -= rule.past[std::size_t(m)] * state_.q[std::size_t(m)];
-    multiply(inertia_.mass, own_, driven_);
-    own_ = driven_ / rule.square;
-    hold_back(inertial, rule.square, input, own_, false);
+    drive(inertial, input);
+    hold_back(inertial, rule.square, input);
+  } else {
+    load(inertial, rule.square, input.external);
   }
   grabs_.begin(skin_.get(), input);
   pulls_.begin(limit_.get(), input.weights, next_, kWatched);
@@ -549,7 +585,7 @@ void Simulation<Model>::end_step(const StepInput& input, StepReport& report) {
   std::rotate(state_.bones.rbegin(), state_.bones.rbegin() + 1, state_.bones.rend());
   state_.q[0] = next_;
   state_.bones[0] = input.bones;
-  state_.excess = excess_;
+  state_.driven = driven_;
   state_.contact = memory_;
   contacts_.pressures(state_.pressures);
   weights_ = input.weights;
@@ -594,7 +630,7 @@ StepReport Simulation<Model>::report(const NewtonReport& found) {
   report.energy = elastic_.value();
   report.farthest = pulls_.farthest();
   report.pulled = pulls_.value() > 0;
-  if (excess_.size() > 0) report.excess = excess_.maxCoeff(&report.excess_bone);
+  if (limit_) report.excess = driven_.excess[0].maxCoeff(&report.excess_bone);
   if (found.unseen) {  // the last step is short: its third power does not count
     multiply(elastic_.hessian(), newton_.direction, resistance_);
     report.energy += newton_.direction.dot(elastic_.gradient() + 0.5 * resistance_);

@@ -32,7 +32,7 @@ namespace dynamorph {
 struct State {
   std::array<VectorXd, InertialTarget::kMoments> q;
   std::array<Transforms, InertialTarget::kMoments> bones;
-  VectorXd excess;        ///< rbar of motion_limit.hpp (G); empty without a limit
+  DrivenLoad driven;      ///< empty without a limit
   ContactMemory contact;  ///< from which sides
   std::vector<Pressure> pressures;
 };
@@ -51,7 +51,7 @@ struct StepReport {
   double residual = 0;  ///< gradient relative to the largest force term
   double energy = 0;    ///< elastic energy, J
   bool teleported = false;
-  double excess = 0;     ///< the largest of the state's; above 1/2 the load of that bone was held back
+  double excess = 0;     ///< the largest x of motion_limit.hpp; above 1/2 the load of that bone was held back
   int excess_bone = -1;  ///< whose it is; -1 without a motion limit
   double farthest = 0;   ///< of a point from its targets' shape, relative to its limit, before Newton's method
   int pulled = 0;        ///< 1 where anything was so far that a motion limit pulled it back
@@ -110,7 +110,7 @@ class Simulation {
   const StepOptions& options() const { return options_; }
   const State& state() const { return state_; }
   const MatrixXd& rest_gravity() const { return rest_gravity_; }  ///< gravity in the targets' poses (dofs, J), or empty
-  /// Without excess, its motion limit has not acted lately; without a limit, its excess does not count. Throws Error
+  /// Without a driven load, its motion limit has not acted; without a limit, it does not count. Throws Error
   /// for what is not finite.
   void set_state(const State& state);
   const VectorXd& coordinates() const { return state_.q[0]; }
@@ -148,12 +148,15 @@ class Simulation {
   /// external forces on the nodes if there are any, and gravity in the targets' own poses.
   /// scales: of the transforms' loads (T), for external forces.
   void load(const InertialTarget& inertial, double square, const VectorXd* external, const VectorXd* scales = nullptr);
-  /// Scales the load down where the rig drives the tissue too far. own: inertia's force from the tissue's own motion
-  /// alone; lasting: the load has lasted, as in a static solution.
-  void hold_back(const InertialTarget& inertial, double square, const StepInput& input, const VectorXd& own,
-                 bool lasting);
+  /// Decides how much of the load the limit lets through.
+  void drive(const InertialTarget& inertial, const StepInput& input);
+  /// `load`, with only that much where the rig drives the tissue too far.
+  void hold_back(const InertialTarget& inertial, double square, const StepInput& input);
   /// The same inertial target with the accelerations of the transforms, and of gravity, scaled: the past x^ becomes
-  /// x_in + s (x^ - x_in), where x_in is the past without the motion of the bones.
+  /// x_in + s (x^ - x_in), where x_in is the past without the motion of the bones. Where s has changed, it also
+  /// corrects what earlier steps have let through: velocity and place become what they would be with the s of now. Of
+  /// the bones' last second difference a, (s - s') a is added twice and taken off in the next step, because the tissue
+  /// has moved with it for a step. The one before acts by a part 3 - past[0] of `StepRule`, and only its velocity is.
   InertialTarget scaled(InertialTarget inertial, double square);
   /// Places the samples that a collider comes nearer than the margin (meters) in a step that would end at next_ without
   /// contact. Returns whether there are any.
@@ -190,7 +193,8 @@ class Simulation {
   std::shared_ptr<const SkinMap<Model>> skin_;
   std::shared_ptr<const MotionLimit<Model>> limit_;
   typename MotionLimit<Model>::Scratch answers_;
-  VectorXd own_, driven_, excess_, scales_;                  ///< of the limit: forces, rbar at the end of the step, s
+  DrivenLoad driven_;                                        ///< at the end of the step
+  std::array<VectorXd, 3> scales_;                           ///< s, in this step and the last two
   std::array<Transforms, InertialTarget::kMoments> slowed_;  ///< bones of a scaled past
   ContactTerm<Model> contacts_;
   std::shared_ptr<const ContactSamples<Model>> samples_;

@@ -27,13 +27,14 @@ def _is_possible(before: Player, after: Player) -> bool:
 
 def hand_over(before: Player, state: State, frame: Frame, after: Player) -> Frame | None:
     """Let `after` go on from a state of `before` and its frame: with the nearest displacements, in the metric of the
-    volume, that its modes have. Returns the frame as they have it, or None where only a new beginning is possible.
+    volume, that its modes have. Its motion limit remembers nothing. Returns the frame as they have it, or None where
+    only a new beginning is possible.
     """
     if before.first is None or not _is_possible(before, after):
         return None
     weighted = np.repeat(after.model.soft_body().volumes.sum(axis=1), 3)[:, None] * after.model.modes
     into = np.linalg.solve(weighted.T @ after.model.modes, weighted.T @ before.model.modes)
-    coordinates, bones, excess, contact = state
+    coordinates, bones, _, contact = state
     after.number, after.passes = int(frame.number), before.passes
-    after.resume(before.first, ([into @ past for past in coordinates], bones, excess, contact))
+    after.resume(before.first, ([into @ past for past in coordinates], bones, np.zeros(0), contact))
     return replace(frame, coordinates=after.coordinates)

@@ -175,11 +175,11 @@ def begin_again(player: Player, rig: RigSamples, frame: Frame) -> Frame:
     """
     first, last = _ends(player, rig)
     turn, shift = _rigid_fit(last, first)
-    coordinates, bones, excess, _ = player.state  # what is touched in the first frame is found again
+    coordinates, bones, limit, _ = player.state  # what is touched in the first frame is found again
     moved = [turn @ past.reshape(-1, 3, 4) for past in bones]
     for past in moved:
         past[:, :, 3] += shift
-    player.state = coordinates, [past.reshape(-1, 12) for past in moved], excess, np.zeros(0)
+    player.state = coordinates, [past.reshape(-1, 12) for past in moved], limit, np.zeros(0)
     player.number, player.passes = player.settings.frame_start, player.passes + 1
     return Frame(player.number, frame.coordinates, player.posing.posed(rig[:1])[1][0], NO_STEPS)
 

@@ -45,7 +45,7 @@ STEP = (
     "unusable_colliders",
 )  # statistics of a frame's steps
 NO_STEPS = dict.fromkeys(STEP, 0) | {"converged": True, "excess_bone": -1, "unusable_colliders": ()}
-# Of the engine: coordinates, bones' transforms, how far the bones' loads exceed their limit, and what is touched.
+# Of the engine: coordinates, bones' transforms, what the motion limit remembers, and what is touched.
 State = tuple[Sequence[np.ndarray], Sequence[np.ndarray], np.ndarray, np.ndarray]
 
 

@@ -136,14 +136,14 @@ class Shot:
 
     def kept(self) -> dict[str, np.ndarray]:
         """Everything that `resume` needs."""
-        coordinates, bones, excess, contact = self.player.state
+        coordinates, bones, limit, contact = self.player.state
         return {
             "coordinates": np.concatenate(self._coordinates),
             "weights": np.concatenate(self._weights),
             "steps": np.concatenate(self._steps),
             "past": np.array(coordinates),
             "bones": np.array(bones),
-            "excess": excess,
+            "limit": limit,
             "contact": contact,
         }
 
@@ -151,7 +151,7 @@ class Shot:
         """Continues after the frames of another instance of the same shot; first: the sample of the first frame."""
         self._coordinates, self._weights, self._steps = ([kept[name]] for name in ("coordinates", "weights", "steps"))
         self.done = len(kept["coordinates"])
-        self.player.resume(first, (list(kept["past"]), list(kept["bones"]), kept["excess"], kept["contact"]))
+        self.player.resume(first, (list(kept["past"]), list(kept["bones"]), kept["limit"], kept["contact"]))
 
     @property
     def held(self) -> Held:
