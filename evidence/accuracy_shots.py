@@ -134,12 +134,12 @@ class Solved:
 
     def steps(self) -> dict:
         """Iterations and microseconds a step, and the frames in which a step has not converged."""
-        steps = [frame.steps for frame in self.frames if frame.steps["steps"]]
-        count = sum(each["steps"] for each in steps)
+        steps = [frame.steps for frame in self.frames if frame.steps.steps]
+        count = sum(each.steps for each in steps)
         return {
-            "iterations": sum(each["iterations"] for each in steps) / count,
-            "microseconds": 1e6 * float(np.median([each["seconds"] / each["steps"] for each in steps])),
-            "unconverged": sum(not each["converged"] for each in steps),
+            "iterations": sum(each.iterations for each in steps) / count,
+            "microseconds": 1e6 * float(np.median([each.seconds / each.steps for each in steps])),
+            "unconverged": sum(not each.converged for each in steps),
         }
 
 
@@ -159,7 +159,7 @@ class Timed:
         player.begin(shot.rig)
         self.bones, self.weights = player.posing.posed(shot.rig[1:])
         self.state, settings = player.state, shot.settings
-        self.simulation = model.stepper(
+        self.simulation = dynamorph.Simulation(
             engine,
             settings.step,
             integrator=dynamorph.Integrator.__members__[settings.integrator],
@@ -175,7 +175,7 @@ class Timed:
             return
         self.simulation.state = self.state
         report = self.simulation.advance(self.bones, self.weights)
-        self.seconds.append(report["seconds"] / report["steps"])
+        self.seconds.append(report.seconds / report.steps)
 
     @property
     def microseconds(self) -> float:

@@ -125,14 +125,14 @@ def simulated(model, character, rig, settings) -> tuple[Shot, dict]:
     points = looked_at(model, character)
     steps = [frame.steps for frame in frames[1:]]
     return Shot(np.array(skin), np.array([points.of(each) for each in skin])), {
-        "milliseconds": 1000 * float(np.median([step["seconds"] for step in steps])),
-        "folding": 1000 * float(np.mean([step["seconds"] for step in steps])),
-        "apart": 1000 * float(np.median([step["seconds"] for step in steps[:APART]])),
-        "iterations": float(np.mean([step["iterations"] for step in steps])),
-        "most": max(step["iterations"] for step in steps),
-        "converged": all(step["converged"] for step in steps),
-        "contacts": max(step["contacts"] for step in steps),
-        "too_deep": max(step["too_deep"] for step in steps),
+        "milliseconds": 1000 * float(np.median([step.seconds for step in steps])),
+        "folding": 1000 * float(np.mean([step.seconds for step in steps])),
+        "apart": 1000 * float(np.median([step.seconds for step in steps[:APART]])),
+        "iterations": float(np.mean([step.iterations for step in steps])),
+        "most": max(step.iterations for step in steps),
+        "converged": all(step.converged for step in steps),
+        "contacts": max(step.contacts for step in steps),
+        "too_deep": max(step.too_deep for step in steps),
     }
 
 

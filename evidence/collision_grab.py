@@ -45,7 +45,7 @@ def main() -> int:
         hand.pull((grab,) if way == "holds" else ())
         for _ in range(2):  # the first one takes hold or lets go
             frame = player.advance(rig[1:], 2)
-        seconds[way].append(frame.steps["seconds"] / SUBSTEPS)
+        seconds[way].append(frame.steps.seconds / SUBSTEPS)
     found = {way: 1e6 * float(np.median(taken)) for way, taken in seconds.items()}
     (folder / f"grab_{quality}.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     return 0

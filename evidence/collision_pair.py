@@ -158,7 +158,7 @@ def force(made, settings) -> float:
     last = [rig[-1:] for *_, rig in made]
     coupling = simulate.Coupling(players)
     (frames,) = coupling.play(last, [settings.frame_end])
-    return float(np.linalg.norm(frames[0].steps["body_force"]))
+    return float(np.linalg.norm(frames[0].steps.body_force))
 
 
 def photograph(bodies, skins, path: Path) -> None:

@@ -237,13 +237,14 @@ StepOptions to_convergence() {
 
 template <class Model>
 void measure_steps(State& state, const std::shared_ptr<const Model>& model, const StepOptions& options) {
-  const Swing moving = swing(model->body(), int(model->targets().size()));
-  Simulation<Model> simulation(model, options);
-  simulation.start(moving.bones[0], moving.bones[1], moving.weights[0]);
+  const Swing rig = swing(model->body(), int(model->targets().size()));
+  MovingBody<Model> moving(model, options);
+  Simulation<Model> simulation(moving);
+  moving.start(rig.bones[0], rig.bones[1], rig.weights[0]);
   int k = 0, iterations = 0;
   for (auto _ : state) {
     k = (k + 1) % kFrames;
-    iterations += simulation.step({moving.bones[k], moving.weights[k]}).iterations;
+    iterations += simulation.step({rig.bones[k], rig.weights[k]}).iterations;
   }
   state.counters["iterations"] = benchmark::Counter(iterations, benchmark::Counter::kAvgIterations);
   state.counters["dofs"] = double(3 * model->body().mesh.nodes.rows());
@@ -319,7 +320,7 @@ BENCHMARK(converged_step)->Apply(sizes);
 void blend(State& state) {
   const OneCore pinned;
   const auto model = reduced_model(sized(state));
-  const Swing moving = swing(model->body(), int(state.range(0)));
+  const Swing rig = swing(model->body(), int(state.range(0)));
   ReducedModel::Blend blended;
   int k = 0;
   for (auto _ : state) model->blend(moving.weights[k++ % kFrames], blended);
@@ -351,7 +352,7 @@ BENCHMARK(linearize)->Apply(sizes);
 void iterate(State& state, const Case& c) {
   const OneCore pinned;
   const auto model = reduced_model(c);
-  const Swing moving = swing(model->body(), int(state.range(0)));
+  const Swing rig = swing(model->body(), int(state.range(0)));
   VectorXd z, force, direction;
   std::vector<VectorXd> rest;  // the blended targets, frame by frame
   for (const VectorXd& w : moving.weights) {
@@ -424,7 +425,7 @@ void pose_weights(State& state) {
   const int count = int(state.range(1));
   const auto body = skinned(bar(500), int(state.range(0)));
   const PoseSpace space = pose_space(body->skin.cols(), count);
-  const Swing moving = swing(*body, count);
+  const Swing rig = swing(*body, count);
   VectorXd weights(count);
   int k = 0;
   for (auto _ : state) space.weights(moving.pose[k++ % kFrames], weights);
@@ -436,7 +437,7 @@ void rig(State& state) {
   const OneCore pinned;
   const auto model = reduced_model({3, 20, MaterialModel::linear, int(state.range(0)), int(state.range(1))});
   const PoseSpace space = pose_space(model->body().skin.cols(), 3);
-  const Swing moving = swing(model->body(), 3);
+  const Swing rig = swing(model->body(), 3);
   const VectorXd z = VectorXd::Constant(20, 1e-3);
   InertialTarget inertial;
   inertial.q.fill(&z);

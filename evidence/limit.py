@@ -184,7 +184,7 @@ def played(shot: Shot, model: Model) -> Played:
 def stepped(shot: Shot, model: Model) -> list[dict]:
     """What each frame's steps report."""
     frames = simulate.simulate(model, shot.character, shot.rig, shot.settings)
-    return [frame.steps for frame in frames if frame.steps["steps"]]
+    return [frame.steps for frame in frames if frame.steps.steps]
 
 
 # Figures --------------------------------------------------------------------------------------------------------------
@@ -221,14 +221,14 @@ def cost(shot: Shot, model: Model) -> list[str]:
         limited.append(microseconds(reports))
     without = np.min(free, axis=0)
     ratios = np.min(limited, axis=0) / without
-    pulled = np.array([each["pulled"] / each["steps"] for each in reports])
-    held = np.mean([each["excess"] > 0.5 for each in reports])
+    pulled = np.array([each.pulled / each.steps for each in reports])
+    held = np.mean([each.excess > 0.5 for each in reports])
     parts = [f"{np.median(ratios[which]):.2f}" if which.any() else "-" for which in (pulled == 0, pulled == 1)]
     return [f"{held:.0%}", f"{pulled.mean():.0%}", f"{np.median(without):.0f} µs", *parts]
 
 
 def microseconds(reports: list[dict]) -> list[float]:
-    return [1e6 * each["seconds"] / each["steps"] for each in reports]
+    return [1e6 * each.seconds / each.steps for each in reports]
 
 
 def trades(shot: Shot, model: Model) -> list[str]:
@@ -257,10 +257,10 @@ def trades(shot: Shot, model: Model) -> list[str]:
 @contextmanager
 def limited_by(constants: dict) -> Iterator[None]:
     """Limits with other constants than the engine's own."""
-    own = dynamorph.ReducedMotionLimit
-    dynamorph.ReducedMotionLimit = partial(own, **constants)
+    own = dynamorph.MotionLimit
+    dynamorph.MotionLimit = partial(own, **constants)
     yield
-    dynamorph.ReducedMotionLimit = own
+    dynamorph.MotionLimit = own
 
 
 def constants_table(columns: list[list[str]]) -> list[list[str]]:

@@ -69,7 +69,7 @@ def looped(name: str) -> dict:
     job = closed.job
     motion, size = job.outcome.bake.coordinates, job.computation.shot.player.size
     steps = np.diff(motion, axis=0)
-    gone_on = job.computation.shot.player.state[0][0]
+    gone_on = job.computation.shot.player.state.coordinates[0]
     onward = gone_on - motion[-1]  # the step from the last frame to where the loop has gone on
     cycles, gaps = repeat(job)
     found = {

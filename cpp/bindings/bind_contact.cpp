@@ -2,6 +2,7 @@
 #include "collider_motion.hpp"
 #include "dynamorph/contact/contact_samples.hpp"
 #include "dynamorph/contact/self_contact.hpp"
+#include "either.hpp"
 #include "model_interface.hpp"
 
 using namespace dynamorph;
@@ -114,12 +115,10 @@ void bind_local_responses(py::module_& m) {
           "C (P, P) of the energy a^T C a / 2, at the neutral targets.");
 }
 
-template <class Model>
-void bind_contact_of(py::module_& m, const char* name) {
-  using Samples = ContactSamples<Model>;
-  py::class_<Samples, std::shared_ptr<Samples>>(
-      m, name, "The points of a model's skin that can touch colliders. Simulations may share them.")
-      .def(py::init([](std::shared_ptr<Model> model, const FloatArray& rest, const Embedding& embedding,
+void bind_samples(py::module_& m) {
+  py::class_<Either<ContactSamples>>(
+      m, "Contact", "The points of a model's skin that can touch colliders. Simulations may share them.")
+      .def(py::init([](const EitherModel& model, const FloatArray& rest, const Embedding& embedding,
                        const MatrixXd& weights, const FloatArray& normals, const VectorXd& thickness,
                        const std::optional<FloatArray>& residual_shapes,
                        const std::optional<std::shared_ptr<LocalResponses>>& local,
@@ -127,8 +126,12 @@ void bind_contact_of(py::module_& m, const char* name) {
              ContactSkin samples{skin_of(rest, embedding, weights, residual_shapes), {}, {}, thickness};
              samples.points = surface_points(corners, corner_weights, samples.skin.rest.rows());
              samples.normals = as_points(flat_points("normals", normals, samples.points.size()));
-             return without_gil(
-                 [&] { return std::make_shared<Samples>(model, std::move(samples), local.value_or(nullptr)); });
+             return without_gil([&] {
+               return make_either<ContactSamples>(model, [&](const auto& own) {
+                 using Model = std::decay_t<decltype(*own)>;
+                 return std::make_shared<ContactSamples<Model>>(own, std::move(samples), local.value_or(nullptr));
+               });
+             });
            }),
            "model"_a.none(false), "rest"_a, "embedding"_a, "weights"_a, "normals"_a, "thickness"_a,
            "residual_shapes"_a = py::none(), "local"_a = py::none(), "corners"_a = py::none(),
@@ -141,18 +144,18 @@ void bind_contact_of(py::module_& m, const char* name) {
            "1.2 times that not at all. residual_shapes (J, V, 3): what the mesh cannot carry of each target's shape, "
            "or None. local: how a reduced model's skin gives way; None for an unreduced one.")
       .def_property_readonly(
-          "stiffness", [](const Samples& s) { return VectorXd(s.stiffness()); },
+          "stiffness",
+          [](const Either<ContactSamples>& samples) {
+            return samples.visit([](const auto& own) { return VectorXd(own.stiffness()); });
+          },
           "The model's own stiffness at each point (P) along its normal, N/m, at the neutral "
           "targets; 0 where pins hold it.");
 }
 
-template <class Model>
-void bind_self_contact_of(py::module_& m, const char* name) {
-  using Samples = ContactSamples<Model>;
-  using Self = SelfContact<Model>;
-  py::class_<Self, std::shared_ptr<Self>>(m, name,
-                                          "Where the skin of a model touches the same skin. Simulations may share it.")
-      .def(py::init([](std::shared_ptr<Samples> contact, const FloatArray& centers, const VectorXd& radii,
+void bind_self_contact(py::module_& m) {
+  py::class_<Either<SelfContact>>(m, "SelfContact",
+                                  "Where the skin of a model touches the same skin. Simulations may share it.")
+      .def(py::init([](const Either<ContactSamples>& contact, const FloatArray& centers, const VectorXd& radii,
                        const Embedding& embedding, const MatrixXd& weights, std::vector<int> points,
                        std::vector<int> of_balls, std::vector<int> of_points, std::vector<std::array<int, 2>> joints) {
              BodyParts body{skin_of(centers, embedding, weights, std::nullopt),
@@ -161,10 +164,15 @@ void bind_self_contact_of(py::module_& m, const char* name) {
                             std::move(of_balls),
                             std::move(of_points),
                             std::move(joints)};
-             return without_gil([&] { return std::make_shared<Self>(contact, std::move(body)); });
+             return without_gil([&] {
+               return contact.visit_shared([&](const auto& samples) {
+                 using Model = std::decay_t<decltype(samples->model())>;
+                 return Either<SelfContact>(std::make_shared<SelfContact<Model>>(samples, std::move(body)));
+               });
+             });
            }),
-           "contact"_a.none(false), "centers"_a, "radii"_a, "embedding"_a, "weights"_a, "points"_a, "of_balls"_a,
-           "of_points"_a, "joints"_a = std::vector<std::array<int, 2>>(),
+           "contact"_a, "centers"_a, "radii"_a, "embedding"_a, "weights"_a, "points"_a, "of_balls"_a, "of_points"_a,
+           "joints"_a = std::vector<std::array<int, 2>>(),
            "contact: the points of the skin. centers (K, 3), radii (K): of balls that fill the body, meters, bind "
            "space, as `Thickness.covering` finds them. embedding: of the centers in the body's mesh. weights (K, B): "
            "skin weights of the centers. points (P): numbers of those points that touch the balls, ascending; a few "
@@ -178,8 +186,6 @@ void bind_self_contact_of(py::module_& m, const char* name) {
 void bind_contact(py::module_& m) {
   bind_collider(m);
   bind_local_responses(m);
-  bind_contact_of<FullModel>(m, "FullContact");
-  bind_contact_of<ReducedModel>(m, "ReducedContact");
-  bind_self_contact_of<FullModel>(m, "FullSelfContact");
-  bind_self_contact_of<ReducedModel>(m, "ReducedSelfContact");
+  bind_samples(m);
+  bind_self_contact(m);
 }

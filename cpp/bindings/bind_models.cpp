@@ -119,7 +119,6 @@ void bind_full_model(py::module_& m) {
           "Number of tetrahedra that keep the neutral rest shape, because the target's sculpt would invert or crush "
           "them.");
   bind_model(full);
-  bind_skin<FullModel>(m, "FullSkin");
 }
 
 }  // namespace

@@ -104,5 +104,4 @@ void bind_reduced(py::module_& m) {
               "targets: those that the tables were computed for; their materials may have changed. Raises ValueError "
               "when a table does not fit them, or when a shape displaces pinned nodes.");
   bind_model(reduced);
-  bind_skin<ReducedModel>(m, "ReducedSkin");
 }

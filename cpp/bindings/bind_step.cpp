@@ -4,23 +4,11 @@
 #include <memory>
 #include <tuple>
 
-#include "dynamorph/step/coupled_simulation.hpp"
 #include "stepping.hpp"
 
 using namespace dynamorph;
 
 namespace {
-
-/// bones (J, B, 3, 4).
-template <class Stepper>
-void balance_targets_in(InTurn<Stepper>& stepper, const FloatArray& bones) {
-  const auto& model = stepper.model();
-  check_shape("bones", bones, {py::ssize_t(model.targets().size()), py::ssize_t(model.body().skin.cols()), 3, 4});
-  std::vector<Transforms> frames;
-  const py::ssize_t count = bones.shape(1);
-  for (py::ssize_t j = 0; j < bones.shape(0); ++j) frames.push_back(transforms(bones.data() + 12 * count * j, count));
-  changing(stepper, [&] { stepper.balance_targets(frames); });
-}
 
 /// What a state remembers of contact, as numbers: how many planes and colliders there are, then the planes (sample,
 /// collider, point, normal), whether each collider acted, and the pressures (sample, collider, normal, force, slip).
@@ -99,8 +87,9 @@ void read_contact(const VectorXd& numbers, State& state) {
 }
 
 void bind_grabs(py::module_& m) {
-  py::class_<Grabs>(m, "Grabs", "Springs that pull points of the skin to places in the world.")
-      .def(py::init([](const IndexArray& points, const FloatArray& goals, const VectorXd& stiffness) {
+  py::class_<Springs>(m, "Grabs", "Springs that pull points of a skin to places in the world.")
+      .def(py::init([](const Either<SkinMap>& skin, const IndexArray& points, const FloatArray& goals,
+                       const VectorXd& stiffness) {
              using Column = Eigen::Matrix<std::int32_t, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
              const Column column = to_indices<Column>(IndexArray(points.attr("reshape")(-1, 1)), "points");
              check_shape("goals", goals, {-1, column.size(), 3});
@@ -108,19 +97,18 @@ void bind_grabs(py::module_& m) {
              check_finite("goals", Eigen::Map<const VectorXd>(goals.data(), goals.size()));
              if (!stiffness.allFinite() || (stiffness.array() < 0).any())
                throw std::invalid_argument("stiffness: must be finite and not negative");
-             return Grabs{stiffness, {column.data(), column.data() + column.size()}, goals};
+             return Springs{skin, stiffness, {column.data(), column.data() + column.size()}, goals};
            }),
-           "points"_a, "goals"_a, "stiffness"_a,
-           "points (K): of the simulation's skin. goals (S, K, 3): meters, world space, at the end of each step. "
+           "skin"_a, "points"_a, "goals"_a, "stiffness"_a,
+           "skin: of the simulation's model. points (K): of the skin. goals (S, K, 3): meters, world space, at the end "
+           "of each step. "
            "stiffness (K): N/m.");
 }
 
-template <class Model>
-void bind_limit(py::module_& m, const char* name) {
-  using Limit = MotionLimit<Model>;
-  py::class_<Limit, std::shared_ptr<Limit>>(
-      m, name, "How far a moving rig may drive the skin of a model. Simulations may share it.")
-      .def(py::init([](std::shared_ptr<Model> model, const FloatArray& rest, const Embedding& embedding,
+void bind_limit(py::module_& m) {
+  py::class_<Either<MotionLimit>>(m, "MotionLimit",
+                                  "How far a moving rig may drive the skin of a model. Simulations may share it.")
+      .def(py::init([](const EitherModel& model, const FloatArray& rest, const Embedding& embedding,
                        const IndexArray& triangles, const MatrixXd& weights, const VectorXd& distances,
                        const std::optional<MatrixXd>& groups, const std::optional<VectorXd>& painted, double stretch,
                        int edges_between) {
@@ -135,8 +123,11 @@ void bind_limit(py::module_& m, const char* name) {
              check_finite("rest", limits.rest);
              check_finite("weights", weights);
              check_finite("groups", limits.groups);
-             py::gil_scoped_release release;
-             return std::make_shared<Limit>(model, limits);
+             return without_gil([&] {
+               return make_either<MotionLimit>(model, [&](const auto& own) {
+                 return std::make_shared<MotionLimit<std::decay_t<decltype(*own)>>>(own, limits);
+               });
+             });
            }),
            "model"_a.none(false), "rest"_a, "embedding"_a, "triangles"_a, "weights"_a, "distances"_a,
            "groups"_a = py::none(), "painted"_a = py::none(), py::kw_only(), "stretch"_a = LimitConstants().stretch,
@@ -148,46 +139,179 @@ void bind_limit(py::module_& m, const char* name) {
            "ones. The others are LimitConstants, which docs/limit.md tables: stretch, of an edge's length, by which "
            "it may change; edges_between, how many more than the most stretched are pulled back. Raises "
            "ValueError for those below zero, and Error if the tissue has no stiffness at rest.")
-      .def_property_readonly("frequency", &Limit::frequency, "Of the neutral tissue, 1/s (angular).")
-      .def_property_readonly("numbers", &Limit::numbers, "How many numbers of a static answer are looked at.");
+      .def_property_readonly(
+          "frequency",
+          [](const Either<MotionLimit>& limit) { return limit.visit([](const auto& own) { return own.frequency(); }); },
+          "Of the neutral tissue, 1/s (angular).")
+      .def_property_readonly(
+          "numbers",
+          [](const Either<MotionLimit>& limit) { return limit.visit([](const auto& own) { return own.numbers(); }); },
+          "How many numbers of a static answer are looked at.");
 }
 
+/// A state for Python: NumPy arrays.
+struct PastArrays {
+  std::array<VectorXd, InertialTarget::kMoments> coordinates;
+  std::array<Transforms, InertialTarget::kMoments> bones;
+  VectorXd limit, contact;
+};
+
+void bind_state(py::module_& m) {
+  py::class_<PastArrays>(m, "State",
+                         "Where a soft skin is, and what its next steps depend on besides. Keep one to resume, undo or "
+                         "fork a simulation.")
+      .def(py::init<decltype(PastArrays::coordinates), decltype(PastArrays::bones), VectorXd, VectorXd>(),
+           "coordinates"_a, "bones"_a, "limit"_a = VectorXd(), "contact"_a = VectorXd())
+      .def_readonly("coordinates", &PastArrays::coordinates,
+                    "Coordinates (dofs), now and at the last three steps. The unit is meters times the square root of "
+                    "cubic meters for a reduced model, and meters for a full one.")
+      .def_readonly("bones", &PastArrays::bones, "Transforms (B, 12) of the bones, bind to world space, likewise.")
+      .def_readonly("limit", &PastArrays::limit,
+                    "What the motion limit remembers of the load (any); empty without one, or where it has not acted.")
+      .def_readonly("contact", &PastArrays::contact, "What is touched (any); empty where nothing is.");
+}
+
+void bind_report(py::module_& m) {
+  py::class_<Report>(m, "StepReport", "What steps, or a static solution, say of themselves.")
+      .def(py::init<>(), "Of no steps.")
+      .def_readonly("steps", &Report::steps, "How many there were.")
+      .def_readonly("seconds", &Report::seconds, "How long they took; of a coupling, an equal share.")
+      .def_readonly("iterations", &Report::iterations, "Of Newton's method, in all; of a coupling, those of all.")
+      .def_readonly("converged", &Report::converged, "Whether each met its tolerance. The state is finite anyway.")
+      .def_readonly("residual", &Report::residual, "The worst one: the gradient relative to the largest force.")
+      .def_readonly("energy", &Report::energy, "Elastic energy at the end, J.")
+      .def_readonly("teleported", &Report::teleported, "Whether the rig jumped, so that the past was carried along.")
+      .def_readonly(
+          "excess", &Report::excess,
+          "With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2.")
+      .def_readonly("excess_bone", &Report::excess_bone, "Which bone's; -1 without a limit.")
+      .def_readonly("farthest", &Report::farthest,
+                    "The largest distance of a point from its targets' shape, relative to its limit.")
+      .def_readonly("pulled", &Report::pulled, "In how many steps a limit pulled anything back.")
+      .def_readonly("contacts", &Report::contacts, "The largest number of points that were pushed in a step.")
+      .def_readonly("penetration", &Report::penetration,
+                    "The largest depth of a point under a surface, meters, where the bones leave it room.")
+      .def_readonly("too_deep", &Report::too_deep,
+                    "How much deeper the bones take a point into a collider, or into the body itself, than it can give "
+                    "way, so that contact does; meters, 0: nowhere.")
+      .def_readonly("too_deep_sample", &Report::too_deep_sample, "Which point of the contact; -1: none.")
+      .def_readonly(
+          "too_deep_collider", &Report::too_deep_collider,
+          "In which collider; -1: in the body, below that: of a coupling, -2 less the number of another body.")
+      .def_property_readonly(
+          "contact_forces",
+          [](const Report& report) {
+            Points forces(Eigen::Index(report.contact_forces.size()), 3);
+            for (Eigen::Index c = 0; c < forces.rows(); ++c) forces.row(c) = report.contact_forces[std::size_t(c)];
+            return forces;
+          },
+          "Newtons on each collider (C, 3) in the last step.")
+      .def_readonly("body_force", &Report::body_force,
+                    "Newtons (3) that the others of a coupling pushed it with in the last step.")
+      .def_readonly("unusable_colliders", &Report::unusable_colliders,
+                    "Numbers of those that were active, but not finite or without extent.");
+}
+
+std::vector<ColliderStep> at_rest(const std::optional<std::vector<ColliderMotion>>& colliders) {
+  std::vector<ColliderStep> out;
+  if (!colliders) return out;
+  for (const ColliderMotion& collider : *colliders) {
+    check_size("colliders: steps", collider.steps(), 1);
+    out.push_back(collider.at(0));
+  }
+  return out;
+}
+
+/// Steps bodies to each of their motions, and reports on each. forget: so that a state resumes bit for bit, between any
+/// two calls.
 template <class Model>
-void bind_simulation_of(py::module_& m, const char* name) {
-  using Sim = InTurn<Simulation<Model>>;
-  py::class_<Sim, std::shared_ptr<Sim>>(m, name, "Steps a model through time, in world space and SI units.")
-      .def(py::init([](std::shared_ptr<Model> model, double h, Integrator integrator, const Vector3d& gravity,
-                       double tolerance, int max_iterations, double teleport, const py::object& keep_going) {
-             std::function<bool()> asked;
-             if (!keep_going.is_none())
-               asked = [callable = shared(keep_going)] {
-                 py::gil_scoped_acquire gil;
-                 return answer("keep_going", (*callable)());
-               };
-             return std::make_shared<Sim>(
-                 Simulation<Model>(model, {h, integrator, gravity, tolerance, max_iterations, teleport, asked}));
-           }),
-           "model"_a.none(false), "h"_a, py::kw_only(), "integrator"_a = Integrator::bdf2,
-           "gravity"_a = Vector3d(0, 0, 0), "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0,
-           "keep_going"_a = py::none(),
-           "h: seconds per step. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, "
-           "meters, above which the past is carried along (0: never). keep_going() -> bool is called before every "
-           "Newton iteration; returning False raises Cancelled.")
-      .def("balance_targets", &balance_targets_in<Simulation<Model>>, "bones"_a,
-           "Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, "
-           "so that targets do not sag.")
+std::vector<Report> advance(const std::vector<InTurn<Model>*>& bodies, Simulation<Model>& simulation,
+                            const std::vector<Motion>& motions) {
+  if (motions.size() != bodies.size())
+    throw std::invalid_argument("motions: expected those of " + std::to_string(bodies.size()) + " bodies, got " +
+                                std::to_string(motions.size()));
+  std::vector<Moving<Model>> moving;
+  for (std::size_t k = 0; k < motions.size(); ++k) {
+    moving.emplace_back(bodies[k]->body.model(), motions[k]);
+    if (moving.back().steps() != moving.front().steps())
+      throw std::invalid_argument("motions: expected as many steps of each body");
+  }
+  std::vector<Report> out(bodies.size());
+  const auto begin = std::chrono::steady_clock::now();
+  changing(bodies, [&] {
+    simulation.forget();
+    std::vector<StepInput<Model>> inputs;
+    for (py::ssize_t i = 0; i < moving.front().steps(); ++i) {
+      inputs.clear();
+      for (Moving<Model>& each : moving) inputs.push_back(each.at(i));
+      const auto& reports = simulation.step(inputs);
+      for (std::size_t k = 0; k < out.size(); ++k) out[k].add(reports[k]);
+    }
+  });
+  const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
+  for (Report& each : out) each.seconds = elapsed.count() / double(out.size());
+  return out;
+}
+
+using AnySimulation = Either<InTurn>;
+
+AnySimulation make_simulation(const EitherModel& model, double h, const std::optional<Either<MotionLimit>>& limit,
+                              const std::optional<Either<ContactSamples>>& contact, double distance,
+                              const std::optional<Either<SelfContact>>& self_contact, double self_friction, Integrator integrator,
+                              const Vector3d& gravity, double tolerance, int max_iterations, double teleport,
+                              const py::object& keep_going) {
+  std::function<bool()> asked;
+  if (!keep_going.is_none())
+    asked = [callable = shared(keep_going)] {
+      py::gil_scoped_acquire gil;
+      return answer("keep_going", (*callable)());
+    };
+  const StepOptions options{h, integrator, gravity, tolerance, max_iterations, teleport, asked};
+  return make_either<InTurn>(model, [&](const auto& own) {
+    using Model = std::decay_t<decltype(*own)>;
+    const Parts<Model> parts{of_kind<Model>(limit, "limit"), of_kind<Model>(contact, "contact"), distance,
+                             of_kind<Model>(self_contact, "self_contact"), self_friction};
+    return std::make_shared<InTurn<Model>>(own, options, parts);
+  });
+}
+
+void bind_simulation(py::module_& m) {
+  py::class_<AnySimulation>(m, "Simulation", "Steps a model through time, in world space and SI units.")
+      .def(py::init(&make_simulation), "model"_a.none(false), "h"_a, py::kw_only(), "limit"_a = py::none(),
+           "contact"_a = py::none(), "distance"_a = 0.0, "self_contact"_a = py::none(), "self_friction"_a = 0.5,
+           "integrator"_a = Integrator::bdf2, "gravity"_a = Vector3d(0, 0, 0), "tolerance"_a = 1e-6,
+           "max_iterations"_a = 30, "teleport"_a = 0.0, "keep_going"_a = py::none(),
+           "h: seconds per step. limit: of the motion. contact: the points that "
+           "the colliders of `advance` push, from a distance in meters on. self_contact: of those points, where the "
+           "skin touches itself, with self_friction. gravity (3,): m/s^2. teleport: the jump of the skin off its "
+           "course in one step, meters, above which the past is carried along (0: never). keep_going() -> bool is "
+           "called before every Newton iteration; returning False raises Cancelled. Raises ValueError for parts of "
+           "another model.")
+      .def(
+          "balance_targets",
+          [](AnySimulation& s, const FloatArray& bones) {
+            s.visit([&](auto& own) {
+              const auto& model = own.body.model();
+              check_shape("bones", bones,
+                          {py::ssize_t(model.targets().size()), py::ssize_t(model.body().skin.cols()), 3, 4});
+              std::vector<Transforms> frames;
+              const py::ssize_t count = bones.shape(1);
+              for (py::ssize_t j = 0; j < bones.shape(0); ++j)
+                frames.push_back(transforms(bones.data() + 12 * count * j, count));
+              changing(own, [&] { own.body.balance_targets(frames); });
+            });
+          },
+          "bones"_a,
+          "Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, "
+          "so that targets do not sag.")
       .def(
           "start",
-          [](Sim& s, const FloatArray& now, const FloatArray& next, const VectorXd& weights,
+          [](AnySimulation& s, const FloatArray& now, const FloatArray& next, const VectorXd& weights,
              const std::optional<std::vector<ColliderMotion>>& colliders) {
             const Transforms a = transforms("now", now), b = transforms("next", next);
-            std::vector<ColliderStep> met;
-            const auto at_rest = colliders.value_or(std::vector<ColliderMotion>());
-            for (const ColliderMotion& collider : at_rest) {
-              check_size("colliders: steps", collider.steps(), 1);
-              met.push_back(collider.at(0));
-            }
-            return summary(changing(s, [&] { return s.start(a, b, weights, &met); }), 0, 0);
+            const std::vector<ColliderStep> met = at_rest(colliders);
+            return s.visit(
+                [&](auto& own) { return Report(changing(own, [&] { return own.body.start(a, b, weights, &met); })); });
           },
           "now"_a, "next"_a, "weights"_a, "colliders"_a = py::none(),
           "Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to "
@@ -195,190 +319,157 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "where it is.")
       .def(
           "advance",
-          [](Sim& s, const FloatArray& bones, const FloatArray& weights, const std::optional<FloatArray>& external,
-             const std::optional<Grabs>& grabs, const std::optional<std::vector<ColliderMotion>>& colliders) {
-            Moving moving(s.model().body(), s.model().targets().size(), bones, weights, external, grabs, colliders);
-            StepReport worst;
-            const auto begin = std::chrono::steady_clock::now();
-            changing(s, [&] {
-              s.forget();  // so that a state resumes bit for bit, between any two calls
-              for (py::ssize_t i = 0; i < moving.steps(); ++i) add(s.step(moving.at(i)), worst);
+          [](AnySimulation& s, const FloatArray& bones, const FloatArray& weights,
+             const std::optional<FloatArray>& external, const std::optional<Springs>& grabs,
+             const std::optional<std::vector<ColliderMotion>>& colliders) {
+            return s.visit([&](auto& own) {
+              return advance({&own}, own.alone, {{bones, weights, external, grabs, colliders}}).front();
             });
-            const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
-            return summary(worst, int(moving.steps()), elapsed.count());
           },
           "bones"_a, "weights"_a, "external"_a = py::none(), "grabs"_a = py::none(), "colliders"_a = py::none(),
           "Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the "
-          "nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. colliders: "
-          "what pushes the points of `set_contact`. Returns a report on the steps: total iterations, converged, "
-          "worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess "
-          "of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest "
-          "distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything "
-          "was pulled back. With colliders: the largest number of contacts in a step; penetration, the largest depth "
-          "of a point under a surface; too_deep, how much deeper the bones take a point into a collider, or into the "
-          "body itself, than it can give way, so that contact does (0: nowhere), and the sample (-1: none) and "
-          "collider (-1: the body; below that, of a coupling, -2 less the number of another body) where that is; "
-          "body_force (3), newtons that the others of a coupling push it with at the end; contact_forces, newtons on "
-          "each collider (C, 3) at the last step; unusable_colliders, the "
-          "numbers of those that were active but not finite or without extent.")
+          "nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of a skin. colliders: "
+          "what pushes the points of its contact. Returns a StepReport.")
       .def(
           "solve_static",
-          [](Sim& s, const FloatArray& bones, const VectorXd& weights, const std::optional<FloatArray>& external,
-             const std::optional<VectorXd>& guess) {
+          [](AnySimulation& s, const FloatArray& bones, const VectorXd& weights,
+             const std::optional<FloatArray>& external, const std::optional<VectorXd>& guess) {
             VectorXd q = guess.value_or(VectorXd());
-            if (guess) check_coordinates(s.model(), q);
-            External forces(s.model().body(), external, 1);
             const Transforms frame = transforms("bones", bones);
-            const StepReport report = changing(s, [&] { return s.solve_static({frame, weights, forces.at(0)}, q); });
-            return py::make_tuple(q, summary(report, 0, 0));
+            return s.visit([&](auto& own) {
+              if (guess) check_coordinates(own.body.model(), q);
+              External forces(own.body.model().body(), external, 1);
+              const auto report =
+                  changing(own, [&] { return own.body.solve_static({frame, weights, forces.at(0)}, q); });
+              return py::make_tuple(q, Report(report));
+            });
           },
           "bones"_a, "weights"_a, "external"_a = py::none(), "guess"_a = py::none(),
-          "Returns (coordinates, report) of the static solution. The search starts from `guess`, or from the blended "
-          "targets.")
-      .def(
-          "set_skin",
-          [](Sim& s, std::shared_ptr<SkinMap<Model>> skin) { changing(s, [&] { s.set_skin(std::move(skin)); }); },
-          "skin"_a, "The skin whose points `advance` grabs; None for none.")
-      .def(
-          "set_limit",
-          [](Sim& s, std::shared_ptr<MotionLimit<Model>> limit) {
-            changing(s, [&] { s.set_limit(std::move(limit)); });
-          },
-          "limit"_a, "Limits the motion from now on; None for no limit.")
-      .def(
-          "set_contact",
-          [](Sim& s, std::shared_ptr<ContactSamples<Model>> contact, double distance) {
-            changing(s, [&] { s.set_contact(std::move(contact), distance); });
-          },
-          "contact"_a, "distance"_a = 0.0,
-          "The points that the colliders of `advance` push, from a distance in meters on; None for none.")
-      .def(
-          "set_self_contact",
-          [](Sim& s, std::shared_ptr<SelfContact<Model>> self, double friction) {
-            changing(s, [&] { s.set_self_contact(std::move(self), friction); });
-          },
-          "self_contact"_a, "friction"_a = 0.5,
-          "Where the skin touches itself, from the distance of `set_contact` on, which comes first and drops it; None: "
-          "nowhere. friction: of skin on skin.")
-      .def_property_readonly("model", &Sim::shared_model, "The model that it steps.")
+          "Returns (coordinates, StepReport) of the static solution. The search starts from `guess`, or from the "
+          "blended targets.")
       .def_property_readonly(
-          "coordinates", [](const Sim& s) { return in_turn(s, [&] { return VectorXd(s.coordinates()); }); },
-          "A copy of the coordinates after the last step. The unit is meters times the square root of cubic meters for "
-          "a reduced model, and meters for a full one.")
+          "model",
+          [](const AnySimulation& s) {
+            return s.visit([](const auto& own) {
+              using Model = std::decay_t<decltype(own.body.model())>;
+              return EitherModel(std::const_pointer_cast<Model>(own.body.shared_model()));
+            });
+          },
+          "The model that it steps.")
       .def_property_readonly(
-          "dents", [](const Sim& s) { return in_turn(s, [&] { return VectorXd(s.dents()); }); },
+          "coordinates",
+          [](const AnySimulation& s) {
+            return s.visit(
+                [](const auto& own) { return in_turn(own, [&] { return VectorXd(own.body.coordinates()); }); });
+          },
+          "A copy of the coordinates after the last step, as of `State`.")
+      .def_property_readonly(
+          "dents",
+          [](const AnySimulation& s) {
+            return s.visit([](const auto& own) { return in_turn(own, [&] { return VectorXd(own.body.dents()); }); });
+          },
           "A copy of the amplitudes of its contact's local responses after the last step, none without. Setting a "
-          "state "
-          "sets them to zero.")
+          "state sets them to zero.")
       .def_property_readonly(
-          "kinetic_energy", [](const Sim& s) { return in_turn(s, [&] { return s.kinetic_energy(); }); },
+          "excess",
+          [](const AnySimulation& s) {
+            return s.visit([](const auto& own) {
+              return in_turn(own, [&] { return VectorXd(own.body.state().driven.excess[0]); });
+            });
+          },
+          "By how much each bone's load (G) exceeded its limit in the last step: above 1/2 it was held back. Empty "
+          "without a motion limit.")
+      .def_property_readonly(
+          "kinetic_energy",
+          [](const AnySimulation& s) {
+            return s.visit([](const auto& own) { return in_turn(own, [&] { return own.body.kinetic_energy(); }); });
+          },
           "Kinetic energy of the posed nodes, J, from the integrator's own velocity.")
       .def_property_readonly(
-          "elastic_energy", [](const Sim& s) { return in_turn(s, [&] { return s.elastic_energy(); }); },
+          "elastic_energy",
+          [](const AnySimulation& s) {
+            return s.visit([](const auto& own) { return in_turn(own, [&] { return own.body.elastic_energy(); }); });
+          },
           "Elastic energy, J, at the target weights of the last step.")
       .def_property(
           "state",
-          [](const Sim& s) {
-            const State state = in_turn(s, [&] { return State(s.state()); });
-            return py::make_tuple(state.q, state.bones, driven_numbers(state.driven), contact_numbers(state));
+          [](const AnySimulation& s) {
+            const State state =
+                s.visit([](const auto& own) { return in_turn(own, [&] { return State(own.body.state()); }); });
+            return PastArrays{state.q, state.bones, driven_numbers(state.driven), contact_numbers(state)};
           },
-          [](Sim& s,
-             const std::tuple<std::array<VectorXd, 4>, std::array<Transforms, 4>, VectorXd, VectorXd>& numbers) {
-            const auto& [q, bones, limit, contact] = numbers;
-            State state{q, bones, read_driven(limit, s.model().dofs()), {}, {}};
-            read_contact(contact, state);
-            changing(s, [&] { s.set_state(state); });
+          [](AnySimulation& s, const PastArrays& numbers) {
+            s.visit([&](auto& own) {
+              State state{
+                  numbers.coordinates, numbers.bones, read_driven(numbers.limit, own.body.model().dofs()), {}, {}};
+              read_contact(numbers.contact, state);
+              changing(own, [&] { own.body.set_state(state); });
+            });
           },
-          "(coordinates, bones' transforms (B, 12), limit (any), contact (any)): the first two now and at the last "
-          "three steps, the third what the motion limit remembers of the load, empty without one, the last what was "
-          "touched, empty without colliders. Set it to resume a simulation; raises Error for what is not finite.")
-      .def_property_readonly(
-          "excess", [](const Sim& s) { return in_turn(s, [&] { return VectorXd(s.state().driven.excess[0]); }); },
-          "By how much each bone's load (G) exceeded its limit in the last step: above 1/2 it was held back. Empty "
-          "without a motion limit.");
+          "A copy of its State. Set it to resume a simulation; raises Error for what is not finite.");
 }
 
-/// Simulations for Python that take their steps together.
+/// Bodies for Python that take their steps together.
 template <class Model>
 struct Coupling {
-  using Sim = InTurn<Simulation<Model>>;
-  using Body = std::pair<std::shared_ptr<Sim>, std::shared_ptr<SelfContact<Model>>>;
+  using Body = std::pair<std::shared_ptr<InTurn<Model>>, std::shared_ptr<const SelfContact<Model>>>;
 
-  Coupling(std::vector<Body> bodies, double friction, const std::vector<Garment>& garments)
-      : bodies(std::move(bodies)), coupled(own(), friction, garments) {}
+  Coupling(std::vector<Body> list, double friction, const std::vector<Garment>& garments)
+      : bodies(std::move(list)), simulation(touching(), friction, garments) {}
 
-  /// Throws std::invalid_argument where one is missing or there twice.
-  std::vector<Sim*> steppers() const {
-    std::vector<Sim*> out;
-    for (const auto& [simulation, skin] : bodies) {
-      if (!simulation || std::count(out.begin(), out.end(), simulation.get()) > 0)
-        throw std::invalid_argument("coupling: each body must be there once");
-      out.push_back(simulation.get());
-    }
+  std::vector<InTurn<Model>*> in_turn() const {
+    std::vector<InTurn<Model>*> out;
+    for (const Body& each : bodies) out.push_back(each.first.get());
     return out;
   }
-  std::vector<CoupledBody<Model>> own() const {
-    std::vector<CoupledBody<Model>> out;
-    for (Sim* stepper : steppers()) out.push_back({stepper, bodies[out.size()].second});
+  /// Throws std::invalid_argument where one is there twice.
+  std::vector<TouchingBody<Model>> touching() const {
+    std::vector<TouchingBody<Model>> out;
+    std::set<const void*> seen;
+    for (const auto& [body, skin] : bodies) {
+      if (!seen.insert(body.get()).second) throw std::invalid_argument("coupling: each body must be there once");
+      out.push_back({&body->body, skin});
+    }
     return out;
   }
 
   std::vector<Body> bodies;
-  CoupledSimulation<Model> coupled;
+  Simulation<Model> simulation;
 };
 
-template <class Model>
-void bind_coupling_of(py::module_& m, const char* name) {
-  using Body = typename Coupling<Model>::Body;
-  using Motion = std::tuple<FloatArray, FloatArray, std::optional<FloatArray>, std::optional<Grabs>,
-                            std::optional<std::vector<ColliderMotion>>>;
-  py::class_<Coupling<Model>>(
-      m, name, "Soft bodies that press on each other and take their steps together: both sides give way.")
-      .def(py::init([](std::vector<Body> bodies, double friction,
-                       const std::vector<std::tuple<int, int, PointTransform>>& worn) {
-             std::vector<Garment> garments;
-             for (const auto& [clothes, body, to_body] : worn) garments.push_back({clothes, body, to_body});
-             return std::make_unique<Coupling<Model>>(std::move(bodies), friction, garments);
-           }),
-           "bodies"_a, "friction"_a = 0.0, "garments"_a = std::vector<std::tuple<int, int, PointTransform>>(),
-           "bodies: two simulations at least, each with its skin, that of its contact. friction: of skin on skin. "
-           "garments: (clothes, body, to_body), numbers of clothes that lie on a body at rest and of that, and the "
-           "transform (3, 4) of the bind space of the first to that of the second. "
-           "Raises ValueError for others, or if their time steps or integrators differ.")
+using CouplingBodies = std::vector<std::pair<AnySimulation, Either<SelfContact>>>;
+using CouplingGarments = std::vector<std::tuple<int, int, PointTransform>>;
+
+Either<Coupling> make_coupling(const CouplingBodies& bodies, double friction, const CouplingGarments& worn) {
+  std::vector<Garment> garments;
+  for (const auto& [clothes, body, to_body] : worn) garments.push_back({clothes, body, to_body});
+  if (bodies.empty()) throw std::invalid_argument("coupling: expected two bodies at least");
+  return bodies[0].first.visit([&](const auto& first) {
+    using Model = std::decay_t<decltype(first.body.model())>;
+    std::vector<typename Coupling<Model>::Body> own;
+    for (const auto& [simulation, skin] : bodies)
+      own.emplace_back(simulation.template of<Model>("coupling: a body"), skin.template of<Model>("coupling: a skin"));
+    return Either<Coupling>(std::make_shared<Coupling<Model>>(std::move(own), friction, garments));
+  });
+}
+
+void bind_coupling(py::module_& m) {
+  py::class_<Either<Coupling>>(
+      m, "Coupling", "Soft bodies that press on each other and take their steps together: both sides give way.")
+      .def(
+          py::init(&make_coupling), "bodies"_a, "friction"_a = 0.0, "garments"_a = CouplingGarments(),
+          "bodies: two simulations at least, of models of one kind, each with its skin, that of its contact. friction: "
+          "of skin on skin. garments: (clothes, body, to_body), numbers of clothes that lie on a body at rest and of "
+          "that, and the transform (3, 4) of the bind space of the first to that of the second. "
+          "Raises ValueError for others, or if their time steps or integrators differ.")
       .def(
           "advance",
-          [](Coupling<Model>& c, const std::vector<Motion>& motions) {
-            if (motions.size() != c.bodies.size())
-              throw std::invalid_argument("motions: expected those of " + std::to_string(c.bodies.size()) +
-                                          " bodies, got " + std::to_string(motions.size()));
-            std::vector<Moving> moving;
-            for (std::size_t body = 0; body < motions.size(); ++body) {
-              const auto& [bones, weights, external, grabs, colliders] = motions[body];
-              const Model& model = c.bodies[body].first->model();
-              moving.emplace_back(model.body(), model.targets().size(), bones, weights, external, grabs, colliders);
-              if (moving.back().steps() != moving.front().steps())
-                throw std::invalid_argument("motions: expected as many steps of each body");
-            }
-            std::vector<StepReport> worst(motions.size());
-            const auto begin = std::chrono::steady_clock::now();
-            changing(c.steppers(), [&] {
-              c.coupled.forget();
-              for (py::ssize_t i = 0; i < moving.front().steps(); ++i) {
-                std::vector<StepInput> inputs;
-                for (Moving& each : moving) inputs.push_back(each.at(i));
-                const std::vector<StepReport> reports = c.coupled.step(inputs);
-                for (std::size_t body = 0; body < reports.size(); ++body) add(reports[body], worst[body]);
-              }
-            });
-            const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
-            std::vector<py::dict> out;
-            for (const StepReport& each : worst)
-              out.push_back(summary(each, int(moving.front().steps()), elapsed.count() / double(worst.size())));
-            return out;
+          [](Either<Coupling>& coupling, const std::vector<Motion>& motions) {
+            return coupling.visit([&](auto& own) { return advance(own.in_turn(), own.simulation, motions); });
           },
           "motions"_a,
           "As `advance` of one simulation, for all bodies: motions has, for each, (bones, weights, external, grabs, "
-          "colliders). Returns a report for each; iterations are those of all, seconds an equal share.");
+          "colliders). Returns a StepReport of each.");
 }
 
 }  // namespace
@@ -389,10 +480,9 @@ void bind_step(py::module_& m) {
              "first order: it damps motion of itself, the more the longer the step")
       .value("BDF2", Integrator::bdf2, "second order: it damps motion much less");
   bind_grabs(m);
-  bind_limit<FullModel>(m, "FullMotionLimit");
-  bind_limit<ReducedModel>(m, "ReducedMotionLimit");
-  bind_simulation_of<FullModel>(m, "FullSimulation");
-  bind_simulation_of<ReducedModel>(m, "ReducedSimulation");
-  bind_coupling_of<FullModel>(m, "FullCoupling");
-  bind_coupling_of<ReducedModel>(m, "ReducedCoupling");
+  bind_limit(m);
+  bind_state(m);
+  bind_report(m);
+  bind_simulation(m);
+  bind_coupling(m);
 }

@@ -26,6 +26,7 @@ PYBIND11_MODULE(_core, m) {
   bind_pose(m);
   bind_models(m);
   bind_reduced(m);
+  bind_skin(m);
   bind_contact(m);
   bind_step(m);
   bind_file(m);

@@ -17,6 +17,7 @@ void bind_mesh(py::module_& m);
 void bind_pose(py::module_& m);
 void bind_models(py::module_& m);
 void bind_reduced(py::module_& m);
+void bind_skin(py::module_& m);
 void bind_contact(py::module_& m);
 void bind_step(py::module_& m);
 void bind_file(py::module_& m);

@@ -8,96 +8,101 @@
 #include <mutex>
 #include <optional>
 #include <set>
+#include <tuple>
 #include <vector>
 
 #include "collider_motion.hpp"
 #include "dynamorph/step/simulation.hpp"
+#include "either.hpp"
 #include "model_interface.hpp"
 
 namespace dynamorph {
 
-/// A Simulation for Python. The engine works without the GIL, so threads take turns, each for a whole call.
-template <class Stepper>
-struct InTurn : Stepper {
-  explicit InTurn(Stepper&& stepper) : Stepper(std::move(stepper)) {}
+/// A body for Python, and the simulation of it alone. The engine works without the GIL, so threads take turns, each for
+/// a whole call.
+template <class Model>
+struct InTurn {
+  InTurn(std::shared_ptr<const Model> model, StepOptions options, Parts<Model> parts)
+      : body(std::move(model), std::move(options), std::move(parts)) {}
+  MovingBody<Model> body;
+  Simulation<Model> alone{body};
   mutable std::recursive_mutex turn;  ///< recursive, because keep_going may read the simulation that calls it
   bool changes = false;               ///< whether a call that changes it is under way
 };
 
-template <class Stepper, class Function>
-auto in_turn(const InTurn<Stepper>& stepper, const Function& function) {
+template <class Model, class Function>
+auto in_turn(const InTurn<Model>& simulation, const Function& function) {
   py::gil_scoped_release release;
-  const std::lock_guard<std::recursive_mutex> lock(stepper.turn);
+  const std::lock_guard<std::recursive_mutex> lock(simulation.turn);
   return function();
 }
 
 /// The same for a call that changes some of them, which take turns in one order everywhere. Throws
 /// std::invalid_argument when keep_going makes such a call in another one.
-template <class Stepper, class Function>
-auto changing(std::vector<InTurn<Stepper>*> steppers, const Function& function) {
+template <class Model, class Function>
+auto changing(std::vector<InTurn<Model>*> simulations, const Function& function) {
   struct Change {
     std::unique_lock<std::recursive_mutex> lock;
     bool& flag;
-    Change(InTurn<Stepper>& stepper) : lock(stepper.turn), flag(stepper.changes) {
+    explicit Change(InTurn<Model>& simulation) : lock(simulation.turn), flag(simulation.changes) {
       if (flag) throw std::invalid_argument("keep_going: must not change the simulation that calls it");
       flag = true;
     }
     ~Change() { flag = false; }
   };
   py::gil_scoped_release release;
-  std::sort(steppers.begin(), steppers.end(), std::less<>());
+  std::sort(simulations.begin(), simulations.end(), std::less<>());
   std::list<Change> changes;
-  for (InTurn<Stepper>* stepper : steppers) changes.emplace_back(*stepper);
+  for (InTurn<Model>* simulation : simulations) changes.emplace_back(*simulation);
   return function();
 }
 
-template <class Stepper, class Function>
-auto changing(InTurn<Stepper>& stepper, const Function& function) {
-  return changing(std::vector<InTurn<Stepper>*>{&stepper}, function);
+template <class Model, class Function>
+auto changing(InTurn<Model>& simulation, const Function& function) {
+  return changing(std::vector<InTurn<Model>*>{&simulation}, function);
 }
 
-/// Adds the report of a step to that of those before it.
-inline void add(const StepReport& step, StepReport& all) {
-  all.iterations += step.iterations;
-  all.converged &= step.converged;
-  all.residual = std::max(all.residual, step.residual);
-  all.energy = step.energy;
-  all.teleported |= step.teleported;
-  all.farthest = std::max(all.farthest, step.farthest);
-  all.pulled += step.pulled;
-  if (step.excess_bone >= 0 && step.excess >= all.excess) {
-    all.excess = step.excess;
-    all.excess_bone = step.excess_bone;
+/// What Python is told of some steps: the worst of each, or the last.
+struct Report : StepReport {
+  int steps = 0;
+  double seconds = 0;
+
+  /// Of a solution without a step.
+  Report() = default;
+  explicit Report(const StepReport& only) : StepReport(only) {}
+
+  void add(const StepReport& step) {
+    ++steps;
+    iterations += step.iterations;
+    converged &= step.converged;
+    residual = std::max(residual, step.residual);
+    energy = step.energy;
+    teleported |= step.teleported;
+    farthest = std::max(farthest, step.farthest);
+    pulled += step.pulled;
+    if (step.excess_bone >= 0 && step.excess >= excess) {
+      excess = step.excess;
+      excess_bone = step.excess_bone;
+    }
+    body_force = step.body_force;
+    contacts = std::max(contacts, step.contacts);
+    penetration = std::max(penetration, step.penetration);
+    if (step.too_deep > too_deep) {
+      too_deep = step.too_deep;
+      too_deep_sample = step.too_deep_sample;
+      too_deep_collider = step.too_deep_collider;
+    }
+    contact_forces = step.contact_forces;
+    const std::set<int> other(step.unusable_colliders.begin(), step.unusable_colliders.end());
+    std::set<int> all(unusable_colliders.begin(), unusable_colliders.end());
+    all.insert(other.begin(), other.end());
+    unusable_colliders.assign(all.begin(), all.end());
   }
-  all.body_force = step.body_force;
-  all.contacts = std::max(all.contacts, step.contacts);
-  all.penetration = std::max(all.penetration, step.penetration);
-  if (step.too_deep > all.too_deep) {
-    all.too_deep = step.too_deep;
-    all.too_deep_sample = step.too_deep_sample;
-    all.too_deep_collider = step.too_deep_collider;
-  }
-  all.contact_forces = step.contact_forces;
-  all.unusable_colliders.insert(all.unusable_colliders.end(), step.unusable_colliders.begin(),
-                                step.unusable_colliders.end());
-}
+};
 
-inline py::dict summary(const StepReport& worst, int steps, double seconds) {
-  Points forces(Eigen::Index(worst.contact_forces.size()), 3);
-  for (Eigen::Index c = 0; c < forces.rows(); ++c) forces.row(c) = worst.contact_forces[std::size_t(c)];
-  const std::set<int> unusable(worst.unusable_colliders.begin(), worst.unusable_colliders.end());
-  return py::dict("steps"_a = steps, "iterations"_a = worst.iterations, "converged"_a = worst.converged,
-                  "residual"_a = worst.residual, "energy"_a = worst.energy, "teleported"_a = worst.teleported,
-                  "seconds"_a = seconds, "excess"_a = worst.excess, "excess_bone"_a = worst.excess_bone,
-                  "farthest"_a = worst.farthest, "pulled"_a = worst.pulled, "contacts"_a = worst.contacts,
-                  "penetration"_a = worst.penetration, "too_deep"_a = worst.too_deep,
-                  "too_deep_sample"_a = worst.too_deep_sample, "too_deep_collider"_a = worst.too_deep_collider,
-                  "contact_forces"_a = forces, "body_force"_a = worst.body_force,
-                  "unusable_colliders"_a = std::vector<int>(unusable.begin(), unusable.end()));
-}
-
-/// Springs between points of the skin and goals (S, K, 3), one row of goals for each step.
-struct Grabs {
+/// Springs between points of a skin and goals (S, K, 3), one row of goals for each step.
+struct Springs {
+  Either<SkinMap> skin;
   VectorXd stiffness;  ///< (K)
   std::vector<int> points;
   FloatArray goals;
@@ -143,21 +148,26 @@ class External {
   VectorXd free_;
 };
 
+/// bones (S, B, 3, 4), weights (S, J), external (S, n, 3) or (n, 3), grabs, colliders.
+using Motion = std::tuple<FloatArray, FloatArray, std::optional<FloatArray>, std::optional<Springs>,
+                          std::optional<std::vector<ColliderMotion>>>;
+
 /// What acts on a soft skin in some steps, as `advance` takes it.
+template <class Model>
 class Moving {
  public:
-  /// bones (S, B, 3, 4), weights (S, J), external (S, n, 3) or (n, 3). Throws std::invalid_argument unless all fit the
-  /// body and each other.
-  Moving(const SoftBody& body, std::size_t targets, const FloatArray& bones, const FloatArray& weights,
-         const std::optional<FloatArray>& external, const std::optional<Grabs>& grabs,
-         const std::optional<std::vector<ColliderMotion>>& colliders)
-      : bones_((check_shape("bones", bones, {-1, -1, 3, 4}), bones)),
-        weights_(weights),
-        grabs_(grabs),
-        colliders_(colliders.value_or(std::vector<ColliderMotion>())),
-        external_(body, external, steps()) {
-    check_shape("weights", weights, {steps(), py::ssize_t(targets)});
-    if (grabs) check_shape("grabs: goals", grabs->goals, {steps(), -1, 3});
+  /// Throws std::invalid_argument unless all fit the body and each other.
+  Moving(const Model& model, const Motion& motion)
+      : bones_((check_shape("bones", std::get<0>(motion), {-1, -1, 3, 4}), std::get<0>(motion))),
+        weights_(std::get<1>(motion)),
+        springs_(std::get<3>(motion)),
+        colliders_(std::get<4>(motion).value_or(std::vector<ColliderMotion>())),
+        external_(model.body(), std::get<2>(motion), steps()) {
+    check_shape("weights", weights_, {steps(), py::ssize_t(model.targets().size())});
+    if (springs_) {
+      check_shape("grabs: goals", springs_->goals, {steps(), -1, 3});
+      grabs_.skin = springs_->skin.template of<Model>("grabs: the skin");
+    }
     for (const ColliderMotion& collider : colliders_)
       if (collider.steps() != steps())
         throw std::invalid_argument("colliders: expected the motion of " + std::to_string(steps()) + " steps, got " +
@@ -167,24 +177,24 @@ class Moving {
   py::ssize_t steps() const { return bones_.shape(0); }
 
   /// At one of the steps; the next call changes it.
-  StepInput at(py::ssize_t step) {
+  StepInput<Model> at(py::ssize_t step) {
     const py::ssize_t count = bones_.shape(1), targets = weights_.shape(1);
     frame_ = Eigen::Map<const Transforms>(bones_.data() + step * count * 12, count, 12);
     w_ = Eigen::Map<const VectorXd>(weights_.data() + step * targets, targets);
-    if (grabs_) grabs_->at(step, grabbed_);
+    if (springs_) springs_->at(step, grabs_.springs);
     met_.clear();
     for (const ColliderMotion& collider : colliders_) met_.push_back(collider.at(step));
-    return {frame_, w_, external_.at(step), &grabbed_, &met_};
+    return {frame_, w_, external_.at(step), &grabs_, &met_};
   }
 
  private:
   FloatArray bones_, weights_;
-  std::optional<Grabs> grabs_;
+  std::optional<Springs> springs_;
   std::vector<ColliderMotion> colliders_;
   External external_;
   Transforms frame_;
   VectorXd w_;
-  std::vector<Grab> grabbed_;
+  Grabs<Model> grabs_;
   std::vector<ColliderStep> met_;
 };
 

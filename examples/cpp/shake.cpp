@@ -22,7 +22,8 @@ VectorXd shake(const file::Content& content) {
   StepOptions options;
   options.h = 1.0 / 120;            // s
   options.gravity = {0, 0, -9.81};  // m/s^2
-  Simulation<ReducedModel> simulation(skin.model, options);
+  MovingBody<ReducedModel> moving(skin.model, options);
+  Simulation<ReducedModel> simulation(moving);
   Transforms bones(skin.model->body().skin.cols(), 12);  // bind space to world space
   bones.rowwise() = Eigen::RowVector<double, 12>{{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}};
   const std::vector<MorphTarget>& known = skin.model->targets();
@@ -31,14 +32,14 @@ VectorXd shake(const file::Content& content) {
     first(j) = j == 0 || known[j - 1].set != known[j].set;
     last(j) = j + 1 == known.size() || known[j + 1].set != known[j].set;
   }
-  simulation.start(bones, bones, first);
+  moving.start(bones, bones, first);
   for (int step = 1; step <= 120; ++step) {
     bones.col(3).setConstant(0.02 * std::sin(0.2 * step));  // m, along x
     const double done = step / 120.0;
     const VectorXd weights = (1 - done) * first + done * last;
     simulation.step({bones, weights});
   }
-  return skin.surface(simulation.coordinates(), last);
+  return skin.surface(moving.coordinates(), last);
 }
 
 }  // namespace

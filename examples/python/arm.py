@@ -77,15 +77,15 @@ model = dynamorph.ReducedModel(body, [relaxed, flexed], tables, EVEN)
 bends = np.interp(np.arange(181) / 120, [0, 0.5], [straight, bent])
 local, bones = (np.array(poses) for poses in zip(*map(pose, bends), strict=True))
 weights = space.weights(local)
-simulation = dynamorph.ReducedSimulation(model, 1 / 120, gravity=(0, 0, -9.81))
+simulation = dynamorph.Simulation(model, 1 / 120, gravity=(0, 0, -9.81))
 simulation.start(bones[0], bones[1], weights[0])
 report = simulation.advance(bones[1:], weights[1:])
 
 # The skin in the world. The tetrahedra carry the bulge but for a residual.
 residual_shapes = np.array([0 * bulge, bulge - embedding.interpolate(shapes[1])])
-skin = dynamorph.ReducedSkin(model, vertices, embedding, bone_weights(vertices), residual_shapes)
+skin = dynamorph.Skin(model, vertices, embedding, bone_weights(vertices), residual_shapes)
 points = skin.positions(bones[-1], weights[-1], simulation.coordinates)
-print(f"{len(points)} points after {report['steps']} steps, converged: {report['converged']}")
+print(f"{len(points)} points after {report.steps} steps, converged: {report.converged}")
 lines = [f"v {x} {y} {z}\n" for x, y, z in points] + [f"f {i} {j} {k}\n" for i, j, k in triangles + 1]
 Path(sys.argv[1]).write_text("".join(lines))
 

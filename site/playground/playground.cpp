@@ -35,7 +35,7 @@ struct Key {
 
 /// A finger that presses the skin.
 struct Poke {
-  std::vector<Grab> springs;
+  Grabs<ReducedModel> grabs;
   int steps = 0;  ///< that are left
 };
 
@@ -54,6 +54,7 @@ struct Playground {
   PoseSpace space;
   file::SoftSkin model;
   StepOptions options;
+  std::unique_ptr<MovingBody<ReducedModel>> body;
   std::unique_ptr<Simulation<ReducedModel>> simulation;
   std::vector<std::vector<Key>> sliders;  ///< for each target set
   std::vector<int> slider_of;             ///< that moves each bone
@@ -119,13 +120,14 @@ void Playground::build(double stiffness) {
   }
   model = file::load_soft_skin(content, targets, character.blending);
   options.teleport = kTeleport * model.model->body().size * options.h;
-  auto next = std::make_unique<Simulation<ReducedModel>>(model.model, options);
+  auto next = std::make_unique<MovingBody<ReducedModel>>(model.model, options);
   if (!options.gravity.isZero()) next->balance_targets(character.target_bones);
   finger = {};
   place();
   next->start(bones, bones, weights);
-  if (simulation) next->set_state(simulation->state());
-  simulation = std::move(next);
+  if (body) next->set_state(body->state());
+  simulation = std::make_unique<Simulation<ReducedModel>>(*next);
+  body = std::move(next);
 }
 
 /// Where the sliders put the bones: each turns along the shortest way from target to target. The character stays where
@@ -173,7 +175,7 @@ void Playground::place() {
 /// One step on the way to the goals.
 void Playground::advance() {
   place();
-  const std::vector<Grab>* grabs = finger.steps > 0 ? &finger.springs : nullptr;
+  const Grabs<ReducedModel>* grabs = finger.steps > 0 ? &finger.grabs : nullptr;
   if (finger.steps > 0) --finger.steps;
   simulation->step({bones, weights, nullptr, grabs});
 }
@@ -214,9 +216,9 @@ void Playground::poke(const Vector3d& eye, const Vector3d& ray) {
   skin.weights.resize(1, bones.rows());
   for (Eigen::Index k = 0; k < character.influence_bones.cols(); ++k)
     skin.weights.coeffRef(0, character.influence_bones(hit, k)) += character.influence_weights(hit, k);
-  simulation->set_skin(std::make_shared<SkinMap<ReducedModel>>(model.model, skin));
+  finger.grabs.skin = std::make_shared<const SkinMap<ReducedModel>>(model.model, skin);
   const double stiffness = 30 * model.model->targets()[0].lame.mu * kFingerRadius * size;
-  finger.springs = {{0, x.row(hit).transpose().cast<double>() + kPokeDepth * size * ray, stiffness}};
+  finger.grabs.springs = {{0, x.row(hit).transpose().cast<double>() + kPokeDepth * size * ray, stiffness}};
   finger.steps = int(kPokeTime / options.h);
 }
 
@@ -227,7 +229,7 @@ void Playground::skin(bool dynamic) {
   if (dynamic) {
     VectorXd shape;
     blended_shape(*model.model, weights, shape);
-    own.noalias() = modes * (simulation->coordinates() - shape).cast<float>();
+    own.noalias() = modes * (body->coordinates() - shape).cast<float>();
     moved.noalias() += modes * shape.cast<float>() + residual * weights.cast<float>() + own;
   }
   const Eigen::Matrix<float, Eigen::Dynamic, 12, Eigen::RowMajor> frames = bones.cast<float>();
@@ -322,10 +324,10 @@ EXPORT void dm_skin(int dynamic) { play->skin(dynamic != 0); }
 EXPORT const float* dm_surface() { return play->posed.data(); }
 EXPORT const std::int32_t* dm_triangles() { return play->character.triangles.data(); }
 EXPORT const double* dm_weights() { return play->weights.data(); }
-EXPORT const double* dm_coordinates() { return play->simulation->coordinates().data(); }
+EXPORT const double* dm_coordinates() { return play->body->coordinates().data(); }
 EXPORT const char* dm_hash() {
   static std::string hash;
-  hash = hash_of(play->simulation->coordinates());
+  hash = hash_of(play->body->coordinates());
   return hash.c_str();
 }
 /// The fixed motion, after loading and adding keys: so many frames up and down all sliders, shaken all the while. The
@@ -374,6 +376,6 @@ int main(int count, char** arguments) {
   if (dm_load(bytes.data(), int(bytes.size())) || guarded(add_sliders) || dm_fixed_motion(std::atoi(arguments[2])))
     return std::fprintf(stderr, "%s\n", dm_error()), 1;
   std::printf("%s\n", dm_hash());
-  for (double each : play->simulation->coordinates()) std::printf("%.17g\n", each);
+  for (double each : play->body->coordinates()) std::printf("%.17g\n", each);
 }
 #endif

@@ -56,16 +56,14 @@ def scene() -> SimpleNamespace:
     s.embedding = dynamorph.embed(s.mesh, 0.9 * s.nodes[::2])
     s.points = 0.9 * s.nodes[::2]
     skin = {"rest": s.points, "embedding": s.embedding, "weights": np.ones((len(s.points), 1))}
-    s.full_skin, s.reduced_skin = dynamorph.FullSkin(s.full, **skin), dynamorph.ReducedSkin(s.reduced, **skin)
+    s.skin = dynamorph.Skin(s.reduced, **skin)
     faces = s.tets[:, [0, 2, 1]].astype(np.int32)  # inner ones too: any surface has a limit
     s.limits = {"rest": s.nodes, "embedding": dynamorph.embed(s.mesh, s.nodes), "triangles": faces,
                 "weights": np.ones((s.n, 1)), "distances": np.full(s.n, 0.05)}  # fmt: skip
     s.painted = np.full(s.n, 0.5)
-    s.full_limit = dynamorph.FullMotionLimit(s.full, **s.limits)
-    s.reduced_limit = dynamorph.ReducedMotionLimit(s.reduced, **s.limits)
+    s.limit = dynamorph.MotionLimit(s.reduced, **s.limits)
     own = dynamorph.SoftBody(s.mesh, s.ones, s.ones, s.ones[:, None], s.pinned, None)
     s.own_full = dynamorph.FullModel(own, s.targets, s.material_model, s.blending)
-    s.own_reduced = dynamorph.ReducedModel(own, s.targets, s.tables, s.blending)
     s.groups = np.ones((len(own.free_nodes), 1))
     normals = s.points - s.points.mean(axis=0)
     s.samples = {"rest": s.points, "embedding": s.embedding, "weights": np.ones((len(s.points), 1)),
@@ -73,23 +71,22 @@ def scene() -> SimpleNamespace:
     corners = {"corners": np.tile(np.arange(len(s.points), dtype=np.int32)[:, None], 3),
                "corner_weights": np.full((len(s.points), 3), 1.0 / 3.0)}  # fmt: skip
     s.samples |= corners
-    s.full_contact = dynamorph.FullContact(s.full, **s.samples)
     s.places = {"basis": np.eye(s.full.dofs)[:, :4], "rest": s.points, "normals": normals, "embedding": s.embedding,
                 **corners}  # fmt: skip
     s.dents = dynamorph.LocalResponses(s.full, **s.places, centers=[0, 1])
-    s.reduced_contact = dynamorph.ReducedContact(s.reduced, **s.samples, local=s.dents)
+    s.contact = dynamorph.Contact(s.reduced, **s.samples, local=s.dents)
     balls = {"centers": s.points[:2], "radii": [0.05, 0.04], "weights": np.ones((2, 1)),
              "embedding": dynamorph.embed(s.mesh, s.points[:2]), "points": [0, 2], "of_balls": [0, 1],
              "of_points": [1, 0], "joints": [[0, 1]]}  # fmt: skip
-    s.full_own = {"contact": s.full_contact, **balls}
-    s.reduced_own = {"contact": s.reduced_contact, **balls}
-    s.full_self = dynamorph.FullSelfContact(**s.full_own)
-    s.reduced_self = dynamorph.ReducedSelfContact(**s.reduced_own)
+    s.own = {"contact": s.contact, **balls}
+    s.self_contact = dynamorph.SelfContact(**s.own)
+    s.parts = {"limit": s.limit, "contact": s.contact, "distance": 0.01, "self_contact": s.self_contact,
+               "self_friction": 0.5}  # fmt: skip
     s.collider_points = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
     s.collider_triangles = np.array([[0, 1, 2]], np.int32)
     s.collider = dynamorph.Collider(s.collider_points, s.collider_triangles)
     s.collider_motion = dynamorph.ColliderMotion(s.collider, np.repeat(s.bones, 2, 0), [0.5])
-    s.grabs = dynamorph.Grabs([0, 3], s.points[None, [0, 3]] + 0.01, [10.0, 20.0])
+    s.grabs = dynamorph.Grabs(s.skin, [0, 3], s.points[None, [0, 3]] + 0.01, [10.0, 20.0])
     s.heads, s.tails = np.array([[0.0, 0.0, 0.1]]), np.array([[0.0, 0.0, 1.9]])
     turned = np.repeat(np.eye(4)[None], 2, 0)
     turned[1, 1:3, 1:3] = [[0.0, -1.0], [1.0, 0.0]]
@@ -101,28 +98,23 @@ def scene() -> SimpleNamespace:
     return s
 
 
-def started(kind: str):
-    """A simulation of the bar that was started."""
+def started():
+    """A simulation of the bar, with all parts, that was started."""
     s = scene()
-    model = s.full if kind == "FullSimulation" else s.reduced
-    simulation = getattr(dynamorph, kind)(model, 0.01)
-    simulation.set_skin(s.full_skin if kind == "FullSimulation" else s.reduced_skin)
-    simulation.set_limit(s.full_limit if kind == "FullSimulation" else s.reduced_limit)
-    simulation.set_contact(s.full_contact if kind == "FullSimulation" else s.reduced_contact, 0.01)
+    simulation = dynamorph.Simulation(s.reduced, 0.01, **s.parts)
     simulation.start(s.bones, s.next, s.weights)
     return simulation
 
 
-def coupled_bodies(kind: str):
+def coupled_bodies():
     """Two such simulations, each with its skin."""
-    s = scene()
-    skin = s.full_self if kind == "FullSimulation" else s.reduced_self
-    return [(started(kind), skin), (started(kind), skin)]
+    skin = scene().self_contact
+    return [(started(), skin), (started(), skin)]
 
 
-def touched(motion, kind="FullSimulation"):
+def touched(motion):
     """A simulation that such a collider touches, if it moves for one step."""
-    simulation, s = started(kind), scene()
+    simulation, s = started(), scene()
     return simulation.advance(s.next[None], s.weights[None], colliders=[motion]), simulation
 
 
@@ -132,20 +124,28 @@ def run_on(simulation):
     return (simulation.start(s.bones, s.next, s.weights), simulation.advance(s.next[None], s.weights[None])), simulation
 
 
+def gone_on(state):
+    """A simulation that goes on from a state."""
+    simulation, s = started(), scene()
+    simulation.state = state
+    taken = simulation.state  # advancing would refuse it, for another reason
+    return taken, None if has_nan(taken) else simulation.advance(s.next[None], s.weights[None])
+
+
 def model_of(body):
     s = scene()
-    return run_on(dynamorph.FullSimulation(dynamorph.FullModel(body, s.targets, s.material_model, s.blending), 0.01))
+    return run_on(dynamorph.Simulation(dynamorph.FullModel(body, s.targets, s.material_model, s.blending), 0.01))
 
 
 def model_with(target):
     s = scene()
     model = dynamorph.FullModel(s.body, [s.targets[0], target], s.material_model, s.blending)
-    return run_on(dynamorph.FullSimulation(model, 0.01))
+    return run_on(dynamorph.Simulation(model, 0.01))
 
 
 def model_in(tables):
     s = scene()
-    return run_on(dynamorph.ReducedSimulation(dynamorph.ReducedModel(s.body, s.targets, tables, s.blending), 0.01))
+    return run_on(dynamorph.Simulation(dynamorph.ReducedModel(s.body, s.targets, tables, s.blending), 0.01))
 
 
 # What is made of a constructed object: only then some input is looked at.
@@ -153,10 +153,10 @@ USES: dict[str, Callable] = {
     "SoftBody": model_of,
     "MorphTarget": model_with,
     "ReducedTables": model_in,
-    "FullModel": lambda model: run_on(dynamorph.FullSimulation(model, 0.01)),
-    "ReducedModel": lambda model: run_on(dynamorph.ReducedSimulation(model, 0.01)),
-    "FullSimulation": run_on,
-    "ReducedSimulation": run_on,
+    "FullModel": lambda model: run_on(dynamorph.Simulation(model, 0.01)),
+    "ReducedModel": lambda model: run_on(dynamorph.Simulation(model, 0.01)),
+    "Simulation": run_on,
+    "State": gone_on,
     "TargetSet": lambda target_set: dynamorph.PoseSpace([target_set]).weights(scene().turned[None]),
     "PoseSpace": lambda space: (space.weights(scene().turned[None]), space.distances(scene().turned[None])),
     "Embedding": lambda embedding: (
@@ -185,7 +185,9 @@ def calls() -> dict[str, tuple[object, dict]]:
         "h": 0.01, "integrator": lib.Integrator.BDF2, "gravity": np.zeros(3), "tolerance": 1e-6, "max_iterations": 30,
         "teleport": 0.1,
     }  # fmt: skip
-    skin = {"vertices": s.vertices, "triangles": s.triangles}
+    skin, push = {"vertices": s.vertices, "triangles": s.triangles}, {"external": np.zeros((s.n, 3))}
+    moving = (s.next[None], s.weights[None], push["external"], s.grabs, [s.collider_motion])
+    state = touched(s.collider_motion)[1].state
     points = {"rest": s.points, "embedding": s.embedding, "weights": np.ones((len(s.points), 1)),
               "residual_shapes": np.zeros((2, len(s.points), 3))}  # fmt: skip
     own_limits = s.limits | {"groups": s.groups, "painted": s.painted, "stretch": 0.4,
@@ -212,13 +214,10 @@ def calls() -> dict[str, tuple[object, dict]]:
         "Collider.signed_distances": (s.collider, {"points": s.vertices}),
         "ColliderMotion": (lib, {"collider": s.collider, "motion": np.repeat(s.bones, 2, 0),
                                  "friction": np.array([0.5]), "active": np.array([True])}),
-        "FullSelfContact": (lib, s.full_own),
-        "ReducedSelfContact": (lib, s.reduced_own),
-        "FullContact": (lib, {"model": s.full, **s.samples, "residual_shapes": np.zeros((2, len(s.points), 3)),
-                              "local": None}),
+        "SelfContact": (lib, s.own),
         "LocalResponses": (lib, {"model": s.full, **s.places, "centers": [0, 1]}),
-        "ReducedContact": (lib, {"model": s.reduced, **s.samples, "residual_shapes": np.zeros((2, len(s.points), 3)),
-                                 "local": s.dents}),
+        "Contact": (lib, {"model": s.reduced, **s.samples, "residual_shapes": np.zeros((2, len(s.points), 3)),
+                          "local": s.dents}),
         "SoftBody.extend_shapes": (s.body, {"embedding": s.embedding,
                                             "surfaces": np.zeros((2, len(s.embedding.nodes), 3))}),
         "FullModel": (lib, {"body": s.body, "targets": s.targets, "material_model": s.material_model,
@@ -229,13 +228,25 @@ def calls() -> dict[str, tuple[object, dict]]:
             name: getattr(s.with_responses, name) for name in (
             "basis", "lame_lambda", "lame_mu", "responses", "response_lambda", "response_mu", "relaxation")}}),
         "ReducedModel": (lib, {"body": s.body, "targets": s.targets, "tables": s.tables, "blending": s.blending}),
-        "FullSkin": (lib, {"model": s.full, **points}),
-        "ReducedSkin": (lib, {"model": s.reduced, **points}),
-        "FullMotionLimit": (lib, {"model": s.own_full, **own_limits}),
-        "ReducedMotionLimit": (lib, {"model": s.own_reduced, **own_limits}),
-        "Grabs": (lib, {"points": np.array([0, 3]), "goals": np.zeros((1, 2, 3)), "stiffness": np.ones(2)}),
-        "FullSimulation": (lib, {"model": s.full, **options, "keep_going": lambda: True}),
-        "ReducedSimulation": (lib, {"model": s.reduced, **options, "keep_going": lambda: True}),
+        "Skin": (lib, {"model": s.full, **points}),
+        "Skin.displacement": (s.skin, {"weights": s.weights, "q": r}),
+        "Skin.positions": (s.skin, {"bones": s.bones, "weights": s.weights, "q": r}),
+        "Skin.pull_back": (s.skin, {"bones": s.bones, "forces": np.ones((len(s.embedding.nodes), 3))}),
+        "MotionLimit": (lib, {"model": s.own_full, **own_limits}),
+        "Grabs": (lib, {"skin": s.skin, "points": np.array([0, 3]), "goals": np.zeros((1, 2, 3)),
+                        "stiffness": np.ones(2)}),
+        "Simulation": (lib, {"model": s.reduced, **s.parts, **options, "keep_going": lambda: True}),
+        "Simulation.advance": (started, {"bones": s.next[None], "weights": s.weights[None], **push, "grabs": s.grabs,
+                                         "colliders": [s.collider_motion]}),
+        "Simulation.balance_targets": (started, {"bones": np.repeat(s.bones[None], 2, 0)}),
+        "Simulation.solve_static": (started, {"bones": s.bones, "weights": s.weights, **push, "guess": r}),
+        "Simulation.start": (started, {"now": s.bones, "next": s.next, "weights": s.weights,
+                                       "colliders": [s.collider_motion]}),
+        "Simulation.state": (started, {"value": state}),
+        "State": (lib, {name: getattr(state, name) for name in ("coordinates", "bones", "limit", "contact")}),
+        "StepReport": (lib, {}),
+        "Coupling": (lib, {"bodies": coupled_bodies(), "friction": 0.5, "garments": [(0, 1, np.eye(4)[:3])]}),
+        "Coupling.advance": (lambda: dynamorph.Coupling(coupled_bodies()), {"motions": [moving, moving]}),
         "closed_surface": (lib, skin),
         "embed": (lib, {"mesh": s.mesh, "points": 0.9 * s.nodes}),
         "extend_to_nodes": (lib, {"mesh": s.mesh, "embedding": s.embedding,
@@ -262,57 +273,6 @@ def calls() -> dict[str, tuple[object, dict]]:
             f"{kind}.inertia": (model, {"bones": s.bones, "density": 1000.0}),
             f"{kind}.linearize": (model, {"weights": s.weights, "q": zero}),
             f"{kind}.target": (model, {"target": 1}),
-        }
-    for kind, skin, zero in (("FullSkin", s.full_skin, q), ("ReducedSkin", s.reduced_skin, r)):
-        found |= {
-            f"{kind}.displacement": (skin, {"weights": s.weights, "q": zero}),
-            f"{kind}.positions": (skin, {"bones": s.bones, "weights": s.weights, "q": zero}),
-            f"{kind}.pull_back": (skin, {"bones": s.bones, "forces": np.ones((len(s.embedding.nodes), 3))}),
-        }
-    for kind, zero in (("FullSimulation", q), ("ReducedSimulation", r)):
-        new = lambda kind=kind: started(kind)  # noqa: E731
-        push = {"external": np.zeros((s.n, 3))}
-        skin = s.full_skin if kind == "FullSimulation" else s.reduced_skin
-        found |= {
-            f"{kind}.advance": (
-                new,
-                {
-                    "bones": s.next[None],
-                    "weights": s.weights[None],
-                    **push,
-                    "grabs": s.grabs,
-                    "colliders": [s.collider_motion],
-                },
-            ),
-            f"{kind}.set_skin": (new, {"skin": skin}),
-            f"{kind}.set_limit": (new, {"limit": s.full_limit if kind == "FullSimulation" else s.reduced_limit}),
-            f"{kind}.set_contact": (
-                new,
-                {"contact": s.full_contact if kind == "FullSimulation" else s.reduced_contact, "distance": 0.01},
-            ),
-            f"{kind}.set_self_contact": (
-                new,
-                {"self_contact": s.full_self if kind == "FullSimulation" else s.reduced_self, "friction": 0.5},
-            ),
-            f"{kind}.balance_targets": (new, {"bones": np.repeat(s.bones[None], 2, 0)}),
-            f"{kind}.solve_static": (new, {"bones": s.bones, "weights": s.weights, **push, "guess": zero}),
-            f"{kind}.start": (
-                new,
-                {"now": s.bones, "next": s.next, "weights": s.weights, "colliders": [s.collider_motion]},
-            ),
-            f"{kind}.state": (new, {"value": touched(s.collider_motion, kind)[1].state}),
-        }
-        coupling = kind.replace("Simulation", "Coupling")
-        moving = (s.next[None], s.weights[None], push["external"], s.grabs, [s.collider_motion])
-        found |= {
-            coupling: (
-                lib,
-                {"bodies": coupled_bodies(kind), "friction": 0.5, "garments": [(0, 1, np.eye(4)[:3])]},
-            ),
-            f"{coupling}.advance": (
-                lambda kind=kind, coupling=coupling: getattr(dynamorph, coupling)(coupled_bodies(kind)),
-                {"motions": [moving, moving]},
-            ),
         }
     return found
 
@@ -469,9 +429,7 @@ def call(name: str, arguments: dict) -> object:
         owner = owner()
     member = name.rpartition(".")[2]
     if member == "state":
-        owner.state = arguments["value"]
-        taken = owner.state  # advancing would refuse it, for another reason
-        return taken, None if has_nan(taken) else owner.advance(scene().next[None], scene().weights[None]), owner
+        return gone_on(arguments["value"]), None, owner
     made = getattr(owner, member)(**arguments)
     return made, USES[name](made) if name in USES else None, owner
 

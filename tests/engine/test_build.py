@@ -52,12 +52,12 @@ def pulled(character, cage, direction):
     """Displacement (V, 3) of the bar by 1 N on its top; the cage is that of `cage`."""
     model = build(character, previous=cage)
     engine = model.engine(character)
-    simulation = model.stepper(engine, 1.0, tolerance=1e-10, max_iterations=100)
+    simulation = dynamorph.Simulation(engine, 1.0, tolerance=1e-10, max_iterations=100)
     top = character.vertices[:, 2] > LENGTH - 1e-6
     force = np.zeros_like(character.vertices)
     force[top, direction] = 1.0 / top.sum()
     coordinates, report = simulation.solve_static(BONES, np.ones(1), model.on_nodes(force))
-    assert report["converged"]
+    assert report.converged
     return model.surface(engine.displacement(coordinates))
 
 

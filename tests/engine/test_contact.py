@@ -45,7 +45,7 @@ def touching(nodes, tets, pinned, young=3e4, poisson=0.4, where=True, thickness=
         "rest": nodes[points], "embedding": dynamorph.embed(mesh, nodes[points]), "weights": np.ones((len(points), 1)),
         "normals": normals[points], "thickness": np.full(len(points), thickness),
     }  # fmt: skip
-    s.contact = dynamorph.FullContact(s.model, **s.samples)
+    s.contact = dynamorph.Contact(s.model, **s.samples)
     s.mass, s.size = 1000.0 * mesh.volumes.sum(), s.body.size
     return s
 
@@ -58,10 +58,9 @@ def block(cells=(4, 4, 2), **material):
 
 def simulated(made, distance=0.0, **options):
     """Begins at rest in its rest shape, whatever acts on it."""
-    simulation = dynamorph.FullSimulation(made.model, options.pop("h", H), **options)
-    simulation.set_contact(made.contact, distance)
-    nothing = np.zeros(0)
-    simulation.state = [np.zeros(made.model.dofs)] * 4, [STILL.reshape(-1, 12)] * 4, nothing, nothing
+    options = {"contact": made.contact, "distance": distance} | options
+    simulation = dynamorph.Simulation(made.model, options.pop("h", H), **options)
+    simulation.state = dynamorph.State([np.zeros(made.model.dofs)] * 4, [STILL.reshape(-1, 12)] * 4)
     return simulation
 
 
@@ -108,12 +107,12 @@ def test_a_block_comes_to_rest_on_its_weight(floor):
     for _ in range(round(3 / H)):
         reports.append(step(simulation, floor, [placed(0, 0, -0.1)] * 2))
         kinetic.append(simulation.kinetic_energy)
-    assert all(report["converged"] for report in reports)
-    assert reports[-1]["contact_forces"][0, 2] == pytest.approx(-made.mass * GRAVITY, rel=1e-5)
-    assert max(report["penetration"] for report in reports) <= 0.0015 * made.size
-    assert 0 < reports[-1]["penetration"] <= 0.0011 * made.size
+    assert all(report.converged for report in reports)
+    assert reports[-1].contact_forces[0, 2] == pytest.approx(-made.mass * GRAVITY, rel=1e-5)
+    assert max(report.penetration for report in reports) <= 0.0015 * made.size
+    assert 0 < reports[-1].penetration <= 0.0011 * made.size
     assert kinetic[-1] <= 1e-7 * max(kinetic)
-    assert np.mean([report["iterations"] for report in reports]) <= 10
+    assert np.mean([report.iterations for report in reports]) <= 10
 
 
 def test_without_friction_it_lies_still_to_the_last_digits_and_with_a_distance_it_floats(floor):
@@ -123,8 +122,8 @@ def test_without_friction_it_lies_still_to_the_last_digits_and_with_a_distance_i
     for _ in range(round(3 / H)):
         report = step(simulation, floor, [placed(0, 0, -0.1)] * 2, 0.0)
         kinetic.append(simulation.kinetic_energy)
-        iterations += report["iterations"]
-        penetration = max(penetration, report["penetration"])
+        iterations += report.iterations
+        penetration = max(penetration, report.penetration)
     assert kinetic[-1] <= 1e-11 * max(kinetic)
     assert iterations <= 7 * len(kinetic)
     assert penetration == 0
@@ -137,7 +136,7 @@ def test_a_block_on_an_incline_sticks_or_slides_as_coulomb_says(floor, degrees):
     simulation = simulated(made, gravity=(GRAVITY * np.sin(angle), 0, -GRAVITY * np.cos(angle)))
     way = []
     for _ in range(round((1 if degrees > 26 else 2) / H)):
-        assert step(simulation, floor, [placed(0, 0, 0)] * 2)["converged"]
+        assert step(simulation, floor, [placed(0, 0, 0)] * 2).converged
         way.append(made.model.displacement(simulation.coordinates)[:, 0].mean())
     speed = np.diff(way) / H
     if degrees < 26:
@@ -151,17 +150,16 @@ def test_an_impact_keeps_the_momentum(floor):
     """A block in free flight: what the floor pushes is the change of its momentum, and its energy does not grow."""
     made = block()
     simulation = simulated(made, tolerance=1e-9)
-    coordinates, posed, *_ = simulation.state
     back = np.tile([0.0, 0.0, 1.0], made.model.dofs // 3)
-    simulation.state = [k * H * back for k in range(4)], posed, np.zeros(0), np.zeros(0)  # falls at 1 m/s
+    simulation.state = dynamorph.State([k * H * back for k in range(4)], simulation.state.bones)  # falls at 1 m/s
     began, push, energy, way = 0.5 * made.mass, 0.0, [], []
     for _ in range(40):
         report = step(simulation, floor, [placed(0, 0, -0.005)] * 2, 0.0)
-        push -= H * report["contact_forces"][0, 2]
+        push -= H * report.contact_forces[0, 2]
         energy.append(simulation.kinetic_energy + simulation.elastic_energy)
         way.append(made.model.displacement(simulation.coordinates)[:, 2] @ made.body.volumes[:, 0] * 1000.0)
     assert max(energy) <= 1.001 * began
-    assert report["contacts"] == 0
+    assert report.contacts == 0
     rebound = (way[-1] - way[-2]) / H
     assert push == pytest.approx(made.mass + rebound, rel=0.02)
 
@@ -188,9 +186,9 @@ def test_a_ball_presses_as_hertz_says():
         report = step(simulation, collider, [placed(0, 0, before), placed(0, 0, radius - depth)], 0.0)
         before = radius - depth
         hertz = 4 / 3 * 1e4 / (1 - 0.3**2) * radius**0.5 * depth**1.5
-        assert report["converged"]
-        assert report["contact_forces"][0, 2] == pytest.approx(hertz, rel=0.12)
-        assert report["penetration"] < 0.08 * depth
+        assert report.converged
+        assert report.contact_forces[0, 2] == pytest.approx(hertz, rel=0.12)
+        assert report.penetration < 0.08 * depth
 
 
 @pytest.fixture(scope="module")
@@ -219,10 +217,10 @@ def test_a_ball_that_appears_deep_inside_is_let_out(belly):
     collider, simulation = ball(0.05), simulated(belly)
     places = [pressed(0.06 * belly.size)] * 2
     reports = [step(simulation, collider, places) for _ in range(14)]
-    assert all(report["converged"] for report in reports)
-    assert reports[-1]["penetration"] <= 0.0011 * belly.size
-    assert reports[-1]["contact_forces"][0, 0] > 0  # out of the body
-    assert reports[-1]["too_deep"] == 0
+    assert all(report.converged for report in reports)
+    assert reports[-1].penetration <= 0.0011 * belly.size
+    assert reports[-1].contact_forces[0, 0] > 0  # out of the body
+    assert reports[-1].too_deep == 0
 
 
 def in_one(parts):
@@ -255,7 +253,7 @@ def test_one_collider_on_both_sides_presses_as_its_parts_do(belly, parts):
             for mesh in meshes
         ]
         report = simulation.advance(np.repeat(STILL[None], 8, 0), np.ones((8, 1)), colliders=still)
-        assert report["converged"] and report["too_deep"] == 0
+        assert report.converged and report.too_deep == 0
         moved.append(belly.model.displacement(simulation.coordinates))
     assert np.abs(moved[0]).max() > 0.01
     np.testing.assert_allclose(moved[0], moved[1], atol=1e-5)
@@ -270,19 +268,19 @@ def test_where_the_bones_leave_no_room_it_gives_way_and_says_so(belly, floor):
     for pair in itertools.pairwise(places):
         reports.append(step(simulation, floor, pair, 0.0))
         assert np.abs(belly.model.displacement(simulation.coordinates)).max() < 0.15 * belly.size
-    assert all(report["converged"] for report in reports)
-    assert np.mean([report["iterations"] for report in reports]) <= 10
-    deepest = max(reports, key=lambda report: report["too_deep"])
-    assert deepest["too_deep"] > 0.01
-    assert deepest["too_deep_collider"] == 0
-    assert belly.samples["rest"][deepest["too_deep_sample"], 2] < 0
-    assert reports[-1]["penetration"] <= 0.002 * belly.size  # some have less than half of their weight
+    assert all(report.converged for report in reports)
+    assert np.mean([report.iterations for report in reports]) <= 10
+    deepest = max(reports, key=lambda report: report.too_deep)
+    assert deepest.too_deep > 0.01
+    assert deepest.too_deep_collider == 0
+    assert belly.samples["rest"][deepest.too_deep_sample, 2] < 0
+    assert reports[-1].penetration <= 0.002 * belly.size  # some have less than half of their weight
 
 
 def test_contact_wins_over_the_largest_distance(belly):
     """Pressed by 2.5 times what a motion limit allows, the skin is not in the ball by more than 0.15 %."""
     mesh, count = dynamorph.TetMesh(belly.nodes, belly.tets), len(belly.nodes)
-    limit = dynamorph.FullMotionLimit(
+    limit = dynamorph.MotionLimit(
         belly.model,
         belly.nodes,
         dynamorph.embed(mesh, belly.nodes),
@@ -294,12 +292,11 @@ def test_contact_wins_over_the_largest_distance(belly):
     places = [pressed(depth) for depth in np.r_[np.linspace(-0.001, 0.04, 16), [0.04] * 10]]
     depths = []
     for limited in (False, True):
-        simulation = simulated(belly)
-        simulation.set_limit(limit if limited else None)
+        simulation = simulated(belly, limit=limit if limited else None)
         reports = [step(simulation, collider, pair) for pair in itertools.pairwise(places)]
-        assert all(report["converged"] for report in reports)
-        depths.append(max(report["penetration"] for report in reports))
-    assert reports[-1]["farthest"] > 1.5
+        assert all(report.converged for report in reports)
+        depths.append(max(report.penetration for report in reports))
+    assert reports[-1].farthest > 1.5
     assert max(depths) <= 0.0015 * belly.size
 
 
@@ -310,12 +307,11 @@ def test_a_state_in_contact_resumes_to_the_last_bit(belly):
     step(whole, collider, places[:11])
     step(whole, collider, places[10:])
     step(first, collider, places[:11])
-    assert first.state[3].size > 0
+    assert first.state.contact.size > 0
     second.state = first.state
     step(second, collider, places[10:])
-    for mine, other in zip(itertools.chain(*second.state[:2], second.state[2:]),
-                           itertools.chain(*whole.state[:2], whole.state[2:]), strict=True):  # fmt: skip
-        np.testing.assert_array_equal(mine, other)
+    for name in ("coordinates", "bones", "limit", "contact"):
+        np.testing.assert_array_equal(getattr(second.state, name), getattr(whole.state, name))
 
 
 @pytest.mark.parametrize("near", ["nobody", "out of action", "none"])
@@ -327,7 +323,7 @@ def test_a_step_with_nobody_near_is_the_same_to_the_last_bit(belly, near):
     moving = dynamorph.ColliderMotion(ball(0.1, 2), np.repeat(place[None], 9, 0), 0.5, near != "out of action")
     report = touched.advance(bones, np.ones((8, 1)), colliders=[] if near == "none" else [moving])
     np.testing.assert_array_equal(touched.coordinates, plain.coordinates)
-    assert report["contacts"] == 0
+    assert report.contacts == 0
 
 
 @pytest.fixture(scope="module")
@@ -348,8 +344,7 @@ def few(belly):
 
 
 def simulated_few(belly, few, local):
-    simulation = dynamorph.ReducedSimulation(few.model, H)
-    simulation.set_contact(dynamorph.ReducedContact(few.model, **belly.samples, local=local))
+    simulation = dynamorph.Simulation(few.model, H, contact=dynamorph.Contact(few.model, **belly.samples, local=local))
     simulation.start(STILL, STILL, ONE)
     return simulation
 
@@ -361,14 +356,14 @@ def test_local_responses_make_a_dent(belly, few):
 
     def dent(simulation):
         reports = [step(simulation, collider, pair) for pair in itertools.pairwise(places)]
-        assert all(report["converged"] for report in reports)
-        assert reports[-1]["penetration"] <= 0.0011 * belly.size
+        assert all(report.converged for report in reports)
+        assert reports[-1].penetration <= 0.0011 * belly.size
         moved = simulation.coordinates
         if len(moved) == few.basis.shape[1]:
             moved = few.basis @ moved
         if len(simulation.dents):
             moved = moved + few.local.shapes @ simulation.dents
-        return moved.reshape(-1, 3), np.linalg.norm(reports[-1]["contact_forces"])
+        return moved.reshape(-1, 3), np.linalg.norm(reports[-1].contact_forces)
 
     mesh, force = dent(simulated(belly))
     modes, patches = simulated_few(belly, few, None), simulated_few(belly, few, few.local)
@@ -384,19 +379,17 @@ def test_local_responses_make_a_dent(belly, few):
 @pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
 def test_how_far_a_search_looks_changes_nothing(belly, few, solver):
     """With a hand that holds nothing it looks four times as far from the skin."""
-    kind = "Full" if solver == "FULL" else "Reduced"
     model, local = (belly.model, {}) if solver == "FULL" else (few.model, {"local": few.local})
     rest, weights = belly.samples["rest"], belly.samples["weights"]
-    skin = getattr(dynamorph, f"{kind}Skin")(model, rest, belly.samples["embedding"], weights)
+    skin = dynamorph.Skin(model, rest, belly.samples["embedding"], weights)
     collider, found = ball(0.05), []
     for searches in (False, True):
-        simulation = getattr(dynamorph, f"{kind}Simulation")(model, H)
-        simulation.set_contact(getattr(dynamorph, f"{kind}Contact")(model, **belly.samples, **local), 0.001)
-        simulation.set_skin(skin)
+        contact = dynamorph.Contact(model, **belly.samples, **local)
+        simulation = dynamorph.Simulation(model, H, contact=contact, distance=0.001)
         simulation.start(STILL, STILL, ONE)
         places = [pressed(depth) for depth in np.linspace(-0.004, 0.02, 12)]
         for pair in itertools.pairwise(places):
-            grabs = dynamorph.Grabs([0], rest[None, :1], [0.0]) if searches else None
+            grabs = dynamorph.Grabs(skin, [0], rest[None, :1], [0.0]) if searches else None
             moving = dynamorph.ColliderMotion(collider, np.array(pair), 0.3)
             simulation.advance(STILL[None], np.ones((1, 1)), colliders=[moving], grabs=grabs)
         found.append((simulation.coordinates, simulation.dents))
@@ -440,29 +433,33 @@ def test_a_reduced_model_is_pushed_out_too(belly, few):
     collider = ball(0.05)
     places = [pressed(depth) for depth in np.r_[np.linspace(-0.001, 0.01, 8), [0.01] * 24]]
     reports = [step(simulation, collider, pair) for pair in itertools.pairwise(places)]
-    assert all(report["converged"] for report in reports)
-    assert reports[-1]["contacts"] > 0
-    assert reports[-1]["penetration"] <= 0.0011 * belly.size
-    assert np.mean([report["iterations"] for report in reports]) <= 10
+    assert all(report.converged for report in reports)
+    assert reports[-1].contacts > 0
+    assert reports[-1].penetration <= 0.0011 * belly.size
+    assert np.mean([report.iterations for report in reports]) <= 10
 
 
-def test_what_does_not_fit_is_refused(belly, floor):
+def test_what_does_not_fit_is_refused(belly, few, floor):
     simulation = simulated(belly)
     moving = dynamorph.ColliderMotion(floor, np.repeat(placed(0, 0, 0)[None], 3, 0))
     with pytest.raises(ValueError, match="expected the motion of 1 steps, got 2"):
         simulation.advance(STILL[None], np.ones((1, 1)), colliders=[moving])
-    simulation.set_contact(None)
+    plain = dynamorph.Simulation(belly.model, H)
+    plain.start(STILL, STILL, ONE)
     with pytest.raises(ValueError, match="no samples that can touch them"):
-        step(simulation, floor, [placed(0, 0, 0)] * 2)
+        step(plain, floor, [placed(0, 0, 0)] * 2)
     with pytest.raises(ValueError, match="samples belong to another model"):
-        simulation.set_contact(block().contact)
+        simulated(belly, contact=block().contact)
+    with pytest.raises(ValueError, match="contact: it belongs to another model"):
+        simulated(belly, contact=dynamorph.Contact(few.model, **belly.samples))
     with pytest.raises(ValueError, match="distance: must be finite"):
-        simulation.set_contact(belly.contact, -1.0)
+        simulated(belly, -1.0)
     with pytest.raises(ValueError, match="not one that a simulation had"):
-        simulation.state = (*simulation.state[:3], np.array([1.0, 0.0, 2.0]))
+        past = simulation.state.coordinates, simulation.state.bones
+        simulation.state = dynamorph.State(*past, contact=np.array([1.0, 0.0, 2.0]))
     lost = simulated(belly)
     report = step(lost, floor, [placed(0, 0, 0), placed(np.nan, 0, 0)])
-    assert report["unusable_colliders"] == [0] and report["converged"]
+    assert report.unusable_colliders == [0] and report.converged
 
 
 def doubled(triangles, kind):
@@ -496,7 +493,7 @@ def test_faces_that_are_there_twice_press_once(belly, kind):
         places = [placed(0.3 - depth, 0.0031, 0.0042) for depth in (-0.001, 0.004, 0.009, 0.014)]
         report = step(simulation, collider, places)
         moved.append(belly.model.displacement(simulation.coordinates))
-        forces.append(report["contact_forces"])
+        forces.append(report.contact_forces)
     for k in (1, 2):
         np.testing.assert_allclose(forces[k], forces[0], rtol=1e-9)
         np.testing.assert_allclose(moved[k], moved[0], atol=1e-9)
@@ -511,8 +508,8 @@ def test_an_open_sheet_with_both_sides_modeled_presses_from_both(belly, one_side
         report = step(
             simulation, collider, [placed(side * (0.25 - depth), 0, 0) for depth in (-0.005, 0.0, 0.005, 0.01)]
         )
-        assert side * report["contact_forces"][0, 0] > 10
-        assert report["penetration"] < 0.0015 * belly.size
+        assert side * report.contact_forces[0, 0] > 10
+        assert report.penetration < 0.0015 * belly.size
 
 
 @pytest.fixture(scope="module")
@@ -542,39 +539,36 @@ def lies(simulation, collider, places, deforming=None):
 @pytest.mark.parametrize("depth", [0.015, 0.03])
 def test_what_begins_in_a_bed_lies_there(belly, bed, depth, deforms):
     """Settled with what it touches, it does not move in the steps that follow, and is not called too deep."""
-    simulation = dynamorph.FullSimulation(belly.model, H, gravity=(0, 0, -GRAVITY))
-    simulation.set_contact(belly.contact, 0.0)
+    simulation = dynamorph.Simulation(belly.model, H, contact=belly.contact, gravity=(0, 0, -GRAVITY))
     low = belly.nodes[:, 2].min() + depth
     corners = np.array(list(itertools.product([-2, 2], [-2, 2], [low - 1, low])))
     begun, report, moved = lies(simulation, bed, [placed(0, 0, low)], [corners] if deforms else None)
-    assert begun["converged"] and begun["contacts"] > 0 and begun["too_deep"] == 0
-    assert begun["penetration"] <= 0.0011 * belly.size
+    assert begun.converged and begun.contacts > 0 and begun.too_deep == 0
+    assert begun.penetration <= 0.0011 * belly.size
     assert moved < 1e-4 * belly.size
-    np.testing.assert_allclose(begun["contact_forces"], report["contact_forces"], rtol=0.02, atol=0.5)
+    np.testing.assert_allclose(begun.contact_forces, report.contact_forces, rtol=0.02, atol=0.5)
 
 
 def test_what_begins_with_a_ball_in_it_is_dented(belly):
-    simulation = dynamorph.FullSimulation(belly.model, H)
-    simulation.set_contact(belly.contact, 0.0)
+    simulation = dynamorph.Simulation(belly.model, H, contact=belly.contact)
     begun, report, moved = lies(simulation, ball(0.05), [pressed(0.04 * belly.size)])
-    assert begun["converged"] and begun["contact_forces"][0, 0] > 0
+    assert begun.converged and begun.contact_forces[0, 0] > 0
     assert moved < 1e-4 * belly.size
-    assert report["penetration"] <= 0.0011 * belly.size
+    assert report.penetration <= 0.0011 * belly.size
 
 
 def test_a_reduced_model_begins_with_its_dents(belly, few, bed):
-    simulation = dynamorph.ReducedSimulation(few.model, H)
-    simulation.set_contact(dynamorph.ReducedContact(few.model, **belly.samples, local=few.local))
+    contact = dynamorph.Contact(few.model, **belly.samples, local=few.local)
+    simulation = dynamorph.Simulation(few.model, H, contact=contact)
     begun, report, moved = lies(simulation, bed, [placed(0, 0, belly.nodes[:, 2].min() + 0.02)])
-    assert begun["converged"] and report["converged"] and simulation.dents.any()
+    assert begun.converged and report.converged and simulation.dents.any()
     assert moved < 0.02 * np.abs(simulation.coordinates).max()
 
 
 def test_with_nothing_near_it_begins_as_without_colliders(belly, bed):
     begun = []
     for colliders in (None, [dynamorph.ColliderMotion(bed, np.repeat(placed(0, 0, -3)[None], 2, 0))]):
-        simulation = dynamorph.FullSimulation(belly.model, H, gravity=(0, 0, -GRAVITY))
-        simulation.set_contact(belly.contact, 0.0)
+        simulation = dynamorph.Simulation(belly.model, H, contact=belly.contact, gravity=(0, 0, -GRAVITY))
         simulation.start(STILL, STILL, ONE, colliders)
         begun.append(simulation.coordinates)
     np.testing.assert_array_equal(*begun)

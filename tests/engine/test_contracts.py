@@ -106,7 +106,7 @@ def properties() -> list[tuple[str, str]]:
 @pytest.mark.parametrize(("name", "member"), properties())
 def test_a_result_outlives_what_it_came_from(name, member):
     made = getattr(dynamorph, name)(**contracts.calls()[name][1])
-    if name in ("FullSimulation", "ReducedSimulation"):
+    if name == "Simulation":
         contracts.run_on(made)
     result = getattr(made, member)
     before = numbers(result)
@@ -130,7 +130,7 @@ def numbers(result: object) -> bytes:
 # Calls from within a call, and from other threads ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["FullSimulation", "ReducedSimulation"])
+@pytest.mark.parametrize("kind", ["full", "reduced"])
 @pytest.mark.parametrize("change", ["advance", "start", "state", "balance_targets", "solve_static"])
 def test_a_simulation_is_not_changed_by_its_own_callback(kind, change):
     s = contracts.scene()
@@ -153,9 +153,8 @@ def test_a_simulation_is_not_changed_by_its_own_callback(kind, change):
             refusals.append(str(error))
         return True
 
-    model = s.full if kind == "FullSimulation" else s.reduced
-    simulation = getattr(dynamorph, kind)(model, 0.01, keep_going=meddling)
-    alone = getattr(dynamorph, kind)(model, 0.01)
+    model = getattr(s, kind)
+    simulation, alone = dynamorph.Simulation(model, 0.01, keep_going=meddling), dynamorph.Simulation(model, 0.01)
     for each in (simulation, alone):
         each.start(s.bones, s.next, s.weights)
         each.advance(s.next[None], s.weights[None])
@@ -164,10 +163,9 @@ def test_a_simulation_is_not_changed_by_its_own_callback(kind, change):
     simulation.advance(s.next[None], s.weights[None])  # it goes on
 
 
-@pytest.mark.parametrize("kind", ["FullSimulation", "ReducedSimulation"])
-def test_threads_that_share_one_do_not_race(kind):
+def test_threads_that_share_one_do_not_race():
     """They take turns: what is read meanwhile is the state after a whole call, and all calls are made."""
-    shared, alone = contracts.started(kind), contracts.started(kind)
+    shared, alone = contracts.started(), contracts.started()
     s = contracts.scene()
     step = s.next[None], s.weights[None]
     states = [alone.coordinates]

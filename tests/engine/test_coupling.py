@@ -25,13 +25,11 @@ def block(solver, upper, held=False, stiff=1.0, law=dynamorph.MaterialModel.LINE
     s.body = dynamorph.SoftBody(s.mesh, ones, ones, ones[:, None], held_nodes, weights)
     s.model = soft(s.body, nodes, solver, law, stiff)
     skin, normals = outside(nodes, tets)
-    prefix = "Full" if solver == "FULL" else "Reduced"
-    s.kind = {name: getattr(dynamorph, prefix + name) for name in ("Contact", "SelfContact", "Simulation", "Coupling")}
     points = nodes[skin]
-    s.contact = s.kind["Contact"](s.model, points, dynamorph.embed(s.mesh, points), weights[skin], normals[skin],
+    s.contact = dynamorph.Contact(s.model, points, dynamorph.embed(s.mesh, points), weights[skin], normals[skin],
                                   np.full(len(points), HIGH / 2))  # fmt: skip
     centers = np.array([[x, y, z] for x in np.linspace(-0.09, 0.09, 10) for y in np.linspace(-0.09, 0.09, 10)])
-    s.skin = s.kind["SelfContact"](s.contact, centers, np.full(100, HIGH / 2), dynamorph.embed(s.mesh, centers),
+    s.skin = dynamorph.SelfContact(s.contact, centers, np.full(100, HIGH / 2), dynamorph.embed(s.mesh, centers),
                                    np.ones((100, 1)), np.arange(len(points)), np.zeros(100, int),
                                    np.zeros(len(points), int))  # fmt: skip
     s.nodes = nodes
@@ -47,8 +45,7 @@ def posed(down=0.0, aside=0.0):
 
 
 def simulation_of(s, now=None, then=None):
-    made = s.kind["Simulation"](s.model, H)
-    made.set_contact(s.contact)
+    made = dynamorph.Simulation(s.model, H, contact=s.contact)
     now = posed() if now is None else now
     made.start(now, now if then is None else then, np.ones(1))
     return made
@@ -65,7 +62,7 @@ def pressed(lower, upper, down, steps=60, order=1, friction=0.0, aside=0.0, worn
     bodies = [lower, upper][::order]
     simulations = {id(s): simulation_of(s) for s in bodies}
     garments = [] if worn is None else [(bodies.index(upper), bodies.index(lower), posed(GAP + worn)[0])]
-    coupling = lower.kind["Coupling"]([(simulations[id(s)], s.skin) for s in bodies], friction, garments)
+    coupling = dynamorph.Coupling([(simulations[id(s)], s.skin) for s in bodies], friction, garments)
     reports = []
     for k in range(1, steps + 1):
         now = posed(down * min(1.0, k / 20), aside * min(1.0, max(0.0, k / 20 - 1)))
@@ -80,11 +77,11 @@ def test_both_bodies_give_way_by_their_compliance(solver):
     lower, upper = block(solver, False, held=True, stiff=3.0), block(solver, True, held=True)
     overlap = 0.02
     moved, reports, _ = pressed(lower, upper, GAP + overlap)
-    assert all(report["converged"] for pair in reports for report in pair)
+    assert all(report.converged for pair in reports for report in pair)
     down, up = -moved[0][lower.facing, 2].mean(), moved[1][upper.facing, 2].mean()
     assert 0.9 * overlap < down + up < 1.1 * overlap
     assert up / down == pytest.approx(3.0, rel=0.05)
-    assert reports[-1][0]["contacts"] > 0 and reports[-1][1]["contacts"] > 0
+    assert reports[-1][0].contacts > 0 and reports[-1][1].contacts > 0
 
 
 @pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
@@ -101,7 +98,7 @@ def test_what_friction_holds_does_not_creep(solver):
     """The upper block lies on the lower one, is pushed aside, and stays."""
     lower, upper = bodies = [block(solver, side, held=True) for side in (False, True)]
     simulations = [simulation_of(s) for s in bodies]
-    coupling = lower.kind["Coupling"]([(made, s.skin) for made, s in zip(simulations, bodies, strict=True)], 0.5)
+    coupling = dynamorph.Coupling([(made, s.skin) for made, s in zip(simulations, bodies, strict=True)], 0.5)
     ways = []
     for k in range(300):  # the material's own creep dies out
         now = posed((GAP + 0.02) * min(1.0, k / 20), 0.004 * min(1.0, max(0.0, k / 20 - 1)))
@@ -117,7 +114,7 @@ def test_what_friction_holds_does_not_creep(solver):
 def test_a_bad_frame_of_one_does_not_throw_the_other(solver, bad):
     bodies = [block(solver, upper, held=True) for upper in (False, True)]
     simulations = [simulation_of(s) for s in bodies]
-    coupling = bodies[0].kind["Coupling"]([(made, s.skin) for made, s in zip(simulations, bodies, strict=True)], 0.5)
+    coupling = dynamorph.Coupling([(made, s.skin) for made, s in zip(simulations, bodies, strict=True)], 0.5)
     moved = []
     for k in range(60):
         now = posed((GAP + 0.02) * min(1.0, k / 20))
@@ -144,15 +141,15 @@ def test_two_bodies_are_as_two_parts_of_one():
 
 def test_the_forces_between_them_sum_to_zero():
     """Free blocks that begin within each other fly apart, and their common center of mass stays."""
-    bodies, nothing = [block("FULL", False, stiff=2.0), block("FULL", True)], np.zeros(0)
+    bodies = [block("FULL", False, stiff=2.0), block("FULL", True)]
     simulations, places = [simulation_of(s) for s in bodies], [posed((GAP + 0.02) * s.upper) for s in bodies]
     for s, made, place in zip(bodies, simulations, places, strict=True):
-        made.state = [np.zeros(s.model.dofs)] * 4, [place.reshape(-1, 12)] * 4, nothing, nothing
-    coupling = bodies[0].kind["Coupling"]([(made, s.skin) for s, made in zip(bodies, simulations, strict=True)])
+        made.state = dynamorph.State([np.zeros(s.model.dofs)] * 4, [place.reshape(-1, 12)] * 4)
+    coupling = dynamorph.Coupling([(made, s.skin) for s, made in zip(bodies, simulations, strict=True)])
     largest = 0.0
     for _ in range(30):
         pair = coupling.advance([motion(place) for place in places])
-        forces = np.array([report["body_force"] for report in pair])
+        forces = np.array([report.body_force for report in pair])
         largest = max(largest, np.abs(forces).max())
         assert np.abs(forces.sum(axis=0)).max() <= 1e-6 * np.abs(forces).max()
     pushed = [s.body.volumes.sum(axis=1) @ s.model.displacement(made.coordinates)[s.body.free_nodes]
@@ -173,7 +170,7 @@ def test_clothes_lie_on_a_body_as_deep_as_at_rest(solver, order):
     moved, reports, _ = pressed(body, clothes, GAP + worn + deeper, order=order, worn=worn)
     gave_way = moved[1][clothes.facing, 2].mean() - moved[0][body.facing, 2].mean()
     assert gave_way == pytest.approx(deeper, rel=0.2)
-    assert reports[-1][0]["contacts"] == 0 < reports[-1][1]["contacts"]
+    assert reports[-1][0].contacts == 0 < reports[-1][1].contacts
     moved, _, _ = pressed(body, clothes, GAP + worn + deeper, order=order)
     assert moved[1][clothes.facing, 2].mean() - moved[0][body.facing, 2].mean() > 1.7 * gave_way
 
@@ -184,11 +181,11 @@ def test_a_free_body_between_two_others_is_pressed_from_both_sides():
     bodies, overlap = (below, between, above), 0.01
     places = posed(), posed(GAP + overlap), posed(GAP + 2 * overlap - HIGH)
     simulations = [simulation_of(s, place) for s, place in zip(bodies, places, strict=True)]
-    coupling = below.kind["Coupling"]([(made, s.skin) for s, made in zip(bodies, simulations, strict=True)])
+    coupling = dynamorph.Coupling([(made, s.skin) for s, made in zip(bodies, simulations, strict=True)])
     for _ in range(150):
         reports = coupling.advance([motion(place) for place in places])
-        forces = np.array([report["body_force"] for report in reports])
-        assert all(report["converged"] for report in reports)
+        forces = np.array([report.body_force for report in reports])
+        assert all(report.converged for report in reports)
         assert np.abs(forces.sum(axis=0)).max() <= 1e-6 * np.abs(forces).max()
     assert forces[0, 2] < 0.0 < forces[2, 2]
     assert forces[2, 2] == pytest.approx(-forces[0, 2], rel=0.05)
@@ -213,7 +210,7 @@ def test_it_goes_on_from_kept_states():
         others[id(s)].state = simulations[id(s)].state
     down = posed(GAP + 0.02)
     for each in (simulations, others):
-        coupling = lower.kind["Coupling"]([(each[id(s)], s.skin) for s in bodies])
+        coupling = dynamorph.Coupling([(each[id(s)], s.skin) for s in bodies])
         coupling.advance([motion(down if s.upper else posed()) for s in bodies])
     for s in bodies:
         assert np.array_equal(simulations[id(s)].coordinates, others[id(s)].coordinates)
@@ -222,7 +219,7 @@ def test_it_goes_on_from_kept_states():
 def test_what_does_not_fit_is_refused():
     lower, upper = block("FULL", False), block("FULL", True)
     one, other = simulation_of(lower), simulation_of(upper)
-    kind = lower.kind["Coupling"]
+    kind = dynamorph.Coupling
     for bodies, text in (
         ([(one, lower.skin)], "two bodies"),
         ([(one, lower.skin), (one, lower.skin)], "each body must be there once"),
@@ -230,8 +227,7 @@ def test_what_does_not_fit_is_refused():
     ):
         with pytest.raises(ValueError, match=text):
             kind(bodies)
-    slower = dynamorph.FullSimulation(upper.model, 2 * H)
-    slower.set_contact(upper.contact)
+    slower = dynamorph.Simulation(upper.model, 2 * H, contact=upper.contact)
     with pytest.raises(ValueError, match="time step"):
         kind([(one, lower.skin), (slower, upper.skin)])
     with pytest.raises(ValueError, match="friction"):

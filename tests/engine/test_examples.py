@@ -84,7 +84,7 @@ def shaken(request, tmp_path_factory):
 
 def shake(engine, sizes, bones):
     """(coordinates, target weights) after the motion of the C++ example. sizes: how many targets each set has."""
-    simulation = dynamorph.ReducedSimulation(engine, 1 / 120, gravity=(0, 0, -9.81))
+    simulation = dynamorph.Simulation(engine, 1 / 120, gravity=(0, 0, -9.81))
     ends = np.cumsum(sizes)
     first, last = (np.isin(np.arange(ends[-1]), chosen).astype(float) for chosen in (ends - sizes, ends - 1))
     steps = np.arange(121)

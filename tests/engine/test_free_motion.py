@@ -202,10 +202,10 @@ def test_a_free_body_can_still_be_simulated():
     nodes, tets = bar(*BAR)
     full = model(nodes, tets, np.zeros(len(nodes), bool))
     h, steps = 1e-3, 50
-    simulation = dynamorph.FullSimulation(full, h, gravity=np.array([0.0, 0.0, -9.81]))
+    simulation = dynamorph.Simulation(full, h, gravity=np.array([0.0, 0.0, -9.81]))
     bones = np.eye(4)[None, :3]
     simulation.start(bones, bones, np.ones(1))
-    simulation.state = ([np.zeros(full.dofs)] * 4, simulation.state[1], np.zeros(0), np.zeros(0))
+    simulation.state = dynamorph.State([np.zeros(full.dofs)] * 4, simulation.state.bones)
     simulation.advance(np.repeat(bones[None], steps, axis=0), np.ones((steps, 1)))
-    fallen = np.reshape(simulation.state[0][0], (-1, 3))[:, 2]
+    fallen = np.reshape(simulation.coordinates, (-1, 3))[:, 2]
     np.testing.assert_allclose(fallen, -9.81 * (h * steps) ** 2 / 2, rtol=0.05)

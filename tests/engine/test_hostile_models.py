@@ -73,7 +73,7 @@ def refused_or_usable(kind: str, arrays: dict, meta: dict) -> bool:
     if kind not in ("static", "cage") and len(model.displacements) == len(who.targets):
         engine = model.engine(who)
         bones = np.tile(np.eye(3, 4), (model.node_weights.shape[1], 1, 1))
-        simulation = model.stepper(engine, 0.01)
+        simulation = dynamorph.Simulation(engine, 0.01)
         with suppress(dynamorph.Error):  # of forces that are not finite, which the artist sees
             simulation.start(bones, bones, np.ones(1))
             simulation.advance(bones[None], np.ones((1, 1)))

@@ -169,15 +169,10 @@ def tip_patch(character):
     return patch
 
 
-def simulation_of(engine, h, **options):
-    reduced = isinstance(engine, dynamorph.ReducedModel)
-    return (dynamorph.ReducedSimulation if reduced else dynamorph.FullSimulation)(engine, h, **options)
-
-
 def pushed(model, character, target, forces):
     """Mean displacements (k, 3) of the tip's vertices under forces (k, 3) shared out among them, and coordinates."""
     engine = model.engine(character)
-    simulation = simulation_of(engine, 0.01, tolerance=1e-10, max_iterations=200)
+    simulation = dynamorph.Simulation(engine, 0.01, tolerance=1e-10, max_iterations=200)
     weights = np.eye(len(character.targets))[target]
     weights[0] = weights.sum() - weights[1:].sum() if len(character.target_sets) == 1 else 1.0
     answers = []
@@ -187,7 +182,7 @@ def pushed(model, character, target, forces):
             for node, weight in zip(model.embedding_nodes[v], model.embedding_weights[v], strict=True):
                 external[node] += weight * force / -TIP
         coordinates, report = simulation.solve_static(BONES, weights, external)
-        assert report["converged"]
+        assert report.converged
         answers.append(model.surface(engine.displacement(coordinates))[TIP:].mean(axis=0))
     return np.array(answers[1:]) - answers[0], coordinates
 
@@ -196,14 +191,13 @@ def let_go(model, character, target, push, seconds, h=1 / 600):
     """The path of a vertex at the tip (n, 3) after a push is taken away, at its target's pose."""
     engine = model.engine(character)
     _, bent = pushed(model, character, target, [push])
-    simulation = simulation_of(engine, h)
+    simulation = dynamorph.Simulation(engine, h)
     weights = np.eye(len(character.targets))[target]
     simulation.start(BONES, BONES, weights)
-    _, posed, *_ = simulation.state
-    simulation.state = ([bent] * 4, posed, np.zeros(0), np.zeros(0))
+    simulation.state = dynamorph.State([bent] * 4, simulation.state.bones)
     path = []
     for _ in range(round(seconds / h)):
-        assert simulation.advance(BONES[None], weights[None])["converged"]
+        assert simulation.advance(BONES[None], weights[None]).converged
         path.append(model.surface(engine.displacement(simulation.coordinates))[TIP])
     return h * np.arange(len(path)), np.array(path)
 

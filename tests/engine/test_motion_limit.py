@@ -67,18 +67,14 @@ class Bar:
         self.own = own_transforms
 
     def limit(self, distance: float, painted=None, **constants):
-        kind = dynamorph.FullMotionLimit if self.model is self.full else dynamorph.ReducedMotionLimit
-        return kind(
+        return dynamorph.MotionLimit(
             self.model, self.nodes, self.embedding, self.triangles, self.weights,
             np.full(len(self.nodes), distance), self.weights[self.free] if self.own else None, painted, **constants,
         )  # fmt: skip
 
     def simulation(self, distance=0.0, h=1 / 120, **options):
-        kind = dynamorph.FullSimulation if self.model is self.full else dynamorph.ReducedSimulation
-        made = kind(self.model, h, **options)
-        if distance:
-            made.set_limit(self.limit(distance))
-        return made
+        limit = self.limit(distance) if distance else None
+        return dynamorph.Simulation(self.model, h, **{"limit": limit, **options})
 
     def bones(self, frames: np.ndarray) -> np.ndarray:
         """The engine's transforms (S, T, 3, 4) of two bones (S, 2, 3, 4)."""
@@ -210,8 +206,7 @@ def test_a_painted_end_stays_nearer_and_the_other_moves_as_it_did(kind, weight):
     painted, other = made.nodes[:, 0] < 0.3 * SIZE[0], made.nodes[:, 0] > 0.7 * SIZE[0]
     moves, excess = [], []
     for weights in (None, np.where(painted, weight, 1.0)):
-        simulation, shown = made.simulation(), []
-        simulation.set_limit(made.limit(distance, weights))
+        simulation, shown = made.simulation(limit=made.limit(distance, weights)), []
         simulation.start(frames[0], frames[1], made.neutral)
         for frame in frames[1:]:
             simulation.advance(frame[None], made.neutral[None])
@@ -230,8 +225,7 @@ def test_a_painted_end_stays_nearer_and_the_other_moves_as_it_did(kind, weight):
 def test_weights_of_one_change_nothing(limited, kind):
     made, sag = limited[kind]
     frames = moving(0.3 * np.sin(2 * np.pi * 5 * np.arange(60) / 120))
-    plain, painted = made.simulation(sag), made.simulation()
-    painted.set_limit(made.limit(sag, np.ones(len(made.nodes))))
+    plain, painted = made.simulation(sag), made.simulation(limit=made.limit(sag, np.ones(len(made.nodes))))
     for simulation in (plain, painted):
         made.run(simulation, frames)
     np.testing.assert_array_equal(painted.coordinates, plain.coordinates)
@@ -244,8 +238,7 @@ def shortest_in_a_landing(made, limit) -> float:
     t = np.arange(60) / 120
     frames = moving(np.zeros(60))
     frames[:, :, 0, 3] = np.where(t > 0.1, 5.0 * (t - 0.1), 0.0)[:, None]
-    simulation, lengths = made.simulation(), []
-    simulation.set_limit(limit)
+    simulation, lengths = made.simulation(limit=limit), []
     simulation.start(frames[0], frames[1], made.neutral)
     for frame in frames[1:]:
         simulation.advance(frame[None], made.neutral[None])
@@ -411,24 +404,24 @@ def test_a_state_resumes_to_the_last_bit(limited):
     made.run(whole, frames)
     first, second = made.simulation(sag), made.simulation(sag)
     made.run(first, frames[:40])
-    second.state = first.state
+    second.state, past = first.state, (first.state.coordinates, first.state.bones)
     for frame in frames[40:]:
         second.advance(frame[None], made.neutral[None])
     np.testing.assert_array_equal(second.coordinates, whole.coordinates)
-    np.testing.assert_array_equal(second.state[2], whole.state[2])
-    second.state = (*first.state[:2], np.zeros(0), np.zeros(0))  # of a simulation without a limit
+    np.testing.assert_array_equal(second.state.limit, whole.state.limit)
+    second.state = dynamorph.State(*past)  # of a simulation without a limit
     np.testing.assert_array_equal(second.excess, np.zeros(2))
     free = made.simulation()
     free.state = first.state
     assert free.excess.size == 0
-    remembered = first.state[2]
+    remembered = first.state.limit
     with pytest.raises(ValueError, match="expected the limit of 2 bones, got 3"):
-        second.state = (*first.state[:2], np.zeros(len(remembered) + 5), np.zeros(0))
+        second.state = dynamorph.State(*past, np.zeros(len(remembered) + 5))
     with pytest.raises(ValueError, match="not one that a simulation had"):
-        second.state = (*first.state[:2], remembered[1:], np.zeros(0))
+        second.state = dynamorph.State(*past, remembered[1:])
     for wrong in (np.nan, -1.0):
         with pytest.raises(dynamorph.Error, match="excess that is not a finite number"):
-            second.state = (*first.state[:2], np.append(wrong, remembered[1:]), np.zeros(0))
+            second.state = dynamorph.State(*past, np.append(wrong, remembered[1:]))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -483,7 +476,7 @@ def test_a_report_names_the_bone_that_was_held_back_most(limited):
     frames = moving(np.zeros(60), 0.3 * np.sin(2 * np.pi * 6 * t))
     simulation.start(frames[0], frames[1], made.neutral)
     report = simulation.advance(frames[1:], np.repeat(made.neutral[None], 59, axis=0))
-    assert report["excess_bone"] == 1 and report["excess"] > 1.0
+    assert report.excess_bone == 1 and report.excess > 1.0
     free = made.simulation()
     free.start(frames[0], frames[1], made.neutral)
-    assert free.advance(frames[1:], np.repeat(made.neutral[None], 59, axis=0))["excess_bone"] == -1
+    assert free.advance(frames[1:], np.repeat(made.neutral[None], 59, axis=0)).excess_bone == -1

@@ -193,13 +193,11 @@ def soft_skin(responses=0):
 def test_a_skin_at_rest_in_a_target_is_the_sculpt_in_the_world():
     of_body, others, points, sculpt = soft_skin()
     model = dynamorph.ReducedModel(dynamorph.SoftBody(*of_body), others["targets"], others["tables"], BLENDING)
-    skin = dynamorph.ReducedSkin(
-        model, points, others["embedding"], np.ones((len(points), 1)), others["residual_shapes"]
-    )
+    skin = dynamorph.Skin(model, points, others["embedding"], np.ones((len(points), 1)), others["residual_shapes"])
     turned = np.array([[[0.0, -1, 0, 0.3], [1, 0, 0, 0.1], [0, 0, 1, -0.2]]])
-    simulation = dynamorph.ReducedSimulation(model, 0.01)
+    simulation = dynamorph.Simulation(model, 0.01)
     coordinates, report = simulation.solve_static(turned, [0, 1])
-    assert report["converged"] and np.abs(others["residual_shapes"]).max() > 1e-4
+    assert report.converged and np.abs(others["residual_shapes"]).max() > 1e-4
     expected = (points + sculpt) @ turned[0, :, :3].T + turned[0, :, 3]
     np.testing.assert_allclose(skin.positions(turned, [0, 1], coordinates), expected, atol=1e-12)
 

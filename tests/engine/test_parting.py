@@ -93,11 +93,11 @@ def held_at_bend(gap, **settings):
 def pushed(model, of, where):
     """Displacement (V, 3) by 1 N sideways (y), spread over the vertices `where`."""
     engine = model.engine(of)
-    simulation = model.stepper(engine, 1.0, tolerance=1e-10, max_iterations=100)
+    simulation = dynamorph.Simulation(engine, 1.0, tolerance=1e-10, max_iterations=100)
     force = np.zeros_like(of.vertices)
     force[where, 1] = 1.0 / where.sum()
     coordinates, report = simulation.solve_static(BONES, np.ones(1), model.on_nodes(force))
-    assert report["converged"]
+    assert report.converged
     return model.surface(engine.displacement(coordinates))
 
 

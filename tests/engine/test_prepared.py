@@ -61,7 +61,7 @@ def test_another_skin_does_not(model, other):
 def test_other_constants_do_not(model, monkeypatch):
     """As docs/limit.md compares them."""
     first = prepared(model, bar(), SETTINGS)
-    monkeypatch.setattr(dynamorph, "FullMotionLimit", partial(dynamorph.FullMotionLimit, stretch=0.8))
+    monkeypatch.setattr(dynamorph, "MotionLimit", partial(dynamorph.MotionLimit, stretch=0.8))
     other = prepared(model, bar(), SETTINGS)
     assert other.limit is not first.limit and prepared(model, bar(), SETTINGS) is other
 

@@ -53,15 +53,15 @@ def test_options_that_no_step_can_be_taken_with(stepper, option, value):
     options = {"h": 0.01} | {option: value}
     with pytest.raises(ValueError, match=f"^{option}: "):
         if stepper == "full":
-            dynamorph.FullSimulation(full, **options)
+            dynamorph.Simulation(full, **options)
         else:
-            dynamorph.ReducedSimulation(reduced(full), **options)
+            dynamorph.Simulation(reduced(full), **options)
 
 
 def test_poses_that_take_no_bytes_are_counted_first():
     """A billion poses of no bone would take all memory."""
     full, _ = cantilever((2, 1, 1), (0.2, 0.1, 0.1))
-    made = dynamorph.ReducedSimulation(reduced(full), 0.01)
+    made = dynamorph.Simulation(reduced(full), 0.01)
     with pytest.raises(ValueError, match=r"bones: expected shape \(1, 1, 3, 4\), got \(1099511627776, 0, 3, 4\)"):
         made.balance_targets(np.zeros((2**40, 0, 3, 4)))
 
@@ -118,8 +118,8 @@ def test_a_model_needs_a_target_and_known_laws():
     [
         lambda full: dynamorph.FullModel(None, [rest(full)], MATERIAL_MODEL, BLENDING),
         lambda full: dynamorph.ReducedModel(None, [rest(full)], dynamorph.reduce(full, unit_modes(full, 2)), BLENDING),
-        lambda full: dynamorph.FullSimulation(None, 0.01),
-        lambda full: dynamorph.ReducedSimulation(None, 0.01),
+        lambda full: dynamorph.Simulation(None, 0.01),
+        lambda full: dynamorph.Simulation(None, 0.01),
     ],
 )
 def test_none_is_no_model_and_no_body(call):

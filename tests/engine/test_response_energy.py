@@ -101,7 +101,7 @@ def moved(turn, *options, steps=40):
     simulation.start(rig[0], rig[1], weights[0])
     path = []
     for k in range(1, steps + 1):
-        assert simulation.advance(rig[k : k + 1], weights[k : k + 1])["converged"]
+        assert simulation.advance(rig[k : k + 1], weights[k : k + 1]).converged
         path.append(model.displacement(simulation.coordinates) @ turn)
     return np.array(path)
 
@@ -146,7 +146,7 @@ def test_a_target_that_comes_within_a_few_steps_is_where_the_body_comes_to_rest(
         simulation.start(AT_REST, AT_REST, np.eye(3)[0])
         part = np.minimum(np.arange(1, 2401) / steps, 1.0)[:, None]
         weights = (1 - part) * np.eye(3)[0] + part * np.eye(3)[target]
-        assert simulation.advance(np.repeat(AT_REST[None], 2400, axis=0), weights)["converged"]
+        assert simulation.advance(np.repeat(AT_REST[None], 2400, axis=0), weights).converged
         missed = model.displacement(simulation.coordinates) - bar.shapes[target]
         assert np.abs(missed).max() <= 1e-3 * bar.body.size
         assert abs(simulation.elastic_energy) <= 1e-6 * model.energy(np.eye(3)[target], model.target(0))
@@ -183,7 +183,7 @@ def test_between_targets_blended_forces_rest_where_the_full_model_does(material_
     shapes = []
     for each in (bar.full, model):
         found, report = simulation_of(each, H, tolerance=1e-9).solve_static(AT_REST, weights)
-        assert report["converged"]
+        assert report.converged
         shapes.append(each.displacement(found))
     assert np.abs(shapes[1] - shapes[0]).max() <= 0.002 * bar.body.size  # 0.12 before
 

@@ -43,7 +43,7 @@ def moved(model, steps=30):
     rig, weights = test_physics.swing(model, steps)
     simulation = test_physics.simulation_of(model)
     simulation.start(rig[0], rig[1], weights[0])
-    assert simulation.advance(rig[1:], weights[1:])["converged"]
+    assert simulation.advance(rig[1:], weights[1:]).converged
     return simulation.coordinates
 
 
@@ -57,7 +57,7 @@ def test_static_solution_at_a_target_is_the_sculpted_shape(material_model, blend
     for j, shape in enumerate(shapes):
         guess = model.target(j) + random.uniform(-1, 1, model.dofs) * 0.003 * np.sqrt(0.004)
         coordinates, report = simulation.solve_static(FLEXED, np.eye(3)[j], guess=guess)
-        assert report["converged"] and report["iterations"] > 0
+        assert report.converged and report.iterations > 0
         assert np.abs(model.displacement(coordinates) - shape).max() < 1e-6 * model.body.size
 
 

@@ -27,20 +27,15 @@ def blocks(solver, held=False, gap=GAP):
     s.body = dynamorph.SoftBody(mesh, ones, ones, ones[:, None], pinned, weights)
     s.model = soft(s.body, nodes, solver)
     s.skin, normals = outside(nodes, tets)
-    kind, own = (
-        (dynamorph.FullContact, dynamorph.FullSelfContact)
-        if solver == "FULL"
-        else (dynamorph.ReducedContact, dynamorph.ReducedSelfContact)
-    )
     points = nodes[s.skin]
-    s.contact = kind(s.model, points, dynamorph.embed(mesh, points), weights[s.skin], normals[s.skin],
+    s.contact = dynamorph.Contact(s.model, points, dynamorph.embed(mesh, points), weights[s.skin], normals[s.skin],
                      np.full(len(points), HIGH / 2))  # fmt: skip
     centers = np.array([[x, y, z] for z in (-HIGH / 2, gap + HIGH / 2)
                         for x in np.linspace(-0.09, 0.09, 10) for y in np.linspace(-0.09, 0.09, 10)])  # fmt: skip
     of_balls = np.repeat(np.eye(2), 100, axis=0)
     s.balls = centers, np.full(200, HIGH / 2), dynamorph.embed(mesh, centers), of_balls
     s.parts = np.arange(len(points)), of_balls.argmax(axis=1), weights[s.skin].argmax(axis=1)
-    s.own = own(s.contact, *s.balls, *s.parts)
+    s.own = dynamorph.SelfContact(s.contact, *s.balls, *s.parts)
     s.facing = {side: np.flatnonzero((np.abs(nodes[:, :2]) < 0.06).all(axis=1) & (np.abs(nodes[:, 2] - z) < 1e-6))
                 for side, z in (("lower", 0.0), ("upper", gap))}  # fmt: skip
     s.size = s.body.size
@@ -76,10 +71,8 @@ def posed(down, turn=0.0, scale=1.0):
 
 def simulated(s, down, own=True, steps=60, friction=0.0, **pose):
     """Begins at rest; block 1 comes down and stays. Returns the displacement of the nodes, and the reports."""
-    kind = dynamorph.FullSimulation if isinstance(s.model, dynamorph.FullModel) else dynamorph.ReducedSimulation
-    simulation = kind(s.model, H)
-    simulation.set_contact(s.contact)
-    simulation.set_self_contact(s.own if own else None, friction)
+    touches = {"self_contact": s.own if own else None, "self_friction": friction}
+    simulation = dynamorph.Simulation(s.model, H, contact=s.contact, **touches)
     simulation.start(posed(0.0, **pose), posed(0.0, **pose), np.ones(1))
     reports = [
         simulation.advance(posed(down * min(1.0, k / 20), **pose)[None], np.ones((1, 1))) for k in range(1, steps + 1)
@@ -93,7 +86,7 @@ def test_two_parts_of_a_body_stop_each_other(solver, friction):
     """A tenth of the overlap is left at most, and each side gives way by half of it."""
     s, overlap = blocks(solver, held=True), 0.02
     moved, reports, _ = simulated(s, GAP + overlap, friction=friction)
-    assert all(report["converged"] for report in reports)
+    assert all(report.converged for report in reports)
     lower, upper = (moved[s.facing[side], 2].mean() for side in ("lower", "upper"))
     left = overlap + lower - upper
     assert abs(left) < 0.1 * overlap
@@ -107,10 +100,7 @@ def test_two_parts_of_a_body_stop_each_other(solver, friction):
 def test_what_friction_holds_does_not_creep(solver):
     """Pressed on each other, one turns a little and stays."""
     s = blocks(solver, held=True)
-    kind = dynamorph.FullSimulation if solver == "FULL" else dynamorph.ReducedSimulation
-    simulation = kind(s.model, H)
-    simulation.set_contact(s.contact)
-    simulation.set_self_contact(s.own, 0.5)
+    simulation = dynamorph.Simulation(s.model, H, contact=s.contact, self_contact=s.own)
     simulation.start(posed(0.0), posed(0.0), np.ones(1))
     ways = []
     for k in range(300):  # the material's own creep dies out
@@ -124,11 +114,9 @@ def test_what_friction_holds_does_not_creep(solver):
 def test_the_forces_of_both_sides_sum_to_zero():
     """Free blocks that begin within each other fly apart, and their center of mass stays."""
     s = blocks("FULL")
-    simulation, nothing = dynamorph.FullSimulation(s.model, H), np.zeros(0)
-    simulation.set_contact(s.contact)
-    simulation.set_self_contact(s.own)
+    simulation = dynamorph.Simulation(s.model, H, contact=s.contact, self_contact=s.own)
     down = posed(GAP + 0.02)
-    simulation.state = [np.zeros(s.model.dofs)] * 4, [down.reshape(-1, 12)] * 4, nothing, nothing
+    simulation.state = dynamorph.State([np.zeros(s.model.dofs)] * 4, [down.reshape(-1, 12)] * 4)
     simulation.advance(np.repeat(down[None], 30, 0), np.ones((30, 1)))
     mass = s.body.volumes.sum(axis=1)
     pushed = mass[:, None] * s.model.displacement(simulation.coordinates)[s.body.free_nodes]
@@ -147,11 +135,11 @@ def test_a_body_that_is_scaled_is_as_large_as_it_shows():
 def test_a_joint_that_is_folded_flat_is_told_not_forced():
     """By 125 degrees skinning leaves 0.21 of a joint, by 60 three quarters."""
     s = blocks("FULL", held=True)
-    s.own = dynamorph.FullSelfContact(s.contact, *s.balls, *s.parts, [[0, 1]])
+    s.own = dynamorph.SelfContact(s.contact, *s.balls, *s.parts, [[0, 1]])
     pressed = {}
     for degrees in (60.0, 125.0):
         _, reports, _ = simulated(s, GAP + 0.02, steps=30, turn=np.radians(degrees))
-        pressed[degrees] = reports[-1]["contacts"], reports[-1]["too_deep"]
+        pressed[degrees] = reports[-1].contacts, reports[-1].too_deep
     assert pressed[60.0][0] > 0 and pressed[60.0][1] == 0.0
     assert pressed[125.0][0] == 0 and pressed[125.0][1] == pytest.approx(0.02, rel=0.2)
 
@@ -161,12 +149,12 @@ def test_skin_that_is_near_but_not_touched_moves_as_without_it():
     s = blocks("FULL", held=True)
 
     def turned(gap, own):
-        simulation, down = dynamorph.FullSimulation(s.model, H), GAP - gap * s.size
-        simulation.set_contact(s.contact)
-        simulation.set_self_contact(own, 0.0)
+        simulation = dynamorph.Simulation(s.model, H, contact=s.contact, self_contact=own, self_friction=0.0)
+        down = GAP - gap * s.size
         simulation.start(posed(down), posed(down), np.ones(1))
         reports = [simulation.advance(posed(down, 0.01 * k)[None], np.ones((1, 1))) for k in range(1, 20)]
-        return simulation.coordinates, *(sum(report[name] for report in reports) for name in ("iterations", "contacts"))
+        iterations, contacts = (sum(getattr(each, name) for each in reports) for name in ("iterations", "contacts"))
+        return simulation.coordinates, iterations, contacts
 
     free, without, _ = turned(0.003, None)
     moved, near, contacts = turned(0.003, s.own)
@@ -178,7 +166,7 @@ def test_skin_that_is_near_but_not_touched_moves_as_without_it():
 def test_what_is_near_at_rest_is_left_alone():
     s = blocks("FULL", held=True, gap=0.01)  # less than a fifth of the thickness
     moved, reports, _ = simulated(s, 0.02)
-    assert max(report["contacts"] for report in reports) == 0
+    assert max(report.contacts for report in reports) == 0
     free, _, _ = simulated(s, 0.02, own=False)
     assert np.array_equal(moved, free)
 
@@ -186,9 +174,7 @@ def test_what_is_near_at_rest_is_left_alone():
 def test_it_is_the_same_from_a_kept_state():
     s = blocks("FULL", held=True)
     _, _, simulation = simulated(s, GAP + 0.02, steps=25, friction=0.5)
-    other = dynamorph.FullSimulation(s.model, H)
-    other.set_contact(s.contact)
-    other.set_self_contact(s.own, 0.5)
+    other = dynamorph.Simulation(s.model, H, contact=s.contact, self_contact=s.own)
     other.state = simulation.state
     for each in (simulation, other):
         each.advance(np.repeat(posed(GAP + 0.02)[None], 5, 0), np.ones((5, 1)))
@@ -198,18 +184,16 @@ def test_it_is_the_same_from_a_kept_state():
 def test_where_the_bones_leave_no_room_it_says_so():
     s = blocks("FULL", held=True)
     _, reports, _ = simulated(s, GAP + 0.6 * 2 * HIGH)
-    worst = max(reports, key=lambda report: report["too_deep"])
-    assert worst["too_deep"] > 0 and worst["too_deep_sample"] >= 0 and worst["too_deep_collider"] == -1
+    worst = max(reports, key=lambda report: report.too_deep)
+    assert worst.too_deep > 0 and worst.too_deep_sample >= 0 and worst.too_deep_collider == -1
 
 
 def test_what_does_not_fit_is_refused():
     s, other = blocks("FULL"), blocks("FULL")
-    simulation = dynamorph.FullSimulation(s.model, H)
-    simulation.set_contact(s.contact)
     with pytest.raises(ValueError, match="its samples are not those"):
-        simulation.set_self_contact(other.own)
+        dynamorph.Simulation(s.model, H, contact=s.contact, self_contact=other.own)
     with pytest.raises(ValueError, match="friction"):
-        simulation.set_self_contact(s.own, -1.0)
+        dynamorph.Simulation(s.model, H, contact=s.contact, self_contact=s.own, self_friction=-1.0)
     points, of_balls, of_points = s.parts
     for wrong, why in (
         (([3, 2], of_balls, of_points[:2]), "ascending"),
@@ -218,6 +202,6 @@ def test_what_does_not_fit_is_refused():
         ((points, of_balls, -of_points - 1), "from 0 on"),
     ):
         with pytest.raises(ValueError, match=why):
-            dynamorph.FullSelfContact(s.contact, *s.balls, *wrong)
+            dynamorph.SelfContact(s.contact, *s.balls, *wrong)
     with pytest.raises(ValueError, match="radius"):
-        dynamorph.FullSelfContact(s.contact, s.balls[0], -s.balls[1], *s.balls[2:], *s.parts)
+        dynamorph.SelfContact(s.contact, s.balls[0], -s.balls[1], *s.balls[2:], *s.parts)

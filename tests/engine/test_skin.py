@@ -50,14 +50,11 @@ RESIDUAL = np.random.default_rng(1).uniform(-0.01, 0.01, (2, 4, 3))
 def skin_of(model):
     nodes, tets = bar((6, 2, 2), (0.3, 0.1, 0.1))
     embedding = dynamorph.embed(dynamorph.TetMesh(nodes, tets), POINTS)
-    kind = dynamorph.FullSkin if isinstance(model, dynamorph.FullModel) else dynamorph.ReducedSkin
-    return kind(model, POINTS, embedding, SKIN_WEIGHTS, RESIDUAL), embedding
+    return dynamorph.Skin(model, POINTS, embedding, SKIN_WEIGHTS, RESIDUAL), embedding
 
 
 def simulation_of(model, **options):
-    kind = dynamorph.FullSimulation if isinstance(model, dynamorph.FullModel) else dynamorph.ReducedSimulation
-    made = kind(model, 1 / 120, **options)
-    made.set_skin(skin_of(model)[0])
+    made = dynamorph.Simulation(model, 1 / 120, **options)
     made.start(STILL, STILL, NEUTRAL)
     return made
 
@@ -92,9 +89,9 @@ def test_a_grabbed_point_is_held_in_the_world_while_its_bone_moves(model):
         simulation, (skin, _) = simulation_of(model), skin_of(model)
         goal = skin.positions(STILL, NEUTRAL, simulation.coordinates)[[0]]
         bones = np.array([bent(0.2 * min(1.0, k / 60)) for k in range(1, 241)])
-        grabs = dynamorph.Grabs([0], np.repeat(goal[None], 240, 0), [stiffness])
+        grabs = dynamorph.Grabs(skin, [0], np.repeat(goal[None], 240, 0), [stiffness])
         report = simulation.advance(bones, np.repeat(NEUTRAL[None], 240, 0), grabs=grabs)
-        assert report["converged"]
+        assert report.converged
         left.append(np.linalg.norm(skin.positions(bones[-1], NEUTRAL, simulation.coordinates)[0] - goal[0]))
         free = skin.positions(bones[-1], NEUTRAL, np.zeros(model.dofs))[0]
         assert left[-1] < 0.5 * np.linalg.norm(free - goal[0])
@@ -111,7 +108,7 @@ def test_ten_thousand_random_drags_stay_finite_and_leave_nothing_behind():
     )
     for _ in range(100):
         goals = random.normal(scale=0.3, size=(100, 2, 3))
-        pulls = dynamorph.Grabs([0, 3], goals, 10.0 ** random.uniform(0.0, 5.0, 2))
+        pulls = dynamorph.Grabs(skin_of(REDUCED)[0], [0, 3], goals, 10.0 ** random.uniform(0.0, 5.0, 2))
         simulation.advance(still, neutral, grabs=pulls)
         assert np.isfinite(simulation.coordinates).all()
     for _ in range(15):
@@ -135,22 +132,21 @@ def test_forces_may_differ_from_step_to_step():
 
 
 def test_what_cannot_be_grabbed_is_refused():
-    goals = np.zeros((1, 1, 3))
+    goals, (skin, _) = np.zeros((1, 1, 3)), skin_of(REDUCED)
     simulation = simulation_of(REDUCED)
     before = simulation.coordinates
     with pytest.raises(ValueError, match="grabs: expected points from 0 to 3, got 4"):
-        simulation.advance(STILL[None], NEUTRAL[None], grabs=dynamorph.Grabs([4], goals, [1.0]))
+        simulation.advance(STILL[None], NEUTRAL[None], grabs=dynamorph.Grabs(skin, [4], goals, [1.0]))
     with pytest.raises(ValueError, match=r"grabs: goals: expected shape \(2, any, 3\), got \(1, 1, 3\)"):
         simulation.advance(
-            np.repeat(STILL[None], 2, 0), np.repeat(NEUTRAL[None], 2, 0), grabs=dynamorph.Grabs([0], goals, [1.0])
+            np.repeat(STILL[None], 2, 0), np.repeat(NEUTRAL[None], 2, 0), grabs=dynamorph.Grabs(skin, [0], goals, [1.0])
         )
-    simulation.set_skin(None)
-    with pytest.raises(ValueError, match="grabs: the simulation has no skin to grab"):
-        simulation.advance(STILL[None], NEUTRAL[None], grabs=dynamorph.Grabs([0], goals, [1.0]))
+    for other in (FULL, bar_models()[1]):
+        grabs = dynamorph.Grabs(skin_of(other)[0], [0], goals, [1.0])
+        with pytest.raises(ValueError, match="grabs: the skin.* belongs to another model"):
+            simulation.advance(STILL[None], NEUTRAL[None], grabs=grabs)
     assert np.array_equal(simulation.coordinates, before)
     with pytest.raises(ValueError, match="stiffness: must be finite and not negative"):
-        dynamorph.Grabs([0], goals, [-1.0])
+        dynamorph.Grabs(skin, [0], goals, [-1.0])
     with pytest.raises(ValueError, match="goals: must be finite"):
-        dynamorph.Grabs([0], np.full((1, 1, 3), np.nan), [1.0])
-    with pytest.raises(ValueError, match="skin: it belongs to another model"):
-        simulation.set_skin(skin_of(bar_models()[1])[0])
+        dynamorph.Grabs(skin, [0], np.full((1, 1, 3), np.nan), [1.0])

@@ -58,13 +58,11 @@ class Scene:
         self.weights = np.array([0.5, 0.5])
         self.model_file = (Path(__file__).parents[1] / "golden" / "model.dynamorph").read_bytes()
 
-        self.simulations = {
-            "full": dm.FullSimulation(self.full, 0.01), "reduced": dm.ReducedSimulation(self.reduced, 0.01)
-        }  # fmt: skip
+        models = {"full": self.full, "reduced": self.reduced}
+        self.simulations = {kind: dm.Simulation(model, 0.01) for kind, model in models.items()}
         points = 0.9 * self.nodes
         self.points = {"rest": points, "embedding": dm.embed(self.mesh, points), "weights": np.ones((len(points), 1))}
-        self.reduced_skin = dm.ReducedSkin(self.reduced, **self.points)
-        self.simulations["reduced"].set_skin(self.reduced_skin)
+        self.reduced_skin = dm.Skin(self.reduced, **self.points)
         faces = self.mesh.tets[:, [0, 2, 1]].astype(np.int32)
         self.limits = {
             "rest": self.nodes,
@@ -73,9 +71,11 @@ class Scene:
             "weights": np.ones((len(self.nodes), 1)),
             "distances": np.full(len(self.nodes), 1e-3),
         }
-        self.limited = {"full": dm.FullMotionLimit(self.full, **self.limits),
-                        "reduced": dm.ReducedMotionLimit(self.reduced, **self.limits)}  # fmt: skip
-        self.grabs = dm.Grabs([0, 1], points[None, :2] + 0.01, [10.0, 20.0])
+        self.simulations |= {
+            f"limited {kind}": dm.Simulation(model, 0.01, limit=dm.MotionLimit(model, **self.limits))
+            for kind, model in models.items()
+        }
+        self.grabs = dm.Grabs(self.reduced_skin, [0, 1], points[None, :2] + 0.01, [10.0, 20.0])
         self.poses = np.repeat(np.eye(4)[None], 2, 0)
         self.poses[1, 1:3, 1:3] = [[0.6, -0.8], [0.8, 0.6]]
         self.set = dm.TargetSet([1], ["a", "b"], [np.repeat(np.eye(4)[None], 2, 0), self.poses])
@@ -93,14 +93,6 @@ class Scene:
         simulation.start(self.bones, self.moved, self.weights)
         simulation.advance(self.moved[None], self.weights[None], grabs=self.grabs)
         return self.reduced_skin.positions(self.moved, self.weights, simulation.coordinates)
-
-    def limited_step(self, kind: str):
-        simulation = self.simulations[kind]
-        simulation.set_limit(self.limited[kind])
-        try:
-            return self.step(kind)
-        finally:
-            simulation.set_limit(None)
 
     def response_basis(self):
         basis = dm.make_response_basis(self.full, 3, 2)
@@ -127,8 +119,8 @@ def calls(scene: Scene) -> dict[str, Callable]:
         "full_step": lambda: scene.step("full"),
         "reduced_step": lambda: scene.step("reduced"),
         "grabbed_step": scene.grabbed_step,
-        "limited_full_step": lambda: scene.limited_step("full"),
-        "limited_reduced_step": lambda: scene.limited_step("reduced"),
+        "limited_full_step": lambda: scene.step("limited full"),
+        "limited_reduced_step": lambda: scene.step("limited reduced"),
         "weights": lambda: scene.space.weights(scene.poses[None]),
         "model_file": lambda: dm.unpack_model(scene.model_file)[0]["nodes"],
     }
@@ -141,11 +133,11 @@ def constructors(scene: Scene) -> dict[str, Callable]:
         "TetMesh": lambda: dm.TetMesh(scene.nodes, scene.mesh.tets),
         "FullModel": lambda: dm.FullModel(scene.body, scene.targets, dm.MaterialModel.STVK, even),
         "ReducedModel": lambda: dm.ReducedModel(scene.body, scene.targets, scene.tables, even),
-        "FullSimulation": lambda: dm.FullSimulation(scene.full, 0.01),
-        "ReducedSimulation": lambda: dm.ReducedSimulation(scene.reduced, 0.01),
-        "FullSkin": lambda: dm.FullSkin(scene.full, **scene.points),
-        "FullMotionLimit": lambda: dm.FullMotionLimit(scene.full, **scene.limits),
-        "ReducedMotionLimit": lambda: dm.ReducedMotionLimit(scene.reduced, **scene.limits),
+        "FullSimulation": lambda: dm.Simulation(scene.full, 0.01),
+        "ReducedSimulation": lambda: dm.Simulation(scene.reduced, 0.01),
+        "FullSkin": lambda: dm.Skin(scene.full, **scene.points),
+        "FullMotionLimit": lambda: dm.MotionLimit(scene.full, **scene.limits),
+        "ReducedMotionLimit": lambda: dm.MotionLimit(scene.reduced, **scene.limits),
         "symmetric": lambda: dm.symmetric_like(scene.cage, scene.skin, scene.triangles),
         "MeshCut": lambda: dm.MeshCut(scene.cage, scene.skin, scene.triangles),
         "PoseSpace": lambda: dm.PoseSpace([scene.set]),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import dynamorph
 import numpy as np
 import scenes
 from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
@@ -49,11 +50,11 @@ def settled(model: Model) -> np.ndarray:
     """Where the skin (V, 3) of `bar` hangs under its own weight along x, at half of its bulge."""
     character = bar()
     engine = model.engine(character)
-    simulation = model.stepper(engine, 1.0, tolerance=1e-10, max_iterations=100)
+    simulation = dynamorph.Simulation(engine, 1.0, tolerance=1e-10, max_iterations=100)
     gravity = np.zeros_like(character.vertices)
     gravity[:, 0] = 0.1  # N at each vertex
     coordinates, report = simulation.solve_static(np.tile(np.eye(3, 4), (3, 1, 1)), [0.5, 0.5], model.on_nodes(gravity))
-    if not report["converged"]:
+    if not report.converged:
         raise RuntimeError("the bar does not settle")
     return model.surface(engine.displacement(coordinates))
 

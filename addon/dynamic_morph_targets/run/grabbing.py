@@ -18,7 +18,7 @@ from ..core.errors import SceneError
 from ..core.message import Message
 from ..core.model.model import Model
 from ..core.motion.grab import FIRM, Grab, as_text, from_text, pinch, together
-from ..core.motion.player import Frame, Player, State
+from ..core.motion.player import Frame, Player, changed
 from ..scene import events, skin
 from . import live
 from .session import Session
@@ -58,10 +58,9 @@ class Copy:
         state = None if session.now is None else session.state_at(session.now)
         if session.now is None or state is None:
             raise SceneError("What Live shows at this frame is not kept: go to the first frame and play")
-        coordinates, bones, limit, touched = state
         self.now, self._rig_changes = session.now, session.rig_changes
         self.frames = 0  # since a hand last did something
-        self._state: State = [coordinates[0]] * 4, [bones[0]] * 4, limit, touched
+        self._state = changed(state, coordinates=[state.coordinates[0]] * 4, bones=[state.bones[0]] * 4)
         substeps = session.tissue.player.settings.substeps
         self._rig = session.rig.after(obj, self.now)[:1].still(substeps)
 

@@ -8,7 +8,7 @@ import numpy.typing
 import scipy.sparse
 import typing
 import typing_extensions
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Embedding', 'Error', 'FullContact', 'FullCoupling', 'FullModel', 'FullMotionLimit', 'FullSelfContact', 'FullSimulation', 'FullSkin', 'Grabs', 'Integrator', 'LocalResponses', 'MaterialModel', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedContact', 'ReducedCoupling', 'ReducedModel', 'ReducedMotionLimit', 'ReducedSelfContact', 'ReducedSimulation', 'ReducedSkin', 'ReducedTables', 'ResponseBasis', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'tetrahedralize', 'unpack_model']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Contact', 'Coupling', 'Embedding', 'Error', 'FullModel', 'Grabs', 'Integrator', 'LocalResponses', 'MaterialModel', 'MeshCut', 'MorphTarget', 'MotionLimit', 'PoseSpace', 'ReducedModel', 'ReducedTables', 'ResponseBasis', 'SelfContact', 'Simulation', 'Skin', 'SoftBody', 'State', 'StepReport', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
     """
     A body that cannot be simulated. The message says what to do.
@@ -357,26 +357,6 @@ class FullModel:
         """
         Number of coordinates.
         """
-class FullSkin:
-    """
-    P points that move with a model: x = A (X + E u(q) + R w) + a. Simulations may share it.
-    """
-    def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> None:
-        """
-        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale; those below 1 % do not count. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None.
-        """
-    def displacement(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
-        """
-        E u(q) + R w (P, 3), meters, bind space, at target weights (J) and coordinates q.
-        """
-    def positions(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
-        """
-        x (P, 3), meters, world space, at the bones' transforms (B, 3, 4).
-        """
-    def pull_back(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], forces: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
-        """
-        Forces on the coordinates (dofs) that do the work of forces on the points (P, 3), newtons, world space.
-        """
 class Basis:
     """
     The subspace of a soft skin: a few modes.
@@ -496,11 +476,11 @@ class ReducedModel:
         """
         Number of coordinates.
         """
-class ReducedSkin:
+class Skin:
     """
     P points that move with a model: x = A (X + E u(q) + R w) + a. Simulations may share it.
     """
-    def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> None:
+    def __init__(self, model: FullModel | ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> None:
         """
         rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. weights (P, B): skin weights at any positive scale; those below 1 % do not count. residual_shapes (J, P, 3): what the mesh cannot carry of each target's shape, or None.
         """
@@ -554,11 +534,11 @@ class LocalResponses:
         """
         C (P, P) of the energy a^T C a / 2, at the neutral targets.
         """
-class FullContact:
+class Contact:
     """
     The points of a model's skin that can touch colliders. Simulations may share them.
     """
-    def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, local: LocalResponses | None = None, corners: typing.Annotated[numpy.typing.ArrayLike, numpy.int32] | None = None, corner_weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 3]"] | None = None) -> None:
+    def __init__(self, model: FullModel | ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, local: LocalResponses | None = None, corners: typing.Annotated[numpy.typing.ArrayLike, numpy.int32] | None = None, corner_weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 3]"] | None = None) -> None:
         """
         rest (V, 3): the skin's vertices, meters, bind space. embedding: of these in the body's mesh. weights (V, B): skin weights at any positive scale; those below 1 % do not count. corners (P, 3), corner_weights (P, 3): the points are means of these vertices, with weights that sum to one; by default they are the vertices. normals (P, 3): out of the body, bind space. thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by 1.2 times that not at all. residual_shapes (J, V, 3): what the mesh cannot carry of each target's shape, or None. local: how a reduced model's skin gives way; None for an unreduced one.
         """
@@ -567,32 +547,11 @@ class FullContact:
         """
         The model's own stiffness at each point (P) along its normal, N/m, at the neutral targets; 0 where pins hold it.
         """
-class ReducedContact:
-    """
-    The points of a model's skin that can touch colliders. Simulations may share them.
-    """
-    def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], residual_shapes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, local: LocalResponses | None = None, corners: typing.Annotated[numpy.typing.ArrayLike, numpy.int32] | None = None, corner_weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 3]"] | None = None) -> None:
-        """
-        rest (V, 3): the skin's vertices, meters, bind space. embedding: of these in the body's mesh. weights (V, B): skin weights at any positive scale; those below 1 % do not count. corners (P, 3), corner_weights (P, 3): the points are means of these vertices, with weights that sum to one; by default they are the vertices. normals (P, 3): out of the body, bind space. thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by 1.2 times that not at all. residual_shapes (J, V, 3): what the mesh cannot carry of each target's shape, or None. local: how a reduced model's skin gives way; None for an unreduced one.
-        """
-    @property
-    def stiffness(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
-        """
-        The model's own stiffness at each point (P) along its normal, N/m, at the neutral targets; 0 where pins hold it.
-        """
-class FullSelfContact:
+class SelfContact:
     """
     Where the skin of a model touches the same skin. Simulations may share it.
     """
-    def __init__(self, contact: FullContact, centers: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], radii: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], points: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], of_balls: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], of_points: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], joints: collections.abc.Sequence[typing.Annotated[collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], "FixedSize(2)"]] = []) -> None:
-        """
-        contact: the points of the skin. centers (K, 3), radii (K): of balls that fill the body, meters, bind space, as `Thickness.covering` finds them. embedding: of the centers in the body's mesh. weights (K, B): skin weights of the centers. points (P): numbers of those points that touch the balls, ascending; a few thousand, spread evenly. of_balls (K), of_points (P): which parts of the body they belong to, as the bones that move them most; within a part nothing touches. joints: pairs of parts that share skin. What a point touches at rest, or nearly, it does not touch. Raises ValueError for arrays that do not fit each other.
-        """
-class ReducedSelfContact:
-    """
-    Where the skin of a model touches the same skin. Simulations may share it.
-    """
-    def __init__(self, contact: ReducedContact, centers: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], radii: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], points: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], of_balls: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], of_points: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], joints: collections.abc.Sequence[typing.Annotated[collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], "FixedSize(2)"]] = []) -> None:
+    def __init__(self, contact: Contact, centers: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], radii: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], embedding: Embedding, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], points: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], of_balls: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], of_points: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], joints: collections.abc.Sequence[typing.Annotated[collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], "FixedSize(2)"]] = []) -> None:
         """
         contact: the points of the skin. centers (K, 3), radii (K): of balls that fill the body, meters, bind space, as `Thickness.covering` finds them. embedding: of the centers in the body's mesh. weights (K, B): skin weights of the centers. points (P): numbers of those points that touch the balls, ascending; a few thousand, spread evenly. of_balls (K), of_points (P): which parts of the body they belong to, as the bones that move them most; within a part nothing touches. joints: pairs of parts that share skin. What a point touches at rest, or nearly, it does not touch. Raises ValueError for arrays that do not fit each other.
         """
@@ -645,17 +604,17 @@ class Integrator:
         ...
 class Grabs:
     """
-    Springs that pull points of the skin to places in the world.
+    Springs that pull points of a skin to places in the world.
     """
-    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], goals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> None:
+    def __init__(self, skin: Skin, points: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], goals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> None:
         """
-        points (K): of the simulation's skin. goals (S, K, 3): meters, world space, at the end of each step. stiffness (K): N/m.
+        skin: of the simulation's model. points (K): of the skin. goals (S, K, 3): meters, world space, at the end of each step. stiffness (K): N/m.
         """
-class FullMotionLimit:
+class MotionLimit:
     """
     How far a moving rig may drive the skin of a model. Simulations may share it.
     """
-    def __init__(self, model: FullModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], distances: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], groups: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None = None, painted: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None, *, stretch: typing.SupportsFloat | typing.SupportsIndex = 0.4, edges_between: typing.SupportsInt | typing.SupportsIndex = 400) -> None:
+    def __init__(self, model: FullModel | ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], distances: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], groups: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None = None, painted: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None, *, stretch: typing.SupportsFloat | typing.SupportsIndex = 0.4, edges_between: typing.SupportsInt | typing.SupportsIndex = 400) -> None:
         """
         rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for ones. The others are LimitConstants, which docs/limit.md tables: stretch, of an edge's length, by which it may change; edges_between, how many more than the most stretched are pulled back. Raises ValueError for those below zero, and Error if the tissue has no stiffness at rest.
         """
@@ -669,68 +628,163 @@ class FullMotionLimit:
         """
         How many numbers of a static answer are looked at.
         """
-class ReducedMotionLimit:
+class State:
     """
-    How far a moving rig may drive the skin of a model. Simulations may share it.
+    Where a soft skin is, and what its next steps depend on besides. Keep one to resume, undo or fork a simulation.
     """
-    def __init__(self, model: ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], distances: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], groups: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None = None, painted: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None, *, stretch: typing.SupportsFloat | typing.SupportsIndex = 0.4, edges_between: typing.SupportsInt | typing.SupportsIndex = 400) -> None:
+    def __init__(self, coordinates: typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], bones: typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"], limit: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] = ..., contact: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] = ...) -> None:
+        ...
+    @property
+    def bones(self) -> typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"]:
         """
-        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for ones. The others are LimitConstants, which docs/limit.md tables: stretch, of an edge's length, by which it may change; edges_between, how many more than the most stretched are pulled back. Raises ValueError for those below zero, and Error if the tissue has no stiffness at rest.
+        Transforms (B, 12) of the bones, bind to world space, likewise.
         """
     @property
-    def frequency(self) -> float:
+    def contact(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
         """
-        Of the neutral tissue, 1/s (angular).
+        What is touched (any); empty where nothing is.
         """
     @property
-    def numbers(self) -> int:
+    def coordinates(self) -> typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"]:
         """
-        How many numbers of a static answer are looked at.
+        Coordinates (dofs), now and at the last three steps. The unit is meters times the square root of cubic meters for a reduced model, and meters for a full one.
         """
-class FullSimulation:
+    @property
+    def limit(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        What the motion limit remembers of the load (any); empty without one, or where it has not acted.
+        """
+class StepReport:
+    """
+    What steps, or a static solution, say of themselves.
+    """
+    def __init__(self) -> None:
+        """
+        Of no steps.
+        """
+    @property
+    def body_force(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[3, 1]"]:
+        """
+        Newtons (3) that the others of a coupling pushed it with in the last step.
+        """
+    @property
+    def contact_forces(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+        """
+        Newtons on each collider (C, 3) in the last step.
+        """
+    @property
+    def contacts(self) -> int:
+        """
+        The largest number of points that were pushed in a step.
+        """
+    @property
+    def converged(self) -> bool:
+        """
+        Whether each met its tolerance. The state is finite anyway.
+        """
+    @property
+    def energy(self) -> float:
+        """
+        Elastic energy at the end, J.
+        """
+    @property
+    def excess(self) -> float:
+        """
+        With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2.
+        """
+    @property
+    def excess_bone(self) -> int:
+        """
+        Which bone's; -1 without a limit.
+        """
+    @property
+    def farthest(self) -> float:
+        """
+        The largest distance of a point from its targets' shape, relative to its limit.
+        """
+    @property
+    def iterations(self) -> int:
+        """
+        Of Newton's method, in all; of a coupling, those of all.
+        """
+    @property
+    def penetration(self) -> float:
+        """
+        The largest depth of a point under a surface, meters, where the bones leave it room.
+        """
+    @property
+    def pulled(self) -> int:
+        """
+        In how many steps a limit pulled anything back.
+        """
+    @property
+    def residual(self) -> float:
+        """
+        The worst one: the gradient relative to the largest force.
+        """
+    @property
+    def seconds(self) -> float:
+        """
+        How long they took; of a coupling, an equal share.
+        """
+    @property
+    def steps(self) -> int:
+        """
+        How many there were.
+        """
+    @property
+    def teleported(self) -> bool:
+        """
+        Whether the rig jumped, so that the past was carried along.
+        """
+    @property
+    def too_deep(self) -> float:
+        """
+        How much deeper the bones take a point into a collider, or into the body itself, than it can give way, so that contact does; meters, 0: nowhere.
+        """
+    @property
+    def too_deep_collider(self) -> int:
+        """
+        In which collider; -1: in the body, below that: of a coupling, -2 less the number of another body.
+        """
+    @property
+    def too_deep_sample(self) -> int:
+        """
+        Which point of the contact; -1: none.
+        """
+    @property
+    def unusable_colliders(self) -> list[int]:
+        """
+        Numbers of those that were active, but not finite or without extent.
+        """
+class Simulation:
     """
     Steps a model through time, in world space and SI units.
     """
-    def __init__(self, model: FullModel, h: typing.SupportsFloat | typing.SupportsIndex, *, integrator: Integrator = Integrator.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0, keep_going: typing.Any = None) -> None:
+    def __init__(self, model: FullModel | ReducedModel, h: typing.SupportsFloat | typing.SupportsIndex, *, limit: MotionLimit = None, contact: Contact = None, distance: typing.SupportsFloat | typing.SupportsIndex = 0.0, self_contact: SelfContact = None, self_friction: typing.SupportsFloat | typing.SupportsIndex = 0.5, integrator: Integrator = Integrator.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0, keep_going: typing.Any = None) -> None:
         """
-        h: seconds per step. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, meters, above which the past is carried along (0: never). keep_going() -> bool is called before every Newton iteration; returning False raises Cancelled.
+        h: seconds per step. limit: of the motion. contact: the points that the colliders of `advance` push, from a distance in meters on. self_contact: of those points, where the skin touches itself, with self_friction. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, meters, above which the past is carried along (0: never). keep_going() -> bool is called before every Newton iteration; returning False raises Cancelled. Raises ValueError for parts of another model.
         """
-    def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None, colliders: collections.abc.Sequence[ColliderMotion] | None = None) -> dict:
+    def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None, colliders: collections.abc.Sequence[ColliderMotion] | None = None) -> StepReport:
         """
-        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. colliders: what pushes the points of `set_contact`. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back. With colliders: the largest number of contacts in a step; penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point into a collider, or into the body itself, than it can give way, so that contact does (0: nowhere), and the sample (-1: none) and collider (-1: the body; below that, of a coupling, -2 less the number of another body) where that is; body_force (3), newtons that the others of a coupling push it with at the end; contact_forces, newtons on each collider (C, 3) at the last step; unusable_colliders, the numbers of those that were active but not finite or without extent.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of a skin. colliders: what pushes the points of its contact. Returns a StepReport.
         """
     def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
         Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, so that targets do not sag.
         """
-    def set_contact(self, contact: FullContact, distance: typing.SupportsFloat | typing.SupportsIndex = 0.0) -> None:
+    def solve_static(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, guess: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], StepReport]:
         """
-        The points that the colliders of `advance` push, from a distance in meters on; None for none.
+        Returns (coordinates, StepReport) of the static solution. The search starts from `guess`, or from the blended targets.
         """
-    def set_limit(self, limit: FullMotionLimit) -> None:
-        """
-        Limits the motion from now on; None for no limit.
-        """
-    def set_self_contact(self, self_contact: FullSelfContact, friction: typing.SupportsFloat | typing.SupportsIndex = 0.5) -> None:
-        """
-        Where the skin touches itself, from the distance of `set_contact` on, which comes first and drops it; None: nowhere. friction: of skin on skin.
-        """
-    def set_skin(self, skin: FullSkin) -> None:
-        """
-        The skin whose points `advance` grabs; None for none.
-        """
-    def solve_static(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, guess: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], dict]:
-        """
-        Returns (coordinates, report) of the static solution. The search starts from `guess`, or from the blended targets.
-        """
-    def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], colliders: collections.abc.Sequence[ColliderMotion] | None = None) -> dict:
+    def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], colliders: collections.abc.Sequence[ColliderMotion] | None = None) -> StepReport:
         """
         Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to `next` backward. colliders: what the skin lies on then, each with the motion of one step in which it stays where it is.
         """
     @property
     def coordinates(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
         """
-        A copy of the coordinates after the last step. The unit is meters times the square root of cubic meters for a reduced model, and meters for a full one.
+        A copy of the coordinates after the last step, as of `State`.
         """
     @property
     def dents(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
@@ -753,119 +807,29 @@ class FullSimulation:
         Kinetic energy of the posed nodes, J, from the integrator's own velocity.
         """
     @property
-    def model(self) -> FullModel:
+    def model(self) -> FullModel | ReducedModel:
         """
         The model that it steps.
         """
     @property
-    def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
+    def state(self) -> State:
         """
-        (coordinates, bones' transforms (B, 12), limit (any), contact (any)): the first two now and at the last three steps, the third what the motion limit remembers of the load, empty without one, the last what was touched, empty without colliders. Set it to resume a simulation; raises Error for what is not finite.
-        """
-    @state.setter
-    def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]]) -> None:
-        ...
-class ReducedSimulation:
-    """
-    Steps a model through time, in world space and SI units.
-    """
-    def __init__(self, model: ReducedModel, h: typing.SupportsFloat | typing.SupportsIndex, *, integrator: Integrator = Integrator.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0, keep_going: typing.Any = None) -> None:
-        """
-        h: seconds per step. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, meters, above which the past is carried along (0: never). keep_going() -> bool is called before every Newton iteration; returning False raises Cancelled.
-        """
-    def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None, colliders: collections.abc.Sequence[ColliderMotion] | None = None) -> dict:
-        """
-        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of the skin. colliders: what pushes the points of `set_contact`. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds. With a motion limit: the largest excess of a bone's load, which was held back if that is above 1/2, and which bone's; farthest, the largest distance of a point from its targets' shape, relative to its limit; pulled, in how many steps anything was pulled back. With colliders: the largest number of contacts in a step; penetration, the largest depth of a point under a surface; too_deep, how much deeper the bones take a point into a collider, or into the body itself, than it can give way, so that contact does (0: nowhere), and the sample (-1: none) and collider (-1: the body; below that, of a coupling, -2 less the number of another body) where that is; body_force (3), newtons that the others of a coupling push it with at the end; contact_forces, newtons on each collider (C, 3) at the last step; unusable_colliders, the numbers of those that were active but not finite or without extent.
-        """
-    def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
-        """
-        Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, so that targets do not sag.
-        """
-    def set_contact(self, contact: ReducedContact, distance: typing.SupportsFloat | typing.SupportsIndex = 0.0) -> None:
-        """
-        The points that the colliders of `advance` push, from a distance in meters on; None for none.
-        """
-    def set_limit(self, limit: ReducedMotionLimit) -> None:
-        """
-        Limits the motion from now on; None for no limit.
-        """
-    def set_self_contact(self, self_contact: ReducedSelfContact, friction: typing.SupportsFloat | typing.SupportsIndex = 0.5) -> None:
-        """
-        Where the skin touches itself, from the distance of `set_contact` on, which comes first and drops it; None: nowhere. friction: of skin on skin.
-        """
-    def set_skin(self, skin: ReducedSkin) -> None:
-        """
-        The skin whose points `advance` grabs; None for none.
-        """
-    def solve_static(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, guess: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], dict]:
-        """
-        Returns (coordinates, report) of the static solution. The search starts from `guess`, or from the blended targets.
-        """
-    def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], colliders: collections.abc.Sequence[ColliderMotion] | None = None) -> dict:
-        """
-        Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to `next` backward. colliders: what the skin lies on then, each with the motion of one step in which it stays where it is.
-        """
-    @property
-    def coordinates(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
-        """
-        A copy of the coordinates after the last step. The unit is meters times the square root of cubic meters for a reduced model, and meters for a full one.
-        """
-    @property
-    def dents(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
-        """
-        A copy of the amplitudes of its contact's local responses after the last step, none without. Setting a state sets them to zero.
-        """
-    @property
-    def elastic_energy(self) -> float:
-        """
-        Elastic energy, J, at the target weights of the last step.
-        """
-    @property
-    def excess(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
-        """
-        By how much each bone's load (G) exceeded its limit in the last step: above 1/2 it was held back. Empty without a motion limit.
-        """
-    @property
-    def kinetic_energy(self) -> float:
-        """
-        Kinetic energy of the posed nodes, J, from the integrator's own velocity.
-        """
-    @property
-    def model(self) -> ReducedModel:
-        """
-        The model that it steps.
-        """
-    @property
-    def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
-        """
-        (coordinates, bones' transforms (B, 12), limit (any), contact (any)): the first two now and at the last three steps, the third what the motion limit remembers of the load, empty without one, the last what was touched, empty without colliders. Set it to resume a simulation; raises Error for what is not finite.
+        A copy of its State. Set it to resume a simulation; raises Error for what is not finite.
         """
     @state.setter
-    def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]]) -> None:
+    def state(self, arg1: State) -> None:
         ...
-class FullCoupling:
+class Coupling:
     """
     Soft bodies that press on each other and take their steps together: both sides give way.
     """
-    def __init__(self, bodies: collections.abc.Sequence[tuple[FullSimulation, FullSelfContact]], friction: typing.SupportsFloat | typing.SupportsIndex = 0.0, garments: collections.abc.Sequence[tuple[typing.SupportsInt | typing.SupportsIndex, typing.SupportsInt | typing.SupportsIndex, typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 4]"]]] = []) -> None:
+    def __init__(self, bodies: collections.abc.Sequence[tuple[Simulation, SelfContact]], friction: typing.SupportsFloat | typing.SupportsIndex = 0.0, garments: collections.abc.Sequence[tuple[typing.SupportsInt | typing.SupportsIndex, typing.SupportsInt | typing.SupportsIndex, typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 4]"]]] = []) -> None:
         """
-        bodies: two simulations at least, each with its skin, that of its contact. friction: of skin on skin. garments: (clothes, body, to_body), numbers of clothes that lie on a body at rest and of that, and the transform (3, 4) of the bind space of the first to that of the second. Raises ValueError for others, or if their time steps or integrators differ.
+        bodies: two simulations at least, of models of one kind, each with its skin, that of its contact. friction: of skin on skin. garments: (clothes, body, to_body), numbers of clothes that lie on a body at rest and of that, and the transform (3, 4) of the bind space of the first to that of the second. Raises ValueError for others, or if their time steps or integrators differ.
         """
-    def advance(self, motions: collections.abc.Sequence[tuple[typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None, Grabs | None, collections.abc.Sequence[ColliderMotion] | None]]) -> list[dict]:
+    def advance(self, motions: collections.abc.Sequence[tuple[typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None, Grabs | None, collections.abc.Sequence[ColliderMotion] | None]]) -> list[StepReport]:
         """
-        As `advance` of one simulation, for all bodies: motions has, for each, (bones, weights, external, grabs, colliders). Returns a report for each; iterations are those of all, seconds an equal share.
-        """
-class ReducedCoupling:
-    """
-    Soft bodies that press on each other and take their steps together: both sides give way.
-    """
-    def __init__(self, bodies: collections.abc.Sequence[tuple[ReducedSimulation, ReducedSelfContact]], friction: typing.SupportsFloat | typing.SupportsIndex = 0.0, garments: collections.abc.Sequence[tuple[typing.SupportsInt | typing.SupportsIndex, typing.SupportsInt | typing.SupportsIndex, typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 4]"]]] = []) -> None:
-        """
-        bodies: two simulations at least, each with its skin, that of its contact. friction: of skin on skin. garments: (clothes, body, to_body), numbers of clothes that lie on a body at rest and of that, and the transform (3, 4) of the bind space of the first to that of the second. Raises ValueError for others, or if their time steps or integrators differ.
-        """
-    def advance(self, motions: collections.abc.Sequence[tuple[typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None, Grabs | None, collections.abc.Sequence[ColliderMotion] | None]]) -> list[dict]:
-        """
-        As `advance` of one simulation, for all bodies: motions has, for each, (bones, weights, external, grabs, colliders). Returns a report for each; iterations are those of all, seconds an equal share.
+        As `advance` of one simulation, for all bodies: motions has, for each, (bones, weights, external, grabs, colliders). Returns a StepReport of each.
         """
 def adapt_response_basis(model: FullModel, U: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], W: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]) -> ResponseBasis:
     """

@@ -42,4 +42,12 @@ struct Contact {
   }
 };
 
+/// How a sample presses on a collider.
+struct Pressure {
+  int sample, collider;
+  Vector3d normal;  ///< unit, out of the collider, world space
+  double force;     ///< newtons
+  Vector3d slip;    ///< from where friction holds the sample, at most as far as it gives way there, world space, meters
+};
+
 }  // namespace dynamorph

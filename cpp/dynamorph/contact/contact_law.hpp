@@ -58,35 +58,42 @@ class SlipForce {
   };
 
   /// The next slip is the first one, with the force that it has.
-  void begin() { began_ = false; }
+  void begin() { last_ = {}; }
 
   /// Goes on to a slip y, and returns the stiffness there, not negative.
   Stiffness follow(const Eigen::Vector2d& y, double sticks) {
-    if (began_) {
-      const SmoothedSlip last = smoothed_slip(y_.norm(), sticks);
-      w_ = (y - last.slope * unit(y_).dot(y - y_) * w_) / last.compliance;
-      if (w_.squaredNorm() > 1) w_.normalize();
-    }
+    before_ = last_;
     const SmoothedSlip now = smoothed_slip(y.norm(), sticks);
-    if (!began_) w_ = y / now.compliance;
-    began_ = true;
-    y_ = y;
+    Eigen::Vector2d w = y / now.compliance;
+    if (before_.known) {
+      const SmoothedSlip last = smoothed_slip(before_.y.norm(), sticks);
+      w = (y - last.slope * unit(before_.y).dot(y - before_.y) * before_.w) / last.compliance;
+      if (w.squaredNorm() > 1) w.normalize();
+    }
+    last_ = {true, y, w};
     // The eigenvectors of w y^T + y w^T bisect the angles of w and y.
-    const Eigen::Vector2d along = unit(y), sum = unit(w_) + along;
-    const double agrees = w_.dot(along), force = w_.norm();
+    const Eigen::Vector2d along = unit(y), sum = unit(w) + along;
+    const double agrees = w.dot(along), force = w.norm();
     return {sum.squaredNorm() > 1e-20 ? Eigen::Vector2d(sum.normalized()) : Eigen::Vector2d(-along.y(), along.x()),
             (1 - now.slope * (agrees + force) / 2) / now.compliance,
             (1 - now.slope * (agrees - force) / 2) / now.compliance};
   }
 
+  /// The slip that it followed last does not count: Newton's method did not go there.
+  void go_back() { last_ = before_; }
+
  private:
+  struct Slip {
+    bool known = false;
+    Eigen::Vector2d y = Eigen::Vector2d::Zero(), w = Eigen::Vector2d::Zero();
+  };
+
   static Eigen::Vector2d unit(const Eigen::Vector2d& v) {
     const double length = v.norm();
     return length > 0 ? Eigen::Vector2d(v / length) : Eigen::Vector2d(1, 0);
   }
 
-  bool began_ = false;
-  Eigen::Vector2d y_ = Eigen::Vector2d::Zero(), w_ = Eigen::Vector2d::Zero();
+  Slip last_, before_;
 };
 
 }  // namespace dynamorph

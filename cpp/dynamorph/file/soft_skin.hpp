@@ -2,7 +2,8 @@
 // Loads a soft skin from a model file, ready to step.
 //
 //   const SoftSkin skin = load_soft_skin(file::read("body.dynamorph"), {neutral, flexed});
-//   Simulation<ReducedModel> simulation(skin.model, {});
+//   MovingBody<ReducedModel> moving(skin.model, {});
+//   Simulation<ReducedModel> simulation(moving);
 #pragma once
 
 #include <memory>

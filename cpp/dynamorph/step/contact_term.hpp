@@ -30,14 +30,6 @@
 
 namespace dynamorph {
 
-/// How a sample presses on a collider.
-struct Pressure {
-  int sample, collider;
-  Vector3d normal;  ///< unit, out of the collider, world space
-  double force;     ///< newtons
-  Vector3d slip;    ///< from where friction holds the sample, at most as far as it gives way there, world space, meters
-};
-
 /// The same for all contacts of a step. It owns nothing.
 struct ContactStep {
   const std::vector<double>& friction;  ///< mu of the colliders
@@ -111,7 +103,7 @@ struct PosedSamples {
 };
 
 /// Contacts that begin where the samples' stiffness is above zero. Samples: those of one body, or of several that press
-/// on each other (coupled_simulation.cpp).
+/// on each other (simulation.cpp).
 template <class Model, class Samples = PosedSamples<Model>>
 struct ContactTerm {
   using Points = PointStiffness<typename Model::Matrix>;
@@ -172,13 +164,10 @@ struct ContactTerm {
   /// The unknowns of the patches, which follow the coordinates.
   const VectorXd& unknowns() const { return dents_.unknowns(); }
 
-  /// Samples that are pushed, where it is.
-  int count() const {
-    return int(std::count_if(touching_.begin(), touching_.end(), [](const Touch& t) { return t.normal.force > 0; }));
-  }
   bool empty() const { return touching_.empty(); }
 
-  /// Takes the pressures where it is for those that friction is proportional to. Returns false when there is none.
+  /// Takes the pressures where it was linearized last for those that friction is proportional to. Returns false when
+  /// there is none.
   bool next_round() {
     bool any = false;
     for (Touch& touch : touching_) {
@@ -194,62 +183,36 @@ struct ContactTerm {
     for (Touch& touch : touching_) touch.slip_force.begin();
   }
 
-  void at(const VectorXd& x) {
+  double value(const VectorXd& x) {
+    for (Touch& touch : touching_) touch.slip_force.go_back();
+    return evaluate(x);
+  }
+
+  /// Its Hessian is along the normals, of the patches that give way no further, and along and across the slips.
+  Term<Points> linearize(const VectorXd& x) {
     gradient_.setZero(x.size());
-    value_ = magnitude_ = pushing_ = 0;
-    length_ = x.norm();
-    if (touching_.empty()) return;
-    multiply(rows_, x, values_);
-    values_ += offsets_;
-    if (!dents_.empty()) {
-      dents_.at(x.tail(unknowns().size()));
-      value_ = dents_.energy();
-      for (std::size_t i = 0; i < touching_.size(); ++i)
-        values_(touching_[i].row) += dents_.given_way()(Eigen::Index(i));
-    }
+    if (touching_.empty()) return {0, gradient_, points_, {}};
+    const double energy = evaluate(x);
+    double magnitude = 0;
     forces_.setZero(values_.size());
-    for (Touch& touch : touching_) {
-      touch.normal = contact_ramp(-values_(touch.row), width_);
-      value_ += touch.stiffness * touch.normal.energy;
+    for (const Touch& touch : touching_) {
       forces_(touch.row) = -touch.pressure();
-      if (touch.normal.force > 0) magnitude_ += touch.magnitude;
+      if (touch.normal.force > 0) magnitude += touch.magnitude;
       if (!(touch.held > 0)) continue;
-      const auto slip = values_.segment<2>(touch.row + 1);
-      const SmoothedSlip friction = smoothed_slip(slip.norm(), sticks_);
-      value_ += touch.held * friction.energy;
-      forces_.segment<2>(touch.row + 1) = touch.held / friction.compliance * slip;
+      const Eigen::Vector2d slip = slip_at(touch);
+      forces_.segment<2>(touch.row + 1) = touch.held / smoothed_slip(slip.norm(), sticks_).compliance * slip;
     }
     add_transposed_product(rows_, forces_, gradient_);
-    pushing_ = gradient_.norm();
-    if (!dents_.empty()) push_patches();
+    double pushing = gradient_.norm();
+    if (!dents_.empty()) pushing = push_patches();
+    stiffen();
+    return {energy, gradient_, points_, {pushing, 1e-15 * magnitude, x.norm()}};
   }
-  double value() const { return value_; }
-  const VectorXd& gradient() const { return gradient_; }
+  /// Its part of the Hessian where it was linearized last.
+  const Points& points() const { return points_; }
 
-  /// Along the normals, of the patches that give way no further, and along and across the slips.
-  const Points& hessian() {
-    sums_.clear();
-    stiffness_.clear();
-    const auto add = [&](double stiffness, const contact_rows::Sum& sum) {
-      if (!(stiffness > 0)) return;
-      stiffness_.push_back(stiffness);
-      sums_.push_back(sum);
-    };
-    for (const Touch& touch : touching_) add(touch.stiffness * touch.normal.stiffness, {touch.row, 1, 0});
-    if constexpr (kGivesWay) add_patches(add);
-    for (Touch& touch : touching_) {
-      if (!(touch.held > 0)) continue;
-      const auto& [along, stiffness, across] = touch.slip_force.follow(values_.segment<2>(touch.row + 1), sticks_);
-      add(touch.held * stiffness, {touch.row + 1, along.x(), along.y()});
-      add(touch.held * across, {touch.row + 1, -along.y(), along.x()});
-    }
-    points_.stiffness = Eigen::Map<const VectorXd>(stiffness_.data(), Eigen::Index(stiffness_.size()));
-    if (!stiffness_.empty()) contact_rows::make(rows_, sums_, points_.rows);
-    return points_;
-  }
-  RoundOff round_off() const { return {pushing_, 1e-15 * magnitude_, length_}; }
+  // What follows holds where it was linearized last.
 
-  /// Those where it is.
   void pressures(std::vector<Pressure>& out) const {
     out.clear();
     for (const Touch& touch : touching_)
@@ -258,10 +221,15 @@ struct ContactTerm {
             {touch.contact.sample, touch.contact.collider, touch.contact.normal, touch.pressure(), slip_of(touch)});
   }
 
-  /// The amplitudes of all patches, where it is.
+  /// Samples that are pushed.
+  int count() const {
+    return int(std::count_if(touching_.begin(), touching_.end(), [](const Touch& t) { return t.normal.force > 0; }));
+  }
+
+  /// The amplitudes of all patches.
   void dents(VectorXd& amplitudes) const { dents_.amplitudes(amplitudes); }
 
-  /// The largest depth of a sample under a collider's surface, meters, where it is; 0 for none. Those with less than
+  /// The largest depth of a sample under a collider's surface, meters; 0 for none. Those with less than
   /// half of their weight do not count.
   double penetration() const {
     double deepest = 0;
@@ -271,7 +239,7 @@ struct ContactTerm {
     return deepest;
   }
 
-  /// Calls f(contact, newtons on its sample) for all that push, where it is.
+  /// Calls f(contact, newtons on its sample) for all that push.
   template <class F>
   void each_push(F&& f) const {
     for (const Touch& touch : touching_) {
@@ -285,7 +253,7 @@ struct ContactTerm {
     }
   }
 
-  /// Newtons on each collider (C), where it is.
+  /// Newtons on each collider (C).
   void forces(std::vector<Vector3d>& on_colliders) const {
     each_push([&](const Contact& contact, const Vector3d& force) {
       if (contact.collider != kSkin) on_colliders[std::size_t(contact.collider)] -= force;
@@ -358,14 +326,56 @@ struct ContactTerm {
     dents_.begin(std::move(patches), rows, stiffness, most, last);
   }
 
-  /// Adds the forces on the patches.
-  void push_patches() {
+  /// The energy at x, with the gaps, slips and normal forces there.
+  double evaluate(const VectorXd& x) {
+    double energy = 0;
+    if (touching_.empty()) return energy;
+    multiply(rows_, x, values_);
+    values_ += offsets_;
+    if (!dents_.empty()) {
+      dents_.at(x.tail(unknowns().size()));
+      energy = dents_.energy();
+      for (std::size_t i = 0; i < touching_.size(); ++i)
+        values_(touching_[i].row) += dents_.given_way()(Eigen::Index(i));
+    }
+    for (Touch& touch : touching_) {
+      touch.normal = contact_ramp(-values_(touch.row), width_);
+      energy += touch.stiffness * touch.normal.energy;
+      if (touch.held > 0) energy += touch.held * smoothed_slip(slip_at(touch).norm(), sticks_).energy;
+    }
+    return energy;
+  }
+
+  /// Adds the forces on the patches. Returns the norm of all that push.
+  double push_patches() {
     VectorXd pressures(dents_.rows().rows());
     for (std::size_t i = 0; i < touching_.size(); ++i) pressures(Eigen::Index(i)) = touching_[i].pressure();
     auto own = gradient_.tail(unknowns().size());
     own.noalias() -= dents_.rows().transpose() * pressures;
-    pushing_ = gradient_.norm();
+    const double pushing = gradient_.norm();
     own += dents_.resisting();
+    return pushing;
+  }
+
+  /// Sets the points' stiffness.
+  void stiffen() {
+    sums_.clear();
+    stiffness_.clear();
+    const auto add = [&](double stiffness, const contact_rows::Sum& sum) {
+      if (!(stiffness > 0)) return;
+      stiffness_.push_back(stiffness);
+      sums_.push_back(sum);
+    };
+    for (const Touch& touch : touching_) add(touch.stiffness * touch.normal.stiffness, {touch.row, 1, 0});
+    if constexpr (kGivesWay) add_patches(add);
+    for (Touch& touch : touching_) {
+      if (!(touch.held > 0)) continue;
+      const auto& [along, stiffness, across] = touch.slip_force.follow(slip_at(touch), sticks_);
+      add(touch.held * stiffness, {touch.row + 1, along.x(), along.y()});
+      add(touch.held * across, {touch.row + 1, -along.y(), along.x()});
+    }
+    points_.stiffness = Eigen::Map<const VectorXd>(stiffness_.data(), Eigen::Index(stiffness_.size()));
+    if (!stiffness_.empty()) contact_rows::make(rows_, sums_, points_.rows);
   }
 
   /// What the points' stiffness has of the patches: rows of the normals, which come first, and of the patches that are
@@ -413,12 +423,14 @@ struct ContactTerm {
     return out;
   }
 
+  Eigen::Vector2d slip_at(const Touch& touch) const { return values_.segment<2>(touch.row + 1); }
+
   /// From where friction holds it, world space.
   Vector3d slip_of(const Touch& touch) const {
     if (!(touch.friction > 0)) return Vector3d::Zero();
     const Vector3d& normal = touch.contact.normal;
     const Vector3d across = normal.unitOrthogonal();
-    const Eigen::Vector2d slip = values_.segment<2>(touch.row + 1);
+    const Eigen::Vector2d slip = slip_at(touch);
     return std::min(1.0, sticks_ / std::max(slip.norm(), 1e-300)) * (slip(0) * across + slip(1) * normal.cross(across));
   }
 
@@ -433,7 +445,6 @@ struct ContactTerm {
   std::vector<contact_rows::Sum> sums_;
   std::vector<double> stiffness_;
   Points points_;
-  double value_ = 0, magnitude_ = 0, pushing_ = 0, length_ = 0;  ///< pushing: norm of the forces that push
 };
 
 }  // namespace dynamorph

@@ -1,20 +1,16 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Newton's method with a line search for the potential of a step, Phi(q) = sum of terms.
 //
-// A term is an energy E(q). It has
+// A term is an energy E(q), and has two calls:
 //
-//   at(x)        moves it to q, for which all that follows holds
-//   value()      E, J
-//   gradient()   dE/dq
-//   hessian()    d2E/dq2, a matrix of the model; of a term that acts at points of the skin, its rows and their
-//                stiffness (PointStiffness)
-//   round_off()  how exact these are, see RoundOff; asked after gradient()
+//   value(x)       E, J
+//   linearize(x)   a Term: E, dE/dq, d2E/dq2, and how exact they are
 //
 // Newton's method is over x: the coordinates q, and after them the unknowns that points have of their own
-// (DensePoints), which contact's patches are. at(x) is given all of them; a gradient is over q, or over all.
+// (DensePoints), which contact's patches are. Terms are given all of them; a gradient is over q, or over all.
 //
-// at() may compute what the others return: of a reduced model, value and gradient come from one pass. The Hessian is
-// asked for only where Newton's method goes on; the line search asks for values.
+// Each iteration linearizes once: the whole step is nearly always taken. Only where it is not, shorter ones ask for
+// values, and what was linearized last does not count.
 #pragma once
 
 #include <algorithm>
@@ -36,7 +32,17 @@ struct RoundOff {
   }
 };
 
-/// A potential at some q, but for its Hessian.
+/// A term at some x, until it is evaluated at another one. Derivative: a matrix of the model, or PointStiffness where
+/// the term acts at points of the skin.
+template <class Derivative>
+struct Term {
+  double value;              ///< J
+  const VectorXd& gradient;  ///< over the coordinates, or over all unknowns
+  const Derivative& hessian;
+  RoundOff round_off;
+};
+
+/// A potential at some x, but for its Hessian.
 struct Linearization {
   VectorXd gradient;
   double value = 0, magnitude = 0;  ///< J; magnitude: sum of the terms' magnitudes
@@ -51,47 +57,46 @@ class Potential {
   explicit Potential(Terms&... terms) : terms_(terms...) {}
 
   double value(const VectorXd& x) {
-    return std::apply(
-        [&](Terms&... terms) {
-          (terms.at(x), ...);
-          return (... + terms.value());
-        },
-        terms_);
+    return std::apply([&](Terms&... terms) { return (... + terms.value(x)); }, terms_);
   }
 
   void linearize(const VectorXd& x, Linearization& out) {
-    std::apply(
-        [&](Terms&... terms) {
-          (terms.at(x), ...);
-          out.gradient.setZero(x.size());
-          const auto add = [&](const VectorXd& gradient) { out.gradient.head(gradient.size()) += gradient; };
-          (add(terms.gradient()), ...);
-          out.value = out.magnitude = 0;
-          for (double energy : {terms.value()...}) {
-            out.value += energy;
-            out.magnitude += std::abs(energy);
-          }
-          out.round_off = (... + terms.round_off());
-        },
-        terms_);
+    out.gradient.setZero(x.size());
+    out.value = out.magnitude = 0;
+    out.round_off = {};
+    hessians_ = std::apply([&](Terms&... terms) { return Hessians{add(terms.linearize(x), out)...}; }, terms_);
   }
 
   /// The Hessian where it was linearized last.
-  void hessian(Hessian<Matrix>& out) {
+  void hessian(Hessian<Matrix>& out) const {
     out.points.clear();
-    std::apply([&](auto& first, auto&... others) { collect(out, values(first.hessian()), others...); }, terms_);
+    std::apply([&](const auto* first, const auto*... others) { collect(out, values(*first), *others...); }, hessians_);
   }
 
  private:
+  template <class OfTerm>
+  using HessianOf =
+      std::remove_reference_t<decltype((std::declval<OfTerm&>().linearize(std::declval<VectorXd>()).hessian))>;
+  using Hessians = std::tuple<HessianOf<Terms>*...>;
+
+  /// Adds a term, but for its Hessian, which it returns.
+  template <class Derivative>
+  static const Derivative* add(const Term<Derivative>& term, Linearization& out) {
+    out.gradient.head(term.gradient.size()) += term.gradient;
+    out.value += term.value;
+    out.magnitude += std::abs(term.value);
+    out.round_off = out.round_off + term.round_off;
+    return &term.hessian;
+  }
+
   /// Writes the sum of the terms' matrices, after those that are in `sum`, and what acts at points.
   template <class Sum>
   static void collect(Hessian<Matrix>& out, const Sum& sum) {
     values(out.base) = sum;
   }
-  template <class Sum, class Term, class... Others>
-  static void collect(Hessian<Matrix>& out, const Sum& sum, Term& term, Others&... others) {
-    const auto& hessian = term.hessian();
-    if constexpr (std::is_same_v<decltype(hessian), const PointStiffness<Matrix>&>) {
+  template <class Sum, class Derivative, class... Others>
+  static void collect(Hessian<Matrix>& out, const Sum& sum, const Derivative& hessian, const Others&... others) {
+    if constexpr (std::is_same_v<Derivative, PointStiffness<Matrix>>) {
       if (acts(hessian)) out.points.push_back(&hessian);
       collect(out, sum, others...);
     } else {
@@ -100,6 +105,7 @@ class Potential {
   }
 
   std::tuple<Terms&...> terms_;
+  Hessians hessians_{};
 };
 
 /// The memory that Newton's method works in. Keep it: nothing is allocated after the first time, and factors are
@@ -233,6 +239,19 @@ NewtonReport minimize(Potential& potential, NewtonScratch<Matrix>& scratch, Vect
     if (!line_search(potential, scratch, q)) break;
   }
   report.converged = !far;
+  return report;
+}
+
+/// The same where the potential has forces that each minimum changes (friction, which is proportional to pressure):
+/// once more if next_round() says that there are any.
+template <class Potential, class Matrix, class Ask, class NextRound>
+NewtonReport minimize_in_rounds(Potential& potential, NewtonScratch<Matrix>& scratch, VectorXd& q,
+                                const NewtonLimits& limits, const Ask& ask, const NextRound& next_round) {
+  NewtonReport report = minimize(potential, scratch, q, limits, ask);
+  if (!next_round()) return report;
+  const int iterations = report.iterations;
+  report = minimize(potential, scratch, q, limits, ask);
+  report.iterations += iterations;
   return report;
 }
 

@@ -2,9 +2,7 @@
 #include "dynamorph/step/simulation.hpp"
 
 #include <algorithm>
-#include <cmath>
 
-#include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/progress.hpp"
 #include "dynamorph/step/teleport.hpp"
 
@@ -12,659 +10,331 @@ namespace dynamorph {
 
 namespace {
 
-using Box = Eigen::AlignedBox3d;
-
-constexpr int kStaticIterations = 200;  // needed only once, and gravity moves a soft body far
-constexpr int kLieDown = 20;       // static solutions until contacts stay: 2 in a bed, 4 to 10 with a ball in a belly
-constexpr double kWatched = 0.45;  // of its limit: what is nearer than that is not pulled in this step
-constexpr double kContactWidth = 1e-3;   // of the body's size: the depth over which contact gets its full stiffness
-constexpr double kContactMargin = 0.02;  // of the size: samples that come so near in a step can touch something
-constexpr double kContactNear = 0.005;   // of the size: those that hardly move, only if they come so near
-constexpr double kTissue = 1.5;          // thicknesses in which a sample that appears in a collider is looked for
-constexpr double kSticks = 1e-3;         // of the size, per second: what slips slower than that is held by friction
-
-/// Gravity (m/s^2, world) on the soft tissue at the bones, without a past.
-InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3d& gravity) {
-  InertialTarget inertial;
-  inertial.q.fill(&q);
-  inertial.bones.fill(&bones);
-  inertial.gravity_offset = gravity;
-  return inertial;
-}
-
-/// A box around where a collider is during a step; around everything if it is not finite.
-Box extent(const ColliderStep& step) {
-  const Vector3d everywhere = Vector3d::Constant(kInfinity);
-  if (!step.before.allFinite() || !step.after.allFinite()) return {-everywhere, everywhere};
-  const Box& own = step.collider.rest().bvh.nodes[0].box;
-  Box out;
-  for (const auto* at : {&step.before, &step.after}) {
-    if (step.rigid()) {
-      const Vector3d center = at->leftCols<3>() * own.center() + at->col(3);
-      const Vector3d half = at->leftCols<3>().cwiseAbs() * own.sizes() / 2;
-      out.extend(center - half).extend(center + half);
-    } else {
-      out.extend(Vector3d(at->colwise().minCoeff())).extend(Vector3d(at->colwise().maxCoeff()));
-    }
-  }
-  return out;
-}
-
-/// Whether a collider was somewhere at the beginning of a step, and not scaled to nothing.
-bool came(const ColliderStep& step) {
-  return step.before.allFinite() && (!step.rigid() || step.before.leftCols<3>().determinant() != 0);
-}
-
-/// Throws Error unless a state's contacts are of samples that there are (0: without contact).
-void check_contacts(const State& state, Eigen::Index samples) {
-  const auto good = [&](int sample, int collider, const Vector3d& normal) {
-    return sample >= 0 && sample < samples && collider >= kOtherSkin && normal.allFinite();
-  };
-  for (const ContactMemory::Plane& plane : state.contact.planes)
-    if (!good(plane.sample, plane.collider, plane.normal) || plane.collider < 0 || !plane.point.allFinite())
-      throw Error("The state has a contact that does not fit");
-  for (const Pressure& pressure : state.pressures)
-    if (!good(pressure.sample, pressure.collider, pressure.normal) || !(pressure.force >= 0) ||
-        !std::isfinite(pressure.force) || !pressure.slip.allFinite())
-      throw Error("The state has a contact that does not fit");
-}
-
-/// Of a limit that has not acted; `bones`: 0 without a limit.
-DrivenLoad not_driven(Eigen::Index bones, Eigen::Index dofs) {
-  const VectorXd none = VectorXd::Zero(bones);
-  return {VectorXd::Zero(bones > 0 ? dofs : 0), none, none, {none, none, none}};
-}
-
-/// Throws std::invalid_argument unless the load is empty or fits, and Error for what is not finite.
-void check_driven(const DrivenLoad& driven, Eigen::Index bones, Eigen::Index dofs) {
-  if (driven.mean.size() == 0) return;
-  bool fits = driven.mean.size() == dofs, finite = driven.mean.allFinite();
-  for (const VectorXd* x : {&driven.reach, &driven.held, &driven.excess[0], &driven.excess[1], &driven.excess[2]}) {
-    fits = fits && x->size() == bones;
-    finite = finite && x->allFinite() && (x->array() >= 0).all();
-  }
-  if (!fits)
-    throw std::invalid_argument("state: expected the limit of " + std::to_string(bones) + " bones, got " +
-                                std::to_string(driven.reach.size()));
-  if (!finite) throw Error("The state has an excess that is not a finite number");
+/// Of things that are numbered one body after the other: the body that one belongs to, and its number there. first: the
+/// first number of each body.
+std::pair<std::size_t, int> find_owner(const std::vector<int>& first, int number) {
+  const auto body = std::upper_bound(first.begin(), first.end(), number) - first.begin() - 1;
+  return {std::size_t(body), number - first[std::size_t(body)]};
 }
 
 }  // namespace
 
-void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eigen::Ref<const VectorXd>& weights) {
-  if (weights.size() != Eigen::Index(targets.size()))
-    throw std::invalid_argument("weights: expected " + std::to_string(targets.size()) + ", got " +
-                                std::to_string(weights.size()));
-  for (int set = 0; set < sets; ++set) {
-    double sum = 0;
-    for (Eigen::Index j = 0; j < weights.size(); ++j)
-      if (targets[j].set == set) sum += weights(j);
-    if (!((weights.array() >= 0).all() && std::abs(sum - 1) < 1e-6))
-      throw std::invalid_argument("weights: those of every target set must be >= 0 and sum to one");
+/// `PosedSamples` of several bodies: their samples, and the vertices of their skins, follow each other in their
+/// numbers.
+template <class Model>
+class JointSamples {
+ public:
+  using Matrix = typename Model::Matrix;
+  using Rows = typename Model::SkinPoints::Rows;
+
+  /// first_sample: of each body.
+  JointSamples(std::vector<PosedSamples<Model>> bodies, const std::vector<int>& first_sample,
+               const JointLayout<Matrix>& layout)
+      : bodies_(std::move(bodies)), first_sample_(first_sample), layout_(layout) {
+    first_vertex_.push_back(0);
+    for (const auto& body : bodies_) first_vertex_.push_back(first_vertex_.back() + int(body.of.map().size()));
   }
-}
 
-template <class Model>
-Simulation<Model>::Simulation(std::shared_ptr<const Model> model, StepOptions options)
-    : model_(std::move(model)), options_(options) {
-  check(options_);
-  damped_ = quadratic_.H = newton_.hessian.base = model_->zero();
-}
-
-template <class Model>
-void Simulation<Model>::pose(const Transforms& bones, const VectorXd& weights) {
-  if (bones.rows() != model_->body().skin.cols())
-    throw std::invalid_argument("bones: expected " + std::to_string(model_->body().skin.cols()) + " transforms, got " +
-                                std::to_string(bones.rows()));
-  if (!bones.allFinite() || !weights.allFinite())
-    throw Error("The rig has a transform that is not a number. Check what poses it at this step.");
-  model_->blend(weights, blend_);
-}
-
-template <class Model>
-void Simulation<Model>::load(const InertialTarget& inertial, double square, const VectorXd* external,
-                             const VectorXd* scales) {
-  model_->inertia(inertial, blend_.mass, inertia_);
-  quadratic_.g = inertia_.force / square;
-  if (rest_gravity_.size() > 0) quadratic_.g.noalias() += rest_gravity_ * blend_.weights;
-  if (!external) return;
-  const Eigen::Index size = model_->body().rest.size();
-  if (external->size() != size)
-    throw std::invalid_argument("external: expected " + std::to_string(size) + " values, got " +
-                                std::to_string(external->size()));
-  if (!external->allFinite()) throw std::invalid_argument("external: forces must be finite");
-  frame_.bones = *inertial.bones[0];
-  pose_nodes(model_->body().skin, frame_);
-  nodal_ = *external;
-  if (scales) nodal_.array() *= at_coordinates(model_->body().skin * *scales).array();
-  pull_back(frame_, nodal_);
-  model_->project_force(nodal_, projected_);
-  quadratic_.g -= projected_;
-}
-
-template <class Model>
-void Simulation<Model>::drive(const InertialTarget& inertial, const StepInput& input) {
-  // By plain second differences of the bones: those of BDF2 spread a jump over three steps, forth and back.
-  const double h = options_.h;
-  InertialTarget plain = inertial;
-  plain.coefficients.setZero();
-  plain.coefficients.topLeftCorner<2, 3>() << 2, -2, 0, -1, 0, 1;
-  plain.gravity_offset = h * h * options_.gravity;
-  load(plain, h * h, input.external);
-  quadratic_.g *= -1;
-  limit_->drive(quadratic_.g, input.weights, {inertial.bones[0], inertial.bones[1], inertial.bones[2]}, h,
-                state_.driven, answers_, driven_);
-}
-
-template <class Model>
-void Simulation<Model>::hold_back(const InertialTarget& inertial, double square, const StepInput& input) {
-  bool any = false;
-  for (std::size_t k = 0; k < scales_.size(); ++k) any |= limit_->scales(driven_.excess[k], scales_[k]);
-  if (any)
-    load(scaled(inertial, square), square, input.external, &scales_[0]);
-  else
-    load(inertial, square, input.external);
-}
-
-template <class Model>
-InertialTarget Simulation<Model>::scaled(InertialTarget inertial, double square) {
-  // Gravity is an acceleration like any other: a shift of the newest past. Without a past, one is made up.
-  if (inertial.coefficients.isZero(0)) inertial.coefficients.row(0).head<2>() << 1, -1;
-  const double newest = inertial.coefficients.col(1).sum();
-  const std::array<const Transforms*, InertialTarget::kPoses> bones = inertial.bones;
-  const Transforms& now = *bones[0];
-  const VectorXd &scale = scales_[0], &last = scales_[1], &before = scales_[2];
-  for (std::size_t n = 1; n < bones.size(); ++n) {
-    Transforms& slowed = slowed_[n - 1];
-    slowed = *bones[n];
-    for (Eigen::Index t = 0; t < slowed.rows(); ++t)
-      if (scale(t) < 1) slowed.row(t) = now.row(t) + scale(t) * (slowed.row(t) - now.row(t));
-    inertial.bones[n] = &slowed;
+  double stiffness(int sample, double square) const {
+    const auto [body, own] = find_owner(first_sample_, sample);
+    return bodies_[body].stiffness(own, square);
   }
-  for (Eigen::Index t = 0; t < now.rows(); ++t) {
-    const auto acceleration = [&](std::size_t n) {
-      return bones[n]->row(t) - 2 * bones[n + 1]->row(t) + bones[n + 2]->row(t);
-    };
-    if (scale(t) != last(t))
-      slowed_[0].row(t) += (scale(t) - last(t)) / newest * (2 * acceleration(1) + (3 + newest) * acceleration(2));
-    if (last(t) != before(t)) slowed_[0].row(t) -= (last(t) - before(t)) / newest * acceleration(2);
-    if (scale(t) == 1) continue;
-    Vector3d gravity = options_.gravity;  // less that of the targets' own poses, in this one
-    if (rest_directions_.size() > 0) {
-      const Matrix3d pose = transform(now, t).leftCols<3>();
-      const Vector3d own = rest_directions_.middleRows<3>(3 * t) * blend_.weights / model_->body().sets();
-      gravity -= pose * own * (3 / std::max(pose.squaredNorm(), 1e-12));
+  Vector3d unmoved(int sample) const {
+    const auto [body, own] = find_owner(first_sample_, sample);
+    return bodies_[body].unmoved(own);
+  }
+  void add(int sample, const Vector3d& direction, PointRows& numbers) const {
+    const auto [body, own] = find_owner(first_sample_, sample);
+    const int first = first_vertex_[body];
+    bodies_[body].of.points().each_corner(own,
+                                          [&](int v, double weight) { numbers.add(first + v, weight * direction); });
+  }
+  void rows(const PointRows& numbers, PointRows& scratch, Rows& out) const {
+    std::vector<Rows> own(bodies_.size());
+    std::vector<const Rows*> all;
+    for (std::size_t body = 0; body < bodies_.size(); ++body) {
+      const int first = first_vertex_[body], end = first_vertex_[body + 1];
+      PointRows part;
+      for (int row = 0; row < numbers.size(); ++row) {
+        part.add_row();
+        for (int k = numbers.first(row); k < numbers.first(row + 1); ++k)
+          if (numbers.point(k) >= first && numbers.point(k) < end)
+            part.add(numbers.point(k) - first, numbers.direction(k));
+      }
+      bodies_[body].rows(part, scratch, own[body]);
+      all.push_back(&own[body]);
     }
-    const Vector3d shift = (1 - scale(t)) * square / newest * gravity;
-    for (int axis = 0; axis < 3; ++axis) slowed_[0](t, 4 * axis + 3) += shift(axis);
+    layout_.join(all, out);
   }
-  return inertial;
-}
 
+ private:
+  std::vector<PosedSamples<Model>> bodies_;
+  const std::vector<int>& first_sample_;
+  std::vector<int> first_vertex_;  ///< of each body, and how many there are
+  const JointLayout<Matrix>& layout_;
+};
+
+/// The potentials of all bodies and their contacts, for Newton's method: a `Potential` over the coordinates of all.
 template <class Model>
-void Simulation<Model>::balance_targets(const std::vector<Transforms>& bones) {
-  const auto& targets = model_->targets();
-  if (bones.size() != targets.size())
-    throw std::invalid_argument("bones: expected one skin frame for each of " + std::to_string(targets.size()) +
-                                " targets, got " + std::to_string(bones.size()));
-  MatrixXd loads(model_->dofs(), targets.size()), before;
-  MatrixXd directions(3 * model_->body().skin.cols(), targets.size());
-  before.swap(rest_gravity_);  // must not act meanwhile, and is restored when a rig is refused
-  const VectorXd rest = VectorXd::Zero(model_->dofs());
-  try {
-    for (size_t j = 0; j < targets.size(); ++j) {
-      // The target alone, without targets of other sets: f_g^(j) = rho_j (A^(j))^T M1 g.
-      const VectorXd alone = VectorXd::Unit(targets.size(), j);
-      pose(bones[j], alone);
-      load(at_rest(rest, bones[j], options_.gravity), 1, nullptr);
-      loads.col(j) = -quadratic_.g;
-      for (Eigen::Index t = 0; t < bones[j].rows(); ++t)
-        directions.block<3, 1>(3 * t, j) = transform(bones[j], t).leftCols<3>().transpose() * options_.gravity;
+class Simulation<Model>::Sum {
+ public:
+  using Rows = typename Model::SkinPoints::Rows;
+
+  explicit Sum(Simulation& of) : of_(of) {}
+
+  double value(const VectorXd& all) {
+    double out = of_.contacts_.value(all);
+    for (std::size_t body = 0; body < of_.bodies_.size(); ++body) {
+      of_.take(all, body, own_);
+      out += potential(body).value(own_);
     }
-  } catch (...) {
-    rest_gravity_.swap(before);
-    throw;
+    return out;
   }
-  rest_gravity_ = loads;
-  rest_directions_ = directions;
+
+  void linearize(const VectorXd& all, Linearization& out) {
+    const auto contacts = of_.contacts_.linearize(all);
+    out.value = out.magnitude = contacts.value;
+    out.round_off = contacts.round_off;
+    out.gradient.setZero(all.size());
+    for (std::size_t body = 0; body < of_.bodies_.size(); ++body) {
+      of_.take(all, body, own_);
+      potential(body).linearize(own_, part_);
+      of_.put(part_.gradient, body, out.gradient);
+      out.value += part_.value;
+      out.magnitude += part_.magnitude;
+      out.round_off = out.round_off + part_.round_off;
+    }
+    out.gradient += contacts.gradient;
+  }
+
+  void hessian(Hessian<Matrix>& out) {
+    points_.clear();
+    for (std::size_t body = 0; body < of_.bodies_.size(); ++body) {
+      Hessian<Matrix>& own = of_.hessians_[body];
+      potential(body).hessian(own);
+      of_.layout_.put(own.base, body, out.base);
+      std::vector<const Rows*> rows(of_.bodies_.size());
+      for (const auto* each : own.points) {
+        rows[body] = &each->rows;
+        points_.push_back(*each);  // with the unknowns that they have of their own
+        of_.layout_.join(rows, points_.back().rows);
+      }
+    }
+    out.points.clear();
+    for (const auto& each : points_) out.points.push_back(&each);
+    if (const auto& contacts = of_.contacts_.points(); contacts.stiffness.size() > 0) out.points.push_back(&contacts);
+  }
+
+ private:
+  typename MovingBody<Model>::Sum& potential(std::size_t body) { return of_.bodies_[body].body->potential(); }
+
+  Simulation& of_;
+  VectorXd own_;
+  Linearization part_;
+  std::vector<PointStiffness<Matrix>> points_;  ///< that bodies have of their own
+};
+
+template <class Model>
+std::vector<typename Model::Matrix> patterns(const std::vector<TouchingBody<Model>>& bodies) {
+  std::vector<typename Model::Matrix> out;
+  for (const auto& each : bodies) out.push_back(each.body->model().zero());
+  return out;
 }
 
 template <class Model>
-void Simulation<Model>::set_skin(std::shared_ptr<const SkinMap<Model>> skin) {
-  if (skin && &skin->model() != model_.get()) throw std::invalid_argument("skin: it belongs to another model");
-  skin_ = std::move(skin);
-}
+Simulation<Model>::Simulation(MovingBody<Model>& body)
+    : bodies_{{&body, nullptr}}, reports_(1), layout_(std::vector<Matrix>()) {}
 
 template <class Model>
-void Simulation<Model>::set_limit(std::shared_ptr<const MotionLimit<Model>> limit) {
-  if (limit && &limit->model() != model_.get()) throw std::invalid_argument("limit: it belongs to another model");
-  limit_ = std::move(limit);
-  driven_ = state_.driven = not_driven(limit_ ? limit_->bones() : 0, model_->dofs());
-}
-
-template <class Model>
-void Simulation<Model>::set_contact(std::shared_ptr<const ContactSamples<Model>> samples, double distance) {
-  if (samples && &samples->model() != model_.get())
-    throw std::invalid_argument("contact: its samples belong to another model");
-  if (!(distance >= 0) || !std::isfinite(distance))
-    throw std::invalid_argument("distance: must be finite and not negative");
-  samples_ = std::move(samples);
-  self_.reset();
-  distance_ = distance;
-  state_.contact.clear();
-  state_.pressures.clear();
-  dents_.setZero(samples_ && samples_->local() ? samples_->local()->size() : 0);
-}
-
-template <class Model>
-void Simulation<Model>::set_self_contact(std::shared_ptr<const SelfContact<Model>> self, double friction) {
-  if (self && &self->samples() != samples_.get())
-    throw std::invalid_argument("self_contact: its samples are not those of the contact");
+Simulation<Model>::Simulation(std::vector<TouchingBody<Model>> bodies, double friction,
+                              const std::vector<Garment>& garments)
+    : bodies_(std::move(bodies)),
+      reports_(bodies_.size()),
+      friction_(friction),
+      layout_(patterns(bodies_)),
+      scratch_(bodies_.size()) {
+  if (bodies_.size() < 2) throw std::invalid_argument("coupling: expected two bodies at least");
   if (!(friction >= 0) || !std::isfinite(friction))
     throw std::invalid_argument("friction: must be finite and not negative");
-  self_ = std::move(self);
-  own_friction_ = friction;
+  const StepOptions& first = bodies_[0].body->options();
+  int samples = 0;
+  for (const auto& [body, skin] : bodies_) {
+    const StepOptions& options = body->options();
+    if (options.h != first.h || options.integrator != first.integrator)
+      throw std::invalid_argument("coupling: the bodies must have the same time step and integrator");
+    if (!skin || &skin->samples() != body->parts().contact.get())
+      throw std::invalid_argument("coupling: the skin of a body must be that of its simulation's contact");
+    first_sample_.push_back(samples);
+    samples += int(skin->samples().size());
+    hessians_.push_back({body->model().zero(), {}});
+  }
+  const auto is_body = [&](int body) { return body >= 0 && std::size_t(body) < bodies_.size(); };
+  for (const auto& [clothes, body, to_body] : garments) {
+    if (!is_body(clothes) || !is_body(body) || clothes == body || !to_body.allFinite())
+      throw std::invalid_argument("garments: must be numbers of two bodies, and a finite transform");
+    const auto skin = [&](int number) -> const SelfContact<Model>& { return *bodies_[std::size_t(number)].skin; };
+    worn_.push_back(skin(clothes).wear(clothes, body, skin(body), to_body));
+  }
+  newton_.hessian.base = layout_.zero();
 }
 
 template <class Model>
-PosedSkin Simulation<Model>::posed_skin(const StepInput& input) {
-  const double size = model_->body().size;
-  blended_shape(*model_, input.weights, shape_);
-  return {state_.bones[0],
-          input.bones,
-          input.weights,
-          shape_,
-          state_.q[0],
-          next_,
-          distance_ + kContactNear * size,
-          distance_ + kContactMargin * size};
+void Simulation<Model>::forget() {
+  newton_.solver.forget();
+  for (const auto& each : bodies_) each.body->forget();
 }
 
 template <class Model>
-ContactStep Simulation<Model>::contact_step() const {
-  const double size = model_->body().size;
-  return {friction_,
-          own_friction_,
-          StepRule(options_).square,
-          distance_,
-          kContactWidth * size,
-          kSticks * size * options_.h,
-          distance_ + kContactNear * size};
+const std::vector<StepReport>& Simulation<Model>::step(const std::vector<StepInput<Model>>& inputs) {
+  if (inputs.size() != bodies_.size())
+    throw std::invalid_argument("coupling: expected the input of " + std::to_string(bodies_.size()) + " bodies, got " +
+                                std::to_string(inputs.size()));
+  take_step(inputs.data());
+  return reports_;
 }
 
 template <class Model>
-void Simulation<Model>::find_contacts(const StepInput& input) {
+const StepReport& Simulation<Model>::step(const StepInput<Model>& input) {
+  if (bodies_.size() != 1) throw std::invalid_argument("step: expected the input of each body");
+  take_step(&input);
+  return reports_[0];
+}
+
+template <class Model>
+void Simulation<Model>::take_step(const StepInput<Model>* inputs) {
+  std::size_t begun = 0;
+  try {
+    for (; begun < bodies_.size(); ++begun) bodies_[begun].body->begin_step(inputs[begun]);
+    if (bodies_.size() > 1) find_contacts(inputs);
+    if (contacts_.empty())
+      for (std::size_t body = 0; body < bodies_.size(); ++body) reports_[body] = bodies_[body].body->solve_alone();
+    else
+      solve_together();
+  } catch (...) {
+    for (std::size_t body = 0; body < begun; ++body) bodies_[body].body->give_up();
+    throw;
+  }
+  for (std::size_t body = 0; body < bodies_.size(); ++body) bodies_[body].body->end_step(inputs[body], reports_[body]);
+  if (bodies_.size() == 1) return;
+  remember_pressures();
+  report_contacts();
+}
+
+template <class Model>
+void Simulation<Model>::take(const VectorXd& all, std::size_t body, VectorXd& own) const {
+  layout_.take(all, body, own);
+  const Eigen::Index first = first_patch_[body], patches = first_patch_[body + 1] - first;
+  own.conservativeResize(own.size() + patches);
+  own.tail(patches) = all.segment(first, patches);
+}
+
+template <class Model>
+void Simulation<Model>::put(const VectorXd& own, std::size_t body, VectorXd& all) const {
+  layout_.put(own, body, all);
+  const Eigen::Index first = first_patch_[body], patches = first_patch_[body + 1] - first;
+  all.segment(first, patches) = own.tail(patches);
+}
+
+template <class Model>
+void Simulation<Model>::find_contacts(const StepInput<Model>* inputs) {
+  std::vector<typename SelfContact<Model>::Body> skins;
+  std::vector<PosedSamples<Model>> samples;
+  std::vector<Pressure> pressures;
+  ContactStep step = bodies_[0].body->contact_step();
+  for (std::size_t b = 0; b < bodies_.size(); ++b) {
+    const auto& [body, skin] = bodies_[b];
+    const StepInput<Model>& input = inputs[b];
+    const SoftBody& soft = body->model().body();
+    const bool jumps = dynamorph::jumps(soft, soft.size, input.bones, body->state().bones);
+    skins.push_back({*skin, body->posed_skin(input), scratch_[b], first_sample_[b], jumps});
+    samples.push_back({skin->samples(), input.bones, input.weights});
+    for (const Pressure& last : body->state().pressures)
+      if (last.collider == kOtherSkin)
+        pressures.push_back({first_sample_[b] + last.sample, kSkin, last.normal, last.force, last.slip});
+    const ContactStep own = body->contact_step();
+    step.distance = std::max(step.distance, own.distance);
+    step.width = std::min(step.width, own.width);
+    step.sticks = std::min(step.sticks, own.sticks);
+  }
+  step.own_friction = friction_;
+  SelfContact<Model>::find_between(skins, worn_, found_);
   contacts_.clear();
-  found_.clear();
-  unusable_.clear();
-  friction_.clear();
-  memory_ = state_.contact;
-  find_at_colliders(input);
-  if (self_) {
-    self_->find(posed_skin(input), self_scratch_, found_on_self_);
-    found_.insert(found_.begin(), found_on_self_.begin(), found_on_self_.end());
-  }
-  if (found_.empty()) return;
-  contacts_.begin({*samples_, input.bones, input.weights}, found_, contact_step(), state_.pressures);
+  if (!found_.empty()) contacts_.begin({std::move(samples), first_sample_, layout_}, found_, step, pressures);
 }
 
 template <class Model>
-void Simulation<Model>::find_at_colliders(const StepInput& input) {
-  if (!input.colliders || input.colliders->empty()) return memory_.clear();
-  if (!samples_) throw std::invalid_argument("colliders: the simulation has no samples that can touch them");
-  const double size = model_->body().size, margin = distance_ + kContactMargin * size;
-  if (!place_samples(input, margin)) {
-    memory_.planes.clear();
-    memory_.active.clear();
-    for (const ColliderStep& step : *input.colliders) memory_.active.push_back(step.active);
-    return;
+NewtonLimits Simulation<Model>::begin_together() {
+  first_patch_.assign(1, layout_.dofs());
+  for (const auto& each : bodies_)
+    first_patch_.push_back(first_patch_.back() + each.body->contacts().unknowns().size());
+  all_.resize(first_patch_.back());
+  NewtonLimits until{kInfinity, kInfinity, 0, false};
+  VectorXd own;
+  for (std::size_t body = 0; body < bodies_.size(); ++body) {
+    bodies_[body].body->guess(own);
+    put(own, body, all_);
+    const NewtonLimits limits = bodies_[body].body->limits();
+    until.tolerance = std::min(until.tolerance, limits.tolerance);
+    until.step = std::min(until.step, limits.step);
+    until.iterations = std::max(until.iterations, limits.iterations);
   }
-  const bool held = input.grabs && !input.grabs->empty();  // a hand may lead the skin anywhere
-  const double near = held ? margin : distance_ + kContactNear * size;
-  finder_.find(*input.colliders, near_, near, margin, memory_, found_);
-  unusable_ = finder_.unusable();
-  for (const ColliderStep& collider : *input.colliders) friction_.push_back(collider.friction);
+  return until;
 }
 
 template <class Model>
-bool Simulation<Model>::place_samples(const StepInput& input, double margin) {
-  blended_shape(*model_, input.weights, shape_);
-  double farthest = 0;
-  for (const VectorXd* q : {&state_.q[0], &next_, &shape_})
-    farthest = std::max(farthest, samples_->farthest(input.weights, *q));
-  std::vector<int>& samples = near_.samples;
-  samples.clear();
-  extents_.clear();
-  for (int c = 0; c < int(input.colliders->size()); ++c)
-    if (const ColliderStep& step = (*input.colliders)[std::size_t(c)]; step.active)
-      extents_.push_back({extent(step), memory_.acted(c) && came(step)});
-  for (const auto& group : samples_->groups()) {
-    const double near = farthest + margin, appears = kTissue * group.thickness;
-    const Box box = samples_->region(group, state_.bones[0], near).merged(samples_->region(group, input.bones, near));
-    const auto reaches = [&](const Extent& extent) {
-      const double square = extent.known ? 0 : appears * appears;
-      return extent.box.squaredExteriorDistance(box) <= square;
-    };
-    if (std::any_of(extents_.begin(), extents_.end(), reaches))
-      samples.insert(samples.end(), group.samples.begin(), group.samples.end());
+void Simulation<Model>::solve_together() {
+  const NewtonLimits until = begin_together();
+  const auto ask = [&] {
+    for (const auto& each : bodies_) each.body->ask();
+  };
+  const auto begin_newton = [&] {
+    for (const auto& each : bodies_) each.body->begin_newton();
+  };
+  const auto next_round = [&] {
+    begin_newton();
+    bool again = contacts_.next_round();
+    for (const auto& each : bodies_) again |= each.body->contacts().next_round();
+    return again;
+  };
+  Sum sum(*this);
+  begin_newton();
+  const NewtonReport found = minimize_in_rounds(sum, newton_, all_, until, ask, next_round);
+  VectorXd own;
+  for (std::size_t body = 0; body < bodies_.size(); ++body) {
+    take(all_, body, own);
+    reports_[body] = bodies_[body].body->take(found, own);
   }
-  std::sort(samples.begin(), samples.end());
-
-  const SkinMap<Model>& map = samples_->map();
-  vertices_.clear();
-  vertex_at_.assign(std::size_t(map.size()), -1);
-  near_.begin(Eigen::Index(samples.size()));
-  for (Eigen::Index row = 0; row < near_.before.rows(); ++row) {
-    const int p = samples[std::size_t(row)];
-    PointTransform whole = PointTransform::Zero();
-    samples_->points().each_corner(p, [&](int v, double weight) {
-      int& at = vertex_at_[std::size_t(v)];
-      if (at < 0) {  // many samples share it
-        at = int(vertices_.size());
-        const PointTransform then = map.skin().transform(state_.bones[0], v),
-                             now = map.skin().transform(input.bones, v);
-        vertices_.push_back({map.posed(then, v, map.displacement(input.weights, state_.q[0], v)),
-                             map.posed(now, v, map.displacement(input.weights, next_, v)),
-                             map.posed(now, v, samples_->shape(input.weights, v)), now});
-      }
-      const PlacedVertex& vertex = vertices_[std::size_t(at)];
-      near_.before.row(row) += weight * vertex.before;
-      near_.predicted.row(row) += weight * vertex.predicted;
-      near_.unmoved.row(row) += weight * vertex.unmoved;
-      whole += weight * vertex.transform;
-    });
-    near_.normal.row(row) = samples_->normal(whole, p);
-    near_.thickness(row) = samples_->thickness()(p);
-  }
-  return !samples.empty();
 }
 
 template <class Model>
-void Simulation<Model>::report_contacts(const StepInput& input, StepReport& report) {
-  if (found_.empty() && (!input.colliders || input.colliders->empty())) return;
-  report.contacts = contacts_.count();
-  if (report.converged) report.penetration = contacts_.penetration();
+void Simulation<Model>::remember_pressures() {
+  std::vector<Pressure> all;
+  contacts_.pressures(all);
+  std::vector<std::vector<Pressure>> of_bodies(bodies_.size());
+  for (const Pressure& last : all) {
+    const auto [body, sample] = find_owner(first_sample_, last.sample);
+    of_bodies[body].push_back({sample, kOtherSkin, last.normal, last.force, last.slip});
+  }
+  for (std::size_t body = 0; body < bodies_.size(); ++body) bodies_[body].body->remember(of_bodies[body]);
+}
+
+template <class Model>
+void Simulation<Model>::report_contacts() {
+  contacts_.each_push([&](const Contact& contact, const Vector3d& force) {
+    const std::size_t body = find_owner(first_sample_, contact.sample).first;
+    const std::size_t other = find_owner(first_sample_, contact.others.samples[0]).first;
+    reports_[body].body_force += force;
+    reports_[other].body_force -= force;
+    ++reports_[body].contacts;
+  });
   for (const Contact& contact : found_) {
+    const auto [body, sample] = find_owner(first_sample_, contact.sample);
+    StepReport& report = reports_[body];
     if (!(contact.too_deep > report.too_deep)) continue;
     report.too_deep = contact.too_deep;
-    report.too_deep_sample = contact.sample;
-    report.too_deep_collider = contact.collider;
+    report.too_deep_sample = sample;
+    report.too_deep_collider = kSkin - 1 - int(find_owner(first_sample_, contact.others.samples[0]).first);
   }
-  report.contact_forces.assign(input.colliders ? input.colliders->size() : 0, Vector3d::Zero());
-  contacts_.forces(report.contact_forces);
-  report.unusable_colliders = unusable_;
-}
-
-template <class Model>
-StepReport Simulation<Model>::solve_static(const StepInput& input, VectorXd& q) {
-  const VectorXd& weights = input.weights;
-  check_weights(model_->targets(), model_->body().sets(), weights);
-  pose(input.bones, weights);
-  if (q.size() != model_->dofs()) {
-    // The blended targets are close to the answer, and often they are the answer.
-    blended_shape(*model_, weights, q);
-  }
-  if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
-  const InertialTarget gravity = at_rest(q, input.bones, options_.gravity);
-  load(gravity, 1, input.external);
-  if (limit_) {
-    limit_->drive_long(-quadratic_.g, weights, answers_, driven_);
-    hold_back(gravity, 1, input);
-  }
-  grabs_.begin(skin_.get(), input);
-  pulls_.begin(limit_.get(), weights, q, 0);
-  contacts_.clear();
-  forget();
-  values(quadratic_.H).setZero();
-  quadratic_.origin = VectorXd::Zero(model_->dofs());
-  quadratic_.round_off_of_g = 1e-15 * quadratic_.g.norm();
-  return minimize(q, kStaticIterations);
-}
-
-template <class Model>
-StepReport Simulation<Model>::start(const Transforms& now, const Transforms& next, const VectorXd& weights,
-                                    const std::vector<ColliderStep>* colliders) {
-  if (next.rows() != now.rows() || !next.allFinite())
-    throw std::invalid_argument("next: expected " + std::to_string(now.rows()) + " finite transforms, got " +
-                                std::to_string(next.rows()));
-  VectorXd q;
-  StepReport report = solve_static({now, weights}, q);
-  dents_.setZero();
-  weights_ = weights;
-  state_.driven = driven_;
-  state_.q.fill(q);
-  for (int k = 0; k < InertialTarget::kMoments; ++k) state_.bones[k] = extrapolate_back(now, next, k);
-  state_.contact.clear();
-  state_.pressures.clear();
-  lie_down({now, weights, nullptr, nullptr, colliders}, report);
-  return report;
-}
-
-// Each static solution has the planes that are found where the last one ended. Friction has no pressure yet, so it does
-// not act.
-template <class Model>
-void Simulation<Model>::lie_down(const StepInput& input, StepReport& report) {
-  const double negligible = options_.tolerance * model_->body().size * model_->meter();
-  for (int round = 0; round < kLieDown; ++round) {
-    next_ = state_.q[0];
-    find_contacts(input);
-    if (contacts_.empty()) break;
-    const int iterations = report.iterations;
-    report = minimize(next_, options_.max_iterations);
-    report.iterations += iterations;
-    const bool lies = (next_ - state_.q[0]).norm() <= negligible;
-    state_.q.fill(next_);
-    state_.contact = memory_;
-    if (lies) break;
-  }
-  report_contacts(input, report);
-  contacts_.dents(dents_);
-  contacts_.pressures(state_.pressures);
-}
-
-template <class Model>
-void Simulation<Model>::set_state(const State& state) {
-  for (const VectorXd& q : state.q) {
-    if (q.size() != model_->dofs()) throw std::invalid_argument("state: it belongs to another model");
-    if (!q.allFinite()) throw Error("The state has a coordinate that is not a finite number");
-  }
-  for (const Transforms& bones : state.bones) {
-    if (bones.rows() != model_->body().skin.cols()) throw std::invalid_argument("state: it belongs to another model");
-    if (!bones.allFinite()) throw Error("The state has a bone transform that is not a finite number");
-  }
-  const Eigen::Index limited = limit_ ? limit_->bones() : 0;
-  if (limit_) check_driven(state.driven, limited, model_->dofs());
-  if (samples_) check_contacts(state, samples_->size());
-  state_ = state;
-  dents_.setZero();
-  if (!samples_) {
-    state_.contact.clear();
-    state_.pressures.clear();
-  }
-  if (!limit_ || state_.driven.mean.size() == 0) state_.driven = not_driven(limited, model_->dofs());
-}
-
-template <class Model>
-double Simulation<Model>::farthest(const Transforms& bones) const {
-  return bones.rightCols<1>().cwiseAbs().maxCoeff() + bones.col(3).cwiseAbs().maxCoeff() +
-         bones.col(7).cwiseAbs().maxCoeff() + model_->body().center.norm() + model_->body().size;
-}
-
-template <class Model>
-StepReport Simulation<Model>::step(const StepInput& input) {
-  begin_step(input);
-  try {
-    StepReport report = solve_step();
-    end_step(input, report);
-    return report;
-  } catch (...) {
-    give_up();
-    throw;
-  }
-}
-
-template <class Model>
-void Simulation<Model>::begin_step(const StepInput& input) {
-  if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
-  check_weights(model_->targets(), model_->body().sets(), input.weights);
-  pose(input.bones, input.weights);
-  teleported_ = jumps(model_->body(), options_.teleport, input.bones, state_.bones);
-  if (teleported_) {
-    before_ = state_;
-    carry_past(model_->body(), input.bones, state_.bones);
-    state_.contact.clear();
-    state_.pressures.clear();
-  }
-  try {
-    prepare(input);
-  } catch (...) {
-    give_up();
-    throw;
-  }
-}
-
-template <class Model>
-StepReport Simulation<Model>::solve_step() {
-  StepReport report = minimize(next_, options_.max_iterations);
-  if (!contacts_.next_round()) return report;
-  const int iterations = report.iterations;  // friction with the pressures that the first round found
-  report = minimize(next_, options_.max_iterations);
-  report.iterations += iterations;
-  return report;
-}
-
-template <class Model>
-void Simulation<Model>::give_up() {
-  if (teleported_) state_ = before_;
-  teleported_ = false;
-}
-
-template <class Model>
-void Simulation<Model>::prepare(const StepInput& input) {
-  const Transforms& bones = input.bones;
-  const StepRule rule(options_);
-  const double h = options_.h;
-  next_ = 2 * state_.q[0] - state_.q[1];
-  InertialTarget inertial;
-  inertial.bones[0] = &bones;
-  for (int m = 0; m < InertialTarget::kMoments; ++m) {
-    inertial.q[m] = &state_.q[m];
-    inertial.bones[m + 1] = &state_.bones[m];
-  }
-  inertial.coefficients = rule.coefficients();
-  inertial.gravity_offset = rule.square * options_.gravity;
-  if (limit_) {
-    drive(inertial, input);
-    hold_back(inertial, rule.square, input);
-  } else {
-    load(inertial, rule.square, input.external);
-  }
-  grabs_.begin(skin_.get(), input);
-  pulls_.begin(limit_.get(), input.weights, next_, kWatched);
-  find_contacts(input);
-
-  // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h and a constant, symmetric, positive C.
-  values(damped_) = values(inertia_.damped) + values(blend_.damping);
-  values(quadratic_.H) = values(inertia_.mass) / rule.square + (rule.velocity[0] / h) * values(damped_);
-  velocity_ = (rule.velocity[0] * next_ + rule.velocity[1] * state_.q[0] + rule.velocity[2] * state_.q[1]) / h;
-  multiply(damped_, velocity_, resistance_);
-  quadratic_.g += resistance_;
-  quadratic_.origin = next_;
-  // Far from the world's origin, posed positions lose digits, and inertia multiplies the loss.
-  quadratic_.round_off_of_g =
-      1e-14 / rule.square * farthest(bones) *
-      std::sqrt(model_->body().volume * blend_.mass.density.maxCoeff() * values(inertia_.mass).cwiseAbs().maxCoeff());
-}
-
-template <class Model>
-void Simulation<Model>::end_step(const StepInput& input, StepReport& report) {
-  report.teleported = teleported_;
-  report_contacts(input, report);
-  contacts_.dents(dents_);
-  std::rotate(state_.q.rbegin(), state_.q.rbegin() + 1, state_.q.rend());
-  std::rotate(state_.bones.rbegin(), state_.bones.rbegin() + 1, state_.bones.rend());
-  state_.q[0] = next_;
-  state_.bones[0] = input.bones;
-  state_.driven = driven_;
-  state_.contact = memory_;
-  contacts_.pressures(state_.pressures);
-  weights_ = input.weights;
-}
-
-template <class Model>
-void Simulation<Model>::require_pose() const {
-  if (state_.q[0].size() == 0 || weights_.size() == 0)
-    throw std::invalid_argument("energy: start() comes first, or after setting a state a step");
-}
-
-template <class Model>
-typename Simulation<Model>::Sum Simulation<Model>::sum() {
-  elastic_.begin(*model_, blend_, quadratic_.origin.norm(), options_.tolerance);
-  return Sum(quadratic_, elastic_, grabs_, pulls_, contacts_);
-}
-
-template <class Model>
-StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
-  Sum potential = sum();
-  const auto ask = [&] {
-    if (options_.keep_going && !options_.keep_going()) throw Cancelled();
-  };
-  const double negligible = options_.tolerance * model_->body().size * model_->meter();
-  const VectorXd& patches = contacts_.unknowns();
-  unknowns_.resize(q.size() + patches.size());
-  unknowns_ << q, patches;
-  const NewtonReport found = dynamorph::minimize(
-      potential, newton_, unknowns_, {options_.tolerance, negligible, max_iterations, contacts_.empty()}, ask);
-  q = unknowns_.head(q.size());
-  return report(found);
-}
-
-template <class Model>
-StepReport Simulation<Model>::report(const NewtonReport& found) {
-  if (found.broken)
-    throw Error("A step failed because a force is not finite. Check the rig and the materials at this frame.");
-  StepReport report;
-  report.iterations = found.iterations;
-  report.converged = found.converged;
-  report.residual = found.residual;
-  report.energy = elastic_.value();
-  report.farthest = pulls_.farthest();
-  report.pulled = pulls_.value() > 0;
-  if (limit_) report.excess = driven_.excess[0].maxCoeff(&report.excess_bone);
-  if (found.unseen) {  // the last step is short: its third power does not count
-    multiply(elastic_.hessian(), newton_.direction, resistance_);
-    report.energy += newton_.direction.dot(elastic_.gradient() + 0.5 * resistance_);
-  }
-  return report;
-}
-
-template <class Model>
-double Simulation<Model>::elastic_energy() const {
-  require_pose();
-  typename Model::Blend blend;  // blend_ may be of another pose
-  model_->blend(weights_, blend);
-  return model_->energy(blend, state_.q[0]);
-}
-
-template <class Model>
-double Simulation<Model>::kinetic_energy() const {
-  require_pose();
-  const SoftBody& body = model_->body();
-  VectorXd velocity = VectorXd::Zero(body.rest.size()), u, x;
-  const std::array<double, 3> past = StepRule(options_).velocity;
-  for (int m = 0; m < 3; ++m) {
-    SkinFrame frame{state_.bones[m], {}};
-    pose_nodes(body.skin, frame);
-    model_->displacement(state_.q[m], u);
-    to_world(frame, 1, body.rest + u, x);
-    velocity += past[m] / options_.h * x;
-  }
-  SetDensities densities;
-  densities.blend(model_->targets(), body.sets(), weights_);
-  const VectorXd mass = body.volumes * densities.density;
-  double energy = 0;
-  for (Eigen::Index i = 0; i < mass.size(); ++i) energy += 0.5 * mass(i) * velocity.segment<3>(3 * i).squaredNorm();
-  return energy;
 }
 
 template class Simulation<FullModel>;

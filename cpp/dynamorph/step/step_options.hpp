@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// How a soft skin is stepped through time, and the numbers of each integrator (simulation.hpp has their formulas).
+// How a soft skin is stepped through time, and the numbers of each integrator (moving_body.hpp has their formulas).
 #pragma once
 
 #include <array>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The terms of a step's potential, as newton.hpp needs them, but for that of contact (contact_term.hpp). To add one,
-// add a struct here and its name to `Sum` of Simulation.
+// The terms of a step's potential, as newton.hpp needs them, but for that of contact (contact_term.hpp). `begin` says
+// what a term is in a step. To add one, add a struct here, and its name to `Sum` of MovingBody.
 #pragma once
 
 #include <algorithm>
@@ -22,15 +22,16 @@ struct QuadraticTerm {
   VectorXd g, origin;
   double round_off_of_g = 0;
 
-  void at(const VectorXd& x) {
+  double value(const VectorXd& x) {
     d_ = x.head(origin.size()) - origin;
     multiply(H, d_, Hd_);
-    gradient_ = Hd_ + g;
+    return 0.5 * d_.dot(Hd_) + d_.dot(g);
   }
-  double value() const { return 0.5 * d_.dot(Hd_) + d_.dot(g); }
-  const VectorXd& gradient() const { return gradient_; }
-  const Matrix& hessian() const { return H; }
-  RoundOff round_off() const { return {Hd_.norm() + g.norm(), round_off_of_g, 0}; }
+  Term<Matrix> linearize(const VectorXd& x) {
+    const double energy = value(x);
+    gradient_ = Hd_ + g;
+    return {energy, gradient_, H, {Hd_.norm() + g.norm(), round_off_of_g, 0}};
+  }
 
  private:
   VectorXd d_, Hd_, gradient_;
@@ -50,48 +51,30 @@ struct ElasticTerm {
     workspace_.begin(tolerance);
   }
 
-  void at(const VectorXd& x) {
+  double value(const VectorXd& x) {
     q_ = x.head(model_->dofs());
-    known_ = Known::nothing;
+    return model_->energy(*blend_, q_, workspace_);
   }
-  double value() {
-    if (known_ == Known::nothing) {
-      energy_ = model_->energy(*blend_, q_, workspace_);
-      known_ = Known::energy;
-    }
-    return energy_;
-  }
-  const VectorXd& gradient() {
-    linearize();
-    return force_;
-  }
-  const Matrix& hessian() {
-    linearize();
-    return stiffness_;
-  }
-  RoundOff round_off() {
+  Term<Matrix> linearize(const VectorXd& x) {
+    q_ = x.head(model_->dofs());
+    energy_ = model_->linearize(*blend_, q_, workspace_, force_, stiffness_);
     const double length = q_.norm() + reference_ + 0.1 * model_->body().size * model_->meter();
-    const double largest = values(hessian()).cwiseAbs().maxCoeff();  // terms of that size cancel in the force
-    return {force_.norm(), 1e-14 * largest * length, length};
+    const double largest = values(stiffness_).cwiseAbs().maxCoeff();  // terms of that size cancel in the force
+    return {energy_, force_, stiffness_, {force_.norm(), 1e-14 * largest * length, length}};
+  }
+  /// E where it was linearized last, or after a short step from there: its third power does not count.
+  double energy() const { return energy_; }
+  double energy_after(const VectorXd& step) {
+    multiply(stiffness_, step, q_);
+    return energy_ + step.dot(force_ + 0.5 * q_);
   }
 
  private:
-  /// Force and stiffness share nearly all of their arithmetic, the energy little of it.
-  void linearize() {
-    if (known_ == Known::all) return;
-    energy_ = model_->linearize(*blend_, q_, workspace_, force_, stiffness_);
-    known_ = Known::all;
-  }
-
-  enum class Known { nothing, energy, all };
   const Model* model_ = nullptr;
   const typename Model::Blend* blend_ = nullptr;
-  double reference_ = 0;
+  double reference_ = 0, energy_ = 0;
   typename Model::Workspace workspace_;
-  VectorXd q_;
-  Known known_ = Known::nothing;
-  double energy_ = 0;
-  VectorXd force_;
+  VectorXd q_, force_;
   Matrix stiffness_;
 };
 
@@ -101,17 +84,18 @@ template <class Model>
 struct GrabTerm {
   using Points = PointStiffness<typename Model::Matrix>;
 
-  /// skin: of the grabbed points; null for none. Throws std::invalid_argument for a grab that it does not have.
-  void begin(const SkinMap<Model>* skin, const StepInput& input) {
-    const size_t count = input.grabs ? input.grabs->size() : 0;
+  /// Throws std::invalid_argument for grabs of another model's skin, or of points that it does not have.
+  void begin(const Model& model, const StepInput<Model>& input) {
+    const std::size_t count = input.grabs ? input.grabs->springs.size() : 0;
     points_.stiffness.resize(3 * Eigen::Index(count));
     if (count == 0) return;
-    if (!skin) throw std::invalid_argument("grabs: the simulation has no skin to grab");
+    const SkinMap<Model>* skin = input.grabs->skin.get();
+    if (!skin || &skin->model() != &model) throw std::invalid_argument("grabs: the skin belongs to another model");
     from_goal_.resize(points_.stiffness.size());
     numbers_.clear();
     magnitude_ = 0;
-    for (size_t k = 0; k < count; ++k) {
-      const Grab& grab = (*input.grabs)[k];
+    for (std::size_t k = 0; k < count; ++k) {
+      const Grab& grab = input.grabs->springs[k];
       if (grab.point < 0 || grab.point >= skin->size())
         throw std::invalid_argument("grabs: expected points from 0 to " + std::to_string(skin->size() - 1) + ", got " +
                                     std::to_string(grab.point));
@@ -129,28 +113,26 @@ struct GrabTerm {
     skin->rows(input.bones, numbers_, scratch_, points_.rows);
   }
 
-  void at(const VectorXd& x) {
-    gradient_.setZero(x.size());
-    length_ = x.norm();
-    if (points_.stiffness.size() == 0) return;
+  double value(const VectorXd& x) {
+    if (points_.stiffness.size() == 0) return 0;
     multiply(points_.rows, x, offset_);
     offset_ += from_goal_;
     force_ = points_.stiffness.cwiseProduct(offset_);
-    add_transposed_product(points_.rows, force_, gradient_);
+    return 0.5 * offset_.dot(force_);
   }
-  double value() const { return points_.stiffness.size() == 0 ? 0 : 0.5 * offset_.dot(force_); }
-  const VectorXd& gradient() const { return gradient_; }
-  const Points& hessian() const { return points_; }
-  RoundOff round_off() const {
-    if (points_.stiffness.size() == 0) return {};
-    return {gradient_.norm(), 1e-15 * magnitude_, length_};
+  Term<Points> linearize(const VectorXd& x) {
+    gradient_.setZero(x.size());
+    if (points_.stiffness.size() == 0) return {0, gradient_, points_, {}};
+    const double energy = value(x);
+    add_transposed_product(points_.rows, force_, gradient_);
+    return {energy, gradient_, points_, {gradient_.norm(), 1e-15 * magnitude_, x.norm()}};
   }
 
  private:
   Points points_;
   PointRows numbers_, scratch_;
   VectorXd from_goal_, offset_, force_, gradient_;  ///< from the goals at q = 0 and at q, meters; stiffness times that
-  double magnitude_ = 0, length_ = 0;               ///< of the forces that cancel in `force_`
+  double magnitude_ = 0;                            ///< of the forces that cancel in `force_`
 };
 
 /// sum_p k_p ramp(|x_p(q)|) over the pulls p of a motion limit, whose numbers x are linear in q and zero in the
@@ -184,55 +166,55 @@ struct PullTerm {
   /// Distance of the point that is farthest at the predicted coordinates, relative to its limit.
   double farthest() const { return farthest_; }
 
-  void at(const VectorXd& x) {
-    gradient_.setZero(x.size());
-    value_ = force_norms_ = 0;
-    if (watched_.empty()) return;
-    from_shape_ = x.head(shape_.size()) - shape_;
-    multiply(rows_, from_shape_, values_);
-    forces_.resize(values_.size());
-    for (const Pull& pull : watched_) {
-      const auto x = values_.segment(pull.first, pull.count);
-      const Ramp at = ramp(x.norm(), pull.limit);
-      value_ += pull.stiffness * at.energy;
-      forces_.segment(pull.first, pull.count) = pull.stiffness * at.across * x;
-      force_norms_ += pull.stiffness * at.across * x.norm();
-    }
-    add_transposed_product(rows_, forces_, gradient_);
+  double value(const VectorXd& x) {
+    return evaluate(x, [](const auto&...) {});
   }
-  double value() const { return value_; }
-  const VectorXd& gradient() const { return gradient_; }
 
-  /// Along the pull, and of a point across it, for all that is pulled.
-  const Points& hessian() {
+  /// Its Hessian is along the pull, and of a point across it, of all that is pulled.
+  Term<Points> linearize(const VectorXd& x) {
     stiff_numbers_.clear();
     stiffness_.clear();
-    for (const Pull& pull : watched_) {
-      const auto x = values_.segment(pull.first, pull.count);
-      const Ramp at = ramp(x.norm(), pull.limit);
-      if (at.along == 0) continue;
+    forces_.setZero(numbers_.size());
+    double force_norms = 0;
+    const double energy = evaluate(x, [&](const Pull& pull, const auto& offset, const Ramp& at) {
+      forces_.segment(pull.first, pull.count) = pull.stiffness * at.across * offset;
+      force_norms += pull.stiffness * at.across * offset.norm();
       stiffness_.push_back(pull.stiffness * at.along);
-      if (pull.count == 1) {
-        copy(numbers_, pull.first, stiff_numbers_);
-        continue;
-      }
-      const Vector3d along = x.normalized(), across = along.unitOrthogonal();
+      if (pull.count == 1) return copy(numbers_, pull.first, stiff_numbers_);
+      const Vector3d along = offset.normalized(), across = along.unitOrthogonal();
       for (const Vector3d& direction : {along, across, Vector3d(along.cross(across))}) {
         stiff_numbers_.add_row();
         stiff_numbers_.add(numbers_.point(numbers_.first(pull.first)), direction);
       }
       stiffness_.insert(stiffness_.end(), 2, pull.stiffness * at.across);
-    }
+    });
+    gradient_.setZero(x.size());
     points_.stiffness = Eigen::Map<const VectorXd>(stiffness_.data(), Eigen::Index(stiffness_.size()));
-    if (!stiffness_.empty()) limit_->pull_points().rows(stiff_numbers_, points_.rows);
-    return points_;
+    if (!acts()) return {energy, gradient_, points_, {}};
+    add_transposed_product(rows_, forces_, gradient_);
+    limit_->pull_points().rows(stiff_numbers_, points_.rows);
+    return {energy, gradient_, points_, {gradient_.norm(), 1e-15 * force_norms, from_shape_.norm() + shape_.norm()}};
   }
-  RoundOff round_off() const {
-    if (force_norms_ == 0) return {};
-    return {gradient_.norm(), 1e-15 * force_norms_, from_shape_.norm() + shape_.norm()};
-  }
+  /// Whether anything was pulled where it was linearized last.
+  bool acts() const { return points_.stiffness.size() > 0; }
 
  private:
+  /// The energy; calls f(pull, its numbers, ramp) for all that is pulled.
+  template <class F>
+  double evaluate(const VectorXd& x, F&& f) {
+    if (watched_.empty()) return 0;
+    from_shape_ = x.head(shape_.size()) - shape_;
+    multiply(rows_, from_shape_, values_);
+    double energy = 0;
+    for (const Pull& pull : watched_) {
+      const auto offset = values_.segment(pull.first, pull.count);
+      const Ramp at = ramp(offset.norm(), pull.limit);
+      energy += pull.stiffness * at.energy;
+      if (at.along > 0) f(pull, offset, at);
+    }
+    return energy;
+  }
+
   static void copy(const PointRows& from, int row, PointRows& to) {
     to.add_row();
     for (int k = from.first(row); k < from.first(row + 1); ++k) to.add(from.point(k), from.direction(k));
@@ -246,7 +228,7 @@ struct PullTerm {
   Points points_;
   std::vector<double> stiffness_;
   VectorXd shape_, from_shape_, values_, forces_, gradient_;
-  double value_ = 0, force_norms_ = 0, farthest_ = 0;
+  double farthest_ = 0;
 };
 
 }  // namespace dynamorph

@@ -70,7 +70,7 @@ def test_exchange_goes_on_with_other_materials(shot):
     sets = shot.outcome.character.target_sets[0]
     soft = tuple(replace(t, material=replace(t.material, stiffness=2e3)) for t in sets.targets)
     other = player.exchange(replace(shot.outcome.character, authored_sets=(replace(sets, targets=soft),)))
-    assert np.array_equal(other.state[0][0], before[-1])
+    assert np.array_equal(other.state.coordinates[0], before[-1])
     unchanged, softer = played(same, shot, range(11, 21)), played(other, shot, range(11, 21))
     assert np.allclose(unchanged, shot.outcome.bake.coordinates[10:], rtol=0, atol=1e-9 * np.abs(unchanged).max())
     assert np.abs(softer - unchanged).max() > 0.1 * np.abs(unchanged).max()

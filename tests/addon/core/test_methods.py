@@ -113,8 +113,7 @@ def test_shape_follows_the_pose_and_stiffness_only_if_dynamic(arm, method, solve
     """The same push in both target poses: only a pose-dependent shape responds alike, apart from its rotation."""
     job = run(arm, method=method, solver=solver)
     engine = job.outcome.model.engine(job.outcome.character)
-    stepper = dynamorph.FullSimulation if solver == "FULL" else dynamorph.ReducedSimulation
-    simulation = stepper(engine, 0.01)
+    simulation = dynamorph.Simulation(engine, 0.01)
     still = np.repeat(np.eye(3, 4)[None], job.outcome.model.node_weights.shape[1], axis=0)
     push = np.zeros_like(job.outcome.model.nodes)
     push[job.outcome.model.nodes[:, 2] > 1.5, 0] = 1.0
@@ -146,15 +145,15 @@ def test_regions_have_weights_of_their_own(two_regions):
 def test_targets_are_met_in_both_regions_at_once(two_regions, solver):
     job = run(two_regions, solver=solver)
     engine = job.outcome.model.engine(job.outcome.character)
-    stepper = dynamorph.FullSimulation if solver == "FULL" else dynamorph.ReducedSimulation
     still = np.repeat(np.eye(3, 4)[None], job.outcome.model.node_weights.shape[1], axis=0)
     weights = np.array([0.0, 1.0, 0.0, 1.0])
-    rest, report = stepper(engine, 0.01).solve_static(still, weights, guess=np.zeros_like(engine.target(0)))
+    guess = np.zeros_like(engine.target(0))
+    rest, report = dynamorph.Simulation(engine, 0.01).solve_static(still, weights, guess=guess)
     shape = job.outcome.model.surface(engine.displacement(rest)) + np.tensordot(
         weights, job.outcome.model.residual_shapes, 1
     )
     sculpted = np.tensordot(weights, [target.shape for target in job.outcome.character.targets], 1)
-    assert report["converged"]
+    assert report.converged
     assert np.abs(shape - sculpted).max() < 1e-5 * np.abs(sculpted).max()
 
 

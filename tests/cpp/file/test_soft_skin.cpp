@@ -87,11 +87,12 @@ TEST_CASE("a soft skin from a file steps as the one that was stored") {
   const file::SoftSkin skin = file::load_soft_skin(scene.content(), scene.targets);
   CHECK(skin.bone_names == std::vector<std::string>{"root"});
   const auto stored = std::make_shared<ReducedModel>(scene.model);
-  Simulation<ReducedModel> first(stored, {}), second(skin.model, {});
+  MovingBody<ReducedModel> first(stored, {}), second(skin.model, {});
   const VectorXd w = Vector3d(0.2, 0.5, 0.3);
-  for (auto* simulation : {&first, &second}) {
-    simulation->start(scenes::bent(0), scenes::bent(0.02), w);
-    for (int i = 1; i < 20; ++i) simulation->step({scenes::bent(0.02 * i), w});
+  for (auto* moving : {&first, &second}) {
+    Simulation<ReducedModel> simulation(*moving);
+    moving->start(scenes::bent(0), scenes::bent(0.02), w);
+    for (int i = 1; i < 20; ++i) simulation.step({scenes::bent(0.02 * i), w});
   }
   CHECK((first.coordinates() - second.coordinates()).norm() <= 1e-9 * first.coordinates().norm());
 
@@ -128,11 +129,12 @@ TEST_CASE("responses from a file move as those that were stored") {
   content.arrays.emplace_back("relaxation", stored(relaxation, {J, 12, 8}));
 
   const auto motion = [](const auto& model) {
-    Simulation<ReducedModel> simulation(model, {});
+    MovingBody<ReducedModel> moving(model, {});
+    Simulation<ReducedModel> simulation(moving);
     const VectorXd w = Vector3d(0.2, 0.5, 0.3);
-    simulation.start(scenes::bent(0), scenes::bent(0.02), w);
+    moving.start(scenes::bent(0), scenes::bent(0.02), w);
     for (int i = 1; i < 20; ++i) simulation.step({scenes::bent(0.02 * i), w});
-    return simulation.coordinates();
+    return moving.coordinates();
   };
   const VectorXd expected = motion(other.model);
   CHECK(expected.size() == 20);

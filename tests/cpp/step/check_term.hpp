@@ -29,11 +29,8 @@ template <class Term>
 struct Around {
   Term& term;
   VectorXd center;
-  void at(const VectorXd& q) { term.at(center + q); }
-  double value() { return term.value(); }
-  const VectorXd& gradient() { return term.gradient(); }
-  decltype(auto) hessian() { return term.hessian(); }
-  RoundOff round_off() { return term.round_off(); }
+  double value(const VectorXd& q) { return term.value(center + q); }
+  auto linearize(const VectorXd& q) { return term.linearize(center + q); }
 };
 
 /// Checks a term (newton.hpp) at scales * x for some x of size `step`, with differences of that size: its gradient and
@@ -42,27 +39,26 @@ struct Around {
 template <class Matrix, class Term>
 void check_term(Term& term, const VectorXd& scales, double step) {
   const VectorXd x = random_vector(scales.size(), 3 * step, 21);
-  term.at(scales.cwiseProduct(x));
-  const double alone = term.value();
-  CHECK(term.gradient().size() == x.size());
-  CHECK(term.value() == alone);
-  const RoundOff round_off = term.round_off();
+  const double alone = term.value(scales.cwiseProduct(x));
+  const auto whole = term.linearize(scales.cwiseProduct(x));
+  CHECK(whole.gradient.size() == x.size());
+  CHECK(whole.value == alone);
+  const RoundOff round_off = whole.round_off;
   CHECK(round_off.gradient >= 0);
   CHECK(round_off.gradient <= 1e-6 * round_off.forces);
   check_derivatives(
       [&](const VectorXd& x, VectorXd& f, VectorXd& Kd, const VectorXd& d) {
-        term.at(scales.cwiseProduct(x));
-        const double e = term.value();
-        f = scales.cwiseProduct(term.gradient());
+        const auto at = term.linearize(scales.cwiseProduct(x));
+        f = scales.cwiseProduct(at.gradient);
         const VectorXd moved = scales.cwiseProduct(d);
-        if constexpr (std::is_same_v<decltype(term.hessian()), const PointStiffness<Matrix>&>) {
+        if constexpr (std::is_same_v<decltype(at.hessian), const PointStiffness<Matrix>&>) {
           Kd.setZero(x.size());
-          add_points(term.hessian(), moved, Kd);
+          add_points(at.hessian, moved, Kd);
         } else {
-          multiply(term.hessian(), moved, Kd);
+          multiply(at.hessian, moved, Kd);
         }
         Kd = scales.cwiseProduct(Kd);
-        return e;
+        return at.value;
       },
       x, step);
 }

@@ -17,9 +17,9 @@ const VectorXd kBetween = Vector3d(0.2, 0.5, 0.3);
 /// The term as it is when Newton's method begins: then its Hessian is the second derivative of its energy.
 template <class Model>
 struct AtFirst : ContactTerm<Model> {
-  const typename ContactTerm<Model>::Points& hessian() {
+  auto linearize(const VectorXd& x) {
     this->begin_newton();
-    return ContactTerm<Model>::hessian();
+    return ContactTerm<Model>::linearize(x);
   }
 };
 
@@ -83,7 +83,7 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
   check_term<typename Model::Matrix>(around, scales, 1e-5);
 
   // What presses is pushed with its stiffness, and pushes the colliders as much as the body.
-  term.at(center);
+  term.linearize(center);
   std::vector<Pressure> now_pressed;
   term.pressures(now_pressed);
   std::vector<Vector3d> forces(2, Vector3d::Zero());
@@ -104,7 +104,7 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
     const auto on_skin = [](const Contact& contact) { return contact.collider == kSkin; };
     contacts.erase(std::partition(contacts.begin(), contacts.end(), on_skin), contacts.end());
     term.begin(posed, contacts, step, pressures);
-    term.at(shape);
+    term.linearize(shape);
     VectorXd dents(local->size());
     term.dents(dents);
     CHECK(dents.isZero(0));
@@ -114,10 +114,10 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
   term.begin(posed, contacts, step, pressures);
   CHECK(term.empty());
   CHECK_FALSE(term.next_round());
-  term.at(shape);
-  CHECK(term.value() == 0);
-  CHECK(term.gradient().isZero(0));
-  CHECK(term.hessian().stiffness.size() == 0);
+  CHECK(term.value(shape) == 0);
+  const auto nothing = term.linearize(shape);
+  CHECK(nothing.gradient.isZero(0));
+  CHECK(nothing.hessian.stiffness.size() == 0);
 }
 
 }  // namespace

@@ -47,18 +47,19 @@ struct Hash {
 /// coordinates of all steps.
 template <class Model>
 MatrixXd motion(std::shared_ptr<const Model> model, Hash& hash) {
-  Simulation<Model> simulation(model, {1 / 120., Integrator::bdf2, Vector3d(0, 0, -1)});
+  MovingBody<Model> moving(model, {1 / 120., Integrator::bdf2, Vector3d(0, 0, -1)});
+  Simulation<Model> simulation(moving);
   VectorXd weights(3), u;
   weights << 1, 0, 0;
   MatrixXd tip(3, 4);
-  simulation.start(scenes::bent(0), scenes::bent(0), weights);
+  moving.start(scenes::bent(0), scenes::bent(0), weights);
   for (int i = 1; i <= 40; ++i) {
     const double bend = std::min(i / 20., 1.);
     weights << 1 - bend, 0.75 * bend, 0.25 * bend;
     CHECK(simulation.step({scenes::bent(0.3 * bend), weights}).converged);
-    hash.add(simulation.coordinates());
+    hash.add(moving.coordinates());
     if (i % 10) continue;
-    model->displacement(simulation.coordinates(), u);
+    model->displacement(moving.coordinates(), u);
     tip.col(i / 10 - 1) = 1e3 * u.tail<3>();
   }
   return tip;

@@ -46,14 +46,15 @@ TEST_CASE("a step of a reduced model allocates nothing, whatever the law, the po
       const auto model = scenes::reduced_model(body, targets, material_model, blending, 12);
       StepOptions options{1 / 240., Integrator::bdf2, Vector3d(0, 0, -9.81)};
       options.teleport = 10;
-      Simulation<ReducedModel> simulation(model, options);
+      MovingBody<ReducedModel> moving(model, options);
+      Simulation<ReducedModel> simulation(moving);
       VectorXd w(3);
       w << 1, 0, 1;
       Transforms rig = scenes::bent(0);
       const Transforms next = scenes::bent(0.01);
-      simulation.balance_targets({rig, rig, rig});
+      moving.balance_targets({rig, rig, rig});
       allocations = 0;
-      simulation.start(rig, next, w);
+      moving.start(rig, next, w);
       CHECK(allocations > 0);  // they are seen
       for (int i = 1; i <= 20; ++i) {
         w(1) = i % 5 == 0 ? 0 : 0.02 * i;  // one target alone, and a blend
@@ -71,11 +72,12 @@ TEST_CASE("a step of a model with responses allocates nothing") {
   for (MaterialModel material_model : {MaterialModel::linear, MaterialModel::stvk, MaterialModel::stable_stvk})
     for (Blending blending : {Blending::forces, Blending::even}) {
       const scenes::ResponseScene scene(body, scenes::targets(*body, 1), material_model, blending);
-      Simulation<ReducedModel> simulation(scene.model, {1 / 240., Integrator::bdf2, Vector3d(0, 0, -9.81)});
+      MovingBody<ReducedModel> moving(scene.model, {1 / 240., Integrator::bdf2, Vector3d(0, 0, -9.81)});
+      Simulation<ReducedModel> simulation(moving);
       VectorXd w(3);
       w << 1, 0, 1;
       Transforms rig = scenes::bent(0);
-      simulation.start(rig, scenes::bent(0.01), w);
+      moving.start(rig, scenes::bent(0.01), w);
       for (int i = 1; i <= 20; ++i) {
         w(1) = i % 5 == 0 ? 0 : 0.02 * i;
         w(0) = 1 - w(1);

@@ -48,6 +48,6 @@ TEST_CASE("simulations check their options") {
   const auto full = std::make_shared<FullModel>(body, targets, MaterialModel::linear, Blending::even);
   const auto reduced = scenes::reduced_model(body, targets, MaterialModel::linear, Blending::even, 8);
   const StepOptions impossible = with(&StepOptions::tolerance, 0.0);
-  CHECK_THROWS_AS(Simulation<FullModel>(full, impossible), std::invalid_argument);
-  CHECK_THROWS_AS(Simulation<ReducedModel>(reduced, impossible), std::invalid_argument);
+  CHECK_THROWS_AS(MovingBody<FullModel>(full, impossible), std::invalid_argument);
+  CHECK_THROWS_AS(MovingBody<ReducedModel>(reduced, impossible), std::invalid_argument);
 }

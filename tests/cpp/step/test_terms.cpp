@@ -37,18 +37,19 @@ void check_terms(std::shared_ptr<const Model> model) {
   quadratic.origin = kStep * scales;
   check_term<Matrix>(quadratic, scales, kStep);
 
-  const SkinMap<Model> skin(model, skin_of(model->body(), 3));
+  const auto skin = std::make_shared<const SkinMap<Model>>(model, skin_of(model->body(), 3));
   const Transforms bones = bent(0.4);
-  const std::vector<Grab> grabs{{0, Vector3d(0.4, 0.1, 0.2), 3000}, {2, Vector3d(-0.1, 0.3, 0), 500}};
+  const Grabs<Model> grabs{skin, {{0, Vector3d(0.4, 0.1, 0.2), 3000}, {2, Vector3d(-0.1, 0.3, 0), 500}}};
   GrabTerm<Model> grabbed;
-  grabbed.begin(&skin, {bones, kBetween, nullptr, &grabs});
+  grabbed.begin(*model, {bones, kBetween, nullptr, &grabs});
   check_term<Matrix>(grabbed, scales, kStep);
 
-  grabbed.begin(nullptr, {bones, kBetween});  // nothing is grabbed, and nothing acts
-  grabbed.at(scales);
-  CHECK(grabbed.value() == 0);
-  CHECK(grabbed.gradient().isZero(0));
-  CHECK(grabbed.hessian().stiffness.size() == 0);
+  grabbed.begin(*model, {bones, kBetween});  // nothing is grabbed, and nothing acts
+  CHECK(grabbed.value(scales) == 0);
+  const auto nothing = grabbed.linearize(scales);
+  CHECK(nothing.value == 0);
+  CHECK(nothing.gradient.isZero(0));
+  CHECK(nothing.hessian.stiffness.size() == 0);
 }
 
 }  // namespace
@@ -71,13 +72,12 @@ template <class Model>
 void check_rest(std::shared_ptr<const Model> model, double stiffness) {
   const auto skin = std::make_shared<const SkinMap<Model>>(model, skin_of(model->body(), 3));
   const Transforms bones = bent(0.4);
-  const std::vector<Grab> grabs{{0, Vector3d(0.45, 0.35, 0.0), stiffness}, {1, Vector3d(0.4, 0.3, 0.05), stiffness}};
+  const Grabs<Model> grabs{skin, {{0, Vector3d(0.45, 0.35, 0.0), stiffness}, {1, Vector3d(0.4, 0.3, 0.05), stiffness}}};
   StepOptions options{1 / 120., Integrator::bdf2};
   options.tolerance = 1e-10;
-  Simulation<Model> simulation(model, options);
-  simulation.set_skin(skin);
+  MovingBody<Model> moving(model, options);
   VectorXd q, x;
-  CHECK(simulation.solve_static({bones, kBetween, nullptr, &grabs}, q).converged);
+  CHECK(moving.solve_static({bones, kBetween, nullptr, &grabs}, q).converged);
   skin->positions(bones, kBetween, q, x);
 
   typename Model::Blend blend;
@@ -95,7 +95,7 @@ void check_rest(std::shared_ptr<const Model> model, double stiffness) {
     skin->positions(bones, kBetween, VectorXd::Unit(n, i), column);
     J.col(i) = (column - still).head(6);
   }
-  for (int k = 0; k < 2; ++k) goals.segment<3>(3 * k) = grabs[std::size_t(k)].goal;
+  for (int k = 0; k < 2; ++k) goals.segment<3>(3 * k) = grabs.springs[std::size_t(k)].goal;
   unmoved = still.head(6);
   const MatrixXd sum = stiff + stiffness * J.transpose() * J;
   const VectorXd expected = sum.ldlt().solve(-force - stiffness * J.transpose() * (unmoved - goals));
@@ -120,46 +120,46 @@ TEST_CASE("a point that is grabbed follows its goal through a step, and what is 
   const auto body = two_bone_bar();
   const auto model = ResponseScene(body, targets(*body), MaterialModel::stable_stvk, Blending::even).model;
   const auto skin = std::make_shared<const SkinMap<ReducedModel>>(model, skin_of(*body, 3));
-  Simulation<ReducedModel> simulation(model, {1 / 120., Integrator::bdf2});
-  simulation.set_skin(skin);
+  MovingBody<ReducedModel> moving(model, {1 / 120., Integrator::bdf2});
+  Simulation<ReducedModel> simulation(moving);
   const Transforms bones = bent(0);
   const VectorXd neutral = Vector3d(1, 0, 0);
-  simulation.start(bones, bones, neutral);
+  moving.start(bones, bones, neutral);
   VectorXd x;
-  skin->positions(bones, neutral, simulation.coordinates(), x);
+  skin->positions(bones, neutral, moving.coordinates(), x);
   const Vector3d rest = x.head<3>();
-  std::vector<Grab> grabs{{0, rest, 1e5}};
+  Grabs<ReducedModel> grabs{skin, {{0, rest, 1e5}}};
   for (int i = 1; i <= 40; ++i) {
-    grabs[0].goal = rest + Vector3d(0, 0, 0.03 * std::min(1.0, i / 20.0));
+    grabs.springs[0].goal = rest + Vector3d(0, 0, 0.03 * std::min(1.0, i / 20.0));
     CHECK(simulation.step({bones, neutral, nullptr, &grabs}).converged);
   }
-  skin->positions(bones, neutral, simulation.coordinates(), x);
-  CHECK((x.head<3>() - grabs[0].goal).norm() < 1e-3);
+  skin->positions(bones, neutral, moving.coordinates(), x);
+  CHECK((x.head<3>() - grabs.springs[0].goal).norm() < 1e-3);
   for (int i = 0; i < 4000; ++i) CHECK(simulation.step({bones, neutral}).converged);
-  skin->positions(bones, neutral, simulation.coordinates(), x);
+  skin->positions(bones, neutral, moving.coordinates(), x);
   CHECK((x.head<3>() - rest).norm() < 1e-4);
 }
 
 TEST_CASE("a grab of a point that is not there is refused before anything moves") {
   const auto body = two_bone_bar();
   const auto model = reduced_model(body, targets(*body), MaterialModel::linear, Blending::even, 8);
-  Simulation<ReducedModel> simulation(model, {1 / 120.});
+  MovingBody<ReducedModel> moving(model, {1 / 120.});
+  Simulation<ReducedModel> simulation(moving);
   const Transforms bones = bent(0);
   const VectorXd neutral = Vector3d(1, 0, 0);
-  simulation.start(bones, bones, neutral);
-  const VectorXd before = simulation.coordinates();
+  moving.start(bones, bones, neutral);
+  const VectorXd before = moving.coordinates();
+  auto skin = std::make_shared<const SkinMap<ReducedModel>>(model, skin_of(*body, 3));
   const auto refused = [&](const char* what, const Grab& grab) {
-    const std::vector<Grab> grabs{grab};
+    const Grabs<ReducedModel> grabs{skin, {grab}};
     CHECK_THROWS_WITH_AS(simulation.step({bones, neutral, nullptr, &grabs}), doctest::Contains(what),
                          std::invalid_argument);
-    CHECK(simulation.coordinates() == before);
+    CHECK(moving.coordinates() == before);
   };
-  refused("has no skin to grab", {0, Vector3d::Zero(), 1});
-  simulation.set_skin(std::make_shared<const SkinMap<ReducedModel>>(model, skin_of(*body, 3)));
   refused("expected points from 0 to 2, got 3", {3, Vector3d::Zero(), 1});
   refused("goals must be finite", {0, Vector3d(0, NAN, 0), 1});
   refused("not negative", {0, Vector3d::Zero(), -1});
   const auto other = reduced_model(body, targets(*body), MaterialModel::linear, Blending::even, 8);
-  CHECK_THROWS_WITH_AS(simulation.set_skin(std::make_shared<const SkinMap<ReducedModel>>(other, skin_of(*body, 3))),
-                       doctest::Contains("another model"), std::invalid_argument);
+  skin = std::make_shared<const SkinMap<ReducedModel>>(other, skin_of(*body, 3));
+  refused("another model", {0, Vector3d::Zero(), 1});
 }

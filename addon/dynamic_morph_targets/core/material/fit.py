@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from ..character import Character, Target, TargetSet
+from ..engine import dynamorph
 from ..errors import FitError
 from ..geometry import interpolated
 from ..model.model import Model
@@ -174,14 +175,14 @@ class _Press:
     def __call__(self, stiffness: float, forces: np.ndarray) -> np.ndarray:
         """NaN where no equilibrium is found."""
         engine = self.model.engine(_with_stiffness(self.character, self.target, stiffness))
-        simulation = self.model.stepper(engine, 1.0, tolerance=1e-9, max_iterations=100)
+        simulation = dynamorph.Simulation(engine, 1.0, tolerance=1e-9, max_iterations=100)
         answers: list[np.ndarray] = []
         found: list[np.ndarray] = []
         for k, force in enumerate([np.zeros(3), *forces]):
             guess = self.guesses[k] if self.guesses else found[-1] if found else None
             at_rest, report = simulation.solve_static(self.bones, self.weights, np.outer(self.carriers, force), guess)
             moved = self.carriers @ engine.displacement(at_rest)
-            answers.append(moved if report["converged"] else np.full(3, np.nan))
+            answers.append(moved if report.converged else np.full(3, np.nan))
             found.append(at_rest)
         if np.isfinite(answers).all():
             self.guesses = found

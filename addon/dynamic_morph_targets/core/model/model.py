@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, TypeAlias
 
@@ -37,7 +37,6 @@ def first_part(changed: Iterable[str]) -> str:
 
 
 EngineModel: TypeAlias = "dynamorph.ReducedModel | dynamorph.FullModel"
-EngineSimulation: TypeAlias = "dynamorph.ReducedSimulation | dynamorph.FullSimulation"
 
 
 @dataclass(frozen=True)
@@ -227,11 +226,6 @@ class Model:
     def modes(self) -> np.ndarray:
         """Displacement (3 free, dofs) of the free nodes by each coordinate of a reduced model."""
         return np.hstack([self.basis, self.responses]) if self.responses.size else self.basis
-
-    @property
-    def stepper(self) -> Callable[..., EngineSimulation]:
-        """The engine's simulation of such a model."""
-        return dynamorph.FullSimulation if self.settings.solver == "FULL" else dynamorph.ReducedSimulation
 
     def target_coordinates(self, engine: EngineModel) -> np.ndarray:
         """Coordinates (J, dofs) of every target's shape."""

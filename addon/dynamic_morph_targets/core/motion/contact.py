@@ -6,7 +6,7 @@ and how deep it went. Never touches bpy.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -65,12 +65,13 @@ class Collision:
         local = None
         if not full:
             local, self.dents = _local_responses(model, surface)
-        kind: Callable[..., Any] = dynamorph.FullContact if full else dynamorph.ReducedContact
         vertices, corners = np.unique(points.vertices, return_inverse=True)
-        *places, residual_shapes = carried(model, character, vertices)
-        self.skin = kind(
+        rest, embedding, weights, residual_shapes = carried(model, character, vertices)
+        self.skin = dynamorph.Contact(
             engine,
-            *places,
+            rest,
+            embedding,
+            weights,
             points.normals,
             points.least(_thickness(model, character)),
             residual_shapes,
@@ -121,7 +122,7 @@ class Collision:
 
 def carried(model: Model, character: Character, vertices: np.ndarray) -> tuple[Any, ...]:
     """How the engine's points at these vertices (V,) of the skin move: rest positions, embedding, weights of what moves
-    them, and residual shapes, as `dynamorph.FullSkin` takes them.
+    them, and residual shapes, as `dynamorph.Skin` takes them.
     """
     return (
         character.bind_points[vertices],
@@ -153,10 +154,10 @@ def _self_contact(contact: Any, model: Model, character: Character, points: Cont
     weights = carried_by[:, model.free] if character.probed else of_bones
     shared = (character.weights > SHARED).astype(np.float32)
     joints = np.argwhere(np.triu(shared.T @ shared, 1) > 0.0)
-    parts = of_bones.argmax(axis=1), points.of(character.weights).argmax(axis=1)
-    full = model.settings.solver == "FULL"
-    kind: Callable[..., Any] = dynamorph.FullSelfContact if full else dynamorph.ReducedSelfContact
-    return kind(contact, centers, radii, embedding, weights, numbers, *parts, joints)
+    of_balls, of_points = of_bones.argmax(axis=1), points.of(character.weights).argmax(axis=1)
+    return dynamorph.SelfContact(
+        contact, centers, radii, embedding, weights, list(numbers), list(of_balls), list(of_points), list(joints)
+    )
 
 
 def _balls(model: Model, character: Character, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -38,8 +37,6 @@ class Coupling:
 
     def __init__(self, players: Sequence[Player], garments: Sequence[tuple[Player, Player]] = ()):
         self.players = players
-        full = players[0].model.settings.solver == "FULL"
-        kind: Any = dynamorph.FullCoupling if full else dynamorph.ReducedCoupling
         bodies = []
         for player in players:
             assert player.collision is not None
@@ -50,7 +47,7 @@ class Coupling:
             player.collision.others = tuple(each.character.name for each in players)
             bodies.append((player.simulation, player.collision.own))
         worn = [(players.index(one), players.index(body), _to_body(one, body)) for one, body in garments]
-        self._engine = kind(bodies, max(player.settings.self_friction for player in players), worn)
+        self._engine = dynamorph.Coupling(bodies, max(player.settings.self_friction for player in players), worn)
 
     def play(self, rigs: Sequence[RigSamples], numbers: Sequence[int] | np.ndarray) -> Iterator[list[Frame]]:
         """As `Player.play`, a frame of each player at a time."""

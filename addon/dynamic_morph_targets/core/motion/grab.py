@@ -13,7 +13,7 @@ from .. import records
 from ..character import Character
 from ..engine import dynamorph
 from ..errors import RecordError
-from ..model.model import EngineModel, EngineSimulation, Model
+from ..model.model import EngineModel, Model
 from .contact import carried
 
 MOST = 8  # vertices that a hand pulls: more would only take time
@@ -79,13 +79,14 @@ def pinch(points: np.ndarray, place: np.ndarray, radius: float, moves: np.ndarra
 class Hand:
     """What pulls the skin of a simulation, frame by frame: the artist, and a track of recorded drags."""
 
-    def __init__(self, model: Model, engine: EngineModel, character: Character, simulation: EngineSimulation):
-        self._model, self._engine, self._character, self._simulation = model, engine, character, simulation
+    def __init__(self, model: Model, engine: EngineModel, character: Character):
+        self._model, self._engine, self._character = model, engine, character
         self.track: Mapping[int, Grab] = {}  # at the ends of the frames to which these lead
         self._pulled: Sequence[Grab] = ()  # by the artist
         self._last: Sequence[Grab] = ()  # the same in the last frame
         self._before = NOTHING  # all of it, at the end of the last frame
         self._grab = NOTHING  # and of this one
+        self._skin: Any = None  # its vertices
 
     def pull(self, grabs: Sequence[Grab]) -> None:
         """What the artist does, from the next frame on."""
@@ -100,8 +101,7 @@ class Hand:
             for grabs, number in ((self._last, frame - 1), (self._pulled, frame))
         )
         if not np.array_equal(grab.vertices, self._grab.vertices):
-            skin: Any = self._skin(grab.vertices) if len(grab.vertices) else None
-            self._simulation.set_skin(skin)
+            self._skin = self._skin_of(grab.vertices) if len(grab.vertices) else None
         self._before = before if np.array_equal(before.vertices, grab.vertices) else grab
         self._last, self._grab = self._pulled, grab
 
@@ -112,8 +112,7 @@ class Hand:
         parts = (np.arange(steps.start, steps.stop) % substeps + 1.0) / substeps
         way = self._grab.goals - self._before.goals
         goals = self._before.goals + parts[:, None, None] * way
-        return dynamorph.Grabs(np.arange(len(way)), goals, self._grab.stiffness)
+        return dynamorph.Grabs(self._skin, np.arange(len(way)), goals, self._grab.stiffness)
 
-    def _skin(self, vertices: np.ndarray) -> Any:
-        kind: Any = dynamorph.FullSkin if self._model.settings.solver == "FULL" else dynamorph.ReducedSkin
-        return kind(self._engine, *carried(self._model, self._character, vertices))
+    def _skin_of(self, vertices: np.ndarray) -> Any:
+        return dynamorph.Skin(self._engine, *carried(self._model, self._character, vertices))

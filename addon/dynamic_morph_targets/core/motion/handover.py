@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .player import Frame, Player, State
+from .player import Frame, Player, State, changed
 
 
 def _is_possible(before: Player, after: Player) -> bool:
@@ -34,7 +34,7 @@ def hand_over(before: Player, state: State, frame: Frame, after: Player) -> Fram
         return None
     weighted = np.repeat(after.model.soft_body().volumes.sum(axis=1), 3)[:, None] * after.model.modes
     into = np.linalg.solve(weighted.T @ after.model.modes, weighted.T @ before.model.modes)
-    coordinates, bones, _, contact = state
     after.number, after.passes = int(frame.number), before.passes
-    after.resume(before.first, ([into @ past for past in coordinates], bones, np.zeros(0), contact))
+    coordinates = [into @ past for past in state.coordinates]
+    after.resume(before.first, changed(state, coordinates=coordinates, limit=np.zeros(0)))
     return replace(frame, coordinates=after.coordinates)

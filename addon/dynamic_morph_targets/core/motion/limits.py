@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,11 +29,6 @@ def largest_distances(model: Model, character: Character, settings: SimulationSe
     return out
 
 
-def limit_class(model: Model) -> Callable[..., Any]:
-    """The engine's class of limits for such a model; its defaults are the limits' constants."""
-    return dynamorph.FullMotionLimit if model.settings.solver == "FULL" else dynamorph.ReducedMotionLimit
-
-
 def motion_limit(model: Model, engine: EngineModel, character: Character, settings: SimulationSettings) -> Any:
     """What limits the motion of such an engine model; None without limits, or where no skin is soft."""
     distances = largest_distances(model, character, settings)
@@ -41,7 +36,7 @@ def motion_limit(model: Model, engine: EngineModel, character: Character, settin
     if not np.isfinite(distances).all() or not len(soft):
         return None
     painted = max_distance.pulled(character.max_distance)
-    return limit_class(model)(
+    return dynamorph.MotionLimit(
         engine,
         character.bind_points,
         model.embedding,

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .player import NO_STEPS, Frame, Player
+from .player import NO_STEPS, Frame, Player, changed
 from .rig_samples import RigSamples
 
 CLOSED = 1e-6  # body sizes; a loop whose gap is smaller is closed
@@ -40,7 +40,7 @@ class Loop:
         self._player, self._rig = player, rig
         self._first = player.begin(rig)
         self._start = player.state
-        self.began = np.array(self._start[0])
+        self.began: np.ndarray = np.array(self._start.coordinates)
         self.off = np.zeros(0)  # how the last pass failed to close
         self.frames: list[Frame] = []
         self.gap = np.inf
@@ -56,13 +56,13 @@ class Loop:
     def __call__(self, began: np.ndarray) -> np.ndarray:
         player, rig, settings = self._player, self._rig, self._player.settings
         numbers = settings.simulated[1:]
-        player.state, player.number = (list(began), *self._start[1:]), settings.frame_start
+        player.state, player.number = changed(self._start, coordinates=list(began)), settings.frame_start
         first = self._first
         if player.passes:
             dents = first.coordinates[began.shape[1] :]  # they have no past
             first = replace(first, coordinates=np.append(began[0], dents))
         frames = [first, *player.play(rig[1:], numbers)]
-        ended = np.array(player.state[0])
+        ended = np.array(player.state.coordinates)
         self._first = begin_again(player, rig, frames[-1])
         self._start = player.state
         next_frame = rig[1 : 1 + settings.substeps], numbers[:1]  # a range of one frame has none
@@ -175,11 +175,12 @@ def begin_again(player: Player, rig: RigSamples, frame: Frame) -> Frame:
     """
     first, last = _ends(player, rig)
     turn, shift = _rigid_fit(last, first)
-    coordinates, bones, limit, _ = player.state  # what is touched in the first frame is found again
-    moved = [turn @ past.reshape(-1, 3, 4) for past in bones]
+    state = player.state
+    moved = [turn @ past.reshape(-1, 3, 4) for past in state.bones]
     for past in moved:
         past[:, :, 3] += shift
-    player.state = coordinates, [past.reshape(-1, 12) for past in moved], limit, np.zeros(0)
+    bones = [past.reshape(-1, 12) for past in moved]
+    player.state = changed(state, bones=bones, contact=np.zeros(0))  # what is touched in the first frame is found again
     player.number, player.passes = player.settings.frame_start, player.passes + 1
     return Frame(player.number, frame.coordinates, player.posing.posed(rig[:1])[1][0], NO_STEPS)
 

@@ -7,13 +7,15 @@ import weakref
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
+from types import SimpleNamespace
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from ..character import Character
 from ..engine import dynamorph
 from ..geometry import diagonal
-from ..model.model import EngineModel, EngineSimulation, Model
+from ..model.model import EngineModel, Model
 from ..settings import SimulationSettings
 from .amounts import Amounts
 from .contact import Collision, as_bits
@@ -44,19 +46,27 @@ STEP = (
     "too_deep_collider",
     "unusable_colliders",
 )  # statistics of a frame's steps
-NO_STEPS = dict.fromkeys(STEP, 0) | {"converged": True, "excess_bone": -1, "unusable_colliders": ()}
-# Of the engine: coordinates, bones' transforms, what the motion limit remembers, and what is touched.
-State = tuple[Sequence[np.ndarray], Sequence[np.ndarray], np.ndarray, np.ndarray]
+NOTHING = {"converged": True, "excess_bone": -1, "unusable_colliders": ()}
+NO_STEPS: Any = SimpleNamespace(**dict.fromkeys(STEP, 0) | NOTHING)  # StepReport() without the engine
+State: TypeAlias = "dynamorph.State"
+STATE = ("coordinates", "bones", "limit", "contact")  # its parts
+
+
+def changed(state: State, **parts: Any) -> State:
+    """The same state but for some parts."""
+    return type(state)(**{name: getattr(state, name) for name in STATE} | parts)
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame, or a time between two: coordinates (dofs,), target weights (J,), and a report of the steps to it."""
+    """A frame, or a time between two: coordinates (dofs,), target weights (J,), and the engine's report of the steps to
+    it.
+    """
 
     number: float
     coordinates: np.ndarray
     weights: np.ndarray
-    steps: dict
+    steps: dynamorph.StepReport
 
 
 @dataclass(frozen=True)
@@ -70,7 +80,7 @@ class Steps:
 def statistics(frames: Sequence[Frame], names: Sequence[str] = STEP) -> np.ndarray:
     """Those of the steps to each of the frames as numbers: (F, len(names))."""
     kinds = {"unusable_colliders": as_bits}
-    return np.array([[kinds.get(name, float)(frame.steps[name]) for name in names] for frame in frames])
+    return np.array([[kinds.get(name, float)(getattr(frame.steps, name)) for name in names] for frame in frames])
 
 
 class Player:
@@ -99,29 +109,25 @@ class Player:
         self.first: RigSamples | None = None
         self.modes = model.modes
         self._shapes = np.zeros((len(self.character.targets), 0))
-        self._simulation: EngineSimulation | _NothingMoves = _NothingMoves()
+        self._simulation: dynamorph.Simulation | _NothingMoves = _NothingMoves()
         if model.settings.method != "STATIC":
             ready = prepared(model, character, settings)
             self.engine = ready.engine
             self._shapes = model.target_coordinates(self.engine)
-            self._simulation = _stepper(model, self.engine, settings, self._asked_by_engine())
-            self.hand = Hand(model, self.engine, character, self._simulation)
+            self.hand = Hand(model, self.engine, character)
             self.hand.track = from_text(settings.drags, len(character.vertices))
-            self._simulation.set_limit(ready.limit)
             if settings.collision:
                 self.collision = Collision(model, self.engine, character)
-                self._simulation.set_contact(self.collision.skin, settings.distance * self.size)
-                if settings.self_collision:
-                    self._simulation.set_self_contact(self.collision.own, settings.self_friction)
-                if dents := self.collision.dents.shape[1]:
-                    self.modes = np.hstack([model.modes, self.collision.dents])
-                    self._shapes = np.pad(self._shapes, ((0, 0), (0, dents)))
+            self._simulation = self._simulation_of(self.engine, ready.limit)
+            if self.collision and (dents := self.collision.dents.shape[1]):
+                self.modes = np.hstack([model.modes, self.collision.dents])
+                self._shapes = np.pad(self._shapes, ((0, 0), (0, dents)))
         self.posing = Posing(model, self.character, self.probed)
         self.skin = ShownSkin(model, self.character)
         self.amounts = Amounts(model, self.character, self._shapes, self.modes, settings)
 
     @property
-    def simulation(self) -> EngineSimulation:
+    def simulation(self) -> dynamorph.Simulation:
         """The engine's, of a model that moves."""
         assert not isinstance(self._simulation, _NothingMoves)
         return self._simulation
@@ -171,7 +177,8 @@ class Player:
         bones, weights = self.posing.posed(rig[:2])  # or of the nodes, if they are probed
         if self.settings.initial_state == "REST_SHAPE":
             rest = self.static(weights[0])[: self.engine.dofs if self.engine else 0]
-            self.state = [rest] * 4, [bones[0].reshape(-1, 12)] * 4, np.zeros(0), np.zeros(0)
+            if self.engine is not None:
+                self.state = dynamorph.State([rest] * 4, [bones[0].reshape(-1, 12)] * 4)
             begun = NO_STEPS
         else:
             lies_on = self.collision.motions(rig[:1].still(1)) if self.collision else None
@@ -232,7 +239,7 @@ class Player:
                     motion = bones[steps], weights[steps], push, grabs, stops
                     yield Steps(self.number - left / samples, motion)
 
-    def taken(self, steps: Steps, report: dict) -> Frame:
+    def taken(self, steps: Steps, report: dynamorph.StepReport) -> Frame:
         """The frame after steps, with the engine's report on them."""
         return Frame(steps.time, self.coordinates, steps.motion[1][-1], report)
 
@@ -267,6 +274,24 @@ class Player:
         keep_going, this = self._keep_going, weakref.proxy(self)
         return (lambda: keep_going(this)) if keep_going else None
 
+    def _simulation_of(self, engine: EngineModel, limit: Any) -> dynamorph.Simulation:
+        settings, collision = self.settings, self.collision
+        keep_going = self._asked_by_engine()
+        return dynamorph.Simulation(
+            engine,
+            settings.step,
+            limit=limit,
+            contact=collision.skin if collision else None,
+            distance=settings.distance * self.size,
+            self_contact=collision.own if collision and settings.self_collision else None,
+            self_friction=settings.self_friction,
+            integrator=dynamorph.Integrator.__members__[settings.integrator],
+            gravity=settings.gravity,
+            teleport=TELEPORT * engine.body.size * settings.step,
+            # A reduced step takes less time than asking.
+            keep_going=keep_going if self.model.settings.solver == "FULL" else None,
+        )
+
     def _begin_with(self, first: RigSamples) -> None:
         """What the first sample says: which colliders there are, and how the targets' shapes are balanced. These are
         what the artist saw under gravity, each in its own pose.
@@ -284,30 +309,16 @@ class Player:
         return self.posing.skin.pushes(rig.fields, bones, self.displacement(self.coordinates))
 
 
-def _stepper(
-    model: Model, engine: EngineModel, settings: SimulationSettings, keep_going: Callable[[], bool] | None
-) -> EngineSimulation:
-    return model.stepper(
-        engine,
-        settings.step,
-        integrator=dynamorph.Integrator.__members__[settings.integrator],
-        gravity=settings.gravity,
-        teleport=TELEPORT * engine.body.size * settings.step,
-        # A reduced step takes less time than asking.
-        keep_going=keep_going if model.settings.solver == "FULL" else None,
-    )
-
-
 class _NothingMoves:
     """Replaces the engine's simulation for static morph targets, which have no coordinates."""
 
     coordinates = dents = np.zeros(0)
-    state: State = (), (), np.zeros(0), np.zeros(0)
+    state: Any = SimpleNamespace(**dict.fromkeys(STATE, ()))
 
-    def start(self, *_at_rest: object) -> dict:
+    def start(self, *_at_rest: object) -> Any:
         return NO_STEPS
 
-    def advance(self, *_moving: object) -> dict:
+    def advance(self, *_moving: object) -> Any:
         return NO_STEPS
 
     def balance_targets(self, _bones: np.ndarray) -> None:

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from ..character import Character
+from ..engine import dynamorph
 from ..model.model import EngineModel, Model
 from ..settings import SimulationSettings
-from .limits import limit_class, motion_limit
+from .limits import motion_limit
 
 KEPT = 2  # of the last skins
 
@@ -40,7 +41,7 @@ _kept: list[Prepared] = []
 
 def prepared(model: Model, character: Character, settings: SimulationSettings) -> Prepared:
     """What was made of these before, or made now. Raises SceneError if the model is not the character's."""
-    limits = limit_class(model), settings.max_displacement, settings.max_thickness
+    limits = dynamorph.MotionLimit, settings.max_displacement, settings.max_thickness
     for known in _kept[:]:  # other threads prepare others
         if known.limits == limits and _is_model(known.model, model) and _same(known.character, character):
             return known

@@ -21,7 +21,7 @@ from .contact import Touched, touched
 from .coupling import Coupling
 from .limits import Held, held
 from .loops import cycle, loop_warnings
-from .player import STEP, Frame, Player, statistics
+from .player import STEP, Frame, Player, changed, statistics
 from .rig_samples import RigSamples
 
 LOST = 1e-3  # of a motion, RMS: what a bake may lack beside the targets' shapes where most modes hardly move
@@ -136,22 +136,23 @@ class Shot:
 
     def kept(self) -> dict[str, np.ndarray]:
         """Everything that `resume` needs."""
-        coordinates, bones, limit, contact = self.player.state
+        state = self.player.state
         return {
             "coordinates": np.concatenate(self._coordinates),
             "weights": np.concatenate(self._weights),
             "steps": np.concatenate(self._steps),
-            "past": np.array(coordinates),
-            "bones": np.array(bones),
-            "limit": limit,
-            "contact": contact,
+            "past": np.array(state.coordinates),
+            "bones": np.array(state.bones),
+            "limit": np.array(state.limit),
+            "contact": np.array(state.contact),
         }
 
     def resume(self, kept: dict[str, np.ndarray], first: RigSamples) -> None:
         """Continues after the frames of another instance of the same shot; first: the sample of the first frame."""
         self._coordinates, self._weights, self._steps = ([kept[name]] for name in ("coordinates", "weights", "steps"))
         self.done = len(kept["coordinates"])
-        self.player.resume(first, (list(kept["past"]), list(kept["bones"]), kept["limit"], kept["contact"]))
+        past = {"coordinates": list(kept["past"]), "bones": list(kept["bones"])}
+        self.player.resume(first, changed(self.player.state, **past, limit=kept["limit"], contact=kept["contact"]))
 
     @property
     def held(self) -> Held:

@@ -17,6 +17,7 @@ from functools import partial
 import numpy as np
 
 from ..character import Character
+from ..engine import dynamorph
 from ..model import cage
 from ..model.model import Model
 from ..motion import posing, simulate
@@ -214,7 +215,7 @@ class Statics:
         self.simulation = None
         if model.summary.tets:
             self.engine = model.engine(character)
-            self.simulation = model.stepper(self.engine, 1.0)
+            self.simulation = dynamorph.Simulation(self.engine, 1.0)
 
     def surface(
         self, weights: np.ndarray, bones: np.ndarray | None = None, push: np.ndarray | None = None

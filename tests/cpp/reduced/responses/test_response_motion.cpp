@@ -180,14 +180,15 @@ TEST_CASE("responses: small motion of a bending rig is that of the whole subspac
   const auto motion = [&](const auto& model, double angle) {
     StepOptions options{1 / 240.};
     options.tolerance = 1e-12;
-    Simulation<ReducedModel> simulation(model, options);
+    MovingBody<ReducedModel> moving(model, options);
+    Simulation<ReducedModel> simulation(moving);
     const auto rig = [&](int step) { return bent(angle * std::sin(0.15 * step)); };
-    simulation.start(rig(0), rig(1), VectorXd::Ones(1));
+    moving.start(rig(0), rig(1), VectorXd::Ones(1));
     MatrixXd path(model->basis().rows(), 80);
     for (int step = 1; step <= 80; ++step) {
       CHECK(simulation.step({rig(step), VectorXd::Ones(1)}).converged);
       VectorXd u;
-      model->displacement(simulation.coordinates(), u);
+      model->displacement(moving.coordinates(), u);
       path.col(step - 1) = u;
     }
     return path;
@@ -215,11 +216,12 @@ TEST_CASE("responses: stiffness, density and damping can change without a rebuil
       const ResponseScene old(body, before, material_model, blending), rebuilt(body, after, material_model, blending);
       const auto retuned = std::make_shared<ReducedModel>(body, after, old.tables, blending);
       const auto motion = [&](const auto& model) {
-        Simulation<ReducedModel> simulation(model, {1 / 120., Integrator::bdf2, Vector3d(0, 0, -9.81), 1e-10});
-        simulation.start(bent(0), bent(0.02), VectorXd::Ones(1));
+        MovingBody<ReducedModel> moving(model, {1 / 120., Integrator::bdf2, Vector3d(0, 0, -9.81), 1e-10});
+        Simulation<ReducedModel> simulation(moving);
+        moving.start(bent(0), bent(0.02), VectorXd::Ones(1));
         VectorXd u;
         for (int step = 1; step <= 40; ++step) simulation.step({bent(0.02 * step), VectorXd::Ones(1)});
-        model->displacement(simulation.coordinates(), u);
+        model->displacement(moving.coordinates(), u);
         return u;
       };
       const VectorXd expected = motion(rebuilt.model);
@@ -262,24 +264,25 @@ TEST_CASE("responses: free motion from afar never gains energy, over 2,000 steps
         const int r = scene.model->modes();
         const VectorXd w = sets == 1 ? Vector3d(0.7, 0.3, 0) : Vector3d(0.7, 0.3, 1);
         for (double distance : {0.05, 0.3}) {  // of the body's size
-          Simulation<ReducedModel> simulation(scene.model, {1 / 240., integrator});
-          simulation.start(bent(0), bent(0), w);
-          State state = simulation.state();
-          const double rest = simulation.elastic_energy();
+          MovingBody<ReducedModel> moving(scene.model, {1 / 240., integrator});
+          Simulation<ReducedModel> simulation(moving);
+          moving.start(bent(0), bent(0), w);
+          State state = moving.state();
+          const double rest = moving.elastic_energy();
           const VectorXd far = motion_of_size(scene, 12);
           for (VectorXd& q : state.q) q.head(r) += distance * far;
-          simulation.set_state(state);
-          const double begin = simulation.elastic_energy() - rest;
+          moving.set_state(state);
+          const double begin = moving.elastic_energy() - rest;
           CHECK(begin > 0);
           double most = 0, end = 0;
           int open = 0;
           for (int step = 1; step <= 2000; ++step) {
             open += !simulation.step({bent(0), w}).converged;
-            end = simulation.elastic_energy() + simulation.kinetic_energy() - rest;
+            end = moving.elastic_energy() + moving.kinetic_energy() - rest;
             most = std::max(most, end);
           }
           CHECK(open == 0);
-          CHECK(simulation.coordinates().allFinite());
+          CHECK(moving.coordinates().allFinite());
           CHECK(most <= 1.01 * begin);
           CHECK(end < begin);
           CHECK(end >= -1e-6 * begin);

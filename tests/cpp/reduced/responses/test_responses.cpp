@@ -136,9 +136,10 @@ TEST_CASE("responses: every target is exact, its force and energy are zero, and 
       } else if (sets == 2) {
         continue;  // set 1 has the twist alone, whose weight is always one
       }
-      Simulation<ReducedModel> simulation(model, precise());
+      MovingBody<ReducedModel> moving(model, precise());
+      Simulation<ReducedModel> simulation(moving);
       VectorXd q = at + 0.02 * model->meter() * random_vector(r + h, 0.05, 9);
-      CHECK(simulation.solve_static({bent(0.8), w}, q).converged);
+      CHECK(moving.solve_static({bent(0.8), w}, q).converged);
       model->displacement(q, u);
       CHECK((u - scene.full.target(j)).cwiseAbs().maxCoeff() <= 1e-6 * scene.full.body().size);
     }
@@ -149,22 +150,23 @@ TEST_CASE("responses: balanced targets do not sag, and a held body's targets are
   for (Blending blending : kBlendings) {
     const auto body = two_bone_bar();
     const ResponseScene scene(body, targets(*body), MaterialModel::stable_stvk, blending);
-    Simulation<ReducedModel> simulation(scene.model, {1 / 120., Integrator::bdf2, Vector3d(0, 0, -9.81), 1e-9});
+    MovingBody<ReducedModel> moving(scene.model, {1 / 120., Integrator::bdf2, Vector3d(0, 0, -9.81), 1e-9});
+    Simulation<ReducedModel> simulation(moving);
     const Transforms pose = bent(0.5);
     VectorXd q, u;
-    simulation.solve_static({pose, VectorXd::Unit(3, 1)}, q);
+    moving.solve_static({pose, VectorXd::Unit(3, 1)}, q);
     CHECK((q - scene.model->target(1)).tail(20).norm() > 1e-7);  // gravity moves the responses
-    simulation.balance_targets({bent(0), pose, bent(1)});
+    moving.balance_targets({bent(0), pose, bent(1)});
     for (const auto& [j, rig] : {std::pair{0, bent(0)}, {1, pose}, {2, bent(1)}}) {
       VectorXd found;
-      CHECK(simulation.solve_static({rig, VectorXd::Unit(3, j)}, found).converged);
+      CHECK(moving.solve_static({rig, VectorXd::Unit(3, j)}, found).converged);
       scene.model->displacement(found, u);
       CHECK((u - scene.full.target(j)).cwiseAbs().maxCoeff() <= 1e-6 * body->size);
     }
     for (bool pinned : {true, false}) {
       const auto held = held_bar(pinned);
       const ResponseScene other(held, targets(*body), MaterialModel::stvk, blending);
-      Simulation<ReducedModel> still(other.model, precise());
+      MovingBody<ReducedModel> still(other.model, precise());
       for (int j = 0; j < 3; ++j) {
         VectorXd at = other.model->target(j) + 0.02 * other.model->meter() * random_vector(30, 0.05, 9);
         CHECK(still.solve_static({bent(0.3), VectorXd::Unit(3, j)}, at).converged);

@@ -1,0 +1,529 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/step/moving_body.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/core/progress.hpp"
+#include "dynamorph/step/teleport.hpp"
+
+namespace dynamorph {
+
+namespace {
+
+constexpr int kStaticIterations = 200;  // needed only once, and gravity moves a soft body far
+constexpr int kLieDown = 20;       // static solutions until contacts stay: 2 in a bed, 4 to 10 with a ball in a belly
+constexpr double kWatched = 0.45;  // of its limit: what is nearer than that is not pulled in this step
+
+/// Gravity (m/s^2, world) on the soft tissue at the bones, without a past.
+InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3d& gravity) {
+  InertialTarget inertial;
+  inertial.q.fill(&q);
+  inertial.bones.fill(&bones);
+  inertial.gravity_offset = gravity;
+  return inertial;
+}
+
+/// Throws Error unless a state's contacts are of samples that there are (0: without contact).
+void check_contacts(const State& state, Eigen::Index samples) {
+  const auto good = [&](int sample, int collider, const Vector3d& normal) {
+    return sample >= 0 && sample < samples && collider >= kOtherSkin && normal.allFinite();
+  };
+  for (const ContactMemory::Plane& plane : state.contact.planes)
+    if (!good(plane.sample, plane.collider, plane.normal) || plane.collider < 0 || !plane.point.allFinite())
+      throw Error("The state has a contact that does not fit");
+  for (const Pressure& pressure : state.pressures)
+    if (!good(pressure.sample, pressure.collider, pressure.normal) || !(pressure.force >= 0) ||
+        !std::isfinite(pressure.force) || !pressure.slip.allFinite())
+      throw Error("The state has a contact that does not fit");
+}
+
+/// Of a limit that has not acted; `bones`: 0 without a limit.
+DrivenLoad not_driven(Eigen::Index bones, Eigen::Index dofs) {
+  const VectorXd none = VectorXd::Zero(bones);
+  return {VectorXd::Zero(bones > 0 ? dofs : 0), none, none, {none, none, none}};
+}
+
+/// Throws std::invalid_argument unless the load is empty or fits, and Error for what is not finite.
+void check_driven(const DrivenLoad& driven, Eigen::Index bones, Eigen::Index dofs) {
+  if (driven.mean.size() == 0) return;
+  bool fits = driven.mean.size() == dofs, finite = driven.mean.allFinite();
+  for (const VectorXd* x : {&driven.reach, &driven.held, &driven.excess[0], &driven.excess[1], &driven.excess[2]}) {
+    fits = fits && x->size() == bones;
+    finite = finite && x->allFinite() && (x->array() >= 0).all();
+  }
+  if (!fits)
+    throw std::invalid_argument("state: expected the limit of " + std::to_string(bones) + " bones, got " +
+                                std::to_string(driven.reach.size()));
+  if (!finite) throw Error("The state has an excess that is not a finite number");
+}
+
+/// Throws std::invalid_argument unless the parts are those of such a model.
+template <class Model>
+void check(const Parts<Model>& parts, const Model& model) {
+  const auto is_own = [&](const auto& part) { return !part || &part->model() == &model; };
+  if (!is_own(parts.limit)) throw std::invalid_argument("limit: it belongs to another model");
+  if (!is_own(parts.contact)) throw std::invalid_argument("contact: its samples belong to another model");
+  if (parts.self_contact && &parts.self_contact->samples() != parts.contact.get())
+    throw std::invalid_argument("self_contact: its samples are not those of the contact");
+  for (const auto& [name, value] : {std::pair("distance", parts.distance), std::pair("friction", parts.self_friction)})
+    if (!(value >= 0) || !std::isfinite(value))
+      throw std::invalid_argument(std::string(name) + ": must be finite and not negative");
+}
+
+}  // namespace
+
+void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eigen::Ref<const VectorXd>& weights) {
+  if (weights.size() != Eigen::Index(targets.size()))
+    throw std::invalid_argument("weights: expected " + std::to_string(targets.size()) + ", got " +
+                                std::to_string(weights.size()));
+  for (int set = 0; set < sets; ++set) {
+    double sum = 0;
+    for (Eigen::Index j = 0; j < weights.size(); ++j)
+      if (targets[j].set == set) sum += weights(j);
+    if (!((weights.array() >= 0).all() && std::abs(sum - 1) < 1e-6))
+      throw std::invalid_argument("weights: those of every target set must be >= 0 and sum to one");
+  }
+}
+
+template <class Model>
+MovingBody<Model>::MovingBody(std::shared_ptr<const Model> model, StepOptions options, Parts<Model> parts)
+    : model_(std::move(model)),
+      options_(std::move(options)),
+      parts_(std::move(parts)),
+      search_(parts_.contact, parts_.distance, parts_.self_contact) {
+  check(options_);
+  check(parts_, *model_);
+  damped_ = quadratic_.H = newton_.hessian.base = model_->zero();
+  driven_ = state_.driven = not_driven(parts_.limit ? parts_.limit->bones() : 0, model_->dofs());
+  dents_.setZero(parts_.contact && parts_.contact->local() ? parts_.contact->local()->size() : 0);
+}
+
+template <class Model>
+void MovingBody<Model>::pose(const Transforms& bones, const VectorXd& weights) {
+  if (bones.rows() != model_->body().skin.cols())
+    throw std::invalid_argument("bones: expected " + std::to_string(model_->body().skin.cols()) + " transforms, got " +
+                                std::to_string(bones.rows()));
+  if (!bones.allFinite() || !weights.allFinite())
+    throw Error("The rig has a transform that is not a number. Check what poses it at this step.");
+  model_->blend(weights, blend_);
+}
+
+template <class Model>
+void MovingBody<Model>::load(const InertialTarget& inertial, double square, const VectorXd* external,
+                             const VectorXd* scales) {
+  model_->inertia(inertial, blend_.mass, inertia_);
+  quadratic_.g = inertia_.force / square;
+  if (rest_gravity_.size() > 0) quadratic_.g.noalias() += rest_gravity_ * blend_.weights;
+  if (!external) return;
+  const Eigen::Index size = model_->body().rest.size();
+  if (external->size() != size)
+    throw std::invalid_argument("external: expected " + std::to_string(size) + " values, got " +
+                                std::to_string(external->size()));
+  if (!external->allFinite()) throw std::invalid_argument("external: forces must be finite");
+  frame_.bones = *inertial.bones[0];
+  pose_nodes(model_->body().skin, frame_);
+  nodal_ = *external;
+  if (scales) nodal_.array() *= at_coordinates(model_->body().skin * *scales).array();
+  pull_back(frame_, nodal_);
+  model_->project_force(nodal_, projected_);
+  quadratic_.g -= projected_;
+}
+
+template <class Model>
+void MovingBody<Model>::drive(const InertialTarget& inertial, const StepInput<Model>& input) {
+  // By plain second differences of the bones: those of BDF2 spread a jump over three steps, forth and back.
+  const double h = options_.h;
+  InertialTarget plain = inertial;
+  plain.coefficients.setZero();
+  plain.coefficients.topLeftCorner<2, 3>() << 2, -2, 0, -1, 0, 1;
+  plain.gravity_offset = h * h * options_.gravity;
+  load(plain, h * h, input.external);
+  quadratic_.g *= -1;
+  parts_.limit->drive(quadratic_.g, input.weights, {inertial.bones[0], inertial.bones[1], inertial.bones[2]}, h,
+                      state_.driven, answers_, driven_);
+}
+
+template <class Model>
+void MovingBody<Model>::hold_back(const InertialTarget& inertial, double square, const StepInput<Model>& input) {
+  bool any = false;
+  for (std::size_t k = 0; k < scales_.size(); ++k) any |= parts_.limit->scales(driven_.excess[k], scales_[k]);
+  if (any)
+    load(scaled(inertial, square), square, input.external, &scales_[0]);
+  else
+    load(inertial, square, input.external);
+}
+
+template <class Model>
+InertialTarget MovingBody<Model>::scaled(InertialTarget inertial, double square) {
+  // Gravity is an acceleration like any other: a shift of the newest past. Without a past, one is made up.
+  if (inertial.coefficients.isZero(0)) inertial.coefficients.row(0).head<2>() << 1, -1;
+  const double newest = inertial.coefficients.col(1).sum();
+  const std::array<const Transforms*, InertialTarget::kPoses> bones = inertial.bones;
+  const Transforms& now = *bones[0];
+  const VectorXd &scale = scales_[0], &last = scales_[1], &before = scales_[2];
+  for (std::size_t n = 1; n < bones.size(); ++n) {
+    Transforms& slowed = slowed_[n - 1];
+    slowed = *bones[n];
+    for (Eigen::Index t = 0; t < slowed.rows(); ++t)
+      if (scale(t) < 1) slowed.row(t) = now.row(t) + scale(t) * (slowed.row(t) - now.row(t));
+    inertial.bones[n] = &slowed;
+  }
+  for (Eigen::Index t = 0; t < now.rows(); ++t) {
+    const auto acceleration = [&](std::size_t n) {
+      return bones[n]->row(t) - 2 * bones[n + 1]->row(t) + bones[n + 2]->row(t);
+    };
+    if (scale(t) != last(t))
+      slowed_[0].row(t) += (scale(t) - last(t)) / newest * (2 * acceleration(1) + (3 + newest) * acceleration(2));
+    if (last(t) != before(t)) slowed_[0].row(t) -= (last(t) - before(t)) / newest * acceleration(2);
+    if (scale(t) == 1) continue;
+    Vector3d gravity = options_.gravity;  // less that of the targets' own poses, in this one
+    if (rest_directions_.size() > 0) {
+      const Matrix3d pose = transform(now, t).leftCols<3>();
+      const Vector3d own = rest_directions_.middleRows<3>(3 * t) * blend_.weights / model_->body().sets();
+      gravity -= pose * own * (3 / std::max(pose.squaredNorm(), 1e-12));
+    }
+    const Vector3d shift = (1 - scale(t)) * square / newest * gravity;
+    for (int axis = 0; axis < 3; ++axis) slowed_[0](t, 4 * axis + 3) += shift(axis);
+  }
+  return inertial;
+}
+
+template <class Model>
+void MovingBody<Model>::balance_targets(const std::vector<Transforms>& bones) {
+  const auto& targets = model_->targets();
+  if (bones.size() != targets.size())
+    throw std::invalid_argument("bones: expected one skin frame for each of " + std::to_string(targets.size()) +
+                                " targets, got " + std::to_string(bones.size()));
+  MatrixXd loads(model_->dofs(), targets.size()), before;
+  MatrixXd directions(3 * model_->body().skin.cols(), targets.size());
+  before.swap(rest_gravity_);  // must not act meanwhile, and is restored when a rig is refused
+  const VectorXd rest = VectorXd::Zero(model_->dofs());
+  try {
+    for (size_t j = 0; j < targets.size(); ++j) {
+      // The target alone, without targets of other sets: f_g^(j) = rho_j (A^(j))^T M1 g.
+      const VectorXd alone = VectorXd::Unit(targets.size(), j);
+      pose(bones[j], alone);
+      load(at_rest(rest, bones[j], options_.gravity), 1, nullptr);
+      loads.col(j) = -quadratic_.g;
+      for (Eigen::Index t = 0; t < bones[j].rows(); ++t)
+        directions.block<3, 1>(3 * t, j) = transform(bones[j], t).leftCols<3>().transpose() * options_.gravity;
+    }
+  } catch (...) {
+    rest_gravity_.swap(before);
+    throw;
+  }
+  rest_gravity_ = loads;
+  rest_directions_ = directions;
+}
+
+template <class Model>
+void MovingBody<Model>::begin_terms(const StepInput<Model>& input, const VectorXd& predicted, double watched) {
+  grabs_.begin(*model_, input);
+  pulls_.begin(parts_.limit.get(), input.weights, predicted, watched);
+}
+
+template <class Model>
+void MovingBody<Model>::find_contacts(const StepInput<Model>& input) {
+  search_.find(input, state_, next_);
+  contacts_.clear();
+  if (search_.found().empty()) return;
+  contacts_.begin({*parts_.contact, input.bones, input.weights}, search_.found(), contact_step(), state_.pressures);
+}
+
+template <class Model>
+void MovingBody<Model>::report_contacts(const StepInput<Model>& input, StepReport& report) {
+  if (search_.found().empty() && (!input.colliders || input.colliders->empty())) return;
+  report.contacts = contacts_.count();
+  if (report.converged) report.penetration = contacts_.penetration();
+  for (const Contact& contact : search_.found()) {
+    if (!(contact.too_deep > report.too_deep)) continue;
+    report.too_deep = contact.too_deep;
+    report.too_deep_sample = contact.sample;
+    report.too_deep_collider = contact.collider;
+  }
+  report.contact_forces.assign(input.colliders ? input.colliders->size() : 0, Vector3d::Zero());
+  contacts_.forces(report.contact_forces);
+  report.unusable_colliders = search_.unusable();
+}
+
+template <class Model>
+StepReport MovingBody<Model>::solve_static(const StepInput<Model>& input, VectorXd& q) {
+  const VectorXd& weights = input.weights;
+  check_weights(model_->targets(), model_->body().sets(), weights);
+  pose(input.bones, weights);
+  if (q.size() != model_->dofs()) {
+    // The blended targets are close to the answer, and often they are the answer.
+    blended_shape(*model_, weights, q);
+  }
+  if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
+  const InertialTarget gravity = at_rest(q, input.bones, options_.gravity);
+  load(gravity, 1, input.external);
+  if (parts_.limit) {
+    parts_.limit->drive_long(-quadratic_.g, weights, answers_, driven_);
+    hold_back(gravity, 1, input);
+  }
+  begin_terms(input, q, 0);
+  contacts_.clear();
+  forget();
+  values(quadratic_.H).setZero();
+  quadratic_.origin = VectorXd::Zero(model_->dofs());
+  quadratic_.round_off_of_g = 1e-15 * quadratic_.g.norm();
+  next_ = q;
+  const StepReport report = minimize(kStaticIterations);
+  q = next_;
+  return report;
+}
+
+template <class Model>
+StepReport MovingBody<Model>::start(const Transforms& now, const Transforms& next, const VectorXd& weights,
+                                    const std::vector<ColliderStep>* colliders) {
+  if (next.rows() != now.rows() || !next.allFinite())
+    throw std::invalid_argument("next: expected " + std::to_string(now.rows()) + " finite transforms, got " +
+                                std::to_string(next.rows()));
+  VectorXd q;
+  StepReport report = solve_static({now, weights}, q);
+  dents_.setZero();
+  weights_ = weights;
+  state_.driven = driven_;
+  state_.q.fill(q);
+  for (int k = 0; k < InertialTarget::kMoments; ++k) state_.bones[k] = extrapolate_back(now, next, k);
+  state_.contact.clear();
+  state_.pressures.clear();
+  lie_down({now, weights, nullptr, nullptr, colliders}, report);
+  return report;
+}
+
+// Each static solution has the planes that are found where the last one ended. Friction has no pressure yet, so it does
+// not act.
+template <class Model>
+void MovingBody<Model>::lie_down(const StepInput<Model>& input, StepReport& report) {
+  const double negligible = limits().step;
+  for (int round = 0; round < kLieDown; ++round) {
+    next_ = state_.q[0];
+    find_contacts(input);
+    if (contacts_.empty()) break;
+    const int iterations = report.iterations;
+    report = minimize(options_.max_iterations);
+    report.iterations += iterations;
+    const bool lies = (next_ - state_.q[0]).norm() <= negligible;
+    state_.q.fill(next_);
+    state_.contact = search_.memory();
+    if (lies) break;
+  }
+  report_contacts(input, report);
+  contacts_.dents(dents_);
+  contacts_.pressures(state_.pressures);
+}
+
+template <class Model>
+void MovingBody<Model>::set_state(const State& state) {
+  for (const VectorXd& q : state.q) {
+    if (q.size() != model_->dofs()) throw std::invalid_argument("state: it belongs to another model");
+    if (!q.allFinite()) throw Error("The state has a coordinate that is not a finite number");
+  }
+  for (const Transforms& bones : state.bones) {
+    if (bones.rows() != model_->body().skin.cols()) throw std::invalid_argument("state: it belongs to another model");
+    if (!bones.allFinite()) throw Error("The state has a bone transform that is not a finite number");
+  }
+  const Eigen::Index limited = parts_.limit ? parts_.limit->bones() : 0;
+  if (parts_.limit) check_driven(state.driven, limited, model_->dofs());
+  if (parts_.contact) check_contacts(state, parts_.contact->size());
+  state_ = state;
+  dents_.setZero();
+  if (!parts_.contact) {
+    state_.contact.clear();
+    state_.pressures.clear();
+  }
+  if (!parts_.limit || state_.driven.mean.size() == 0) state_.driven = not_driven(limited, model_->dofs());
+}
+
+template <class Model>
+double MovingBody<Model>::farthest(const Transforms& bones) const {
+  return bones.rightCols<1>().cwiseAbs().maxCoeff() + bones.col(3).cwiseAbs().maxCoeff() +
+         bones.col(7).cwiseAbs().maxCoeff() + model_->body().center.norm() + model_->body().size;
+}
+
+template <class Model>
+void MovingBody<Model>::begin_step(const StepInput<Model>& input) {
+  if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
+  check_weights(model_->targets(), model_->body().sets(), input.weights);
+  pose(input.bones, input.weights);
+  teleported_ = jumps(model_->body(), options_.teleport, input.bones, state_.bones);
+  if (teleported_) {
+    before_ = state_;
+    carry_past(model_->body(), input.bones, state_.bones);
+    state_.contact.clear();
+    state_.pressures.clear();
+  }
+  try {
+    prepare(input);
+  } catch (...) {
+    give_up();
+    throw;
+  }
+}
+
+template <class Model>
+StepReport MovingBody<Model>::solve_alone() {
+  guess(unknowns_);
+  begin_newton();
+  const auto next_round = [&] {
+    begin_newton();
+    return contacts_.next_round();
+  };
+  const NewtonReport found = minimize_in_rounds(potential_, newton_, unknowns_, limits(), [&] { ask(); }, next_round);
+  return take(found, unknowns_);
+}
+
+template <class Model>
+void MovingBody<Model>::give_up() {
+  if (teleported_) state_ = before_;
+  teleported_ = false;
+}
+
+template <class Model>
+void MovingBody<Model>::prepare(const StepInput<Model>& input) {
+  const Transforms& bones = input.bones;
+  const StepRule rule(options_);
+  const double h = options_.h;
+  next_ = 2 * state_.q[0] - state_.q[1];
+  InertialTarget inertial;
+  inertial.bones[0] = &bones;
+  for (int m = 0; m < InertialTarget::kMoments; ++m) {
+    inertial.q[m] = &state_.q[m];
+    inertial.bones[m + 1] = &state_.bones[m];
+  }
+  inertial.coefficients = rule.coefficients();
+  inertial.gravity_offset = rule.square * options_.gravity;
+  if (parts_.limit) {
+    drive(inertial, input);
+    hold_back(inertial, rule.square, input);
+  } else {
+    load(inertial, rule.square, input.external);
+  }
+  begin_terms(input, next_, kWatched);
+  find_contacts(input);
+
+  // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h and a constant, symmetric, positive C.
+  values(damped_) = values(inertia_.damped) + values(blend_.damping);
+  values(quadratic_.H) = values(inertia_.mass) / rule.square + (rule.velocity[0] / h) * values(damped_);
+  velocity_ = (rule.velocity[0] * next_ + rule.velocity[1] * state_.q[0] + rule.velocity[2] * state_.q[1]) / h;
+  multiply(damped_, velocity_, resistance_);
+  quadratic_.g += resistance_;
+  quadratic_.origin = next_;
+  // Far from the world's origin, posed positions lose digits, and inertia multiplies the loss.
+  quadratic_.round_off_of_g =
+      1e-14 / rule.square * farthest(bones) *
+      std::sqrt(model_->body().volume * blend_.mass.density.maxCoeff() * values(inertia_.mass).cwiseAbs().maxCoeff());
+}
+
+template <class Model>
+void MovingBody<Model>::end_step(const StepInput<Model>& input, StepReport& report) {
+  report.teleported = teleported_;
+  report_contacts(input, report);
+  contacts_.dents(dents_);
+  std::rotate(state_.q.rbegin(), state_.q.rbegin() + 1, state_.q.rend());
+  std::rotate(state_.bones.rbegin(), state_.bones.rbegin() + 1, state_.bones.rend());
+  state_.q[0] = next_;
+  state_.bones[0] = input.bones;
+  state_.driven = driven_;
+  state_.contact = search_.memory();
+  contacts_.pressures(state_.pressures);
+  weights_ = input.weights;
+}
+
+template <class Model>
+void MovingBody<Model>::require_pose() const {
+  if (state_.q[0].size() == 0 || weights_.size() == 0)
+    throw std::invalid_argument("energy: start() comes first, or after setting a state a step");
+}
+
+template <class Model>
+void MovingBody<Model>::guess(VectorXd& unknowns) const {
+  const VectorXd& patches = contacts_.unknowns();
+  unknowns.resize(next_.size() + patches.size());
+  unknowns << next_, patches;
+}
+
+template <class Model>
+void MovingBody<Model>::begin_newton() {
+  elastic_.begin(*model_, blend_, quadratic_.origin.norm(), options_.tolerance);
+}
+
+template <class Model>
+StepReport MovingBody<Model>::minimize(int max_iterations) {
+  guess(unknowns_);
+  begin_newton();
+  NewtonLimits until = limits();
+  until.iterations = max_iterations;
+  const NewtonReport found = dynamorph::minimize(potential_, newton_, unknowns_, until, [&] { ask(); });
+  return take(found, unknowns_);
+}
+
+template <class Model>
+StepReport MovingBody<Model>::take(const NewtonReport& found, const VectorXd& unknowns) {
+  if (found.broken)
+    throw Error("A step failed because a force is not finite. Check the rig and the materials at this frame.");
+  next_ = unknowns.head(next_.size());
+  StepReport report;
+  report.iterations = found.iterations;
+  report.converged = found.converged;
+  report.residual = found.residual;
+  report.energy = found.unseen ? elastic_.energy_after(newton_.direction) : elastic_.energy();
+  report.farthest = pulls_.farthest();
+  report.pulled = pulls_.acts();
+  if (parts_.limit) report.excess = driven_.excess[0].maxCoeff(&report.excess_bone);
+  return report;
+}
+
+template <class Model>
+void MovingBody<Model>::remember(const std::vector<Pressure>& pressures) {
+  state_.pressures.insert(state_.pressures.begin(), pressures.begin(), pressures.end());
+}
+
+template <class Model>
+NewtonLimits MovingBody<Model>::limits() const {
+  const double negligible = options_.tolerance * model_->body().size * model_->meter();
+  return {options_.tolerance, negligible, options_.max_iterations, contacts_.empty()};
+}
+
+template <class Model>
+void MovingBody<Model>::ask() const {
+  if (options_.keep_going && !options_.keep_going()) throw Cancelled();
+}
+
+template <class Model>
+double MovingBody<Model>::elastic_energy() const {
+  require_pose();
+  typename Model::Blend blend;  // blend_ may be of another pose
+  model_->blend(weights_, blend);
+  return model_->energy(blend, state_.q[0]);
+}
+
+template <class Model>
+double MovingBody<Model>::kinetic_energy() const {
+  require_pose();
+  const SoftBody& body = model_->body();
+  VectorXd velocity = VectorXd::Zero(body.rest.size()), u, x;
+  const std::array<double, 3> past = StepRule(options_).velocity;
+  for (int m = 0; m < 3; ++m) {
+    SkinFrame frame{state_.bones[m], {}};
+    pose_nodes(body.skin, frame);
+    model_->displacement(state_.q[m], u);
+    to_world(frame, 1, body.rest + u, x);
+    velocity += past[m] / options_.h * x;
+  }
+  SetDensities densities;
+  densities.blend(model_->targets(), body.sets(), weights_);
+  const VectorXd mass = body.volumes * densities.density;
+  double energy = 0;
+  for (Eigen::Index i = 0; i < mass.size(); ++i) energy += 0.5 * mass(i) * velocity.segment<3>(3 * i).squaredNorm();
+  return energy;
+}
+
+template class MovingBody<FullModel>;
+template class MovingBody<ReducedModel>;
+
+}  // namespace dynamorph
