@@ -193,4 +193,15 @@ void FullModel::inertia(const InertialTarget& inertial, const SetDensities& dens
   pull_back(out.frame, out.force);
 }
 
+void FullModel::rigid_force(const Transforms& now, const Transforms& moved, const SetDensities& densities,
+                            Inertia& scratch, VectorXd& force) const {
+  scratch.frame.bones = now;
+  scratch.past.bones = moved;
+  pose_nodes(body_->skin, scratch.frame);
+  pose_nodes(body_->skin, scratch.past);
+  to_world(scratch.past, 1, body_->rest, force);
+  force.array() *= at_coordinates(body_->volumes * densities.density).array();
+  pull_back(scratch.frame, force);
+}
+
 }  // namespace dynamorph

@@ -7,6 +7,7 @@
 //   Workspace                    scratch of evaluations, which a simulation keeps
 //   energy, linearize            E, F = dE/dq and K = dF/dq at coordinates q
 //   inertia(inertial, ...)       A^T M A, and the force that the moving rig exerts
+//   rigid_force(now, moved, ...) A^T M D (X, 1): such a force on the rest positions X alone, with D blended from `moved`
 //   displacement, project_force  q -> u and its transpose
 //   SkinPoints, skin_points      the same at points of the skin (skin.hpp)
 #pragma once
@@ -85,6 +86,8 @@ class FullModel {
     return linearize(blend, q, workspace, force, stiffness);
   }
   void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
+  void rigid_force(const Transforms& now, const Transforms& moved, const SetDensities& densities, Inertia& scratch,
+                   VectorXd& force) const;
   void displacement(const VectorXd& q, VectorXd& u) const { u = q; }
   void project_force(const VectorXd& f, VectorXd& out) const { out = f; }
   SkinPoints skin_points(const Embedding& embedding) const { return {*body_, embedding}; }

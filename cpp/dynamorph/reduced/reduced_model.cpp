@@ -278,6 +278,16 @@ void ReducedModel::inertia(const InertialTarget& inertial, const SetDensities& d
   response_inertia_.evaluate(inertial, densities, out.responses, out.mass, out.damped, out.force);
 }
 
+void ReducedModel::rigid_force(const Transforms& now, const Transforms& moved, const SetDensities& densities,
+                               Inertia& scratch, VectorXd& force) const {
+  force.resize(dofs());
+  if (const auto* nodal = std::get_if<NodalInertia>(&inertia_))
+    nodal->rigid_force(now, moved, densities, scratch.nodes, force.head(layout_.r));
+  else
+    std::get<ModalInertia>(inertia_).rigid_force(now, moved, densities, scratch.modes, force.head(layout_.r));
+  response_inertia_.rigid_force(now, moved, densities, scratch.responses, force);
+}
+
 VectorXd ReducedModel::target(int j) const {
   VectorXd out = VectorXd::Zero(dofs());
   out.head(layout_.r) = coordinates_[j];

@@ -104,6 +104,8 @@ class ReducedModel {
     return linearize(blend, z, workspace, force, stiffness);
   }
   void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
+  void rigid_force(const Transforms& now, const Transforms& moved, const SetDensities& densities, Inertia& scratch,
+                   VectorXd& force) const;
   void displacement(const VectorXd& z, VectorXd& u) const;
   void project_force(const VectorXd& f, VectorXd& out) const;
   SkinPoints skin_points(const Embedding& embedding) const { return {*body_, embedding, basis_}; }

@@ -122,6 +122,16 @@ std::vector<LimitedBone> limited_bones(const Tissue& tissue, const SkinLimits& l
         bone.points.push_back({int(k), weight * tissue.area(Index(k))});
         bone.above += (1 - kPercentile) * bone.points.back().second;
       }
+    Eigen::AlignedBox3d box;
+    bone.least_distance = kInfinity;
+    for (const auto& [point, weight] : bone.points) {
+      box.extend(Vector3d(limits.rest.row(tissue.chosen[std::size_t(point)])));
+      bone.least_distance = std::min(bone.least_distance, limits.distances(tissue.chosen[std::size_t(point)]));
+    }
+    if (!box.isEmpty()) {
+      bone.center = box.center();
+      bone.radius = box.diagonal().norm() / 2;
+    }
     bone.first_edge = numbers.size();
     for (int e : tissue.edges[b].edges) {
       const Edge& edge = tissue.skin.edges[std::size_t(e)];
@@ -220,6 +230,8 @@ MotionLimit<Model>::MotionLimit(std::shared_ptr<const Model> model, const SkinLi
   sampled_ = int(tissue.chosen.size());
   sampled_rest_ = limits.rest(tissue.chosen, Eigen::all);
   sampled_distances_ = limits.distances(tissue.chosen);
+  group_shares_ = groups_;
+  for (Index b = 0; b < groups_.cols(); ++b) group_shares_.col(b) /= std::max(groups_.col(b).sum(), 1e-300);
 
   PointRows numbers;
   bones_ = limited_bones(tissue, limits, model_->body(), numbers);
@@ -240,15 +252,14 @@ MotionLimit<Model>::MotionLimit(std::shared_ptr<const Model> model, const SkinLi
 }
 
 template <class Model>
-void MotionLimit<Model>::drive(const VectorXd& load, const VectorXd& weights,
-                               const std::array<const Transforms*, 3>& bones, double h, const DrivenLoad& before,
-                               Scratch& scratch, DrivenLoad& out) const {
+void MotionLimit<Model>::drive(const VectorXd& load, const VectorXd& weights, const Transforms& acceleration, double h,
+                               const DrivenLoad& before, Scratch& scratch, DrivenLoad& out) const {
   const double kept = std::exp(-h * frequency_);
   out.mean = kept * before.mean + (1 - kept) * load;
-  scratch.jump = *bones[0] - 2 * *bones[1] + *bones[2];
-  VectorXd& jump = out.excess[0];
   reach(out.mean, weights, scratch, out.reach);
-  jumped(scratch, jump);
+  VectorXd &held = scratch.held, &jump = scratch.jump;
+  held = (out.reach / kept).cwiseMin(before.reach).cwiseMax(kept * before.held);
+  jumped(acceleration, out.reach.cwiseMin(held), scratch, jump);
   out.held = (out.reach / kept).cwiseMax(jump).cwiseMin(before.reach).cwiseMax(kept * before.held);
   out.reach = out.reach.cwiseMax(jump);
   out.excess[0] = jump.cwiseMax(out.held);
@@ -266,15 +277,17 @@ void MotionLimit<Model>::drive_long(const VectorXd& load, const VectorXd& weight
 }
 
 template <class Model>
-void MotionLimit<Model>::jumped(Scratch& scratch, VectorXd& out) const {
-  out.resize(bones());
+void MotionLimit<Model>::jumped(const Transforms& acceleration, const VectorXd& least, Scratch& scratch,
+                                VectorXd& out) const {
+  out.setZero(bones());
+  if (groups_.size() > 0) scratch.moved.noalias() = group_shares_.transpose() * acceleration;
   for (Index b = 0; b < bones(); ++b) {
     const LimitedBone& bone = bones_[std::size_t(b)];
-    Eigen::Matrix<double, 1, 12> jump = Eigen::Matrix<double, 1, 12>::Zero();
-    if (groups_.size() == 0) jump = scratch.jump.row(b);
-    for (Index t = 0; t < groups_.rows(); ++t)
-      if (const double part = groups_(t, b); part > 0) jump += part / groups_.col(b).sum() * scratch.jump.row(t);
-    const TransformMap by(jump.data());
+    Eigen::Matrix<double, 1, 12> row = acceleration.row(groups_.size() > 0 ? 0 : b);
+    if (groups_.size() > 0) row = scratch.moved.row(b);
+    const TransformMap by(row.data());
+    const double farthest = (by.leftCols<3>() * bone.center + by.col(3)).norm() + by.leftCols<3>().norm() * bone.radius;
+    if (farthest <= least(b) * bone.least_distance) continue;
     for (const auto& [point, weight] : bone.points) {
       const Vector3d moved = by.leftCols<3>() * sampled_rest_.row(point).transpose() + by.col(3);
       scratch.answers(point) = moved.norm() / sampled_distances_(point);
@@ -305,26 +318,26 @@ void MotionLimit<Model>::reach(const VectorXd& load, const VectorXd& weights, Sc
 
 template <class Model>
 double MotionLimit<Model>::percentile(const LimitedBone& bone, Scratch& scratch) const {
-  auto& sorted = scratch.sorted;
-  sorted.clear();
-  for (const auto& [point, weight] : bone.points) sorted.push_back({scratch.answers(point), weight});
-  const auto largest = std::max_element(sorted.begin(), sorted.end());
-  if (largest == sorted.end() || largest->second >= bone.above) return largest == sorted.end() ? 0 : largest->first;
-  std::sort(sorted.rbegin(), sorted.rend());
-  double above = 0;
-  for (const auto& [value, weight] : sorted)
-    if ((above += weight) >= bone.above) return value;
-  return sorted.back().first;
+  auto& heap = scratch.heap;
+  heap.clear();
+  for (const auto& [point, weight] : bone.points) heap.push_back({scratch.answers(point), weight});
+  std::make_heap(heap.begin(), heap.end());
+  double value = 0;
+  for (double above = 0; !heap.empty() && above < bone.above; heap.pop_back()) {  // few points are above
+    std::pop_heap(heap.begin(), heap.end());
+    value = heap.back().first;
+    above += heap.back().second;
+  }
+  return value;
 }
 
 template <class Model>
-bool MotionLimit<Model>::scales(const VectorXd& excess, VectorXd& out) const {
+void MotionLimit<Model>::scales(const VectorXd& excess, VectorXd& out) const {
   const VectorXd of_bones = excess.unaryExpr(&load_scale);
   if (groups_.size() > 0)
     out = groups_ * of_bones;
   else
     out = of_bones;
-  return (excess.array() > 0.5).any();
 }
 
 template <class Model>

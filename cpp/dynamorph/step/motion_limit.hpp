@@ -20,7 +20,7 @@
 //    within a swing, and a position that jumps by d, which is an impulse and its opposite, as d, whatever the step. A
 //    step cannot tell the two jumps apart before the next one. So H holds what is still there a step later (q decays
 //    by k until then), and the jump p itself counts at once. What the steps before have let through is corrected when s
-//    changes (`Simulation::scaled`).
+//    changes (`StepLoad::scaled`).
 //
 // 2. On the motion itself, for what a bounded load can build up (a landing, resonance). From 0.6 L on a point is pulled
 //    back, and from 0.6 of 0.4 of its length on the change of an edge,
@@ -97,6 +97,8 @@ class NodalAnswers {
 struct LimitedBone {
   std::vector<std::pair<int, double>> points;  ///< with their weights in the percentile
   double above = 0;                            ///< the weight of those beyond it
+  Vector3d center = Vector3d::Zero();          ///< of their box
+  double radius = 0, least_distance = 0;       ///< the largest distance from there, and the smallest L
   int first_edge = 0, last_edge = 0;           ///< numbers from the first to before the last
   VectorXd share;                              ///< of its tissue in each target set; adds up to one
 };
@@ -131,19 +133,21 @@ class MotionLimit {
   /// Nothing is allocated after the first time.
   struct Scratch {
     std::vector<float> single;
-    VectorXd answers, stiffness;                    ///< of each target set, relative to its neutral target
-    std::vector<std::pair<double, double>> sorted;  ///< values of a bone's points, and weights
-    Transforms jump;
+    VectorXd answers, stiffness;                  ///< of each target set, relative to its neutral target
+    std::vector<std::pair<double, double>> heap;  ///< values of a bone's points, and weights
+    VectorXd held, jump;                          ///< H as it would be without a jump, and p (G)
+    MatrixXd moved;                               ///< the bones' second difference (G, 12)
   };
 
-  /// A step of h seconds under a load f (dofs) at target weights (J). bones: now, at the last step, and before that.
-  void drive(const VectorXd& load, const VectorXd& weights, const std::array<const Transforms*, 3>& bones, double h,
+  /// A step of h seconds under a load f (dofs) at target weights (J). acceleration: the second difference of the body's
+  /// transforms (T).
+  void drive(const VectorXd& load, const VectorXd& weights, const Transforms& acceleration, double h,
              const DrivenLoad& before, Scratch& scratch, DrivenLoad& out) const;
   /// The same under a load that has lasted, as in a static solution.
   void drive_long(const VectorXd& load, const VectorXd& weights, Scratch& scratch, DrivenLoad& out) const;
 
-  /// s (T) of the body's transforms from x (G). Returns whether any is below 1.
-  bool scales(const VectorXd& excess, VectorXd& out) const;
+  /// s (T) of the body's transforms from x (G).
+  void scales(const VectorXd& excess, VectorXd& out) const;
 
   const std::vector<Pull>& pulls() const { return pulls_; }
   const PointRows& pull_numbers() const { return pull_numbers_; }  ///< over `pull_points`
@@ -157,8 +161,8 @@ class MotionLimit {
 
   /// q (G) of a mean load: 1 where it carries a bone's skin as far as it may go.
   void reach(const VectorXd& load, const VectorXd& weights, Scratch& scratch, VectorXd& out) const;
-  /// p (G) of bones that are off their course by scratch.jump.
-  void jumped(Scratch& scratch, VectorXd& out) const;
+  /// p (G), or 0 where that is at most `least` (G).
+  void jumped(const Transforms& acceleration, const VectorXd& least, Scratch& scratch, VectorXd& out) const;
   /// Of the lengths of the answers at a bone's points.
   double percentile(const LimitedBone& bone, Scratch& scratch) const;
 
@@ -166,9 +170,9 @@ class MotionLimit {
   std::vector<LimitedBone> bones_;
   int sampled_ = 0;  ///< points, whose three numbers each come first
   Points sampled_rest_;
-  VectorXd sampled_distances_;  ///< L
-  MatrixXd groups_;
-  VectorXd neutral_stiffness_;  ///< mu of each set's neutral target
+  VectorXd sampled_distances_;      ///< L
+  MatrixXd groups_, group_shares_;  ///< (T, G); columns of the second add up to one
+  VectorXd neutral_stiffness_;      ///< mu of each set's neutral target
   double frequency_ = 0;
   std::unique_ptr<Answers> answers_;
   std::vector<Pull> pulls_;

@@ -92,11 +92,12 @@ MovingBody<Model>::MovingBody(std::shared_ptr<const Model> model, StepOptions op
     : model_(std::move(model)),
       options_(std::move(options)),
       parts_(std::move(parts)),
+      load_(model_, parts_.limit),
       search_(parts_.contact, parts_.distance, parts_.self_contact) {
   check(options_);
   check(parts_, *model_);
   damped_ = quadratic_.H = newton_.hessian.base = model_->zero();
-  driven_ = state_.driven = not_driven(parts_.limit ? parts_.limit->bones() : 0, model_->dofs());
+  state_.driven = not_driven(parts_.limit ? parts_.limit->bones() : 0, model_->dofs());
   dents_.setZero(parts_.contact && parts_.contact->local() ? parts_.contact->local()->size() : 0);
 }
 
@@ -111,111 +112,24 @@ void MovingBody<Model>::pose(const Transforms& bones, const VectorXd& weights) {
 }
 
 template <class Model>
-void MovingBody<Model>::load(const InertialTarget& inertial, double square, const VectorXd* external,
-                             const VectorXd* scales) {
-  model_->inertia(inertial, blend_.mass, inertia_);
-  quadratic_.g = inertia_.force / square;
-  if (rest_gravity_.size() > 0) quadratic_.g.noalias() += rest_gravity_ * blend_.weights;
-  if (!external) return;
-  const Eigen::Index size = model_->body().rest.size();
-  if (external->size() != size)
-    throw std::invalid_argument("external: expected " + std::to_string(size) + " values, got " +
-                                std::to_string(external->size()));
-  if (!external->allFinite()) throw std::invalid_argument("external: forces must be finite");
-  frame_.bones = *inertial.bones[0];
-  pose_nodes(model_->body().skin, frame_);
-  nodal_ = *external;
-  if (scales) nodal_.array() *= at_coordinates(model_->body().skin * *scales).array();
-  pull_back(frame_, nodal_);
-  model_->project_force(nodal_, projected_);
-  quadratic_.g -= projected_;
-}
-
-template <class Model>
-void MovingBody<Model>::drive(const InertialTarget& inertial, const StepInput<Model>& input) {
-  // By plain second differences of the bones: those of BDF2 spread a jump over three steps, forth and back.
-  const double h = options_.h;
-  InertialTarget plain = inertial;
-  plain.coefficients.setZero();
-  plain.coefficients.topLeftCorner<2, 3>() << 2, -2, 0, -1, 0, 1;
-  plain.gravity_offset = h * h * options_.gravity;
-  load(plain, h * h, input.external);
-  quadratic_.g *= -1;
-  parts_.limit->drive(quadratic_.g, input.weights, {inertial.bones[0], inertial.bones[1], inertial.bones[2]}, h,
-                      state_.driven, answers_, driven_);
-}
-
-template <class Model>
-void MovingBody<Model>::hold_back(const InertialTarget& inertial, double square, const StepInput<Model>& input) {
-  bool any = false;
-  for (std::size_t k = 0; k < scales_.size(); ++k) any |= parts_.limit->scales(driven_.excess[k], scales_[k]);
-  if (any)
-    load(scaled(inertial, square), square, input.external, &scales_[0]);
-  else
-    load(inertial, square, input.external);
-}
-
-template <class Model>
-InertialTarget MovingBody<Model>::scaled(InertialTarget inertial, double square) {
-  // Gravity is an acceleration like any other: a shift of the newest past. Without a past, one is made up.
-  if (inertial.coefficients.isZero(0)) inertial.coefficients.row(0).head<2>() << 1, -1;
-  const double newest = inertial.coefficients.col(1).sum();
-  const std::array<const Transforms*, InertialTarget::kPoses> bones = inertial.bones;
-  const Transforms& now = *bones[0];
-  const VectorXd &scale = scales_[0], &last = scales_[1], &before = scales_[2];
-  for (std::size_t n = 1; n < bones.size(); ++n) {
-    Transforms& slowed = slowed_[n - 1];
-    slowed = *bones[n];
-    for (Eigen::Index t = 0; t < slowed.rows(); ++t)
-      if (scale(t) < 1) slowed.row(t) = now.row(t) + scale(t) * (slowed.row(t) - now.row(t));
-    inertial.bones[n] = &slowed;
-  }
-  for (Eigen::Index t = 0; t < now.rows(); ++t) {
-    const auto acceleration = [&](std::size_t n) {
-      return bones[n]->row(t) - 2 * bones[n + 1]->row(t) + bones[n + 2]->row(t);
-    };
-    if (scale(t) != last(t))
-      slowed_[0].row(t) += (scale(t) - last(t)) / newest * (2 * acceleration(1) + (3 + newest) * acceleration(2));
-    if (last(t) != before(t)) slowed_[0].row(t) -= (last(t) - before(t)) / newest * acceleration(2);
-    if (scale(t) == 1) continue;
-    Vector3d gravity = options_.gravity;  // less that of the targets' own poses, in this one
-    if (rest_directions_.size() > 0) {
-      const Matrix3d pose = transform(now, t).leftCols<3>();
-      const Vector3d own = rest_directions_.middleRows<3>(3 * t) * blend_.weights / model_->body().sets();
-      gravity -= pose * own * (3 / std::max(pose.squaredNorm(), 1e-12));
-    }
-    const Vector3d shift = (1 - scale(t)) * square / newest * gravity;
-    for (int axis = 0; axis < 3; ++axis) slowed_[0](t, 4 * axis + 3) += shift(axis);
-  }
-  return inertial;
-}
-
-template <class Model>
 void MovingBody<Model>::balance_targets(const std::vector<Transforms>& bones) {
   const auto& targets = model_->targets();
   if (bones.size() != targets.size())
     throw std::invalid_argument("bones: expected one skin frame for each of " + std::to_string(targets.size()) +
                                 " targets, got " + std::to_string(bones.size()));
-  MatrixXd loads(model_->dofs(), targets.size()), before;
+  MatrixXd loads(model_->dofs(), targets.size());
   MatrixXd directions(3 * model_->body().skin.cols(), targets.size());
-  before.swap(rest_gravity_);  // must not act meanwhile, and is restored when a rig is refused
   const VectorXd rest = VectorXd::Zero(model_->dofs());
-  try {
-    for (size_t j = 0; j < targets.size(); ++j) {
-      // The target alone, without targets of other sets: f_g^(j) = rho_j (A^(j))^T M1 g.
-      const VectorXd alone = VectorXd::Unit(targets.size(), j);
-      pose(bones[j], alone);
-      load(at_rest(rest, bones[j], options_.gravity), 1, nullptr);
-      loads.col(j) = -quadratic_.g;
-      for (Eigen::Index t = 0; t < bones[j].rows(); ++t)
-        directions.block<3, 1>(3 * t, j) = transform(bones[j], t).leftCols<3>().transpose() * options_.gravity;
-    }
-  } catch (...) {
-    rest_gravity_.swap(before);
-    throw;
+  for (size_t j = 0; j < targets.size(); ++j) {
+    // The target alone, without targets of other sets: f_g^(j) = rho_j (A^(j))^T M1 g.
+    const VectorXd alone = VectorXd::Unit(targets.size(), j);
+    pose(bones[j], alone);
+    load_.unbalanced({at_rest(rest, bones[j], options_.gravity), 1, options_.gravity, blend_, nullptr}, quadratic_.g);
+    loads.col(j) = -quadratic_.g;
+    for (Eigen::Index t = 0; t < bones[j].rows(); ++t)
+      directions.block<3, 1>(3 * t, j) = transform(bones[j], t).leftCols<3>().transpose() * options_.gravity;
   }
-  rest_gravity_ = loads;
-  rest_directions_ = directions;
+  load_.balance(std::move(loads), std::move(directions));
 }
 
 template <class Model>
@@ -259,11 +173,7 @@ StepReport MovingBody<Model>::solve_static(const StepInput<Model>& input, Vector
   }
   if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
   const InertialTarget gravity = at_rest(q, input.bones, options_.gravity);
-  load(gravity, 1, input.external);
-  if (parts_.limit) {
-    parts_.limit->drive_long(-quadratic_.g, weights, answers_, driven_);
-    hold_back(gravity, 1, input);
-  }
+  load_.lasting({gravity, 1, options_.gravity, blend_, input.external}, quadratic_.g);
   begin_terms(input, q, 0);
   contacts_.clear();
   forget();
@@ -286,7 +196,7 @@ StepReport MovingBody<Model>::start(const Transforms& now, const Transforms& nex
   StepReport report = solve_static({now, weights}, q);
   dents_.setZero();
   weights_ = weights;
-  state_.driven = driven_;
+  state_.driven = load_.driven();
   state_.q.fill(q);
   for (int k = 0; k < InertialTarget::kMoments; ++k) state_.bones[k] = extrapolate_back(now, next, k);
   state_.contact.clear();
@@ -397,26 +307,21 @@ void MovingBody<Model>::prepare(const StepInput<Model>& input) {
   }
   inertial.coefficients = rule.coefficients();
   inertial.gravity_offset = rule.square * options_.gravity;
-  if (parts_.limit) {
-    drive(inertial, input);
-    hold_back(inertial, rule.square, input);
-  } else {
-    load(inertial, rule.square, input.external);
-  }
+  load_.step({inertial, rule.square, options_.gravity, blend_, input.external}, h, state_.driven, quadratic_.g);
   begin_terms(input, next_, kWatched);
   find_contacts(input);
 
   // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h and a constant, symmetric, positive C.
-  values(damped_) = values(inertia_.damped) + values(blend_.damping);
-  values(quadratic_.H) = values(inertia_.mass) / rule.square + (rule.velocity[0] / h) * values(damped_);
+  values(damped_) = values(load_.inertia().damped) + values(blend_.damping);
+  values(quadratic_.H) = values(load_.inertia().mass) / rule.square + (rule.velocity[0] / h) * values(damped_);
   velocity_ = (rule.velocity[0] * next_ + rule.velocity[1] * state_.q[0] + rule.velocity[2] * state_.q[1]) / h;
   multiply(damped_, velocity_, resistance_);
   quadratic_.g += resistance_;
   quadratic_.origin = next_;
   // Far from the world's origin, posed positions lose digits, and inertia multiplies the loss.
-  quadratic_.round_off_of_g =
-      1e-14 / rule.square * farthest(bones) *
-      std::sqrt(model_->body().volume * blend_.mass.density.maxCoeff() * values(inertia_.mass).cwiseAbs().maxCoeff());
+  quadratic_.round_off_of_g = 1e-14 / rule.square * farthest(bones) *
+                              std::sqrt(model_->body().volume * blend_.mass.density.maxCoeff() *
+                                        values(load_.inertia().mass).cwiseAbs().maxCoeff());
 }
 
 template <class Model>
@@ -428,7 +333,7 @@ void MovingBody<Model>::end_step(const StepInput<Model>& input, StepReport& repo
   std::rotate(state_.bones.rbegin(), state_.bones.rbegin() + 1, state_.bones.rend());
   state_.q[0] = next_;
   state_.bones[0] = input.bones;
-  state_.driven = driven_;
+  state_.driven = load_.driven();
   state_.contact = search_.memory();
   contacts_.pressures(state_.pressures);
   weights_ = input.weights;
@@ -474,7 +379,7 @@ StepReport MovingBody<Model>::take(const NewtonReport& found, const VectorXd& un
   report.energy = found.unseen ? elastic_.energy_after(newton_.direction) : elastic_.energy();
   report.farthest = pulls_.farthest();
   report.pulled = pulls_.acts();
-  if (parts_.limit) report.excess = driven_.excess[0].maxCoeff(&report.excess_bone);
+  if (parts_.limit) report.excess = load_.driven().excess[0].maxCoeff(&report.excess_bone);
   return report;
 }
 

@@ -20,6 +20,7 @@
 #include "dynamorph/step/contact_search.hpp"
 #include "dynamorph/step/contact_term.hpp"
 #include "dynamorph/step/state.hpp"
+#include "dynamorph/step/step_load.hpp"
 #include "dynamorph/step/step_options.hpp"
 #include "dynamorph/step/terms.hpp"
 
@@ -122,20 +123,6 @@ class MovingBody {
   void prepare(const StepInput<Model>& input);
   /// Moves the state from the static solution to where what it touches holds it.
   void lie_down(const StepInput<Model>& input, StepReport& report);
-  /// Sets g of the quadratic term to the forces at its origin: inertia's toward `inertial` divided by `square` s^2,
-  /// external forces on the nodes if there are any, and gravity in the targets' own poses.
-  /// scales: of the transforms' loads (T), for external forces.
-  void load(const InertialTarget& inertial, double square, const VectorXd* external, const VectorXd* scales = nullptr);
-  /// Decides how much of the load the limit lets through.
-  void drive(const InertialTarget& inertial, const StepInput<Model>& input);
-  /// `load`, with only that much where the rig drives the tissue too far.
-  void hold_back(const InertialTarget& inertial, double square, const StepInput<Model>& input);
-  /// The same inertial target with the accelerations of the transforms, and of gravity, scaled: the past x^ becomes
-  /// x_in + s (x^ - x_in), where x_in is the past without the motion of the bones. Where s has changed, it also
-  /// corrects what earlier steps have let through: velocity and place become what they would be with the s of now. Of
-  /// the bones' last second difference a, (s - s') a is added twice and taken off in the next step, because the tissue
-  /// has moved with it for a step. The one before acts by a part 3 - past[0] of `StepRule`, and only its velocity is.
-  InertialTarget scaled(InertialTarget inertial, double square);
   /// Says what the terms at points of the skin are in a step that would end at the predicted coordinates. watched: of
   /// its limit, from which on something can be pulled.
   void begin_terms(const StepInput<Model>& input, const VectorXd& predicted, double watched);
@@ -158,7 +145,7 @@ class MovingBody {
   VectorXd dents_;
 
   typename Model::Blend blend_;
-  typename Model::Inertia inertia_;
+  StepLoad<Model> load_;
   Matrix damped_;
   VectorXd next_, velocity_, resistance_;  ///< coordinates of the step, bind-pose velocity, and damping at it
   VectorXd unknowns_;                      ///< of Newton's method
@@ -170,15 +157,6 @@ class MovingBody {
   Sum potential_{quadratic_, elastic_, grabs_, pulls_, contacts_};
   ContactSearch<Model> search_;
   NewtonScratch<Matrix> newton_;
-
-  typename MotionLimit<Model>::Scratch answers_;
-  DrivenLoad driven_;                                        ///< at the end of the step
-  std::array<VectorXd, 3> scales_;                           ///< s, in this step and the last two
-  std::array<Transforms, InertialTarget::kMoments> slowed_;  ///< bones of a scaled past
-  MatrixXd rest_gravity_;                                    ///< gravity in each target's own pose (dofs, J), or empty
-  MatrixXd rest_directions_;                                 ///< the same at each transform, A^T g (3T, J)
-  SkinFrame frame_;                                          ///< of the nodes, where external forces act
-  VectorXd nodal_, projected_;
 };
 
 extern template class MovingBody<FullModel>;

@@ -32,6 +32,24 @@ DYNAMORPH_INLINE void split(const Lanes G[3][4], Lanes* parts) {
   }
 }
 
+/// G = R^T D in the first columns.
+template <class Lanes>
+DYNAMORPH_INLINE void to_bind(const Lanes R[3][3], const Lanes* D, int columns, Lanes G[3][4]) {
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < columns; ++j) G[i][j] = mul_add(mul_add(R[0][i] * D[j], R[1][i], D[4 + j]), R[2][i], D[8 + j]);
+}
+
+/// The coefficients of the rest positions alone. motion: the bones, and what moves the rest positions.
+template <class Lanes>
+DYNAMORPH_INLINE void contract_rigid_bones(const Lanes (*motion)[12], const Lanes& sign, Coefficients<Lanes>& out) {
+  Lanes R[3][3], G[3][4];
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) R[i][j] = sign * motion[0][4 * i + j];
+  to_bind(R, motion[1], 4, G);
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 4; ++j) out.rigid[4 * i + j] = G[i][j];
+}
+
 /// Computes the coefficients from the motions of eight pairs, entry after entry. sign: 1 for one bone, with a mass
 /// counted by how far the bone is from rigid; -1 for two.
 template <class Lanes>
@@ -40,10 +58,7 @@ DYNAMORPH_INLINE void contract_bones(const Lanes (*motion)[12], const Lanes& sig
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) R[i][j] = sign * motion[0][4 * i + j];
   for (int m = 0; m <= kMoments; ++m) {
-    const Lanes* D = motion[m];
-    for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < (m == 1 ? 4 : 3); ++j)
-        G[i][j] = mul_add(mul_add(R[0][i] * D[j], R[1][i], D[4 + j]), R[2][i], D[8 + j]);
+    to_bind(R, motion[m], m == 1 ? 4 : 3, G);
     if (m == 0)
       for (int i = 0; i < 3; ++i) {
         out.mass[i] = G[i][i] - (0.5F + 0.5F * sign);

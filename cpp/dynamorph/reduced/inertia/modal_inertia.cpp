@@ -17,13 +17,13 @@ using namespace bone_pairs;
 constexpr double kNegligible = 1e-5;
 using BoneMotion = ModalInertia::BoneMotion;
 
-/// lanes[m][e][p] = entry e of matrix m of pair p: that of its bone, or the difference of its two bones.
+/// lanes[m][e][p] = entry e of matrix m < count of pair p: that of its bone, or the difference of its two bones.
 void gather(const std::vector<BoneMotion>& bones, const std::vector<BonePair>& pairs,
-            const std::array<float, kLanes>& signs, FloatW lanes[][12]) {
+            const std::array<float, kLanes>& signs, int count, FloatW lanes[][12]) {
   for (size_t p = 0; p < pairs.size(); ++p) {
     const auto &a = bones[pairs[p].first].values, &b = bones[pairs[p].second].values;
     const float less = signs[p] < 0;
-    for (int m = 0; m <= InertialTarget::kMoments; ++m)
+    for (int m = 0; m < count; ++m)
       for (int e = 0; e < 12; ++e) lanes[m][e][p] = a[m][e] - less * b[m][e];
   }
 }
@@ -120,8 +120,9 @@ void ModalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
     const Tensors& set = sets_[s];
     std::fill(out.sums.begin(), out.sums.end(), FloatW{});
     for (size_t g = 0; g < set.groups.size(); ++g) {
-      FloatW lanes[1 + InertialTarget::kMoments][12] = {};
-      gather(out.bones, set.groups[g].pairs, set.groups[g].signs, lanes);
+      constexpr int kMatrices = 1 + InertialTarget::kMoments;
+      FloatW lanes[kMatrices][12] = {};
+      gather(out.bones, set.groups[g].pairs, set.groups[g].signs, kMatrices, lanes);
       FloatW sign;
       std::copy_n(set.groups[g].signs.data(), kLanes, reinterpret_cast<float*>(&sign));
       add_eight_pairs(lanes, sign, set.groups[g].largest_force, out.differences.data(), r_,
@@ -140,6 +141,35 @@ void ModalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
   }
   out.mass.triangularView<Eigen::StrictlyUpper>() = out.mass.transpose();
   out.damped.triangularView<Eigen::StrictlyUpper>() = out.damped.transpose();
+}
+
+void ModalInertia::rigid_force(const Transforms& now, const Transforms& moved, const SetDensities& densities,
+                               Result& scratch, Eigen::Ref<VectorXd> force) const {
+  scratch.bones.resize(used_.size());
+  for (size_t b = 0; b < used_.size(); ++b) {
+    const double *pose = now.data() + 12 * used_[b], *by = moved.data() + 12 * used_[b];
+    auto& motion = scratch.bones[b].values;
+    std::copy_n(pose, 12, motion[0]);
+    std::copy_n(by, 12, motion[1]);
+    for (int e = 0; e < 12; e += 4)  // in double: it may be large and of the other sign
+      motion[1][e + 3] = float(by[e + 3] + by[e] * center_(0) + by[e + 1] * center_(1) + by[e + 2] * center_(2));
+  }
+  scratch.sums.resize((r_ + kLanes - 1) / kLanes * kLanes);
+  scratch.totals.resize(scratch.sums.size());
+  force.setZero();
+  for (size_t s = 0; s < sets_.size(); ++s) {
+    const Tensors& set = sets_[s];
+    std::fill(scratch.sums.begin(), scratch.sums.end(), FloatW{});
+    for (size_t g = 0; g < set.groups.size(); ++g) {
+      const Group& group = set.groups[g];
+      FloatW lanes[2][12] = {}, sign;
+      gather(scratch.bones, group.pairs, group.signs, 2, lanes);
+      std::copy_n(group.signs.data(), kLanes, reinterpret_cast<float*>(&sign));
+      add_eight_rigid_pairs(lanes, sign, r_, set.table.data() + g * entries(r_), scratch.sums.data());
+    }
+    add_lanes(scratch.sums.data(), Index(scratch.sums.size()) / kLanes, scratch.totals.data());
+    for (Index k = 0; k < r_; ++k) force(k) += densities.density(s) * scratch.totals[k];
+  }
 }
 
 }  // namespace dynamorph

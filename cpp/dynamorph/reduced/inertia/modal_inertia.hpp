@@ -48,6 +48,10 @@ class ModalInertia {
   /// the mass is within 4e-4 and the force within 7e-6 of a sum over the nodes; with few bones, both are within 1e-7.
   void evaluate(const InertialTarget& inertial, const SetDensities& densities, Result& out) const;
 
+  /// The force (r) of a target D (X, 1) with the rest positions X, D blended from `moved` (B), in the pose `now` (B).
+  void rigid_force(const Transforms& now, const Transforms& moved, const SetDensities& densities, Result& scratch,
+             Eigen::Ref<VectorXd> force) const;
+
  private:
   using BonePair = bone_pairs::BonePair;
   /// Up to eight pairs, side by side.

@@ -65,6 +65,13 @@ void add_eight_pairs(const FloatW (*motion)[12], const FloatW& sign, double larg
     add_tensors<false>(table, r, slopes, c, force, mass);
 }
 
+void add_eight_rigid_pairs(const FloatW (*motion)[12], const FloatW& sign, Index r, const FloatW* table,
+                           FloatW* force) {
+  Coefficients<FloatW> c;
+  contract_rigid_bones(motion, sign, c);
+  add_rigid(table, r, c, force);
+}
+
 void add_lanes(const FloatW* sums, Index count, float* totals) {
   for (Index i = 0; i < count; ++i, sums += kLanes) {
     Float8 four[2];

@@ -16,6 +16,10 @@ DYNAMORPH_KERNEL(void, combine_poses, const double* const* bones, const double* 
 /// infinite unless all are of two bones. y: each mode's backward differences. slopes (9, r): scratch.
 DYNAMORPH_KERNEL(void, add_eight_pairs, const FloatW (*motion)[12], const FloatW& sign, double largest_force,
                  const float* y, Index r, const FloatW* table, FloatW* slopes, FloatW* force, FloatW* mass);
+/// Adds the force of eight pairs of bones on rest positions alone. motion: of each bone its transform, and what moves
+/// its rest positions.
+DYNAMORPH_KERNEL(void, add_eight_rigid_pairs, const FloatW (*motion)[12], const FloatW& sign, Index r,
+                 const FloatW* table, FloatW* force);
 
 /// totals[8 i + j] = the sum of the lanes of sums[8 i + j], for i < count.
 DYNAMORPH_KERNEL(void, add_lanes, const FloatW* sums, Index count, float* totals);

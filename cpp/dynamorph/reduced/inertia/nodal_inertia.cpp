@@ -86,4 +86,23 @@ void NodalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
     damped = densities.damped(0) / densities.density(0) * mass;
 }
 
+void NodalInertia::rigid_force(const Transforms& now, const Transforms& moved, const SetDensities& densities,
+                               Scratch& scratch, Eigen::Ref<VectorXd> force) const {
+  const Index nodes = body_->volumes.rows();
+  scratch.force.assign(r_, DoubleW{});
+  for (Index first = 0; first < nodes; first += kLanes) {
+    DoubleW y[3] = {};
+    for (Index i = first; i < std::min(first + kLanes, nodes); ++i) {
+      const TransformMap D = transform(moved, i);
+      const Vector3d target = D.leftCols<3>() * body_->rest.segment<3>(3 * i) + D.col(3);
+      const Vector3d load = transform(now, i).leftCols<3>().transpose() * target;
+      const double mass = body_->volumes.row(i).dot(densities.density);
+      for (int c = 0; c < 3; ++c) y[c][int(i - first)] = mass * load(c);
+    }
+    const DoubleW* u = table_.data() + first / kLanes * 3 * (r_ + 1);
+    for (Index k = 0; k < r_; ++k, u += 3) scratch.force[k] += u[0] * y[0] + u[1] * y[1] + u[2] * y[2];
+  }
+  for (Index k = 0; k < r_; ++k) force(k) = sum(scratch.force[k]);
+}
+
 }  // namespace dynamorph

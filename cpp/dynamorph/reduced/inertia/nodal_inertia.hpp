@@ -33,6 +33,10 @@ class NodalInertia {
   void evaluate(const InertialTarget& inertial, const SetDensities& densities, Scratch& scratch, MatrixXd& mass,
                 MatrixXd& damped, VectorXd& force) const;
 
+  /// The force (r) of a target D (X, 1), D = `moved` of each node, in the pose `now`; for nodes with their own.
+  void rigid_force(const Transforms& now, const Transforms& moved, const SetDensities& densities, Scratch& scratch,
+             Eigen::Ref<VectorXd> force) const;
+
  private:
   std::shared_ptr<const SoftBody> body_;
   Eigen::Index r_;

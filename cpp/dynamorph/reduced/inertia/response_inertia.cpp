@@ -22,26 +22,15 @@ constexpr double kEven = 1e-6;
 
 using Affine = Eigen::Matrix<double, 3, 4, Eigen::RowMajor>;
 
-using Sums = Eigen::Matrix<double, InertialTarget::kPoses, 1>;
-
-/// The coefficients of a body that does not move in bind space, in each pose.
-Sums sums_of(const InertialTarget& inertial) {
-  Sums sums;
-  for (int n = 0; n < InertialTarget::kPoses; ++n) sums(n) = inertial.coefficients.col(n).sum();
-  return sums;
-}
-
-/// What pulls the rest positions relative to `center` of bone b, or of node b with its own transform.
-Affine inertial_target(const InertialTarget& inertial, const Sums& sums, Index b, const Vector3d& center) {
-  Affine target = Affine::Zero();
-  for (int n = 0; n < InertialTarget::kPoses; ++n)
-    target += sums(n) * Eigen::Map<const Affine>(inertial.bones[n]->data() + 12 * b);
-  target.col(3) += target.leftCols<3>() * center - inertial.gravity_offset;
-  return target;
+/// What pulls the rest positions of bones, or of nodes with their own transforms, if nothing moves in bind space.
+void take_target(const InertialTarget& inertial, Transforms& out) {
+  out = inertial.coefficients.col(0).sum() * *inertial.bones[0];
+  for (int n = 1; n < InertialTarget::kPoses; ++n) out += inertial.coefficients.col(n).sum() * *inertial.bones[n];
+  for (int axis = 0; axis < 3; ++axis) out.col(4 * axis + 3).array() -= inertial.gravity_offset(axis);
 }
 
 /// The mean of the squares of a transform's scales, less one.
-double growth(const Eigen::Map<const Affine>& pose) { return pose.leftCols<3>().squaredNorm() / 3 - 1; }
+double growth(const TransformMap& pose) { return pose.leftCols<3>().squaredNorm() / 3 - 1; }
 
 /// Whether some bones or nodes scale otherwise than others.
 bool uneven(const VectorXd& growth) { return growth.maxCoeff() - growth.minCoeff() > kEven * (1 + growth.maxCoeff()); }
@@ -124,42 +113,66 @@ void ResponseInertia::tabulate_loads(const MatrixXd& remainder, int s, Set& set)
   set.loads.assign(loads.data(), loads.data() + loads.size());
 }
 
-void ResponseInertia::take_loads(const InertialTarget& inertial, Scratch& scratch) const {
+void ResponseInertia::take_loads(const Transforms& now, const Transforms& target, Scratch& scratch) const {
   scratch.loads.resize(12 * Index(pairs_.size()));
-  scratch.growth.resize(Index(bones_.size()));
-  scratch.targets.resize(bones_.size());
+  scratch.centered.resize(bones_.size());
   scratch.active.clear();
   double largest = 0;
-  const Sums sums = sums_of(inertial);
-  const auto affine = [&](int bone) { return Eigen::Map<const Affine>(inertial.bones[0]->data() + 12 * bones_[bone]); };
-  const auto pose = [&](int bone) { return affine(bone).leftCols<3>(); };
+  const auto pose = [&](int bone) { return transform(now, bones_[bone]).leftCols<3>(); };
   for (size_t t = 0; t < pairs_.size(); ++t) {
     const auto [first, second, size] = pairs_[t];
     Eigen::Map<Affine> load(scratch.loads.data() + 12 * t);
     if (first == second) {
-      scratch.targets[first] = inertial_target(inertial, sums, bones_[first], body_->center);
-      load.noalias() = pose(first).transpose() * scratch.targets[first];
-      scratch.growth(first) = growth(affine(first));
+      Affine& centered = scratch.centered[first] = transform(target, bones_[first]);
+      centered.col(3) += centered.leftCols<3>() * body_->center;
+      load.noalias() = pose(first).transpose() * centered;
       largest = std::max(largest, load.norm() * size);
     } else {
-      load.noalias() = (pose(second) - pose(first)).transpose() * (scratch.targets[first] - scratch.targets[second]);
+      load.noalias() = (pose(second) - pose(first)).transpose() * (scratch.centered[first] - scratch.centered[second]);
       if (load.norm() * size < kInsignificant * largest) continue;
     }
     scratch.active.push_back(int(t));
   }
 }
 
-void ResponseInertia::take_nodal_loads(const InertialTarget& inertial, Scratch& scratch) const {
+void ResponseInertia::take_nodal_loads(const Transforms& now, const Transforms& target, Scratch& scratch) const {
   const Index nodes = body_->volumes.rows();
   scratch.loads.resize(3 * nodes);
-  scratch.growth.resize(nodes);
-  const Sums sums = sums_of(inertial);
   for (Index i = 0; i < nodes; ++i) {
-    const Eigen::Map<const Affine> pose(inertial.bones[0]->data() + 12 * i);
-    const Affine target = inertial_target(inertial, sums, i, Vector3d::Zero());
-    scratch.growth(i) = growth(pose);
+    const TransformMap D = transform(target, i);
     scratch.loads.segment<3>(3 * i) =
-        pose.leftCols<3>().transpose() * (target.leftCols<3>() * body_->rest.segment<3>(3 * i) + target.col(3));
+        transform(now, i).leftCols<3>().transpose() * (D.leftCols<3>() * body_->rest.segment<3>(3 * i) + D.col(3));
+  }
+}
+
+void ResponseInertia::take_growth(const Transforms& now, Scratch& scratch) const {
+  scratch.growth.resize(body_->own_transforms ? now.rows() : Index(bones_.size()));
+  for (Index k = 0; k < scratch.growth.size(); ++k)
+    scratch.growth(k) = growth(transform(now, body_->own_transforms ? k : bones_[std::size_t(k)]));
+}
+
+void ResponseInertia::add_loads(const Set& set, Scratch& scratch) const {
+  scratch.force.setZero(rows_);
+  if (body_->own_transforms)
+    add_single_product(set.loads.data(), rows_, scratch.loads.data(), scratch.loads.size(), scratch.force.data());
+  for (int t : scratch.active)
+    add_single_product(set.loads.data() + 12 * t * rows_, rows_, scratch.loads.data() + 12 * t, 12,
+                       scratch.force.data());
+}
+
+void ResponseInertia::rigid_force(const Transforms& now, const Transforms& moved, const SetDensities& densities,
+                                  Scratch& scratch, VectorXd& force) const {
+  if (count_ == 0) return;
+  if (body_->own_transforms)
+    take_nodal_loads(now, moved, scratch);
+  else
+    take_loads(now, moved, scratch);
+  const Index r = force.size() - count_;
+  force.tail(count_).setZero();
+  add_product(modal_.data(), count_, force.data(), r, force.data() + r);
+  for (size_t s = 0; s < sets_.size(); ++s) {
+    add_loads(sets_[s], scratch);
+    force.tail(count_) += densities.density(Index(s)) * scratch.force.head(count_);
   }
 }
 
@@ -179,10 +192,13 @@ void ResponseInertia::evaluate(const InertialTarget& inertial, const SetDensitie
                                ArrowMatrix& mass, ArrowMatrix& damped, VectorXd& force) const {
   if (count_ == 0) return;
   const Index r = mass.corner_size();
+  const Transforms& now = *inertial.bones[0];
+  take_target(inertial, scratch.target);
   if (body_->own_transforms)
-    take_nodal_loads(inertial, scratch);
+    take_nodal_loads(now, scratch.target, scratch);
   else
-    take_loads(inertial, scratch);
+    take_loads(now, scratch.target, scratch);
+  take_growth(now, scratch);
   scratch.past.setZero(r + count_);
   for (int m = 0; m < InertialTarget::kMoments; ++m)
     scratch.past += inertial.coefficients.row(m).sum() * *inertial.q[m];
@@ -195,12 +211,7 @@ void ResponseInertia::evaluate(const InertialTarget& inertial, const SetDensitie
   for (size_t s = 0; s < sets_.size(); ++s) {
     const Set& set = sets_[s];
     const double density = densities.density(Index(s)), damping = densities.damped(Index(s));
-    scratch.force.setZero(rows_);
-    if (body_->own_transforms)
-      add_single_product(set.loads.data(), rows_, scratch.loads.data(), scratch.loads.size(), scratch.force.data());
-    for (int t : scratch.active)
-      add_single_product(set.loads.data() + 12 * t * rows_, rows_, scratch.loads.data() + 12 * t, 12,
-                         scratch.force.data());
+    add_loads(set, scratch);
     force.tail(count_) += density * scratch.force.head(count_);
     scratch.scales.setOnes(rows_);
     add_single_product(set.parts.data(), rows_, scratch.growth.data(), scratch.growth.size(), scratch.scales.data());

@@ -42,12 +42,18 @@ class ResponseInertia {
     Eigen::LLT<MatrixXd> corner{MatrixXd()};  // or a move would read what Eigen leaves unset
     Eigen::SelfAdjointEigenSolver<MatrixXd> eigen;
     std::vector<int> active;  ///< pairs
-    std::vector<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>> targets;
+    Transforms target;        ///< what pulls the rest positions of each bone or node
+    std::vector<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>> centered;  ///< the same of bones_, about the center
   };
 
   /// Adds the responses' part of mass, damped mass and force (r + h), whose corner and head are the modes'.
   void evaluate(const InertialTarget& inertial, const SetDensities& densities, Scratch& scratch, ArrowMatrix& mass,
                 ArrowMatrix& damped, VectorXd& force) const;
+
+  /// Adds the responses' part of the force of a target D (X, 1) with the rest positions X, D blended from `moved`, in
+  /// the pose `now`.
+  void rigid_force(const Transforms& now, const Transforms& moved, const SetDensities& densities, Scratch& scratch,
+                   VectorXd& force) const;
 
  private:
   /// One bone, or two bones that share tissue, by their places in bones_.
@@ -64,10 +70,14 @@ class ResponseInertia {
   };
   void tabulate_loads(const MatrixXd& remainder, int s, Set& set);
   void tabulate_mass(const MatrixXd& W, int s, Set& set);
-  /// Writes the inertial target of each pair (12), or of each node (3), in its own frame, which pairs matter, and how
-  /// bones or nodes scale.
-  void take_loads(const InertialTarget& inertial, Scratch& scratch) const;
-  void take_nodal_loads(const InertialTarget& inertial, Scratch& scratch) const;
+  /// Writes what pulls the rest positions of each pair (12), or of each node (3), in its own frame, and which pairs
+  /// matter. target: of each bone or node.
+  void take_loads(const Transforms& now, const Transforms& target, Scratch& scratch) const;
+  void take_nodal_loads(const Transforms& now, const Transforms& target, Scratch& scratch) const;
+  /// How bones or nodes scale.
+  void take_growth(const Transforms& now, Scratch& scratch) const;
+  /// Adds those loads of one set, for unit density, to scratch.force (rows).
+  void add_loads(const Set& set, Scratch& scratch) const;
   /// The factor, at most 1, on the border of `matrix` with which it is positive definite.
   double definite_border(const ArrowMatrix& matrix, Scratch& scratch) const;
 
