@@ -7,9 +7,9 @@
 //   Workspace                    scratch of evaluations, which a simulation keeps
 //   energy, linearize            E, F = dE/dq and K = dF/dq at coordinates q
 //   inertia(inertial, ...)       A^T M A, and the force that the moving rig exerts
-//   rigid_force(now, moved, ...) A^T M D (X, 1): such a force on the rest positions X alone, with D blended from `moved`
-//   displacement, project_force  q -> u and its transpose
-//   SkinPoints, skin_points      the same at points of the skin (skin.hpp)
+//   rigid_force(now, moved, ...) A^T M D (X, 1): such a force on the rest positions X alone, with D blended from
+//   `moved` displacement, project_force  q -> u and its transpose SkinPoints, skin_points      the same at points of
+//   the skin (skin.hpp)
 #pragma once
 
 #include <cmath>

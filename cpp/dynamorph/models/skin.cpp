@@ -121,8 +121,12 @@ ModalPoints::ModalPoints(const SoftBody& body, const Embedding& embedding, const
 void ModalPoints::rows(const PointRows& numbers, Rows& out) const {
   out.setZero(numbers.size(), basis_.cols());
   for (int row = 0; row < numbers.size(); ++row)
-    for (int k = numbers.first(row); k < numbers.first(row + 1); ++k)
-      out.row(row).noalias() += numbers.direction(k).transpose() * basis_.middleRows<3>(3 * numbers.point(k));
+    for (int k = numbers.first(row); k < numbers.first(row + 1); ++k) {
+      const Index first = 3 * numbers.point(k);
+      const Vector3d& along = numbers.direction(k);
+      out.row(row) +=
+          along(0) * basis_.row(first) + along(1) * basis_.row(first + 1) + along(2) * basis_.row(first + 2);
+    }
 }
 
 }  // namespace dynamorph

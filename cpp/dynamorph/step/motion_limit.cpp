@@ -7,7 +7,6 @@
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/reduced/modes/polynomial_kernels.hpp"
-#include "dynamorph/reduced/modes/table_layout.hpp"
 #include "dynamorph/step/limited_tissue.hpp"
 
 namespace dynamorph {
@@ -199,15 +198,20 @@ Ramp ramp(double r, double limit) {
 }
 
 SingleRows::SingleRows(const Eigen::Ref<const MatrixXd>& rows)
-    : size_(rows.rows()), padded_(whole_chunks(rows.rows())), table_(std::size_t(padded_ * rows.cols()), 0.0F) {
+    : size_(rows.rows()),
+      padded_((size_ + kRowBlock - 1) / kRowBlock * kRowBlock),
+      table_(std::size_t(padded_ * rows.cols()), 0.0F) {
   for (Index column = 0; column < rows.cols(); ++column)
-    for (Index row = 0; row < size_; ++row) table_[std::size_t(column * padded_ + row)] = float(rows(row, column));
+    for (Index row = 0; row < size_; ++row) {
+      const Index block = row / kRowBlock * rows.cols();
+      table_[std::size_t((block + column) * kRowBlock + row % kRowBlock)] = float(rows(row, column));
+    }
 }
 
 void SingleRows::multiply(const VectorXd& x, std::vector<float>& scratch, VectorXd& out) const {
   scratch.assign(x.data(), x.data() + x.size());
-  out.setZero(padded_);
-  add_short_product(table_.data(), padded_, scratch.data(), x.size(), out.data());
+  out.resize(padded_);
+  multiply_row_blocks(table_.data(), padded_ / kRowBlock, scratch.data(), x.size(), out.data());
 }
 
 void NodalAnswers::multiply(const VectorXd& load, std::vector<float>& scratch, VectorXd& out) const {

@@ -2,9 +2,9 @@
 // How far a moving rig may drive the tissue. Two limits, both local and both smooth:
 //
 // 1. On the load. The load f of a step is what the rig's acceleration, gravity's difference from the targets' own poses
-//    and force fields do to the tissue. m is its mean over the time 1 / w of a swing, w the tissue's own angular
-//    frequency, and y = K^-1 m (K: the neutral stiffness) says how far it carries the skin. For each bone b, with
-//    k = exp(-h w) and ' for the step before,
+//    and force fields do to tissue at rest in bind space. m is its mean over the time 1 / w of a swing, w the tissue's
+//    own angular frequency, and y = K^-1 m (K: the neutral stiffness) says how far it carries the skin. For each bone
+//    b, with k = exp(-h w) and ' for the step before,
 //
 //      m   = k m' + (1 - k) f
 //      p_b = 97th percentile of |a_b (X_i, 1)| / L_i over its skin                          a_b = B_b - 2 B_b' + B_b''
@@ -72,13 +72,13 @@ struct SkinLimits {
 class SingleRows {
  public:
   explicit SingleRows(const Eigen::Ref<const MatrixXd>& rows);
-  /// out = rows x (k, and zeros up to whole chunks). scratch: x in single precision.
+  /// out = rows x (k, and zeros up to whole blocks). scratch: x in single precision.
   void multiply(const VectorXd& x, std::vector<float>& scratch, VectorXd& out) const;
   Eigen::Index size() const { return size_; }
 
  private:
   Eigen::Index size_, padded_;
-  LaneVector<float> table_;  ///< column by column
+  LaneVector<float> table_;  ///< of multiply_row_blocks
 };
 
 /// Rows J of static answers J K^-1 f over the nodes of a mesh.

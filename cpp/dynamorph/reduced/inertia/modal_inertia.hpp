@@ -50,7 +50,7 @@ class ModalInertia {
 
   /// The force (r) of a target D (X, 1) with the rest positions X, D blended from `moved` (B), in the pose `now` (B).
   void rigid_force(const Transforms& now, const Transforms& moved, const SetDensities& densities, Result& scratch,
-             Eigen::Ref<VectorXd> force) const;
+                   Eigen::Ref<VectorXd> force) const;
 
  private:
   using BonePair = bone_pairs::BonePair;

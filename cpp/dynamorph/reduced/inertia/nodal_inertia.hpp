@@ -35,7 +35,7 @@ class NodalInertia {
 
   /// The force (r) of a target D (X, 1), D = `moved` of each node, in the pose `now`; for nodes with their own.
   void rigid_force(const Transforms& now, const Transforms& moved, const SetDensities& densities, Scratch& scratch,
-             Eigen::Ref<VectorXd> force) const;
+                   Eigen::Ref<VectorXd> force) const;
 
  private:
   std::shared_ptr<const SoftBody> body_;

@@ -127,6 +127,26 @@ void add_short_product(const float* __restrict A, Index rows, const float* __res
   }
 }
 
+void multiply_row_blocks(const float* __restrict A, Index blocks, const float* __restrict x, Index columns,
+                         double* __restrict y) {
+  for (Index block = 0; block < blocks; ++block, y += kRowBlock) {
+    Float8 even[4] = {}, odd[4] = {};  // so many that no sum waits for itself
+    Index c = 0;
+    for (; c + 2 <= columns; c += 2, A += 2 * kRowBlock)
+      for (int i = 0; i < 4; ++i) {
+        even[i] = mul_add(even[i], x[c], load(A + kChunk * i));
+        odd[i] = mul_add(odd[i], x[c + 1], load(A + kRowBlock + kChunk * i));
+      }
+    for (; c < columns; ++c, A += kRowBlock)
+      for (int i = 0; i < 4; ++i) even[i] = mul_add(even[i], x[c], load(A + kChunk * i));
+    for (int i = 0; i < 4; ++i) {
+      const DoubleW sum = to_double(even[i] + odd[i]);
+      store(sum.low, y + kChunk * i);
+      store(sum.high, y + kChunk * i + 4);
+    }
+  }
+}
+
 void add_short_symmetric_product(const float* __restrict A, Index size, const float* __restrict x,
                                  double* __restrict y) {
   const Index chunks = size / kChunk;
@@ -191,9 +211,9 @@ double contract_orders(const double* __restrict constant, const double* __restri
 
 void blend_tables(const float* const* __restrict tables, const double* __restrict weights, int count, Index size,
                   float* __restrict out) {
-  constexpr Index kBlock = 1024;  // what is written stays in the cache while all tables are added
-  for (Index begin = 0; begin < size; begin += kBlock) {
-    const Index end = begin + kBlock < size ? begin + kBlock : size;
+  constexpr Index kRowBlock = 1024;  // what is written stays in the cache while all tables are added
+  for (Index begin = 0; begin < size; begin += kRowBlock) {
+    const Index end = begin + kRowBlock < size ? begin + kRowBlock : size;
     for (Index i = begin; i < end; ++i) out[i] = 0;
     int k = 0;
     for (; k + 3 <= count; k += 3) {

@@ -20,6 +20,10 @@ DYNAMORPH_KERNEL(void, add_symmetric_product, const float* A, Index size, const 
 DYNAMORPH_KERNEL(void, add_short_product, const float* A, Index rows, const float* x, Index columns, double* y);
 DYNAMORPH_KERNEL(void, add_short_symmetric_product, const float* A, Index size, const float* x, double* y);
 
+/// y = A x in single precision. A: blocks of kRowBlock rows, each (kRowBlock, columns) column-major.
+constexpr Index kRowBlock = 32;
+DYNAMORPH_KERNEL(void, multiply_row_blocks, const float* A, Index blocks, const float* x, Index columns, double* y);
+
 /// y += A^T x, with A (rows, columns) column-major.
 DYNAMORPH_KERNEL(void, add_dots, const double* A, Index rows, Index columns, const double* x, double* y);
 
