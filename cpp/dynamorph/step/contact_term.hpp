@@ -315,7 +315,8 @@ struct ContactTerm {
     Eigen::Index j = 0;
     for (const auto& [number, patch] : found) {
       stiffer(j) = std::sqrt(samples.local_stiffer(patch.sample, weights));
-      most(j++) = kFarther * patch.deepest / std::max(samples.local()->farthest()(number), 1e-300);
+      const double far = std::min(kFarther * patch.deepest, kOfTissue * samples.thickness()(patch.sample));
+      most(j++) = far / std::max(samples.local()->farthest()(number), 1e-300);
     }
     for (j = 0; j < m; ++j)
       for (Eigen::Index k = 0; k < m; ++k)
@@ -434,7 +435,8 @@ struct ContactTerm {
     return std::min(1.0, sticks_ / std::max(slip.norm(), 1e-300)) * (slip(0) * across + slip(1) * normal.cross(across));
   }
 
-  static constexpr double kFarther = 1.5;  // than the deepest contact is deep: no patch moves any skin more than that
+  // No patch moves any skin farther than the deepest contact is deep, times the first, or than the tissue is thick.
+  static constexpr double kFarther = 1.5, kOfTissue = 1;
 
   double distance_ = 0, width_ = 1, sticks_ = 1;
   std::vector<Touch> touching_;
