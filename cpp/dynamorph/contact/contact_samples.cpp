@@ -7,6 +7,7 @@
 #include <numeric>
 
 #include "dynamorph/contact/at_rest.hpp"
+#include "dynamorph/contact/choices.hpp"
 #include "dynamorph/elastic/sparse_cholesky.hpp"
 #include "dynamorph/mesh/bvh.hpp"
 
@@ -16,14 +17,10 @@ using Eigen::Index;
 
 namespace {
 
-constexpr double kFirmness = 30;        // times the stiffness of the body: what is left of a dent is 1/30
-constexpr double kEach = 10;            // samples of a patch: of more, each pushes less, so that they all push as much
-constexpr double kStep = 2.0 / 3 / 96;  // s, where the mass is fitted: c h of BDF2 at 24 fps and 4 substeps
-constexpr double kFree = 0.3;           // of a sample's weights on free nodes; with less, pins hold it
-constexpr int kTogether = 256;          // samples solved at a time, so that memory stays small
-constexpr Index kSolved = 3000;         // samples whose compliance is solved for; others have that of the most alike
-constexpr int kGrouped = 64;            // samples in a group, at most
-constexpr Index kLookedAt = 300;        // samples whose motion by the coordinates is compared with that of a pushed one
+constexpr int kTogether = 256;    // samples solved at a time, so that memory stays small
+constexpr Index kSolved = 3000;   // samples whose compliance is solved for; others have that of the most alike
+constexpr int kGrouped = 64;      // samples in a group, at most
+constexpr Index kLookedAt = 300;  // samples whose motion by the coordinates is compared with that of a pushed one
 
 /// j^T A^-1 j of each row j.
 VectorXd compliance(const SparseMatrix& A, const SparseRows& J) {
@@ -215,7 +212,8 @@ ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, Contac
   mass_.setZero(size());
   taken_.setOnes(size());
   if (local_)
-    firmness_ = kFirmness * std::min(1.0, kEach * double(local_->size()) / double(std::max<Index>(size(), 1)));
+    firmness_ =
+        kFirmness * std::min(1.0, kSamplesOfPatch * double(local_->size()) / double(std::max<Index>(size(), 1)));
   moved_.setZero(model->dofs());
   residual_.setZero(0);
   if (size() == 0) return;
@@ -268,7 +266,7 @@ void ContactSamples<Model>::find_stiffness(const typename Model::SkinPoints& ver
   vertices.rows(numbers, rows);
   const typename Model::Matrix A = lasting_stiffness(model(), neutral);
   auto [K, M] = stiffness_and_mass(model(), neutral);
-  values(K) += values(M) / (kStep * kStep);
+  values(K) += values(M) / (kFirmStep * kFirmStep);
   VectorXd lasting = compliance(A, rows), in_step = compliance(K, rows), pushed = VectorXd::Ones(lasting.size());
   if constexpr (std::is_same_v<Model, ReducedModel>) {
     const MatrixXd answers = answers_to(A, rows);
@@ -292,7 +290,7 @@ void ContactSamples<Model>::find_stiffness(const typename Model::SkinPoints& ver
     // is asked for.
     const double counts = std::pow(std::clamp(free(p) / kFree, 0.0, 1.0), 4) * pushed(k);
     stiffness_(p) = counts / lasting(k);
-    mass_(p) = counts * std::max(1 / in_step(k) - 1 / lasting(k), 0.0) * kStep * kStep;
+    mass_(p) = counts * std::max(1 / in_step(k) - 1 / lasting(k), 0.0) * kFirmStep * kFirmStep;
   }
 }
 

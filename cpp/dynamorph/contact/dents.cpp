@@ -5,17 +5,12 @@
 #include <cmath>
 #include <utility>
 
+#include "dynamorph/contact/choices.hpp"
 #include "dynamorph/contact/contact_law.hpp"
 
 namespace dynamorph {
 
 using Eigen::Index;
-
-namespace {
-
-constexpr double kHard = 1000;  // times a patch's own stiffness, where it gives way no further
-
-}  // namespace
 
 void Dents::clear() {
   patches_.clear();
@@ -26,7 +21,7 @@ void Dents::begin(std::vector<int> patches, const MatrixXd& rows, const MatrixXd
                   const VectorXd& pressures) {
   patches_ = std::move(patches);
   most_ = std::move(most);
-  hardness_ = kHard * stiffness.diagonal();
+  hardness_ = kPatchHard * stiffness.diagonal();
   stiffness_ = stiffness.diagonal().mean();
   const Eigen::LLT<MatrixXd> factor(stiffness);
   const Index m = stiffness.rows();

@@ -6,28 +6,19 @@
 #include <cmath>
 #include <utility>
 
+#include "dynamorph/contact/choices.hpp"
 #include "dynamorph/core/errors.hpp"
 
 namespace dynamorph {
 
 namespace {
 
-constexpr double kIntoSkin = -0.3;   // n . N below which a surface presses on the skin from outside
-constexpr double kFromWithin = 0.5;  // above it, from within the body
-constexpr double kTurnsOver = 0.95;  // above it, what touched the skin has turned over
-constexpr double kTouches = 0.25;    // of the margin: gap in which a sample touched something
-constexpr double kWays = 2;          // of a sample in a step: from how much farther it is looked at
-constexpr double kFadeBegins = 0.7;  // of a contact, in thicknesses of tissue
-constexpr double kFadeEnds = 1.2;    // there it has no weight left
-constexpr double kHollow = 0.1;      // of the margin: how far behind a plane the surface may be in a hollow
-constexpr double kSeen = 3;          // how deep a collider is looked for, in thicknesses
-constexpr double kNudge = 1e-7;      // of a collider's size: what a point is put off its surface
-constexpr double kNothing = 1e-6;    // meters, or relative to the longest side: a collider of that size is none
-constexpr double kRigid = 1e-5;      // of a stretch; transforms come in single precision
-constexpr int kMostPieces = 8;       // of a collider that lie within each other where a sample gets out
-constexpr int kMostHits = 8;         // of a sample that slides
-constexpr double kAlike = 0.9;       // normal . normal of two facets of a smooth surface
-constexpr int kMostPlanes = 3;       // of a sample and a collider: a corner of a room
+constexpr double kNudge = 1e-7;    // of a collider's size: what a point is put off its surface
+constexpr double kNothing = 1e-6;  // meters, or relative to the longest side: a collider of that size is none
+constexpr double kRigid = 1e-5;    // of a stretch; transforms come in single precision
+constexpr int kMostPieces = 8;     // of a collider that lie within each other where a sample gets out
+constexpr int kMostHits = 8;       // of a sample that slides
+constexpr int kMostPlanes = 3;     // of a sample and a collider: a corner of a room
 
 /// Without the last bits, so that a turning collider has the same stretch at each step.
 double rounded(double x) {
@@ -251,7 +242,7 @@ bool ContactFinder::Search::sweep(const Sample& sample) {
     if (!hit) return true;
     const Vector3d normal = (hit.front ? 1 : -1) * collider_.normal(end_, hit.triangle);
     if (normal.dot(sample.normal) > sample.limit) return false;
-    if (count > 0 && normal.dot(planes[count - 1].normal) > kAlike) --count;  // the next facet of a hollow
+    if (count > 0 && normal.dot(planes[count - 1].normal) > kSmooth) --count;  // the next facet of a hollow
     add(hit, normal);
     from = hit.point + nudge_ * normal;
     to = slide(sample.to);

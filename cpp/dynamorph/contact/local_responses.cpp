@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "dynamorph/contact/at_rest.hpp"
+#include "dynamorph/contact/choices.hpp"
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/elastic/sparse_cholesky.hpp"
 
@@ -15,12 +16,6 @@ using Eigen::Index;
 
 namespace {
 
-constexpr double kTurned = 0.1;  // of the body's size: as far as a normal at a right angle is unlike
-constexpr double kReach = 2;     // of the distance within which half of the other places have a center
-// Own motion below which a push may do nothing, and from which all. Between, coordinates and patches do not agree about
-// what a push does: with {0.5, 0.9}, a limb on a floor was 100 % off, with this 25 %; below 0.6 a dog's firm head
-// throws its body.
-constexpr double kOwn[] = {0.6, 0.65};
 constexpr Index kLookedAt = 300;    // places whose motion is compared
 constexpr double kGivesWay = 1e-6;  // of the most compliant patch: what is held firmer than that has no response
 constexpr double kAlike = 1e-9;     // patches that overlap give way nearly alike
@@ -83,7 +78,7 @@ VectorXd stay_local(const ModalPoints& vertices, const SkinPlaces& places, const
 }  // namespace
 
 double stays_local(double own, double farthest) {
-  return smooth_step((own / std::max(farthest, 1e-300) - kOwn[0]) / (kOwn[1] - kOwn[0]));
+  return smooth_step((own / std::max(farthest, 1e-300) - kOwnMotion) / (kAllOwnMotion - kOwnMotion));
 }
 
 double squared_unlikeness(const Vector3d& x, const Vector3d& normal, const Vector3d& y, const Vector3d& other_normal,
@@ -165,7 +160,7 @@ double LocalResponses::reach_of(const SkinPlaces& places, const std::vector<int>
         nearest.back() = std::min(nearest.back(), unlike(int(patch), places.rest.row(p), places.normals.row(p)));
   }
   std::nth_element(nearest.begin(), nearest.begin() + Index(nearest.size() / 2), nearest.end());
-  return kReach * nearest[nearest.size() / 2];
+  return kPatchReach * nearest[nearest.size() / 2];
 }
 
 RowMajor LocalResponses::weights_of(const SkinPlaces& places) const {

@@ -3,19 +3,13 @@
 
 #include <algorithm>
 
+#include "dynamorph/contact/choices.hpp"
+
 namespace dynamorph {
 
 namespace {
 
 using Box = Eigen::AlignedBox3d;
-
-// Of the body's size:
-constexpr double kWidth = 1e-3;   // the depth over which contact gets its full stiffness
-constexpr double kMargin = 0.02;  // samples that come so near in a step can touch something
-constexpr double kNear = 0.005;   // those that hardly move, only if they come so near
-constexpr double kSticks = 1e-3;  // per second: what slips slower than that is held by friction
-
-constexpr double kTissue = 1.5;  // thicknesses in which a sample that appears in a collider is looked for
 
 /// A box around where a collider is during a step; around everything if it is not finite.
 Box extent(const ColliderStep& step) {
@@ -66,9 +60,9 @@ ContactStep ContactSearch<Model>::contact_step(const StepOptions& options, doubl
           own_friction,
           StepRule(options).square,
           distance_,
-          kWidth * size,
+          kContactWidth * size,
           kSticks * size * options.h,
-          distance_ + kNear * size};
+          distance_ + kContactNear * size};
 }
 
 template <class Model>
@@ -82,8 +76,8 @@ PosedSkin ContactSearch<Model>::posed_skin(const StepInput<Model>& input, const 
           shape_,
           state.q[0],
           predicted,
-          distance_ + kNear * size,
-          distance_ + kMargin * size};
+          distance_ + kContactNear * size,
+          distance_ + kContactMargin * size};
 }
 
 template <class Model>
@@ -91,7 +85,7 @@ void ContactSearch<Model>::find_at_colliders(const StepInput<Model>& input, cons
                                              const VectorXd& predicted) {
   if (!input.colliders || input.colliders->empty()) return memory_.clear();
   if (!samples_) throw std::invalid_argument("colliders: the simulation has no samples that can touch them");
-  const double size = samples_->model().body().size, margin = distance_ + kMargin * size;
+  const double size = samples_->model().body().size, margin = distance_ + kContactMargin * size;
   choose_samples(input, state, predicted, margin);
   if (near_.samples.empty()) {
     memory_.planes.clear();
@@ -101,7 +95,7 @@ void ContactSearch<Model>::find_at_colliders(const StepInput<Model>& input, cons
   }
   place_samples(input, state, predicted);
   const bool held = input.grabs && !input.grabs->springs.empty();  // a hand may lead the skin anywhere
-  const double near = held ? margin : distance_ + kNear * size;
+  const double near = held ? margin : distance_ + kContactNear * size;
   finder_.find(*input.colliders, near_, near, margin, memory_, found_);
   unusable_ = finder_.unusable();
   for (const ColliderStep& collider : *input.colliders) friction_.push_back(collider.friction);
@@ -125,7 +119,7 @@ void ContactSearch<Model>::choose_samples(const StepInput<Model>& input, const S
   std::vector<int>& samples = near_.samples;
   samples.clear();
   for (const auto& group : samples_->groups()) {
-    const double near = farthest + margin, appears = kTissue * group.thickness;
+    const double near = farthest + margin, appears = kAppears * group.thickness;
     const Box box = samples_->region(group, state.bones[0], near).merged(samples_->region(group, input.bones, near));
     const auto reaches = [&](const Extent& extent) {
       const double square = extent.known ? 0 : appears * appears;

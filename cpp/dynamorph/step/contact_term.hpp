@@ -22,6 +22,7 @@
 #include <utility>
 #include <vector>
 
+#include "dynamorph/contact/choices.hpp"
 #include "dynamorph/contact/contact.hpp"
 #include "dynamorph/contact/contact_law.hpp"
 #include "dynamorph/contact/contact_samples.hpp"
@@ -315,7 +316,7 @@ struct ContactTerm {
     Eigen::Index j = 0;
     for (const auto& [number, patch] : found) {
       stiffer(j) = std::sqrt(samples.local_stiffer(patch.sample, weights));
-      const double far = std::min(kFarther * patch.deepest, kOfTissue * samples.thickness()(patch.sample));
+      const double far = std::min(kPatchGoes * patch.deepest, kPatchOfTissue * samples.thickness()(patch.sample));
       most(j++) = far / std::max(samples.local()->farthest()(number), 1e-300);
     }
     for (j = 0; j < m; ++j)
@@ -434,9 +435,6 @@ struct ContactTerm {
     const Eigen::Vector2d slip = slip_at(touch);
     return std::min(1.0, sticks_ / std::max(slip.norm(), 1e-300)) * (slip(0) * across + slip(1) * normal.cross(across));
   }
-
-  // No patch moves any skin farther than the deepest contact is deep, times the first, or than the tissue is thick.
-  static constexpr double kFarther = 1.5, kOfTissue = 1;
 
   double distance_ = 0, width_ = 1, sticks_ = 1;
   std::vector<Touch> touching_;

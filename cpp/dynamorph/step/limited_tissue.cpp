@@ -9,6 +9,7 @@
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/parallel.hpp"
 #include "dynamorph/mesh/symmetry.hpp"
+#include "dynamorph/step/choices.hpp"
 
 namespace dynamorph {
 
@@ -16,11 +17,7 @@ using Eigen::Index;
 
 namespace {
 
-constexpr double kEdgePercentile = 0.998;
-constexpr int kPoints = 100, kLeastPoints = 4;  // sampled on the skin, of a bone with tissue
-constexpr int kPaintedPoints = 30;              // at least so many where L is painted smaller
-constexpr double kTissue = 1e-3;                // of the mass; bones with less have no edges and need no points
-constexpr double kSplinter = 1e-4;              // of the size; shorter edges do not count
+constexpr double kSplinter = 1e-4;  // of the size; shorter edges do not count
 
 SoftSkin soft_skin(const SkinLimits& limits) {
   SoftSkin skin{VectorXd::Zero(limits.rest.rows()), 0, {}};
@@ -126,10 +123,10 @@ class Sampling {
   /// More where the weight of a bone is largest, until it owns so many.
   void add(const Eigen::Ref<const VectorXd>& weight, int count) {
     int owned = 0;
-    for (int p : chosen_) owned += weight(p) > kOwn;
+    for (int p : chosen_) owned += weight(p) > kOwns;
     for (; owned < count; ++owned) {
       Index farthest = 0;
-      if (!((weight.array() > kOwn).select(nearest_.array(), -1.0).maxCoeff(&farthest) > 0)) return;
+      if (!((weight.array() > kOwns).select(nearest_.array(), -1.0).maxCoeff(&farthest) > 0)) return;
       take(farthest);
     }
   }
@@ -279,7 +276,7 @@ CriticalEdges critical_edges(const Neutral<Model>& neutral, const SkinLimits& li
   CriticalEdges out;
   std::vector<int> vertices;
   for (std::size_t e = 0; e < skin.edges.size(); ++e)
-    if (const auto [a, b] = skin.edges[e]; weight(a) + weight(b) > 2 * kOwn) {
+    if (const auto [a, b] = skin.edges[e]; weight(a) + weight(b) > 2 * kOwns) {
       out.own.push_back(int(e));
       vertices.insert(vertices.end(), {a, b});
     }
@@ -424,10 +421,10 @@ Tissue tissue_of(const Neutral<Model>& neutral, const SkinLimits& limits) {
   out.skin = soft_skin(limits);
   const Mirror mirror(limits, out.skin);
   Sampling sampling(limits.rest, out.skin.areas, mirror);
-  sampling.add(kPoints);
+  sampling.add(kLimitedPoints);
   std::vector<int> with_tissue;
   for (Index b = 0; b < out.carried_mass.size(); ++b)
-    if (out.carried_mass(b) > kTissue * out.mass.sum()) with_tissue.push_back(int(b));
+    if (out.carried_mass(b) > kBoneOfTissue * out.mass.sum()) with_tissue.push_back(int(b));
   out.edges.resize(std::size_t(out.carried_mass.size()));
   run_tasks(int(with_tissue.size()), {}, [&](int k, const ProgressFn&) {
     const int b = with_tissue[std::size_t(k)];
@@ -437,7 +434,7 @@ Tissue tissue_of(const Neutral<Model>& neutral, const SkinLimits& limits) {
   std::vector<double> strain(out.skin.edges.size(), 0.0);
   std::vector<int> strained_by(strain.size(), 0);
   for (int b : with_tissue) {
-    sampling.add(limits.weights.col(b), kLeastPoints);
+    sampling.add(limits.weights.col(b), kPointsOfBone);
     const CriticalEdges& critical = out.edges[std::size_t(b)];
     for (std::size_t k = 0; k < critical.own.size(); ++k)
       if (const auto e = std::size_t(critical.own[k]); critical.strain(Index(k)) > strain[e]) {

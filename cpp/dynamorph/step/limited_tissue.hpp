@@ -12,8 +12,6 @@
 
 namespace dynamorph {
 
-constexpr double kOwn = 0.25;  ///< a bone with more weight than that owns the skin
-
 /// The soft skin: where it is, how large, and which edges it has.
 struct SoftSkin {
   VectorXd areas;  ///< (P); 0 for points that do not count

@@ -5,8 +5,10 @@
 #include <cmath>
 #include <string>
 
+#include "dynamorph/contact/contact_law.hpp"
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/reduced/modes/polynomial_kernels.hpp"
+#include "dynamorph/step/choices.hpp"
 #include "dynamorph/step/limited_tissue.hpp"
 
 namespace dynamorph {
@@ -14,13 +16,6 @@ namespace dynamorph {
 using Eigen::Index;
 
 namespace {
-
-constexpr double kPercentile = 0.97;  // of a bone's skin; spikes and slivers that only ride along must not decide
-/// Of the stiffness that gives a point's mass the tissue's frequency. With 20, a bar with hardly any damping that is
-/// shaken by ten times its limit goes to 2.3 of it, with 30 to 1.8, with 40 to 1.5; real characters keep what they
-/// kept.
-constexpr double kPull = 30;
-constexpr double kEdgePull = 120;  // of twice the energy that stretches edges to their limit
 
 void check(const SkinLimits& limits, const SoftBody& body) {
   const Index P = limits.rest.rows(), transforms = body.skin.cols();
@@ -117,7 +112,7 @@ std::vector<LimitedBone> limited_bones(const Tissue& tissue, const SkinLimits& l
     LimitedBone& bone = out[b];
     bone.share = volumes.row(Index(b)).transpose() / std::max(volumes.row(Index(b)).sum(), 1e-300);
     for (std::size_t k = 0; k < tissue.chosen.size(); ++k)
-      if (const double weight = limits.weights(tissue.chosen[k], Index(b)); weight > kOwn) {
+      if (const double weight = limits.weights(tissue.chosen[k], Index(b)); weight > kOwns) {
         bone.points.push_back({int(k), weight * tissue.area(Index(k))});
         bone.above += (1 - kPercentile) * bone.points.back().second;
       }
@@ -190,11 +185,8 @@ double load_scale(double excess) {
 }
 
 Ramp ramp(double r, double limit) {
-  const double width = (1 - kRampBegins) * limit, over = r - kRampBegins * limit;
-  if (over <= 0) return {0, 0, 0};
-  const double x = std::min(over, width), y = over - x;
-  const double force = x * x / (2 * width) + y;
-  return {x * x * x / (6 * width) + (x * x / (2 * width) + y / 2) * y, over < width ? x / width : 1, force / r};
+  const ContactRamp at = contact_ramp(r - kRampBegins * limit, (1 - kRampBegins) * limit);
+  return {at.energy, at.stiffness, at.force > 0 ? at.force / r : 0};
 }
 
 SingleRows::SingleRows(const Eigen::Ref<const MatrixXd>& rows)

@@ -189,7 +189,6 @@ double load_scale(double excess);
 struct Ramp {
   double energy, along, across;
 };
-constexpr double kRampBegins = 0.6;  ///< of L
 Ramp ramp(double r, double limit);
 
 extern template class MotionLimit<FullModel>;

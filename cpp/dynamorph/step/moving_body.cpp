@@ -6,6 +6,7 @@
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/progress.hpp"
+#include "dynamorph/step/choices.hpp"
 #include "dynamorph/step/teleport.hpp"
 
 namespace dynamorph {
@@ -13,8 +14,7 @@ namespace dynamorph {
 namespace {
 
 constexpr int kStaticIterations = 200;  // needed only once, and gravity moves a soft body far
-constexpr int kLieDown = 20;       // static solutions until contacts stay: 2 in a bed, 4 to 10 with a ball in a belly
-constexpr double kWatched = 0.45;  // of its limit: what is nearer than that is not pulled in this step
+constexpr int kLieDown = 20;  // static solutions until contacts stay: 2 in a bed, 4 to 10 with a ball in a belly
 
 /// Gravity (m/s^2, world) on the soft tissue at the bones, without a past.
 InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3d& gravity) {

@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The choices of contact: numbers that no theory gives, and why they are what they are. docs/choices.md has what each
+// of them decides (`make -C evidence choices`).
+#pragma once
+
+namespace dynamorph {
+
+// How firmly skin is pushed.
+constexpr double kContactWidth = 1e-3;     ///< of the body's size: the depth over which contact gets its full stiffness
+constexpr double kFirmness = 30;           ///< times the stiffness of the body: what is left of a dent is 1/30
+constexpr double kSamplesOfPatch = 10;     ///< of more, each pushes less, so that they all push as much
+constexpr double kFree = 0.3;              ///< of a sample's weights on free nodes; with less, pins hold it
+constexpr double kFirmStep = 2. / 3 / 96;  ///< s, where its mass is fitted: c h of BDF2 at 24 fps and 4 substeps
+constexpr double kSticks = 1e-3;           ///< of the size, per second: what slips slower than that is held by friction
+
+// Where colliders are looked for.
+constexpr double kContactMargin = 0.02;  ///< of the size: samples that come so near in a step can touch something
+constexpr double kContactNear = 0.005;   ///< of the size: those that hardly move, only if they come so near
+constexpr double kWays = 2;              ///< of a sample in a step: from how much farther it is looked at
+constexpr double kAppears = 1.5;  ///< thicknesses of tissue in which a sample is looked for that appears in a collider
+constexpr double kSeen = 3;       ///< the same of a collider that is gone through
+
+// What the bones take into a collider by more than this, in thicknesses of tissue, has less weight, and none.
+constexpr double kFadeBegins = 0.7, kFadeEnds = 1.2;
+
+// On which side of a collider a sample is: n . N, of the collider and of the skin.
+constexpr double kIntoSkin = -0.3;   ///< below, a surface presses on the skin from outside
+constexpr double kFromWithin = 0.5;  ///< above, from within the body
+constexpr double kTurnsOver = 0.95;  ///< above, what touched the skin has turned over
+constexpr double kTouches = 0.25;    ///< of the margin: gap in which a sample touched something
+constexpr double kSmooth = 0.9;      ///< normal . normal of two facets of a smooth surface
+constexpr double kHollow = 0.1;      ///< of the margin: how far behind a plane the surface may be in a hollow
+
+// How a reduced model gives way by patches.
+constexpr double kTurned = 0.1;    ///< of the size: as far as a normal at a right angle is unlike
+constexpr double kPatchReach = 2;  ///< of the distance within which half of the other places have a center
+/// Own motion below which a push may do nothing, and from which all. Between, coordinates and patches do not agree
+/// about what a push does: with .5 and .9, a limb on a floor was 100 % off, with these 25 %; below .6 a dog's firm head
+/// throws its body.
+constexpr double kOwnMotion = 0.6, kAllOwnMotion = 0.65;
+constexpr double kPatchGoes =
+    1.5;  ///< farther than the deepest contact is deep: no patch moves any skin more than that
+constexpr double kPatchOfTissue = 1;  ///< nor more than so many thicknesses of the tissue
+constexpr double kPatchHard = 1000;   ///< times a patch's own stiffness, where it gives way no further
+
+}  // namespace dynamorph

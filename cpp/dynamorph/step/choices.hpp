@@ -1,0 +1,23 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The choices of a step's motion limit: numbers that no theory gives, and why they are what they are. docs/choices.md
+// has what each of them decides (`make -C evidence choices`).
+#pragma once
+
+namespace dynamorph {
+
+/// m w^2, the stiffness that gives a point its tissue's frequency, by which it is pulled back. With 20, a bar with hardly
+/// any damping that is shaken by ten times its limit goes to 2.3 of it, with 30 to 1.8, with 40 to 1.5; characters keep
+/// the motion that they kept.
+constexpr double kPull = 30;
+constexpr double kEdgePull = 120;     ///< of twice the energy that stretches edges to their limit
+constexpr double kRampBegins = 0.6;   ///< of a limit: from there on something is pulled back
+constexpr double kWatched = 0.45;     ///< of a limit: what is nearer at first is not pulled in this step
+constexpr double kPercentile = 0.97;  ///< of a bone's skin; spikes and slivers that only ride along must not decide
+constexpr double kEdgePercentile = 0.998;
+constexpr double kOwns = 0.25;          ///< a bone with more weight than that owns the skin
+constexpr int kLimitedPoints = 100;     ///< sampled on the skin
+constexpr int kPointsOfBone = 4;        ///< at least, of a bone with tissue
+constexpr int kPaintedPoints = 30;      ///< at least, where the limit is painted smaller
+constexpr double kBoneOfTissue = 1e-3;  ///< of the mass; bones with less have no edges and need no points
+
+}  // namespace dynamorph
