@@ -33,6 +33,7 @@ PAGES = {
                       "evidence/convergence.py"),
     "panels/feel.md": (*ENGINE, *ADDON, "evidence/feels.py"),
     "collision.md": (*ENGINE, *ADDON, "evidence/collision.py", "evidence/collision_press.py"),
+    "choices.md": ("cpp/dynamorph", "evidence/choices.py"),
     "limit.md": (*ENGINE, *ADDON, "evidence/limit.py"),
     "rigs.md": (*ENGINE, *ADDON, "evidence/rigs_page.py", "tests/addon/rig_families.py",
                 "tests/addon/human.py"),

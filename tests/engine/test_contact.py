@@ -75,9 +75,13 @@ def step(simulation, collider, places, friction=0.5):
     return simulation.advance(np.repeat(STILL[None], steps, 0), np.ones((steps, 1)), colliders=[moving])
 
 
+def make_floor():
+    return dynamorph.Collider([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], [[0, 1, 2], [0, 2, 3]], True)
+
+
 @pytest.fixture(scope="module")
 def floor():
-    return dynamorph.Collider([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], [[0, 1, 2], [0, 2, 3]], True)
+    return make_floor()
 
 
 def sphere(level):
@@ -191,8 +195,7 @@ def test_a_ball_presses_as_hertz_says():
         assert report.penetration < 0.08 * depth
 
 
-@pytest.fixture(scope="module")
-def belly():
+def make_belly():
     """An ellipsoid around a rigid core, 1 m long, its soft tissue 14 cm thick; its skin is finer around +x."""
     points, triangles = sphere(3)
     angle = np.arccos(np.clip(points[:, 0], -1, 1))
@@ -204,6 +207,11 @@ def belly():
     mesh = dynamorph.tetrahedralize(np.round(points * axes, 9), triangles, 1100)
     core = np.linalg.norm(mesh.nodes / axes, axis=1) < 0.45
     return touching(np.array(mesh.nodes), np.array(mesh.tets), core, 8e4, thickness=0.1375, damping=0.018)
+
+
+@pytest.fixture(scope="module")
+def belly():
+    return make_belly()
 
 
 def pressed(depth):
@@ -326,8 +334,7 @@ def test_a_step_with_nobody_near_is_the_same_to_the_last_bit(belly, near):
     assert report.contacts == 0
 
 
-@pytest.fixture(scope="module")
-def few(belly):
+def make_few(belly):
     """The belly with 52 coordinates and 256 patches."""
     tables = dynamorph.reduce(belly.model, dynamorph.make_response_basis(belly.model, 12, 40))
     model = dynamorph.ReducedModel(belly.body, [belly.target], tables, dynamorph.Blending.EVEN)
@@ -341,6 +348,11 @@ def few(belly):
     return SimpleNamespace(
         model=model, basis=basis, local=dynamorph.LocalResponses(belly.model, basis, *places, centers)
     )
+
+
+@pytest.fixture(scope="module")
+def few(belly):
+    return make_few(belly)
 
 
 def simulated_few(belly, few, local):
