@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 from scenes import bar
 from test_self_contact import GAP, HIGH, SIDES, H, blocks, outside, simulated, soft
+from test_self_contact import posed as posed_limbs
 
 
-def block(solver, upper, held=False, stiff=1.0, law=dynamorph.MaterialModel.LINEAR):
-    """The lower or the upper one. held: the far side is."""
-    nodes, tets = bar((6, 6, 3), (SIDES, SIDES, HIGH))
-    nodes = nodes - [SIDES / 2, SIDES / 2, HIGH]
-    z = -HIGH / 2
+def block(solver, upper, held=False, stiff=1.0, law=dynamorph.MaterialModel.LINEAR, high=HIGH, above=GAP):
+    """The lower or the upper one. held: the far side is. high, above: the upper one's height, and where it begins."""
+    nodes, tets = bar((6, 6, 3), (SIDES, SIDES, high))
+    nodes = nodes - [SIDES / 2, SIDES / 2, high]
+    z, far = -HIGH / 2, -HIGH
     if upper:
-        nodes = nodes * [1.0, 1.0, -1.0] + [0.0, 0.0, GAP]
-        tets, z = tets[:, [0, 2, 1, 3]].astype(np.int32), GAP + HIGH / 2
-    held_nodes = (np.abs(nodes[:, 2] - GAP / 2) > HIGH + GAP / 2 - 1e-6) & held
+        nodes = nodes * [1.0, 1.0, -1.0] + [0.0, 0.0, above]
+        tets, z, far = tets[:, [0, 2, 1, 3]].astype(np.int32), above + high / 2, above + high
+    held_nodes = (np.abs(nodes[:, 2] - far) < 1e-6) & held
     s = SimpleNamespace(mesh=dynamorph.TetMesh(nodes, tets), upper=upper)
     ones = np.ones(len(tets))
     weights = np.ones((len(nodes), 1))
@@ -27,13 +28,13 @@ def block(solver, upper, held=False, stiff=1.0, law=dynamorph.MaterialModel.LINE
     skin, normals = outside(nodes, tets)
     points = nodes[skin]
     s.contact = dynamorph.Contact(s.model, points, dynamorph.embed(s.mesh, points), weights[skin], normals[skin],
-                                  np.full(len(points), HIGH / 2))  # fmt: skip
+                                  np.full(len(points), high / 2))  # fmt: skip
     centers = np.array([[x, y, z] for x in np.linspace(-0.09, 0.09, 10) for y in np.linspace(-0.09, 0.09, 10)])
-    s.skin = dynamorph.SelfContact(s.contact, centers, np.full(100, HIGH / 2), dynamorph.embed(s.mesh, centers),
+    s.skin = dynamorph.SelfContact(s.contact, centers, np.full(100, high / 2), dynamorph.embed(s.mesh, centers),
                                    np.ones((100, 1)), np.arange(len(points)), np.zeros(100, int),
                                    np.zeros(len(points), int))  # fmt: skip
     s.nodes = nodes
-    facing = GAP if upper else 0.0
+    facing = above if upper else 0.0
     s.facing = np.flatnonzero((np.abs(nodes[:, :2]) < 0.06).all(axis=1) & (np.abs(nodes[:, 2] - facing) < 1e-6))
     return s
 
@@ -173,6 +174,23 @@ def test_clothes_lie_on_a_body_as_deep_as_at_rest(solver, order):
     assert reports[-1][0].contacts == 0 < reports[-1][1].contacts
     moved, _, _ = pressed(body, clothes, GAP + worn + deeper, order=order)
     assert moved[1][clothes.facing, 2].mean() - moved[0][body.facing, 2].mean() > 1.7 * gave_way
+
+
+def test_clothes_touch_parts_of_the_body_that_are_near_only_through_the_air():
+    """They lie on the lower of two limbs, and the upper one, half of its thickness above them at rest, comes down."""
+    body, clothes = blocks("FULL", held=True), block("FULL", True, high=0.06, above=0.002)
+    overlap, top = 0.01, 0.062
+    simulations = [dynamorph.Simulation(body.model, H, contact=body.contact), simulation_of(clothes)]
+    simulations[0].start(posed_limbs(0.0), posed_limbs(0.0), np.ones(1))
+    bodies = list(zip(simulations, [body.own, clothes.skin], strict=True))
+    coupling = dynamorph.Coupling(bodies, garments=[(1, 0, np.eye(4)[:3])])
+    for k in range(1, 61):
+        down = (GAP - top + overlap) * min(1.0, k / 20)
+        coupling.advance([motion(posed_limbs(down)), motion(posed())])
+    moved = [s.model.displacement(made.coordinates) for s, made in zip((body, clothes), simulations, strict=True)]
+    pressed_top = (np.abs(clothes.nodes[:, :2]) < 0.06).all(axis=1) & (np.abs(clothes.nodes[:, 2] - top) < 1e-6)
+    left = overlap + moved[1][pressed_top, 2].mean() - moved[0][body.facing["upper"], 2].mean()
+    assert abs(left) < 0.2 * overlap
 
 
 def test_a_free_body_between_two_others_is_pressed_from_both_sides():

@@ -23,7 +23,7 @@ def blocks(solver, held=False, gap=GAP):
     mesh, ones = dynamorph.TetMesh(nodes, tets), np.ones(len(tets))
     weights = np.repeat(np.eye(2), count, axis=0)
     pinned = (np.abs(nodes[:, 2] - gap / 2) > HIGH + gap / 2 - 1e-6) & held
-    s = SimpleNamespace(nodes=nodes, lower=np.arange(2 * count) < count, pinned=pinned)
+    s = SimpleNamespace(mesh=mesh, nodes=nodes, lower=np.arange(2 * count) < count, pinned=pinned)
     s.body = dynamorph.SoftBody(mesh, ones, ones, ones[:, None], pinned, weights)
     s.model = soft(s.body, nodes, solver)
     s.skin, normals = outside(nodes, tets)
@@ -69,10 +69,10 @@ def posed(down, turn=0.0, scale=1.0):
     return scale * bones
 
 
-def simulated(s, down, own=True, steps=60, friction=0.0, **pose):
+def simulated(s, down, own=True, steps=60, friction=0.0, distance=0.0, **pose):
     """Begins at rest; block 1 comes down and stays. Returns the displacement of the nodes, and the reports."""
     touches = {"self_contact": s.own if own else None, "self_friction": friction}
-    simulation = dynamorph.Simulation(s.model, H, contact=s.contact, **touches)
+    simulation = dynamorph.Simulation(s.model, H, contact=s.contact, distance=distance, **touches)
     simulation.start(posed(0.0, **pose), posed(0.0, **pose), np.ones(1))
     reports = [
         simulation.advance(posed(down * min(1.0, k / 20), **pose)[None], np.ones((1, 1))) for k in range(1, steps + 1)
@@ -163,12 +163,43 @@ def test_skin_that_is_near_but_not_touched_moves_as_without_it():
     assert touched > without and pushed > 0
 
 
-def test_what_is_near_at_rest_is_left_alone():
-    s = blocks("FULL", held=True, gap=0.01)  # less than a fifth of the thickness
+@pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
+@pytest.mark.parametrize("gap", [0.008, 0.02, 0.06])
+def test_what_is_near_only_through_the_air_is_touched(solver, gap):
+    """From a tenth to most of their thickness apart."""
+    s, overlap = blocks(solver, held=True, gap=gap), 0.02
+
+    def left(own):
+        moved, reports, _ = simulated(s, gap + overlap, own)
+        assert all(report.converged for report in reports)
+        return overlap + moved[s.facing["lower"], 2].mean() - moved[s.facing["upper"], 2].mean()
+
+    assert abs(left(own=True)) < 0.1 * overlap < 0.8 * left(own=False)
+
+
+def test_what_is_near_through_the_body_at_rest_is_left_alone():
+    """A joint: balls fill the gap of less than a fifth of the thickness, and one block is pressed into the other."""
+    s = blocks("FULL", held=True, gap=0.01)
+    lower, upper = np.split(s.balls[0], 2)
+    between = np.concatenate([lower, upper, lower + 0.055 * np.eye(3)[2], lower + 0.105 * np.eye(3)[2]])
+    of_balls, of_points = np.concatenate([s.parts[1], np.zeros(200, int)]), s.parts[2]
+    s.own = dynamorph.SelfContact(s.contact, between, np.full(400, HIGH / 2), dynamorph.embed(s.mesh, between),
+                                      np.eye(2)[of_balls], s.parts[0], of_balls, of_points)  # fmt: skip
     moved, reports, _ = simulated(s, 0.02)
     assert max(report.contacts for report in reports) == 0
     free, _, _ = simulated(s, 0.02, own=False)
     assert np.array_equal(moved, free)
+
+
+def test_limbs_that_nearly_touch_at_rest_are_not_pressed_there():
+    """Nearer than the usual distance, they are pressed by what they come nearer."""
+    s, nearer = blocks("FULL", held=True, gap=0.0005), 0.02
+    distance = 2e-3 * s.size
+    moved, _, _ = simulated(s, 0.0, distance=distance)
+    assert np.abs(moved).max() < 1e-6 * distance
+    moved, _, _ = simulated(s, nearer, distance=distance)
+    lower, upper = (moved[s.facing[side], 2].mean() for side in ("lower", "upper"))
+    assert upper - lower == pytest.approx(nearer, rel=0.1)
 
 
 def test_it_is_the_same_from_a_kept_state():

@@ -31,6 +31,18 @@ constexpr double kTouches = 0.25;    ///< of the margin: gap in which a sample t
 constexpr double kSmooth = 0.9;      ///< normal . normal of two facets of a smooth surface
 constexpr double kHollow = 0.1;      ///< of the margin: how far behind a plane the surface may be in a hollow
 
+// Where skin touches skin.
+constexpr double kSharpness = 2e-3;  ///< tau, of the body's size
+constexpr double kCovered = 0.15;    ///< of the tissue's thickness: points so near to a ball are on its side
+constexpr int kCovering = 8;         ///< of those at least
+/// How far one must go to a ball through the body, in thicknesses, up to which it is not touched, and from which it is
+/// touched where it is.
+constexpr double kNearThroughBody = 0.4, kFarThroughBody = 1;
+/// Depth in thicknesses of both sides, up to which contacts have all weight, and from which they have none.
+constexpr double kOwnFadeBegins = 0.36, kOwnFadeEnds = 0.46;
+constexpr double kCrushed = 0.25, kFolded = 0.4;  ///< of the volume of a joint: contacts at it have no weight, and all
+constexpr double kOwnApart = 3e-3;  ///< of the size: what a contact moves both sides apart in a step, at most
+
 // How a reduced model gives way by patches.
 constexpr double kTurned = 0.1;    ///< of the size: as far as a normal at a right angle is unlike
 constexpr double kPatchReach = 2;  ///< of the distance within which half of the other places have a center
@@ -38,9 +50,8 @@ constexpr double kPatchReach = 2;  ///< of the distance within which half of the
 /// about what a push does: with .5 and .9, a limb on a floor was 100 % off, with these 25 %; below .6 a dog's firm head
 /// throws its body.
 constexpr double kOwnMotion = 0.6, kAllOwnMotion = 0.65;
-constexpr double kPatchGoes =
-    1.5;  ///< farther than the deepest contact is deep: no patch moves any skin more than that
-constexpr double kPatchOfTissue = 1;  ///< nor more than so many thicknesses of the tissue
+/// No patch moves any skin farther than the deepest contact is deep, times this, or than the tissue is thick, times that.
+constexpr double kPatchGoes = 1.5, kPatchOfTissue = 1;
 constexpr double kPatchHard = 1000;   ///< times a patch's own stiffness, where it gives way no further
 
 }  // namespace dynamorph

@@ -3,8 +3,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <map>
+#include <queue>
 
+#include "dynamorph/contact/choices.hpp"
 #include "dynamorph/core/errors.hpp"
 
 namespace dynamorph {
@@ -14,17 +17,7 @@ using Box = Eigen::AlignedBox3d;
 
 namespace {
 
-constexpr double kIgnored = 0.4;        // distance at rest, in thicknesses, up to which a ball is not touched,
-constexpr double kWhole = 1.0;          // and from which it is touched where it is
-constexpr double kSharpness = 2e-3;     // tau, of the body's size
-constexpr double kCovered = 0.15;       // of the tissue's thickness: points so near to a ball are on its side
-constexpr int kFewest = 8, kMost = 48;  // of those
-constexpr double kFadeBegins = 0.36;    // depth in thicknesses of both sides, up to which contacts have all weight,
-constexpr double kFadeEnds = 0.46;      // and from which they have none
-constexpr double kCrushed = 0.25;       // of the volume of a joint: contacts at it have no weight,
-constexpr double kFolded = 0.4;         // and all of it
-constexpr double kEach = 3e-3;          // of the size: what a contact moves both sides apart in a step, at most
-constexpr int kCluster = 8;             // balls
+constexpr int kCluster = 8;  // balls
 constexpr int kMostParts = 1 << 20;
 constexpr double kAgree = 0.1;  // length of the mean of the balls' directions, below which there is none
 
@@ -76,6 +69,13 @@ void cluster(const Points& points, std::vector<int>::iterator begin, std::vector
   cluster(points, middle, end, out);
 }
 
+/// f of a ball.
+double touched_of(const NearBalls& near, int ball) {
+  const auto it = std::lower_bound(near.begin(), near.end(), ball,
+                                   [](const std::pair<int, double>& each, int wanted) { return each.first < wanted; });
+  return it != near.end() && it->first == ball ? it->second : 1;
+}
+
 void sort(std::vector<Contact>& contacts) {
   std::stable_sort(contacts.begin(), contacts.end(),
                    [](const Contact& a, const Contact& b) { return a.sample < b.sample; });
@@ -107,6 +107,8 @@ SelfContact<Model>::SelfContact(std::shared_ptr<const ContactSamples<Model>> sam
   for (const auto& [first, second] : body_.joints) joints_.insert(std::minmax(first, second));
   find_parts();
   find_covers();
+  find_ways();
+  for (Index i = 0; i < P; ++i) near_.push_back(near_at_rest(rest_.row(i), normal(i), thickness_(i)));
 }
 
 template <class Model>
@@ -151,31 +153,81 @@ void SelfContact<Model>::find_covers() {
   for (Index k = 0; k < balls_.size(); ++k) {
     nearest.clear();
     for (Index i = 0; i < rest_.rows(); ++i) {
-      const double gap = std::abs((rest_.row(i) - balls_.skin().rest.row(k)).norm() - body_.radius(k));
-      nearest.emplace_back(gap / thickness_(i), int(i));
+      const Vector3d out = rest_.row(i) - balls_.skin().rest.row(k);
+      if (!(normal(i).dot(out) > 0)) continue;
+      nearest.emplace_back(std::abs(out.norm() - body_.radius(k)) / thickness_(i), int(i));
     }
-    const auto end = nearest.begin() + std::min<std::ptrdiff_t>(kMost, std::ptrdiff_t(nearest.size()));
-    std::partial_sort(nearest.begin(), end, nearest.end());
-    for (auto it = nearest.begin(); it != end; ++it)
-      if (it - nearest.begin() < kFewest || it->first < kCovered) covers_[std::size_t(k)].push_back(it->second);
+    const auto last = nearest.begin() + std::min<std::ptrdiff_t>(kCovering, std::ptrdiff_t(nearest.size()));
+    std::partial_sort(nearest.begin(), last, nearest.end());
+    for (auto it = nearest.begin(); it != nearest.end(); ++it)
+      if (it < last || it->first < kCovered) covers_[std::size_t(k)].push_back(it->second);
   }
 }
 
 template <class Model>
-double SelfContact<Model>::fade(const Vector3d& place, double thickness, int ball) const {
-  const double gap = (place.transpose() - balls_.skin().rest.row(ball)).norm() - body_.radius(ball);
-  return smooth_step((gap / std::min(thickness, body_.radius(ball)) - kIgnored) / (kWhole - kIgnored));
+Vector3d SelfContact<Model>::normal(Index point) const {
+  return samples_->normal(PointTransform::Identity(), body_.points[std::size_t(point)]);
+}
+
+template <class Model>
+void SelfContact<Model>::find_ways() {
+  const Points& centers = balls_.skin().rest;
+  beside_.resize(std::size_t(balls_.size()));
+  for (int a = 0; a < int(balls_.size()); ++a)
+    for (int b = 0; b < a; ++b) {
+      if (!((centers.row(a) - centers.row(b)).norm() < std::max(body_.radius(a), body_.radius(b)))) continue;
+      beside_[std::size_t(a)].push_back(b);
+      beside_[std::size_t(b)].push_back(a);
+    }
+}
+
+template <class Model>
+NearBalls SelfContact<Model>::near_at_rest(const Vector3d& place, const Vector3d& normal, double thickness) const {
+  const Points& centers = balls_.skin().rest;
+  // In thicknesses of tissue.
+  const auto away = [&](int ball) {
+    const double radius = body_.radius(ball);
+    return ((centers.row(ball) - place.transpose()).norm() - radius) / std::min(thickness, radius);
+  };
+  using Way = std::pair<double, int>;  // the farthest that it leads from the place, and to which ball
+  std::priority_queue<Way, std::vector<Way>, std::greater<>> next;
+  Way begins(kInfinity, -1);
+  for (int k = 0; k < int(balls_.size()); ++k)
+    if (normal.dot(place - centers.row(k).transpose()) > 0) begins = std::min(begins, Way(away(k), k));
+  if (begins.second >= 0) next.push(begins);
+  std::map<int, double> farthest;
+  while (!next.empty() && next.top().first < kFarThroughBody) {
+    const auto [far, ball] = next.top();
+    next.pop();
+    if (!farthest.emplace(ball, far).second) continue;
+    for (const int other : beside_[std::size_t(ball)])
+      if (!farthest.count(other)) next.emplace(std::max(far, away(other)), other);
+  }
+
+  NearBalls out;
+  double sum = 0;
+  for (int k = 0; k < int(balls_.size()); ++k) {
+    const auto it = farthest.find(k);
+    const double touched =
+        it == farthest.end() ? 1 : smooth_step((it->second - kNearThroughBody) / (kFarThroughBody - kNearThroughBody));
+    if (touched < 1 || away(k) < kFarThroughBody) out.emplace_back(k, touched);
+    if (touched > 0)
+      sum += std::exp((touched * body_.radius(k) - (centers.row(k) - place.transpose()).norm()) / sharpness_);
+  }
+  const double nearer = sharpness_ * (1 + std::log(std::max(sum, 1e-300)));
+  if (nearer > 0)
+    for (auto& [ball, touched] : out) touched = std::max(0.0, touched - nearer / body_.radius(ball));
+  return out;
 }
 
 template <class Model>
 Worn SelfContact<Model>::wear(int clothes, int body, const SelfContact& other, const PointTransform& to_body) const {
   const Points &skin = other.samples_->rest(), &centers = other.balls_.skin().rest;
   const PointTransform still = PointTransform::Identity();
-  Worn out{clothes, body, rest_ * to_body.template leftCols<3>().transpose(), {}, {}, VectorXd::Zero(rest_.rows())};
-  out.rest.rowwise() += to_body.col(3).transpose();
+  Worn out{clothes, body, {}, {}, {}, VectorXd::Zero(rest_.rows())};
   std::vector<std::pair<double, int>> all;
-  for (Index i = 0; i < out.rest.rows(); ++i) {
-    const Eigen::RowVector3d place = out.rest.row(i);
+  for (Index i = 0; i < rest_.rows(); ++i) {
+    const Eigen::RowVector3d place = (to_body * rest_.row(i).transpose().homogeneous()).transpose();
     all.clear();
     for (Index s = 0; s < skin.rows(); ++s) all.emplace_back((skin.row(s) - place).norm(), int(s));
     out.below.push_back(nearest_of(all));
@@ -186,7 +238,9 @@ Worn SelfContact<Model>::wear(int clothes, int body, const SelfContact& other, c
       normal += weight * other.samples_->normal(still, sample);
       from -= weight * skin.row(sample).transpose();
     }
-    out.deep(i) = std::min(0.0, normal.stableNormalized().dot(from));
+    normal.stableNormalize();
+    out.deep(i) = std::min(0.0, normal.dot(from));
+    out.near.push_back(other.near_at_rest(place.transpose(), normal, kInfinity));
     Index ball;
     ((centers.rowwise() - place).rowwise().norm() - other.body_.radius).minCoeff(&ball);
     out.parts.push_back(other.body_.of_balls[std::size_t(ball)]);
@@ -293,10 +347,10 @@ void SelfContact<Model>::search(const Body& body, const Body& other, const Worn*
       around.clear();
       for (const int part : near)
         if (boxes[std::size_t(part)].contains(x)) around.push_back(part);
-      const Nearest nearest_ball = nearest(body, point, other, worn, around);
-      if (nearest_ball.ball < 0) continue;
-      const int part = other.of.body_.of_balls[std::size_t(nearest_ball.ball)];
-      touch(body, point, other, nearest_ball, other_side(body, point, other, nearest_ball), {int(own), part}, found);
+      const Nearest skin = nearest(body, point, other, worn, around);
+      if (skin.ball < 0) continue;
+      const int part = other.of.body_.of_balls[std::size_t(skin.ball)];
+      touch(body, point, other, skin, other_side(body, point, other, skin), {int(own), part}, found);
     }
   }
 }
@@ -366,7 +420,9 @@ template <class Model>
 typename SelfContact<Model>::Nearest SelfContact<Model>::nearest(const Body& body, int point, const Body& other,
                                                                  const Worn* worn, const std::vector<int>& parts) {
   const SelfContact& of = other.of;
-  const bool itself = &other == &body;
+  const NearBalls* at_rest = worn              ? &worn->near[std::size_t(point)]
+                             : &other == &body ? &of.near_[std::size_t(point)]
+                                               : nullptr;
   const double margin = other.skin.margin;
   const Vector3d x = place(body, point);
   auto& near = body.scratch.near;
@@ -380,9 +436,7 @@ typename SelfContact<Model>::Nearest SelfContact<Model>::nearest(const Body& bod
         const double radius = scale * of.body_.radius(ball), reach = radius + margin;
         const double square = (x.transpose() - other.scratch.centers.row(ball)).squaredNorm();
         if (square > reach * reach) continue;
-        double touched = 1;
-        if (itself) touched = of.fade(of.rest_.row(point), of.thickness_(point), ball);
-        if (worn) touched = of.fade(worn->rest.row(point), kInfinity, ball);
+        const double touched = at_rest ? touched_of(*at_rest, ball) : 1;
         const double distance = std::sqrt(square) - touched * radius;
         if (touched > 0 && distance < margin) near.emplace_back(distance, ball);
       }
@@ -440,7 +494,7 @@ void SelfContact<Model>::touch(const Body& body, int point, const Body& other, c
   contact.gap = std::min(at_first, at_last);
   if (contact.gap > body.skin.near) return;
   // What is deep already comes out slowly.
-  const double push = -std::max(at_first, at_last), most = kEach * body.of.samples_->model().body().size;
+  const double push = -std::max(at_first, at_last), most = kOwnApart * body.of.samples_->model().body().size;
   contact.point = unmoved - (nearest.gap + std::max(0.0, push - most)) * normal;
   contact.before = before;
   const Vector3d carried = turned * turned_before.inverse() * before;  // as the bones turn it
@@ -487,8 +541,8 @@ void SelfContact<Model>::weigh(const Body& body, const Body& other, const std::v
   for (const Found& each : found) {
     const auto& [deepest, folded] = all[each.parts];
     contacts.push_back(each.contact);
-    contacts.back().weight = folded * (1 - smooth_step((deepest - kFadeBegins) / (kFadeEnds - kFadeBegins)));
-    contacts.back().too_deep = each.depth - folded * kFadeBegins * each.room;
+    contacts.back().weight = folded * (1 - smooth_step((deepest - kOwnFadeBegins) / (kOwnFadeEnds - kOwnFadeBegins)));
+    contacts.back().too_deep = each.depth - folded * kOwnFadeBegins * each.room;
   }
 }
 

@@ -6,10 +6,12 @@
 //
 //   g_p = -tau log sum_k exp(-d_k / tau),
 //
-// from the rest of the body, along the mean n of the balls' directions. f_pk grows from 0 to 1 with the distance of
-// sample and ball at rest: what touches at rest, or at a crease, is ignored, and nothing begins at a line. The other
-// side are the samples q nearest to the place x_p - g_p n on its surface, with weights t_q. The contact is a plane
-// between the two for the length of a step:
+// from the rest of the body, along the mean n of the balls' directions. f_pk grows from 0 to 1 with how far one must go
+// from the sample, at rest, on a way through the body to the ball: at a joint or a crease nothing touches, and nothing
+// begins at a line. What is near through the air alone has no such way, and touches. The way leads over balls, each of
+// which holds the center of the next one or has its own held by that. Nothing pushes at rest: where g_p is less than
+// tau there, all r_k near p are less by the difference. The other side are the samples q nearest to the place
+// x_p - g_p n on its surface, with weights t_q. The contact is a plane between the two for the length of a step:
 //
 //   gap = g_p + n . (u_p - sum_q t_q u_q),        u = the displacement from x,
 //
@@ -27,8 +29,8 @@
 //
 // Two bodies touch each other in the same way: the samples of one meet the balls of the other, all of them, whatever is
 // near at rest. Clothes lie on a body: what the samples of clothes meet is the skin below them at rest, since the bones
-// move both alike, and balls that were far away. Clothes that are in the body at rest stay as deep as they are. The
-// other way around nothing is searched for, since what clothes are around is not in them.
+// move both alike, and balls that are far from it through the body. Clothes that are in the body at rest stay as deep
+// as they are. The other way around nothing is searched for, since what clothes are around is not in them.
 #pragma once
 
 #include <array>
@@ -60,11 +62,14 @@ struct PosedSkin {
   double near, margin;                      ///< meters: of a contact's gap; of g
 };
 
+/// The balls that are near a place at rest, ascending, and f of each.
+using NearBalls = std::vector<std::pair<int, double>>;
+
 /// Of two bodies that touch each other: the first are clothes that lie on the second. For each of the points of the
 /// clothes (P):
 struct Worn {
   int clothes, body;             ///< numbers of bodies
-  Points rest;                   ///< in the bind space of the body (P, 3)
+  std::vector<NearBalls> near;   ///< of the body
   std::vector<OtherSide> below;  ///< samples of the body at rest
   std::vector<int> parts;        ///< of the body, that they lie on
   VectorXd deep;                 ///< their gap at rest where that is below zero, otherwise zero, meters
@@ -140,10 +145,12 @@ class SelfContact {
 
   void find_parts();
   void find_covers();
+  void find_ways();
   /// Poses the balls of a body, and forgets what was known of its points.
   static void begin(const Body& body);
-  /// f. place: at rest, of something that has so much tissue, meters.
-  double fade(const Vector3d& place, double thickness, int ball) const;
+  Vector3d normal(Eigen::Index point) const;  ///< at rest
+  /// Of the skin at rest, with so much tissue, meters.
+  NearBalls near_at_rest(const Vector3d& place, const Vector3d& normal, double thickness) const;
   static const PosedVertex& vertex(const Body& body, int vertex);
   /// The place of a point of a body in the targets' shapes, world space.
   static Vector3d place(const Body& body, int point);
@@ -174,7 +181,9 @@ class SelfContact {
   double sharpness_;      ///< tau, meters
   std::vector<Part> parts_;
   std::set<std::pair<int, int>> joints_;  ///< the lower number first
-  std::vector<std::vector<int>> covers_;  ///< the points nearest to each ball
+  std::vector<std::vector<int>> covers_;  ///< the points nearest to each ball, on the skin around it
+  std::vector<std::vector<int>> beside_;  ///< the balls that a way through the body leads on to from each of them
+  std::vector<NearBalls> near_;           ///< to each point
 };
 
 extern template class SelfContact<FullModel>;
