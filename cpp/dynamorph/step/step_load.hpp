@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The load of a step: inertia, gravity and external forces, of which a motion limit lets through what is not too much.
+// The load of a step: inertia, gravity and external forces. A motion limit lets through what is not too much.
 #pragma once
 
 #include <array>

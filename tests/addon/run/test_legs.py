@@ -52,7 +52,7 @@ def legs_of(gap: float, around=32, apart=0.02):
 
 
 def make_legs(scene, gap: float):
-    """The object, its triangles, and of which leg each vertex is: -1, 0 for none, 1."""
+    """The object, its triangles, and the leg of each vertex: -1, 0 for none, 1."""
     x = RADIUS + gap / 2
     vertices, faces, weights = legs_of(gap)
     obj = make_mesh(scene, "Legs", vertices, faces.tolist())
