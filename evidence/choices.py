@@ -30,10 +30,13 @@ EACH = re.compile(r"(k\w+) = ([^,]+)")
 TRIED = """#include <cstdlib>
 #include <cstring>
 inline double tried(const char* name, double value) {
-  const char* choice = std::getenv("DYNAMORPH_CHOICE");
-  const auto length = std::strlen(name);
-  const bool is_it = choice && std::strncmp(choice, name, length) == 0 && choice[length] == '*';
-  return is_it ? value * std::atof(choice + length + 1) : value;
+  const char* choices = std::getenv("DYNAMORPH_CHOICES");  // NAME*FACTOR NAME*FACTOR ...
+  for (const char* at = choices; at; at = std::strchr(at, ' ')) {
+    at += *at == ' ';
+    const auto length = std::strlen(name);
+    if (std::strncmp(at, name, length) == 0 && at[length] == '*') return value * std::atof(at + length + 1);
+  }
+  return value;
 }
 """
 NOTICED = 0.01  # of a figure
@@ -115,7 +118,7 @@ def measured(choice: str) -> dict[str, float]:
     """The figures with a choice multiplied: NAME*FACTOR."""
     paths = {"PYTHONPATH": str(FOLDER / "cmake" / "python"), "OMP_NUM_THREADS": "1"}
     found = subprocess.run(
-        [sys.executable, __file__, "--figures"], env=os.environ | paths | {"DYNAMORPH_CHOICE": choice},
+        [sys.executable, __file__, "--figures"], env=os.environ | paths | {"DYNAMORPH_CHOICES": choice},
         capture_output=True, text=True,
     )  # fmt: skip
     return json.loads(found.stdout) if found.returncode == 0 else {}

@@ -5,9 +5,10 @@
 
 namespace dynamorph {
 
-/// m w^2, the stiffness that gives a point its tissue's frequency, by which it is pulled back. With 20, a bar with hardly
-/// any damping that is shaken by ten times its limit goes to 2.3 of it, with 30 to 1.8, with 40 to 1.5; characters keep
-/// the motion that they kept.
+constexpr double kLoadBegins = 0.5;  ///< of a limit: beyond, a load is scaled down
+/// m w^2, the stiffness that gives a point its tissue's frequency, by which it is pulled back. With 20, a bar with
+/// hardly any damping that is shaken by ten times its limit goes to 2.3 of it, with 30 to 1.8, with 40 to 1.5;
+/// characters keep the motion that they kept.
 constexpr double kPull = 30;
 constexpr double kEdgePull = 120;     ///< of twice the energy that stretches edges to their limit
 constexpr double kRampBegins = 0.6;   ///< of a limit: from there on something is pulled back

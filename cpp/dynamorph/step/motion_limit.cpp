@@ -180,8 +180,9 @@ std::vector<Pull> pulls_of(const Tissue& tissue, const SkinLimits& limits, const
 }  // namespace
 
 double load_scale(double excess) {
-  if (excess <= 0.5) return 1;
-  return (0.5 + 0.5 * std::tanh(2 * excess - 1)) / excess;
+  if (excess <= kLoadBegins) return 1;
+  const double rest = 1 - kLoadBegins;
+  return (kLoadBegins + rest * std::tanh((excess - kLoadBegins) / rest)) / excess;
 }
 
 Ramp ramp(double r, double limit) {

@@ -5,6 +5,8 @@
 #include <stdexcept>
 #include <string>
 
+#include "dynamorph/step/choices.hpp"
+
 namespace dynamorph {
 
 using Eigen::Index;
@@ -76,7 +78,8 @@ void StepLoad<Model>::lasting(const Input& input, VectorXd& g) {
 template <class Model>
 void StepLoad<Model>::hold_back(const Input& input, VectorXd& g) {
   const auto& x = driven_.excess;
-  const bool any = std::any_of(x.begin(), x.end(), [](const VectorXd& each) { return (each.array() > 0.5).any(); });
+  const bool any =
+      std::any_of(x.begin(), x.end(), [](const VectorXd& each) { return (each.array() > kLoadBegins).any(); });
   if (!any) {
     unbalanced(input, g);
   } else {
