@@ -177,14 +177,20 @@ def test_what_is_near_only_through_the_air_is_touched(solver, gap):
     assert abs(left(own=True)) < 0.1 * overlap < 0.8 * left(own=False)
 
 
-def test_what_is_near_through_the_body_at_rest_is_left_alone():
-    """A joint: balls fill the gap of less than a fifth of the thickness, and one block is pressed into the other."""
-    s = blocks("FULL", held=True, gap=0.01)
+def jointed(gap):
+    """Blocks with balls in the gap between them."""
+    s = blocks("FULL", held=True, gap=gap)
     lower, upper = np.split(s.balls[0], 2)
     between = np.concatenate([lower, upper, lower + 0.055 * np.eye(3)[2], lower + 0.105 * np.eye(3)[2]])
     of_balls, of_points = np.concatenate([s.parts[1], np.zeros(200, int)]), s.parts[2]
     s.own = dynamorph.SelfContact(s.contact, between, np.full(400, HIGH / 2), dynamorph.embed(s.mesh, between),
                                       np.eye(2)[of_balls], s.parts[0], of_balls, of_points)  # fmt: skip
+    return s
+
+
+def test_what_is_near_through_the_body_at_rest_is_left_alone():
+    """A joint: balls fill the gap of less than a fifth of the thickness, and one block is pressed into the other."""
+    s = jointed(0.01)
     moved, reports, _ = simulated(s, 0.02)
     assert max(report.contacts for report in reports) == 0
     free, _, _ = simulated(s, 0.02, own=False)
