@@ -118,7 +118,7 @@ class Player:
             self.hand.track = from_text(settings.drags, len(character.vertices))
             if settings.collision:
                 self.collision = Collision(model, self.engine, character)
-            self._simulation = self._simulation_of(self.engine, ready.limit)
+            self._simulation = _simulation_of(self, self.engine, ready.limit, self._asked_by_engine())
             if self.collision and (dents := self.collision.dents.shape[1]):
                 self.modes = np.hstack([model.modes, self.collision.dents])
                 self._shapes = np.pad(self._shapes, ((0, 0), (0, dents)))
@@ -274,24 +274,6 @@ class Player:
         keep_going, this = self._keep_going, weakref.proxy(self)
         return (lambda: keep_going(this)) if keep_going else None
 
-    def _simulation_of(self, engine: EngineModel, limit: Any) -> dynamorph.Simulation:
-        settings, collision = self.settings, self.collision
-        keep_going = self._asked_by_engine()
-        return dynamorph.Simulation(
-            engine,
-            settings.step,
-            limit=limit,
-            contact=collision.skin if collision else None,
-            distance=settings.distance * self.size,
-            self_contact=collision.own if collision and settings.self_collision else None,
-            self_friction=settings.self_friction,
-            integrator=dynamorph.Integrator.__members__[settings.integrator],
-            gravity=settings.gravity,
-            teleport=TELEPORT * engine.body.size * settings.step,
-            # A reduced step takes less time than asking.
-            keep_going=keep_going if self.model.settings.solver == "FULL" else None,
-        )
-
     def _begin_with(self, first: RigSamples) -> None:
         """What the first sample says: which colliders there are, and how the targets' shapes are balanced. These are
         what the artist saw under gravity, each in its own pose.
@@ -307,6 +289,26 @@ class Player:
         if self.engine is None or not any(field.strength.any() for field in rig.fields):
             return None
         return self.posing.skin.pushes(rig.fields, bones, self.displacement(self.coordinates))
+
+
+def _simulation_of(
+    player: Player, engine: EngineModel, limit: Any, keep_going: Callable[[], bool] | None
+) -> dynamorph.Simulation:
+    settings, collision = player.settings, player.collision
+    return dynamorph.Simulation(
+        engine,
+        settings.step,
+        limit=limit,
+        contact=collision.skin if collision else None,
+        distance=settings.distance * player.size,
+        self_contact=collision.own if collision and settings.self_collision else None,
+        self_friction=settings.self_friction,
+        integrator=dynamorph.Integrator.__members__[settings.integrator],
+        gravity=settings.gravity,
+        teleport=TELEPORT * engine.body.size * settings.step,
+        # A reduced step takes less time than asking.
+        keep_going=keep_going if player.model.settings.solver == "FULL" else None,
+    )
 
 
 class _NothingMoves:
