@@ -257,9 +257,9 @@ using AnySimulation = Either<InTurn>;
 
 AnySimulation make_simulation(const EitherModel& model, double h, const std::optional<Either<MotionLimit>>& limit,
                               const std::optional<Either<ContactSamples>>& contact, double distance,
-                              const std::optional<Either<SelfContact>>& self_contact, double self_friction, Integrator integrator,
-                              const Vector3d& gravity, double tolerance, int max_iterations, double teleport,
-                              const py::object& keep_going) {
+                              const std::optional<Either<SelfContact>>& self_contact, double self_friction,
+                              Integrator integrator, const Vector3d& gravity, double tolerance, int max_iterations,
+                              double teleport, const py::object& keep_going) {
   std::function<bool()> asked;
   if (!keep_going.is_none())
     asked = [callable = shared(keep_going)] {

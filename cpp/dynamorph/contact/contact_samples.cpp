@@ -17,10 +17,11 @@ using Eigen::Index;
 
 namespace {
 
-constexpr int kTogether = 256;    // samples solved at a time, so that memory stays small
-constexpr Index kSolved = 3000;   // samples whose compliance is solved for; others have that of the most alike
-constexpr int kGrouped = 64;      // samples in a group, at most
-constexpr Index kLookedAt = 300;  // samples whose motion by the coordinates is compared with that of a pushed one
+constexpr int kTogether = 256;   // samples solved at a time, so that memory stays small
+constexpr Index kSolved = 3000;  // samples whose compliance is solved for; others have that of the most alike
+constexpr int kGrouped = 64;     // samples in a group, at most
+constexpr Index kComparedSamples =
+    300;  // samples whose motion by the coordinates is compared with that of a pushed one
 
 /// j^T A^-1 j of each row j.
 VectorXd compliance(const SparseMatrix& A, const SparseRows& J) {
@@ -270,7 +271,7 @@ void ContactSamples<Model>::find_stiffness(const typename Model::SkinPoints& ver
   VectorXd lasting = compliance(A, rows), in_step = compliance(K, rows), pushed = VectorXd::Ones(lasting.size());
   if constexpr (std::is_same_v<Model, ReducedModel>) {
     const MatrixXd answers = answers_to(A, rows);
-    pushed = stay_local(lasting, rows_of(vertices.basis(), spaced(map_.size(), kLookedAt)) * answers);
+    pushed = stay_local(lasting, rows_of(vertices.basis(), spaced(map_.size(), kComparedSamples)) * answers);
     if (local_) {
       const VectorXd taken = pushed;
       for (Index p = 0; p < size(); ++p) taken_(p) = taken(solved[std::size_t(p)]);

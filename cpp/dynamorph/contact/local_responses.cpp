@@ -17,7 +17,7 @@ using Eigen::Index;
 namespace {
 
 constexpr Index kLookedAt = 300;    // places whose motion is compared
-constexpr double kGivesWay = 1e-6;  // of the most compliant patch: what is held firmer than that has no response
+constexpr double kHeldFirm = 1e-6;  // of the most compliant patch: what is held firmer than that has no response
 constexpr double kAlike = 1e-9;     // patches that overlap give way nearly alike
 
 SkinPlaces at(const SkinPlaces& places, const std::vector<int>& chosen) {
@@ -177,7 +177,7 @@ void LocalResponses::normalize(const VectorXd& volume, const VectorXd& complianc
   for (Index patch = 0; patch < R.cols(); ++patch) {
     double square = 0;
     for (Index i = 0; i < volume.size(); ++i) square += volume(i) * R.col(patch).segment<3>(3 * i).squaredNorm();
-    const bool gives_way = compliance(patch) > kGivesWay * compliance.maxCoeff() && square > 0;
+    const bool gives_way = compliance(patch) > kHeldFirm * compliance.maxCoeff() && square > 0;
     const double scale = gives_way ? 1 / std::sqrt(square) : 0;
     R.col(patch) *= scale;
     stiffness_.row(patch) *= scale;
