@@ -366,6 +366,28 @@ def test_a_jump_of_the_rig_moves_it_as_without_a_limit_or_less(kind, jump):
     assert free > 1.8 * distance  # so the last share was a large one
 
 
+@pytest.mark.parametrize("own_transforms", [False, True])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_jump_counts_as_how_far_it_carries_the_skin(kind, own_transforms):
+    """In its own step. The second bone jumps aside, and in another bar it turns about the first one's axis."""
+    made, distance, way = Bar(kind, own_transforms=own_transforms), 0.03, 0.004
+    for turn in (False, True):
+        frames = moving(np.zeros(2), np.array([0.0, 0.0 if turn else way]))
+        if turn:
+            frames[1, 1, :, :3] = Rotation.from_rotvec([0.1, 0.0, 0.0]).as_matrix()
+        simulation, bones = made.simulation(distance), made.bones(frames)
+        simulation.start(bones[0], bones[0], made.neutral)
+        simulation.advance(bones[1:], made.neutral[None])
+        first, second = simulation.excess
+        carried = np.linalg.norm(made.nodes @ (frames[1, 1, :, :3] - np.eye(3)).T + frames[1, 1, :, 3], axis=1)
+        farthest = carried[made.weights[:, 1] > 0.5].max() / distance
+        assert first == pytest.approx(0.0, abs=1e-12)
+        if turn:  # the 97th percentile of its skin
+            assert 0.8 * farthest < second <= farthest * (1 + 1e-12)
+        else:
+            assert second == pytest.approx(way / distance, rel=1e-12)
+
+
 def way(t: np.ndarray) -> np.ndarray:
     """Heights of a rig that is moved up and down by smooth keys, meters."""
     frames, heights = (0, 7, 13, 19, 26, 33), (0.0, 0.0, 0.072, 0.0072, 0.0576, 0.0)

@@ -50,8 +50,7 @@ constexpr double kPatchReach = 2;  ///< of the distance within which half of the
 /// about what a push does: with .5 and .9, a limb on a floor was 100 % off, with these 25 %; below .6 a dog's firm head
 /// throws its body.
 constexpr double kOwnMotion = 0.6, kAllOwnMotion = 0.65;
-/// No patch moves any skin by more than so many times the deepest contact's depth, or so many thicknesses of tissue.
-constexpr double kPatchGoes = 1.5, kPatchOfTissue = 1;
+constexpr double kPatchGoes = 1.5;   ///< times the depth of the deepest contact: no patch moves any skin farther
 constexpr double kPatchHard = 1000;  ///< times a patch's own stiffness, where it gives way no further
 
 }  // namespace dynamorph

@@ -316,8 +316,7 @@ struct ContactTerm {
     Eigen::Index j = 0;
     for (const auto& [number, patch] : found) {
       stiffer(j) = std::sqrt(samples.local_stiffer(patch.sample, weights));
-      const double far = std::min(kPatchGoes * patch.deepest, kPatchOfTissue * samples.thickness()(patch.sample));
-      most(j++) = far / std::max(samples.local()->farthest()(number), 1e-300);
+      most(j++) = kPatchGoes * patch.deepest / std::max(samples.local()->farthest()(number), 1e-300);
     }
     for (j = 0; j < m; ++j)
       for (Eigen::Index k = 0; k < m; ++k)

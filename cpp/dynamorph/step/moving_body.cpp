@@ -124,7 +124,7 @@ void MovingBody<Model>::balance_targets(const std::vector<Transforms>& bones) {
     // The target alone, without targets of other sets: f_g^(j) = rho_j (A^(j))^T M1 g.
     const VectorXd alone = VectorXd::Unit(targets.size(), j);
     pose(bones[j], alone);
-    load_.unbalanced({at_rest(rest, bones[j], options_.gravity), 1, options_.gravity, blend_, nullptr}, quadratic_.g);
+    load_.unbalanced({at_rest(rest, bones[j], options_.gravity), 1, blend_, nullptr}, quadratic_.g);
     loads.col(j) = -quadratic_.g;
     for (Eigen::Index t = 0; t < bones[j].rows(); ++t)
       directions.block<3, 1>(3 * t, j) = transform(bones[j], t).leftCols<3>().transpose() * options_.gravity;
@@ -173,7 +173,7 @@ StepReport MovingBody<Model>::solve_static(const StepInput<Model>& input, Vector
   }
   if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
   const InertialTarget gravity = at_rest(q, input.bones, options_.gravity);
-  load_.lasting({gravity, 1, options_.gravity, blend_, input.external}, quadratic_.g);
+  load_.lasting({gravity, 1, blend_, input.external}, quadratic_.g);
   begin_terms(input, q, 0);
   contacts_.clear();
   forget();
@@ -284,7 +284,7 @@ StepReport MovingBody<Model>::solve_alone() {
     return contacts_.next_round();
   };
   const NewtonReport found = minimize_in_rounds(potential_, newton_, unknowns_, limits(), [&] { ask(); }, next_round);
-  return take(found, unknowns_);
+  return accept(found, unknowns_);
 }
 
 template <class Model>
@@ -307,7 +307,7 @@ void MovingBody<Model>::prepare(const StepInput<Model>& input) {
   }
   inertial.coefficients = rule.coefficients();
   inertial.gravity_offset = rule.square * options_.gravity;
-  load_.step({inertial, rule.square, options_.gravity, blend_, input.external}, h, state_.driven, quadratic_.g);
+  load_.step({inertial, rule.square, blend_, input.external}, h, state_.driven, quadratic_.g);
   begin_terms(input, next_, kWatched);
   find_contacts(input);
 
@@ -364,11 +364,11 @@ StepReport MovingBody<Model>::minimize(int max_iterations) {
   NewtonLimits until = limits();
   until.iterations = max_iterations;
   const NewtonReport found = dynamorph::minimize(potential_, newton_, unknowns_, until, [&] { ask(); });
-  return take(found, unknowns_);
+  return accept(found, unknowns_);
 }
 
 template <class Model>
-StepReport MovingBody<Model>::take(const NewtonReport& found, const VectorXd& unknowns) {
+StepReport MovingBody<Model>::accept(const NewtonReport& found, const VectorXd& unknowns) {
   if (found.broken)
     throw Error("A step failed because a force is not finite. Check the rig and the materials at this frame.");
   next_ = unknowns.head(next_.size());

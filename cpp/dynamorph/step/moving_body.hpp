@@ -111,8 +111,8 @@ class MovingBody {
   NewtonLimits limits() const;
   /// Throws Cancelled if keep_going says so.
   void ask() const;
-  /// Takes what Newton's method found, and where; throws Error where that broke.
-  StepReport take(const NewtonReport& found, const VectorXd& unknowns);
+  /// Goes on with what Newton's method found, and where; throws Error where that broke.
+  StepReport accept(const NewtonReport& found, const VectorXd& unknowns);
   ContactStep contact_step() const { return search_.contact_step(options_, parts_.self_friction); }
   PosedSkin posed_skin(const StepInput<Model>& input) { return search_.posed_skin(input, state_, next_); }
   /// Puts pressures before its own: of contacts with other bodies.

@@ -302,7 +302,7 @@ void Simulation<Model>::solve_together() {
   VectorXd own;
   for (std::size_t body = 0; body < bodies_.size(); ++body) {
     take(all_, body, own);
-    reports_[body] = bodies_[body].body->take(found, own);
+    reports_[body] = bodies_[body].body->accept(found, own);
   }
 }
 

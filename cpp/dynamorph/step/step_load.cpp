@@ -56,7 +56,8 @@ void StepLoad<Model>::step(const Input& input, double h, const DrivenLoad& befor
   const auto& bones = input.inertial.bones;
   acceleration_ = *bones[0] - 2 * *bones[1] + *bones[2];
   slowed_[0] = acceleration_ / (h * h);
-  for (int axis = 0; axis < 3; ++axis) slowed_[0].col(4 * axis + 3).array() -= input.gravity(axis);
+  const Vector3d gravity = input.gravity();
+  for (int axis = 0; axis < 3; ++axis) slowed_[0].col(4 * axis + 3).array() -= gravity(axis);
   model_->rigid_force(*bones[0], slowed_[0], input.blend.mass, inertia_, g);
   add_balance(input, g);
   add_external(input, nullptr, g);
@@ -85,7 +86,7 @@ void StepLoad<Model>::hold_back(const Input& input, VectorXd& g) {
   } else {
     for (std::size_t k = 0; k < x.size(); ++k) limit_->scales(x[k], scales_[k]);
     const InertialTarget slow = scaled(input);
-    unbalanced({slow, input.square, input.gravity, input.blend, nullptr}, g);
+    unbalanced({slow, input.square, input.blend, nullptr}, g);
   }
   add_balance(input, g);
   add_external(input, any ? &scales_[0] : nullptr, g);
@@ -115,7 +116,7 @@ InertialTarget StepLoad<Model>::scaled(const Input& input) {
       slowed_[0].row(t) += (scale(t) - last(t)) / newest * (2 * acceleration(1) + (3 + newest) * acceleration(2));
     if (last(t) != before(t)) slowed_[0].row(t) -= (last(t) - before(t)) / newest * acceleration(2);
     if (scale(t) == 1) continue;
-    Vector3d gravity = input.gravity;  // less that of the targets' own poses, in this one
+    Vector3d gravity = input.gravity();  // less that of the targets' own poses, in this one
     if (rest_directions_.size() > 0) {
       const Matrix3d pose = transform(now, t).leftCols<3>();
       const Vector3d own = rest_directions_.middleRows<3>(3 * t) * input.blend.weights / model_->body().sets();

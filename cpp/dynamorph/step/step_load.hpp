@@ -19,9 +19,10 @@ class StepLoad {
   struct Input {
     const InertialTarget& inertial;  ///< its force is divided by `square`
     double square;                   ///< s^2
-    Vector3d gravity;
     const typename Model::Blend& blend;
     const VectorXd* external;  ///< forces on the nodes, or null
+
+    Vector3d gravity() const { return inertial.gravity_offset / square; }
   };
 
   /// limit: null for none.

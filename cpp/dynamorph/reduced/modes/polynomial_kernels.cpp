@@ -211,9 +211,9 @@ double contract_orders(const double* __restrict constant, const double* __restri
 
 void blend_tables(const float* const* __restrict tables, const double* __restrict weights, int count, Index size,
                   float* __restrict out) {
-  constexpr Index kRowBlock = 1024;  // what is written stays in the cache while all tables are added
-  for (Index begin = 0; begin < size; begin += kRowBlock) {
-    const Index end = begin + kRowBlock < size ? begin + kRowBlock : size;
+  constexpr Index kBlock = 1024;  // what is written stays in the cache while all tables are added
+  for (Index begin = 0; begin < size; begin += kBlock) {
+    const Index end = begin + kBlock < size ? begin + kBlock : size;
     for (Index i = begin; i < end; ++i) out[i] = 0;
     int k = 0;
     for (; k + 3 <= count; k += 3) {

@@ -106,6 +106,49 @@ TEST_CASE("inertia of nodes with transforms of their own: as if their bones had 
 
 namespace {
 
+/// A rigid force is that of an inertial target at zero coordinates.
+template <class Model>
+void check_rigid_force(const Model& model, const Transforms& now, const Transforms& moved) {
+  const int sets = model.body().sets();
+  const SetDensities densities{VectorXd::LinSpaced(sets, 700, 1300), VectorXd::LinSpaced(sets, 300, 100)};
+  const VectorXd rest = VectorXd::Zero(model.dofs());
+  InertialTarget inertial;
+  inertial.q.fill(&rest);
+  inertial.bones.fill(&now);
+  inertial.bones[1] = &moved;
+  inertial.coefficients(0, 1) = 1;
+  typename Model::Inertia expected, scratch;
+  model.inertia(inertial, densities, expected);
+  VectorXd force;
+  model.rigid_force(now, moved, densities, scratch, force);
+  CHECK(expected.force.norm() > 0);
+  CHECK((force - expected.force).norm() < 1e-6 * expected.force.norm());
+}
+
+}  // namespace
+
+TEST_CASE("a rigid force is that of inertia at rest in bind space, over all kinds of models") {
+  const Transforms now = 1.1 * bent(0.7), moved = 30 * bent(-0.2) - 28 * bent(0.5);
+  for_each_response_scene([&](const ResponseScene& scene, int) {
+    check_rigid_force(scene.full, now, moved);
+    check_rigid_force(*scene.model, now, moved);
+  });
+  for (int sets : {1, 2}) {
+    const auto body = two_bone_bar(sets), own = with_own_transforms(*body);
+    const auto all = targets(*body, sets - 1);
+    const FullModel full(body, all, MaterialModel::linear, Blending::even);
+    const ReducedTables tables = reduce(full, make_basis(full, 10).U);
+    check_rigid_force(ReducedModel(body, all, tables, Blending::even), now, moved);
+    SkinFrame of_now{now, {}}, of_moved{moved, {}};
+    pose_nodes(body->skin, of_now);
+    pose_nodes(body->skin, of_moved);
+    check_rigid_force(FullModel(own, all, MaterialModel::linear, Blending::even), of_now.nodes, of_moved.nodes);
+    check_rigid_force(ReducedModel(own, all, tables, Blending::even), of_now.nodes, of_moved.nodes);
+  }
+}
+
+namespace {
+
 /// Mass and force of the motion from the tensors of all bones and pairs of bones, in double throughout.
 void contract_in_double(const SoftBody& body, const MatrixXd& U, const InertialTarget& inertial,
                         const SetDensities& densities, MatrixXd& mass, VectorXd& force) {
