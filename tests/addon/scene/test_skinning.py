@@ -445,7 +445,8 @@ def test_a_loop_a_jump_and_wind(scene, small_arm):
     rest = job.outcome.character.vertices @ job.outcome.character.to_bind.T
     assert loops.pose_gap(player, job.computation.rig[:1]) < 1e-12 and loops.pose_gap(player, job.computation.rig) > 0.1
     assert player.posing.skinned(job.computation.rig[:1])[0] == pytest.approx(rest[player.posing.skin.known], abs=1e-5)
-    frames, moved = player.posing.frames(job.computation.rig[:1])[0], player.engine.displacement(player.state.coordinates[0])
+    frames = player.posing.frames(job.computation.rig[:1])[0]
+    moved = player.engine.displacement(player.state.coordinates[0])
     push = player.posing.skin.push(job.computation.rig.fields, 0, frames, moved)
     assert push.sum(axis=0)[2] == pytest.approx(40.0 * player.posing.skin.areas.sum(), rel=1e-6)
     small_arm.dynamorph.simulation.loop = True
