@@ -91,7 +91,7 @@ def test_two_parts_of_a_body_stop_each_other(solver, friction):
     left = overlap + lower - upper
     assert abs(left) < 0.1 * overlap
     # Modes are not symmetric, and friction holds what slid on the way.
-    assert lower == pytest.approx(-upper, rel=0.1 if solver == "REDUCED" else 0.025 if friction else 0.02)
+    assert lower == pytest.approx(-upper, rel=0.1 if solver == "REDUCED" else 0.04 if friction else 0.02)
     free, _, _ = simulated(s, GAP + overlap, own=False)
     assert np.abs(free[s.facing["lower"], 2]).max() < 0.1 * overlap
 

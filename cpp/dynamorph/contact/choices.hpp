@@ -8,7 +8,6 @@ namespace dynamorph {
 // How firmly skin is pushed.
 constexpr double kContactWidth = 1e-3;     ///< of the body's size: the depth over which contact gets its full stiffness
 constexpr double kFirmness = 30;           ///< times the stiffness of the body: what is left of a dent is 1/30
-constexpr double kSamplesOfPatch = 10;     ///< of more, each pushes less, so that they all push as much
 constexpr double kFree = 0.3;              ///< of a sample's weights on free nodes; with less, pins hold it
 constexpr double kFirmStep = 2. / 3 / 96;  ///< s, where its mass is fitted: c h of BDF2 at 24 fps and 4 substeps
 constexpr double kSticks = 1e-3;           ///< of the size, per second: what slips slower than that is held by friction
@@ -39,7 +38,7 @@ constexpr int kCovering = 8;         ///< of those at least
 /// touched where it is.
 constexpr double kNearThroughBody = 0.4, kFarThroughBody = 1;
 /// Depth in thicknesses of both sides, up to which contacts have all weight, and from which they have none.
-constexpr double kOwnFadeBegins = 0.36, kOwnFadeEnds = 0.46;
+constexpr double kOwnFadeBegins = 0.38, kOwnFadeEnds = 0.48;
 constexpr double kCrushed = 0.25, kFolded = 0.4;  ///< of the volume of a joint: contacts at it have no weight, and all
 constexpr double kOwnApart = 3e-3;  ///< of the size: what a contact moves both sides apart in a step, at most
 
@@ -50,7 +49,7 @@ constexpr double kPatchReach = 2;  ///< of the distance within which half of the
 /// about what a push does: with .5 and .9, a limb on a floor was 100 % off, with these 25 %; below .6 a dog's firm head
 /// throws its body.
 constexpr double kOwnMotion = 0.6, kAllOwnMotion = 0.65;
-constexpr double kPatchGoes = 1.5;   ///< times the depth of the deepest contact: no patch moves any skin farther
+constexpr double kPatchGoes = 1.9;   ///< times the depth that is left to them: patches move no skin farther
 constexpr double kPatchHard = 1000;  ///< times a patch's own stiffness, where it gives way no further
 
 }  // namespace dynamorph

@@ -204,7 +204,6 @@ ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, Contac
       groups_(grouped<Group>(map_.skin(), points_, rest_, thickness_)),
       share_(set_shares(model->body(), map_.skin().embedding, points_)),
       softness_(model->body().sets()),
-      firmness_(kFirmness),
       local_(std::move(local)) {
   const VectorXd neutral = neutral_weights(model->body(), model->targets());
   for (std::size_t j = 0; j < model->targets().size(); ++j)
@@ -212,9 +211,6 @@ ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, Contac
   stiffness_.setZero(size());
   mass_.setZero(size());
   taken_.setOnes(size());
-  if (local_)
-    firmness_ =
-        kFirmness * std::min(1.0, kSamplesOfPatch * double(local_->size()) / double(std::max<Index>(size(), 1)));
   moved_.setZero(model->dofs());
   residual_.setZero(0);
   if (size() == 0) return;
@@ -391,7 +387,7 @@ double ContactSamples<Model>::stiffer(Index sample, const VectorXd& weights, con
 
 template <class Model>
 double ContactSamples<Model>::stiffness(Index sample, const VectorXd& weights, double square) const {
-  return firmness_ * (stiffer(sample, weights, softness_) * stiffness_(sample) + mass_(sample) / square);
+  return kFirmness * (stiffer(sample, weights, softness_) * stiffness_(sample) + mass_(sample) / square);
 }
 
 template <class Model>

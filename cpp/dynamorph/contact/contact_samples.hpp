@@ -115,7 +115,6 @@ class ContactSamples {
   std::vector<Group> groups_;
   MatrixXd share_;     ///< of the target sets in a sample's tissue (P, S); rows sum to one
   VectorXd softness_;  ///< 1 / mu of each set's neutral target
-  double firmness_;    ///< times the stiffness of the body
   VectorXd moved_;     ///< the most that a unit of each coordinate displaces a vertex; of a mesh, of a node (1)
   VectorXd residual_;  ///< the same of each target's residual shape (J)
   MatrixXd shapes_;    ///< displacements of the vertices in each target's shape (3V, J)

@@ -17,8 +17,8 @@ void Dents::clear() {
   b_.resize(0);
 }
 
-void Dents::begin(std::vector<int> patches, const MatrixXd& rows, const MatrixXd& stiffness, VectorXd most,
-                  const VectorXd& pressures) {
+void Dents::begin(std::vector<int> patches, const MatrixXd& rows, const MatrixXd& stiffness, const RowMajor& held,
+                  VectorXd most, const VectorXd& pressures) {
   patches_ = std::move(patches);
   most_ = std::move(most);
   hardness_ = kPatchHard * stiffness.diagonal();
@@ -27,6 +27,7 @@ void Dents::begin(std::vector<int> patches, const MatrixXd& rows, const MatrixXd
   const Index m = stiffness.rows();
   back_ = factor.matrixU().solve(std::sqrt(stiffness_) * MatrixXd::Identity(m, m));
   rows_.noalias() = rows * back_;
+  held_.noalias() = held * back_;
   at(rows_.transpose() * pressures / stiffness_);
 }
 
@@ -34,17 +35,18 @@ void Dents::at(const Eigen::Ref<const VectorXd>& b) {
   b_ = b;
   given_.noalias() = rows_ * b_;
   a_.noalias() = back_ * b_;
+  together_.noalias() = held_ * b_;
   hard_force_.resize(a_.size());
   hard_slope_.resize(a_.size());
   energy_ = 0.5 * stiffness_ * b_.squaredNorm();
   for (Index m = 0; m < a_.size(); ++m) {
-    const ContactRamp ramp = contact_ramp(std::abs(a_(m)) - most_(m), 0.5 * most_(m));
+    const ContactRamp ramp = contact_ramp(std::abs(together_(m)) - most_(m), 0.5 * most_(m));
     energy_ += hardness_(m) * ramp.energy;
-    hard_force_(m) = std::copysign(hardness_(m) * ramp.force, a_(m));
+    hard_force_(m) = std::copysign(hardness_(m) * ramp.force, together_(m));
     hard_slope_(m) = hardness_(m) * ramp.stiffness;
   }
   force_ = stiffness_ * b_;
-  force_.noalias() += back_.transpose() * hard_force_;
+  force_.noalias() += held_.transpose() * hard_force_;
 }
 
 void Dents::amplitudes(VectorXd& all) const {

@@ -2,12 +2,12 @@
 // Local responses (local_responses.hpp) in a step. What gives way has no mass and no past: its amplitudes a are
 // unknowns of the step beside the model's coordinates, with the energy
 //
-//   E = a^T C a / 2 + sum_m 1000 C_mm ramp(|a_m| - A_m),
+//   E = a^T C a / 2 + sum_m 1000 C_mm ramp(|g_m a| - A_m).
 //
-// where A_m is the amplitude at which a patch moves some skin 1.5 times as far as the deepest contact is deep. Samples
-// that a patch is too coarse for would ask for more, and throw skin about. A contact i is moved by rho_i a along its
-// normal. With C = L L^T and c the mean of its diagonal, the unknowns are b = L^T a / sqrt(c): all have the stiffness
-// c.
+// g_m a is what all patches together do where patch m moves the skin farthest, as if it alone did it, and A_m the
+// amplitude at which that is 1.9 times as far as the coordinates leave the deepest contact. Samples that patches are
+// too coarse for would ask for more, and throw skin about. A contact i is moved by rho_i a along its normal. With
+// C = L L^T and c the mean of its diagonal, the unknowns are b = L^T a / sqrt(c): all have the stiffness c.
 #pragma once
 
 #include <vector>
@@ -22,10 +22,10 @@ class Dents {
   void clear();
   bool empty() const { return patches_.empty(); }
 
-  /// rho (n, m), C (m, m), A (m) > 0. They begin where these pressures (n), newtons, hold them: those of the step
-  /// before.
-  void begin(std::vector<int> patches, const MatrixXd& rows, const MatrixXd& stiffness, VectorXd most,
-             const VectorXd& pressures);
+  /// rho (n, m), C (m, m), g (m, m), A (m) > 0. They begin where these pressures (n), newtons, hold them: those of the
+  /// step before.
+  void begin(std::vector<int> patches, const MatrixXd& rows, const MatrixXd& stiffness, const RowMajor& held,
+             VectorXd most, const VectorXd& pressures);
 
   /// Moves the unknowns to b (m).
   void at(const Eigen::Ref<const VectorXd>& b);
@@ -38,8 +38,8 @@ class Dents {
   /// Calls f(row over b, stiffness > 0) for each patch that has gone beyond A.
   template <class F>
   void each_hard(F&& f) const {
-    for (Eigen::Index m = 0; m < a_.size(); ++m)
-      if (hard_slope_(m) > 0) f(back_.row(m), hard_slope_(m));
+    for (Eigen::Index m = 0; m < hard_slope_.size(); ++m)
+      if (hard_slope_(m) > 0) f(held_.row(m), hard_slope_(m));
   }
 
   /// Sets the amplitudes of all patches.
@@ -48,9 +48,9 @@ class Dents {
  private:
   std::vector<int> patches_;
   VectorXd most_, hardness_;
-  RowMajor back_, rows_;  ///< of a and of the contacts over b
+  RowMajor back_, held_, rows_;  ///< of a, of g a and of the contacts, over b
   double stiffness_ = 1, energy_ = 0;
-  VectorXd b_, a_, given_, force_, hard_force_, hard_slope_;
+  VectorXd b_, a_, together_, given_, force_, hard_force_, hard_slope_;
 };
 
 }  // namespace dynamorph

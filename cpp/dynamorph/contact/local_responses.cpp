@@ -140,10 +140,26 @@ LocalResponses::LocalResponses(const FullModel& model, const MatrixXd& basis, co
   normalize(model.body().volumes.rowwise().sum(), answers.cwiseProduct(loads).colwise().sum(), R);
   shapes_ = R;
   farthest_.resize(R.cols());
-  for (Index patch = 0; patch < R.cols(); ++patch)
-    farthest_(patch) = as_points(VectorXd(R.col(patch))).rowwise().norm().maxCoeff();
+  for (Index patch = 0; patch < R.cols(); ++patch) {
+    Index node;
+    farthest_(patch) = as_points(VectorXd(R.col(patch))).rowwise().norm().maxCoeff(&node);
+    farthest_node_.push_back(int(node));
+  }
   if (!shapes_.allFinite() || !stiffness_.allFinite())
     throw std::invalid_argument("basis: the responses to it are not finite");
+}
+
+RowMajor LocalResponses::moved_where_farthest(const std::vector<int>& patches) const {
+  const Index m = Index(patches.size());
+  RowMajor out = RowMajor::Identity(m, m);
+  for (Index i = 0; i < m; ++i) {
+    const int patch = patches[std::size_t(i)], row = 3 * farthest_node_[std::size_t(patch)];
+    const double square = farthest_(patch) * farthest_(patch);
+    if (!(square > 0)) continue;
+    for (Index j = 0; j < m; ++j)
+      out(i, j) = shapes_.block<3, 1>(row, patch).dot(shapes_.block<3, 1>(row, patches[std::size_t(j)])) / square;
+  }
+  return out;
 }
 
 double LocalResponses::reach_of(const SkinPlaces& places, const std::vector<int>& centers) const {

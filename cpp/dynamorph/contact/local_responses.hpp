@@ -52,6 +52,10 @@ class LocalResponses {
   const VectorXd& farthest() const { return farthest_; }  ///< how far a unit of each patch (P) moves a node, at most, m
   const VectorXd& shear() const { return shear_; }  ///< mu (S) of the neutral target of each set, for which C is, Pa
 
+  /// The share of its `farthest` that each of these patches (rows, m) is moved there, along its own way, by a unit of
+  /// each (columns, m).
+  RowMajor moved_where_farthest(const std::vector<int>& patches) const;
+
   /// The patches that a point of the skin is part of, with its weights in them.
   void patches_at(const Vector3d& rest, const Vector3d& normal, std::vector<std::pair<int, double>>& out) const;
 
@@ -69,6 +73,7 @@ class LocalResponses {
   RowMajor shapes_;
   MatrixXd stiffness_;
   VectorXd farthest_, shear_;
+  std::vector<int> farthest_node_;  ///< of each patch, among the free ones
 };
 
 }  // namespace dynamorph

@@ -108,6 +108,7 @@ SelfContact<Model>::SelfContact(std::shared_ptr<const ContactSamples<Model>> sam
   find_parts();
   find_covers();
   find_ways();
+  find_beyond();
   for (Index i = 0; i < P; ++i) near_.push_back(near_at_rest(rest_.row(i), normal(i), thickness_(i)));
 }
 
@@ -182,6 +183,23 @@ void SelfContact<Model>::find_ways() {
 }
 
 template <class Model>
+void SelfContact<Model>::find_beyond() {
+  const Points& centers = balls_.skin().rest;
+  beyond_.setZero(rest_.rows());
+  for (Index i = 0; i < rest_.rows(); ++i) {
+    double sum = 0;
+    for (Index k = 0; k < balls_.size(); ++k) {
+      const Vector3d out = rest_.row(i) - centers.row(k);
+      if (normal(i).dot(out) > 0) sum += std::exp((body_.radius(k) - out.norm()) / sharpness_);
+    }
+    if (sum > 0) beyond_(i) = std::min(-sharpness_ * std::log(sum), kCovered * thickness_(i));
+  }
+  covered_ = body_.radius;
+  for (Index k = 0; k < balls_.size(); ++k)
+    for (const int i : covers_[std::size_t(k)]) covered_(k) = std::max(covered_(k), body_.radius(k) + beyond_(i));
+}
+
+template <class Model>
 NearBalls SelfContact<Model>::near_at_rest(const Vector3d& place, const Vector3d& normal, double thickness) const {
   const Points& centers = balls_.skin().rest;
   // In thicknesses of tissue.
@@ -212,7 +230,7 @@ NearBalls SelfContact<Model>::near_at_rest(const Vector3d& place, const Vector3d
         it == farthest.end() ? 1 : smooth_step((it->second - kNearThroughBody) / (kFarThroughBody - kNearThroughBody));
     if (touched < 1 || away(k) < kFarThroughBody) out.emplace_back(k, touched);
     if (touched > 0)
-      sum += std::exp((touched * body_.radius(k) - (centers.row(k) - place.transpose()).norm()) / sharpness_);
+      sum += std::exp((touched * covered_(k) - (centers.row(k) - place.transpose()).norm()) / sharpness_);
   }
   const double nearer = sharpness_ * (1 + std::log(std::max(sum, 1e-300)));
   if (nearer > 0)
@@ -347,10 +365,11 @@ void SelfContact<Model>::search(const Body& body, const Body& other, const Worn*
       around.clear();
       for (const int part : near)
         if (boxes[std::size_t(part)].contains(x)) around.push_back(part);
-      const Nearest skin = nearest(body, point, other, worn, around);
+      Nearest skin = nearest(body, point, other, worn, around);
       if (skin.ball < 0) continue;
       const int part = other.of.body_.of_balls[std::size_t(skin.ball)];
-      touch(body, point, other, skin, other_side(body, point, other, skin), {int(own), part}, found);
+      const OtherSide others = other_side(body, point, other, skin);
+      touch(body, point, other, skin, others, {int(own), part}, found);
     }
   }
 }
@@ -502,17 +521,24 @@ void SelfContact<Model>::touch(const Body& body, int point, const Body& other, c
   found.push_back({contact, parts, -nearest.gap, room});
 }
 
-/// Those of the ball's points that are nearest to the place that is touched.
+/// Those of the ball's points that are nearest to the place that is touched. The gap is less by as much as the skin
+/// there is beyond the balls.
 template <class Model>
-OtherSide SelfContact<Model>::other_side(const Body& body, int point, const Body& other, const Nearest& nearest) {
+OtherSide SelfContact<Model>::other_side(const Body& body, int point, const Body& other, Nearest& nearest) {
+  const SelfContact& of = other.of;
   const Vector3d touched = place(body, point) - nearest.gap * nearest.normal;
   auto& others = body.scratch.others;
   others.clear();
-  for (const int each : other.of.covers_[std::size_t(nearest.ball)])
-    if (each != point || &other != &body)
-      others.emplace_back((place(other, each) - touched).norm(),
-                          other.first_sample + other.of.body_.points[std::size_t(each)]);
-  return nearest_of(others);
+  for (const int each : of.covers_[std::size_t(nearest.ball)])
+    if (each != point || &other != &body) others.emplace_back((place(other, each) - touched).norm(), each);
+  OtherSide out = nearest_of(others);
+  const int part = of.body_.of_balls[std::size_t(nearest.ball)];
+  for (std::size_t k = 0; k < out.samples.size(); ++k) {
+    if (!(out.weights[k] > 0)) continue;
+    nearest.gap -= out.weights[k] * other.scratch.scales[std::size_t(part)] * of.beyond_(out.samples[k]);
+    out.samples[k] = other.first_sample + of.body_.points[std::size_t(out.samples[k])];
+  }
+  return out;
 }
 
 template <class Model>

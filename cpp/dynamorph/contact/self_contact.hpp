@@ -6,7 +6,8 @@
 //
 //   g_p = -tau log sum_k exp(-d_k / tau),
 //
-// from the rest of the body, along the mean n of the balls' directions. f_pk grows from 0 to 1 with how far one must go
+// from the rest of the body, along the mean n of the balls' directions, less what the balls miss of the skin that it
+// meets, which is g of that skin at rest. f_pk grows from 0 to 1 with how far one must go
 // from the sample, at rest, on a way through the body to the ball: at a joint or a crease nothing touches, and nothing
 // begins at a line. What is near through the air alone has no such way, and touches. The way leads over balls, each of
 // which holds the center of the next one or has its own held by that. Nothing pushes at rest: where g_p is less than
@@ -21,7 +22,7 @@
 // What the bones leave no room for is not forced. With D = -g_p, T the thickness of the tissue of both sides, and A, B
 // the transforms of the bones of two parts, all contacts between these have the weight
 //
-//   1 - smooth_step((max D / T - 0.36) / 0.1),      times smooth_step((det (A + B) / 2 - 0.25) / 0.15)
+//   1 - smooth_step((max D / T - 0.38) / 0.1),      times smooth_step((det (A + B) / 2 - 0.25) / 0.15)
 //
 // if they share skin: linear blend skinning crushes that to det (A + B) / 2 of its volume, which is 0.46 in a joint
 // that is folded by 95 degrees, and 0.21 by 125. If each contact had its own weight, skin would tear where some give
@@ -146,6 +147,7 @@ class SelfContact {
   void find_parts();
   void find_covers();
   void find_ways();
+  void find_beyond();
   /// Poses the balls of a body, and forgets what was known of its points.
   static void begin(const Body& body);
   Vector3d normal(Eigen::Index point) const;  ///< at rest
@@ -165,7 +167,7 @@ class SelfContact {
   /// Adds the contact of a point of the body with these samples of the other. parts: of both.
   static void touch(const Body& body, int point, const Body& other, const Nearest& nearest, const OtherSide& others,
                     const std::pair<int, int>& parts, std::vector<Found>& found);
-  static OtherSide other_side(const Body& body, int point, const Body& other, const Nearest& nearest);
+  static OtherSide other_side(const Body& body, int point, const Body& other, Nearest& nearest);
   /// What skinning leaves of a joint: 1 where two parts share no skin.
   static double folded(const Body& body, const Body& other, const std::pair<int, int>& parts);
   /// Sets the weights of contacts between a body and another one, or itself, and adds them.
@@ -183,6 +185,8 @@ class SelfContact {
   std::set<std::pair<int, int>> joints_;  ///< the lower number first
   std::vector<std::vector<int>> covers_;  ///< the points nearest to each ball, on the skin around it
   std::vector<std::vector<int>> beside_;  ///< the balls that a way through the body leads on to from each of them
+  VectorXd beyond_;                       ///< g of the points at rest from the balls below them: what these miss (P)
+  VectorXd covered_;                      ///< radius of the balls that would miss none of the points they cover (K)
   std::vector<NearBalls> near_;           ///< to each point
 };
 

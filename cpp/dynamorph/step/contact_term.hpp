@@ -119,9 +119,10 @@ struct ContactTerm {
     if constexpr (kGivesWay) points_.own_rows.resize(0, 0);
   }
 
-  /// contacts: by collider, and those of a collider by sample. pressures: of the step before, likewise.
+  /// contacts: by collider, and those of a collider by sample. Of the step before: pressures, likewise, and
+  /// coordinates.
   void begin(const Samples& samples, const std::vector<Contact>& contacts, const ContactStep& step,
-             const std::vector<Pressure>& pressures) {
+             const std::vector<Pressure>& pressures, const VectorXd& before) {
     clear();
     distance_ = step.distance;
     width_ = step.width;
@@ -159,7 +160,7 @@ struct ContactTerm {
     if (touching_.empty()) return;
     samples.rows(numbers_, scratch_, rows_);
     if constexpr (std::is_same_v<Samples, PosedSamples<Model>>)
-      if (samples.of.local()) begin_dents(samples.of, samples.weights, step.giving);
+      if (samples.of.local()) begin_dents(samples.of, samples.weights, step.giving, before);
   }
 
   /// The unknowns of the patches, which follow the coordinates.
@@ -230,13 +231,12 @@ struct ContactTerm {
   /// The amplitudes of all patches.
   void dents(VectorXd& amplitudes) const { dents_.amplitudes(amplitudes); }
 
-  /// The largest depth of a sample under a collider's surface, meters; 0 for none. Those with less than
-  /// half of their weight do not count.
+  /// The largest depth of a sample under a collider's surface, or in other skin, meters; 0 for none. Those with less
+  /// than half of their weight do not count.
   double penetration() const {
     double deepest = 0;
     for (const Touch& touch : touching_)
-      if (touch.contact.weight >= 0.5 && touch.contact.collider != kSkin)
-        deepest = std::max(deepest, -values_(touch.row) - distance_);
+      if (touch.contact.weight >= 0.5) deepest = std::max(deepest, -values_(touch.row) - distance_);
     return deepest;
   }
 
@@ -279,18 +279,21 @@ struct ContactTerm {
   }
 
   /// Lets the skin give way by the patches beneath the contacts that are near.
-  void begin_dents(const ContactSamples<Model>& samples, const VectorXd& weights, double giving) {
+  void begin_dents(const ContactSamples<Model>& samples, const VectorXd& weights, double giving,
+                   const VectorXd& before) {
     struct Patch {
       int sample;
-      double deepest;  ///< of its contacts, where the targets alone put them
+      double deepest;  ///< of its contacts, where the coordinates put them in the step before
     };
     std::map<int, Patch> found;
-    VectorXd shape, at_shape;
+    VectorXd shape, at_shape, moved;
     blended_shape(samples.model(), weights, shape);
     multiply(rows_, shape, at_shape);
+    multiply(rows_, before - shape, moved);
     for (const Touch& touch : touching_) {
       if (!touch.presses_patches() || touch.contact.gap > giving) continue;
-      const double depth = std::max(-offsets_(touch.row) - at_shape(touch.row), width_);
+      const double at = at_shape(touch.row) + samples.taken(touch.contact.sample) * moved(touch.row);
+      const double depth = std::max(-offsets_(touch.row) - at, width_);
       for (const int number : samples.patches(touch.contact.sample)) {
         Patch& patch = found.try_emplace(number, Patch{0, depth}).first->second;
         patch = {touch.contact.sample, std::max(patch.deepest, depth)};
@@ -324,7 +327,8 @@ struct ContactTerm {
             stiffer(j) * stiffer(k) * samples.local()->stiffness()(patches[std::size_t(j)], patches[std::size_t(k)]);
     VectorXd last(rows.rows());
     for (std::size_t i = 0; i < touching_.size(); ++i) last(Eigen::Index(i)) = touching_[i].last;
-    dents_.begin(std::move(patches), rows, stiffness, most, last);
+    const RowMajor held = samples.local()->moved_where_farthest(patches);
+    dents_.begin(std::move(patches), rows, stiffness, held, most, last);
   }
 
   /// The energy at x, with the gaps, slips and normal forces there.

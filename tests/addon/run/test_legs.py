@@ -16,7 +16,7 @@ pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
 RADIUS, LENGTH, OVERLAP = 0.063, 0.7, 0.038  # meters; how deep the bones take one leg into the other
 BLENDED = 0.1  # of a leg, meters, below which it is on its own bone alone
-MOST = 0.004  # meters that may stay, between the points that are compared
+MOST = 0.001  # meters that may stay
 TURNED, FRAMES = 12, 20  # by which frame they have turned, and by which they rest
 
 

@@ -117,15 +117,17 @@ TEST_CASE("dents resist with the derivative of their energy, which is that of th
   SUBCASE("not much further than they may") { most = 0.004; }
   const MatrixXd rows = random_vector(n * m, 1, 5).reshaped(n, m), root = random_vector(m * m, 1, 6).reshaped(m, m);
   const MatrixXd C = root * root.transpose() + MatrixXd::Identity(m, m);
+  const RowMajor held = RowMajor::Identity(m, m) + random_vector(m * m, 0.5, 7).reshaped(m, m);
   Dents dents;
   const VectorXd pressures = VectorXd::LinSpaced(n, 0, 3);
-  dents.begin({0, 2, 3, 5}, rows, C, VectorXd::Constant(m, most), pressures);
+  dents.begin({0, 2, 3, 5}, rows, C, held, VectorXd::Constant(m, most), pressures);
   CHECK((C * amplitudes(dents) - rows.transpose() * pressures).norm() < 1e-9);
   const VectorXd b = random_vector(m, 0.02, 8);
   dents.at(b);
   const VectorXd own = amplitudes(dents);
   double energy = 0.5 * own.dot(C * own);
-  for (int j = 0; j < m; ++j) energy += 1000 * C(j, j) * contact_ramp(std::abs(own(j)) - most, most / 2).energy;
+  const VectorXd together = held * own;
+  for (int j = 0; j < m; ++j) energy += 1000 * C(j, j) * contact_ramp(std::abs(together(j)) - most, most / 2).energy;
   CHECK(dents.energy() == doctest::Approx(energy).epsilon(1e-9));
   CHECK((rows * own - dents.given_way()).norm() < 1e-12);
   CHECK((dents.rows() * b - dents.given_way()).norm() < 1e-12);
