@@ -27,7 +27,7 @@ from .rig_samples import RigSamples
 PLACES = 3000  # of the skin by which its patches are pressed, at most
 PATCHES = 512  # of the skin that give way by themselves in Reduced Quality
 SAMPLES = 20000  # points of the skin that can touch something, at most
-REDUCED_SAMPLES = 10000  # the same in Reduced Quality, where patches that are coarser than that give way
+REDUCED_SAMPLES = 6000  # the same in Reduced Quality, where patches that are coarser than that give way
 PROBED_SAMPLES = 4000  # the same where Blender poses the nodes, which have a matrix of weights
 OWN_SAMPLES = 3000  # of them that can touch the body itself, at most
 SHARED = 0.2  # of the weights: a vertex that two bones move by more than that is skin that they share
