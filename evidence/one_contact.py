@@ -121,7 +121,7 @@ def signs() -> str:
 
 def wrong(limbs: Inside) -> tuple[int, ...]:
     """Of points nearer to another limb than the tissue is thick, away from the joint: how many there are, how many are
-    inside it, and those of which the sign of the nearest triangle says otherwise.
+    inside it, and where the sign of the nearest triangle says otherwise.
     """
     counts = np.zeros(4, int)
     for outer in limbs.limbs:
