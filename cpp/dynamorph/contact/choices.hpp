@@ -49,7 +49,7 @@ constexpr double kPatchReach = 2;  ///< of the distance within which half of the
 /// about what a push does: with .5 and .9, a limb on a floor was 100 % off, with these 25 %; below .6 a dog's firm head
 /// throws its body.
 constexpr double kOwnMotion = 0.6, kAllOwnMotion = 0.65;
-constexpr double kPatchGoes = 1.9;   ///< times the depth that is left to them: patches move no skin farther
+constexpr double kPatchGoes = 0.9;   ///< times the depth of the deepest contact: patches move no skin farther
 constexpr double kPatchHard = 1000;  ///< times a patch's own stiffness, where it gives way no further
 
 }  // namespace dynamorph

@@ -27,7 +27,8 @@ void Dents::begin(std::vector<int> patches, const MatrixXd& rows, const MatrixXd
   const Index m = stiffness.rows();
   back_ = factor.matrixU().solve(std::sqrt(stiffness_) * MatrixXd::Identity(m, m));
   rows_.noalias() = rows * back_;
-  held_.noalias() = held * back_;
+  held_.resize(2 * m, m);
+  held_ << back_, held * back_;
   at(rows_.transpose() * pressures / stiffness_);
 }
 
@@ -36,14 +37,15 @@ void Dents::at(const Eigen::Ref<const VectorXd>& b) {
   given_.noalias() = rows_ * b_;
   a_.noalias() = back_ * b_;
   together_.noalias() = held_ * b_;
-  hard_force_.resize(a_.size());
-  hard_slope_.resize(a_.size());
+  hard_force_.resize(together_.size());
+  hard_slope_.resize(together_.size());
   energy_ = 0.5 * stiffness_ * b_.squaredNorm();
-  for (Index m = 0; m < a_.size(); ++m) {
-    const ContactRamp ramp = contact_ramp(std::abs(together_(m)) - most_(m), 0.5 * most_(m));
+  for (Index i = 0; i < together_.size(); ++i) {
+    const Index m = i % a_.size();
+    const ContactRamp ramp = contact_ramp(std::abs(together_(i)) - most_(m), 0.5 * most_(m));
     energy_ += hardness_(m) * ramp.energy;
-    hard_force_(m) = std::copysign(hardness_(m) * ramp.force, together_(m));
-    hard_slope_(m) = hardness_(m) * ramp.stiffness;
+    hard_force_(i) = std::copysign(hardness_(m) * ramp.force, together_(i));
+    hard_slope_(i) = hardness_(m) * ramp.stiffness;
   }
   force_ = stiffness_ * b_;
   force_.noalias() += held_.transpose() * hard_force_;

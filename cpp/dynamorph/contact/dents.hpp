@@ -2,12 +2,12 @@
 // Local responses (local_responses.hpp) in a step. What gives way has no mass and no past: its amplitudes a are
 // unknowns of the step beside the model's coordinates, with the energy
 //
-//   E = a^T C a / 2 + sum_m 1000 C_mm ramp(|g_m a| - A_m).
+//   E = a^T C a / 2 + sum_m 1000 C_mm (ramp(|a_m| - A_m) + ramp(|g_m a| - A_m)).
 //
 // g_m a is what all patches together do where patch m moves the skin farthest, as if it alone did it, and A_m the
-// amplitude at which that is 1.9 times as far as the coordinates leave the deepest contact. Samples that patches are
-// too coarse for would ask for more, and throw skin about. A contact i is moved by rho_i a along its normal. With
-// C = L L^T and c the mean of its diagonal, the unknowns are b = L^T a / sqrt(c): all have the stiffness c.
+// amplitude at which that is 0.9 times as far as the deepest contact is deep. Samples that patches are too coarse for
+// would ask for more, and throw skin about. A contact i is moved by rho_i a along its normal. With C = L L^T and c the
+// mean of its diagonal, the unknowns are b = L^T a / sqrt(c): all have the stiffness c.
 #pragma once
 
 #include <vector>
@@ -48,7 +48,7 @@ class Dents {
  private:
   std::vector<int> patches_;
   VectorXd most_, hardness_;
-  RowMajor back_, held_, rows_;  ///< of a, of g a and of the contacts, over b
+  RowMajor back_, held_, rows_;  ///< of a, of a and g a (2m), and of the contacts, over b
   double stiffness_ = 1, energy_ = 0;
   VectorXd b_, a_, together_, given_, force_, hard_force_, hard_slope_;
 };

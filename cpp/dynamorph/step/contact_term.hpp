@@ -119,10 +119,9 @@ struct ContactTerm {
     if constexpr (kGivesWay) points_.own_rows.resize(0, 0);
   }
 
-  /// contacts: by collider, and those of a collider by sample. Of the step before: pressures, likewise, and
-  /// coordinates.
+  /// contacts: by collider, and those of a collider by sample. pressures: of the step before, likewise.
   void begin(const Samples& samples, const std::vector<Contact>& contacts, const ContactStep& step,
-             const std::vector<Pressure>& pressures, const VectorXd& before) {
+             const std::vector<Pressure>& pressures) {
     clear();
     distance_ = step.distance;
     width_ = step.width;
@@ -160,7 +159,7 @@ struct ContactTerm {
     if (touching_.empty()) return;
     samples.rows(numbers_, scratch_, rows_);
     if constexpr (std::is_same_v<Samples, PosedSamples<Model>>)
-      if (samples.of.local()) begin_dents(samples.of, samples.weights, step.giving, before);
+      if (samples.of.local()) begin_dents(samples.of, samples.weights, step.giving);
   }
 
   /// The unknowns of the patches, which follow the coordinates.
@@ -279,21 +278,18 @@ struct ContactTerm {
   }
 
   /// Lets the skin give way by the patches beneath the contacts that are near.
-  void begin_dents(const ContactSamples<Model>& samples, const VectorXd& weights, double giving,
-                   const VectorXd& before) {
+  void begin_dents(const ContactSamples<Model>& samples, const VectorXd& weights, double giving) {
     struct Patch {
       int sample;
-      double deepest;  ///< of its contacts, where the coordinates put them in the step before
+      double deepest;  ///< of its contacts, where the targets alone put them
     };
     std::map<int, Patch> found;
-    VectorXd shape, at_shape, moved;
+    VectorXd shape, at_shape;
     blended_shape(samples.model(), weights, shape);
     multiply(rows_, shape, at_shape);
-    multiply(rows_, before - shape, moved);
     for (const Touch& touch : touching_) {
       if (!touch.presses_patches() || touch.contact.gap > giving) continue;
-      const double at = at_shape(touch.row) + samples.taken(touch.contact.sample) * moved(touch.row);
-      const double depth = std::max(-offsets_(touch.row) - at, width_);
+      const double depth = std::max(-offsets_(touch.row) - at_shape(touch.row), width_);
       for (const int number : samples.patches(touch.contact.sample)) {
         Patch& patch = found.try_emplace(number, Patch{0, depth}).first->second;
         patch = {touch.contact.sample, std::max(patch.deepest, depth)};

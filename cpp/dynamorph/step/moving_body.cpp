@@ -143,8 +143,7 @@ void MovingBody<Model>::find_contacts(const StepInput<Model>& input) {
   search_.find(input, state_, next_);
   contacts_.clear();
   if (search_.found().empty()) return;
-  contacts_.begin({*parts_.contact, input.bones, input.weights}, search_.found(), contact_step(), state_.pressures,
-                  state_.q[0]);
+  contacts_.begin({*parts_.contact, input.bones, input.weights}, search_.found(), contact_step(), state_.pressures);
 }
 
 template <class Model>

@@ -127,7 +127,8 @@ TEST_CASE("dents resist with the derivative of their energy, which is that of th
   const VectorXd own = amplitudes(dents);
   double energy = 0.5 * own.dot(C * own);
   const VectorXd together = held * own;
-  for (int j = 0; j < m; ++j) energy += 1000 * C(j, j) * contact_ramp(std::abs(together(j)) - most, most / 2).energy;
+  for (const VectorXd& bounded : {own, together})
+    for (int j = 0; j < m; ++j) energy += 1000 * C(j, j) * contact_ramp(std::abs(bounded(j)) - most, most / 2).energy;
   CHECK(dents.energy() == doctest::Approx(energy).epsilon(1e-9));
   CHECK((rows * own - dents.given_way()).norm() < 1e-12);
   CHECK((dents.rows() * b - dents.given_way()).norm() < 1e-12);
