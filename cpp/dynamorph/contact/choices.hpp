@@ -32,7 +32,7 @@ constexpr double kHollow = 0.1;      ///< of the margin: how far behind a plane 
 
 // Where skin touches skin.
 constexpr double kSharpness = 2e-3;  ///< tau, of the body's size
-constexpr double kCovered = 0.15;    ///< of the tissue's thickness: points so near to a ball are on its side
+constexpr double kCovered = 0.15;    ///< of the tissue's thickness: as near as points on a ball's side are to it
 constexpr int kCovering = 8;         ///< of those at least
 /// How far one must go to a ball through the body, in thicknesses, up to which it is not touched, and from which it is
 /// touched where it is.
@@ -49,7 +49,5 @@ constexpr double kPatchReach = 2;  ///< of the distance within which half of the
 /// about what a push does: with .5 and .9, a limb on a floor was 100 % off, with these 25 %; below .6 a dog's firm head
 /// throws its body.
 constexpr double kOwnMotion = 0.6, kAllOwnMotion = 0.65;
-constexpr double kPatchGoes = 0.9;   ///< times the depth of the deepest contact: patches move no skin farther
-constexpr double kPatchHard = 1000;  ///< times a patch's own stiffness, where it gives way no further
 
 }  // namespace dynamorph

@@ -5,8 +5,8 @@
 //   E = a^T C a / 2 + sum_m 1000 C_mm (ramp(|a_m| - A_m) + ramp(|g_m a| - A_m)).
 //
 // g_m a is what all patches together do where patch m moves the skin farthest, as if it alone did it, and A_m the
-// amplitude at which that is 0.9 times as far as the deepest contact is deep. Samples that patches are too coarse for
-// would ask for more, and throw skin about. A contact i is moved by rho_i a along its normal. With C = L L^T and c the
+// amplitude at which that is as far as the deepest contact is deep. Samples that patches are too coarse for would ask
+// for more, and throw skin about. A contact i is moved by rho_i a along its normal. With C = L L^T and c the
 // mean of its diagonal, the unknowns are b = L^T a / sqrt(c): all have the stiffness c.
 #pragma once
 
@@ -24,7 +24,7 @@ class Dents {
 
   /// rho (n, m), C (m, m), g (m, m), A (m) > 0. They begin where these pressures (n), newtons, hold them: those of the
   /// step before.
-  void begin(std::vector<int> patches, const MatrixXd& rows, const MatrixXd& stiffness, const RowMajor& held,
+  void begin(std::vector<int> patches, const MatrixXd& rows, const MatrixXd& stiffness, const RowMajor& together,
              VectorXd most, const VectorXd& pressures);
 
   /// Moves the unknowns to b (m).
@@ -35,11 +35,11 @@ class Dents {
   const VectorXd& resisting() const { return force_; }  ///< dE/db (m)
   const RowMajor& rows() const { return rows_; }        ///< of the contacts over b (n, m)
   double stiffness() const { return stiffness_; }       ///< c
-  /// Calls f(row over b, stiffness > 0) for each patch that has gone beyond A.
+  /// Calls f(row over b, stiffness > 0) for each bound A that is reached.
   template <class F>
   void each_hard(F&& f) const {
     for (Eigen::Index m = 0; m < hard_slope_.size(); ++m)
-      if (hard_slope_(m) > 0) f(held_.row(m), hard_slope_(m));
+      if (hard_slope_(m) > 0) f(bounded_rows_.row(m), hard_slope_(m));
   }
 
   /// Sets the amplitudes of all patches.
@@ -48,9 +48,9 @@ class Dents {
  private:
   std::vector<int> patches_;
   VectorXd most_, hardness_;
-  RowMajor back_, held_, rows_;  ///< of a, of a and g a (2m), and of the contacts, over b
+  RowMajor bounded_rows_, rows_;  ///< of a and g a (2m), and of the contacts, over b
   double stiffness_ = 1, energy_ = 0;
-  VectorXd b_, a_, together_, given_, force_, hard_force_, hard_slope_;
+  VectorXd b_, bounded_, given_, force_, hard_force_, hard_slope_;
 };
 
 }  // namespace dynamorph

@@ -19,6 +19,7 @@ namespace {
 
 constexpr int kCluster = 8;  // balls
 constexpr int kMostParts = 1 << 20;
+constexpr double kSame = 1e-6;  // relative difference of distances that are the same
 constexpr double kAgree = 0.1;  // length of the mean of the balls' directions, below which there is none
 
 void check(const BodyParts& body, Index samples) {
@@ -158,10 +159,15 @@ void SelfContact<Model>::find_covers() {
       if (!(normal(i).dot(out) > 0)) continue;
       nearest.emplace_back(std::abs(out.norm() - body_.radius(k)) / thickness_(i), int(i));
     }
-    const auto last = nearest.begin() + std::min<std::ptrdiff_t>(kCovering, std::ptrdiff_t(nearest.size()));
-    std::partial_sort(nearest.begin(), last, nearest.end());
-    for (auto it = nearest.begin(); it != nearest.end(); ++it)
-      if (it < last || it->first < kCovered) covers_[std::size_t(k)].push_back(it->second);
+    // Several may be as near as the last one: round-off must not choose among them.
+    double as_near = kCovered;
+    if (!nearest.empty()) {
+      const auto last = nearest.begin() + std::min<std::ptrdiff_t>(kCovering, std::ptrdiff_t(nearest.size())) - 1;
+      std::nth_element(nearest.begin(), last, nearest.end());
+      as_near = std::max(as_near, last->first * (1 + kSame));
+    }
+    for (const auto& [away, point] : nearest)
+      if (away <= as_near) covers_[std::size_t(k)].push_back(point);
   }
 }
 
@@ -415,7 +421,7 @@ void SelfContact<Model>::lie(const Body& clothes, const Body& body, const Worn& 
   const ContactSamples<Model>& samples = *body.of.samples_;
   for (std::size_t point = 0; point < worn.below.size(); ++point) {
     OtherSide below = worn.below[point];
-    Nearest skin{0, Vector3d::Zero(), -1};
+    Nearest skin{0, Vector3d::Zero(), -1, 1};
     Vector3d from = place(clothes, int(point));
     for (std::size_t k = 0; k < below.samples.size(); ++k) {
       if (!(below.weights[k] > 0)) continue;
@@ -461,7 +467,7 @@ typename SelfContact<Model>::Nearest SelfContact<Model>::nearest(const Body& bod
       }
     }
   }
-  Nearest out{0, Vector3d::Zero(), -1};
+  Nearest out{0, Vector3d::Zero(), -1, 1};
   if (near.empty()) return out;
   const auto [least, ball] = *std::min_element(near.begin(), near.end());
   double sum = 0;
@@ -474,6 +480,7 @@ typename SelfContact<Model>::Nearest SelfContact<Model>::nearest(const Body& bod
   out.gap = least - of.sharpness_ * std::log(sum);
   out.normal.normalize();
   out.ball = ball;
+  if (at_rest) out.touched = touched_of(*at_rest, ball);
   return out;
 }
 
@@ -533,9 +540,10 @@ OtherSide SelfContact<Model>::other_side(const Body& body, int point, const Body
     if (each != point || &other != &body) others.emplace_back((place(other, each) - touched).norm(), each);
   OtherSide out = nearest_of(others);
   const int part = of.body_.of_balls[std::size_t(nearest.ball)];
+  const double counts = nearest.touched * other.scratch.scales[std::size_t(part)];
   for (std::size_t k = 0; k < out.samples.size(); ++k) {
     if (!(out.weights[k] > 0)) continue;
-    nearest.gap -= out.weights[k] * other.scratch.scales[std::size_t(part)] * of.beyond_(out.samples[k]);
+    nearest.gap -= counts * out.weights[k] * of.beyond_(out.samples[k]);
     out.samples[k] = other.first_sample + of.body_.points[std::size_t(out.samples[k])];
   }
   return out;

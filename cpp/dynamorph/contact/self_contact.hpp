@@ -6,13 +6,13 @@
 //
 //   g_p = -tau log sum_k exp(-d_k / tau),
 //
-// from the rest of the body, along the mean n of the balls' directions, less what the balls miss of the skin that it
-// meets, which is g of that skin at rest. f_pk grows from 0 to 1 with how far one must go
-// from the sample, at rest, on a way through the body to the ball: at a joint or a crease nothing touches, and nothing
-// begins at a line. What is near through the air alone has no such way, and touches. The way leads over balls, each of
-// which holds the center of the next one or has its own held by that. Nothing pushes at rest: where g_p is less than
-// tau there, all r_k near p are less by the difference. The other side are the samples q nearest to the place
-// x_p - g_p n on its surface, with weights t_q. The contact is a plane between the two for the length of a step:
+// from the rest of the body, along the mean n of the balls' directions, less f_pk times what the balls miss of the skin
+// that it meets, which is g of that skin at rest. f_pk grows from 0 to 1 with how far one must go from the sample, at
+// rest, on a way through the body to the ball: at a joint or a crease nothing touches, and nothing begins at a line.
+// What is near through the air alone has no such way, and touches. The way leads over balls, each of which holds the
+// center of the next one or has its own held by that. Nothing pushes at rest: where g_p is less than tau there, all r_k
+// near p are less by the difference. The other side are the samples q nearest to the place x_p - g_p n on its surface,
+// with weights t_q. The contact is a plane between the two for the length of a step:
 //
 //   gap = g_p + n . (u_p - sum_q t_q u_q),        u = the displacement from x,
 //
@@ -136,6 +136,7 @@ class SelfContact {
     double gap;
     Vector3d normal;
     int ball;
+    double touched;  ///< f of the ball
   };
 
   struct Found {

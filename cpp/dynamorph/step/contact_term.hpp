@@ -315,7 +315,7 @@ struct ContactTerm {
     Eigen::Index j = 0;
     for (const auto& [number, patch] : found) {
       stiffer(j) = std::sqrt(samples.local_stiffer(patch.sample, weights));
-      most(j++) = kPatchGoes * patch.deepest / std::max(samples.local()->farthest()(number), 1e-300);
+      most(j++) = patch.deepest / std::max(samples.local()->farthest()(number), 1e-300);
     }
     for (j = 0; j < m; ++j)
       for (Eigen::Index k = 0; k < m; ++k)
@@ -323,8 +323,8 @@ struct ContactTerm {
             stiffer(j) * stiffer(k) * samples.local()->stiffness()(patches[std::size_t(j)], patches[std::size_t(k)]);
     VectorXd last(rows.rows());
     for (std::size_t i = 0; i < touching_.size(); ++i) last(Eigen::Index(i)) = touching_[i].last;
-    const RowMajor held = samples.local()->moved_where_farthest(patches);
-    dents_.begin(std::move(patches), rows, stiffness, held, most, last);
+    const RowMajor together = samples.local()->moved_where_farthest(patches);
+    dents_.begin(std::move(patches), rows, stiffness, together, most, last);
   }
 
   /// The energy at x, with the gaps, slips and normal forces there.

@@ -117,16 +117,16 @@ TEST_CASE("dents resist with the derivative of their energy, which is that of th
   SUBCASE("not much further than they may") { most = 0.004; }
   const MatrixXd rows = random_vector(n * m, 1, 5).reshaped(n, m), root = random_vector(m * m, 1, 6).reshaped(m, m);
   const MatrixXd C = root * root.transpose() + MatrixXd::Identity(m, m);
-  const RowMajor held = RowMajor::Identity(m, m) + random_vector(m * m, 0.5, 7).reshaped(m, m);
+  const RowMajor alike = RowMajor::Identity(m, m) + random_vector(m * m, 0.5, 7).reshaped(m, m);
   Dents dents;
   const VectorXd pressures = VectorXd::LinSpaced(n, 0, 3);
-  dents.begin({0, 2, 3, 5}, rows, C, held, VectorXd::Constant(m, most), pressures);
+  dents.begin({0, 2, 3, 5}, rows, C, alike, VectorXd::Constant(m, most), pressures);
   CHECK((C * amplitudes(dents) - rows.transpose() * pressures).norm() < 1e-9);
   const VectorXd b = random_vector(m, 0.02, 8);
   dents.at(b);
   const VectorXd own = amplitudes(dents);
   double energy = 0.5 * own.dot(C * own);
-  const VectorXd together = held * own;
+  const VectorXd together = alike * own;
   for (const VectorXd& bounded : {own, together})
     for (int j = 0; j < m; ++j) energy += 1000 * C(j, j) * contact_ramp(std::abs(bounded(j)) - most, most / 2).energy;
   CHECK(dents.energy() == doctest::Approx(energy).epsilon(1e-9));

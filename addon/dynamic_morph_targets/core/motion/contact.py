@@ -27,7 +27,7 @@ from .rig_samples import RigSamples
 PLACES = 3000  # of the skin by which its patches are pressed, at most
 PATCHES = 512  # of the skin that give way by themselves in Reduced Quality
 SAMPLES = 20000  # points of the skin that can touch something, at most
-REDUCED_SAMPLES = 6000  # the same in Reduced Quality, where patches that are coarser than that give way
+REDUCED_SAMPLES = 6000  # the same in Reduced Quality: a dozen for each patch that gives way
 PROBED_SAMPLES = 4000  # the same where Blender poses the nodes, which have a matrix of weights
 OWN_SAMPLES = 3000  # of them that can touch the body itself, at most
 SHARED = 0.2  # of the weights: a vertex that two bones move by more than that is skin that they share
@@ -236,10 +236,10 @@ def _motion(collider: Any, first: np.ndarray, track: ColliderTrack) -> Any:
 
 @dataclass(frozen=True)
 class Touched:
-    """How deep a shot went into colliders. penetration: of the skin, after a step, at most, meters. depth: how much
-    deeper the bones took it into `collider` than it can give way, meters, 0 where they never did; bone:
-    which; frames: the first and last about that one. unusable: of each collider that could not stop anything somewhere,
-    the name, and the first frame and the last where it could not.
+    """How deep a shot went into colliders, and into skin that stops it. penetration: of the skin, after a step, at
+    most, meters. depth: how much deeper the bones took it into `collider` than it can give way, meters, 0 where they
+    never did; bone: which; frames: the first and last about that one. unusable: of each collider that could not stop
+    anything somewhere, the name, and the first frame and the last where it could not.
     """
 
     penetration: float = 0.0
