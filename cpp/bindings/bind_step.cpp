@@ -153,22 +153,23 @@ void bind_limit(py::module_& m) {
 struct PastArrays {
   std::array<VectorXd, InertialTarget::kMoments> coordinates;
   std::array<Transforms, InertialTarget::kMoments> bones;
-  VectorXd limit, contact;
+  VectorXd limit, contact, dents;
 };
 
 void bind_state(py::module_& m) {
   py::class_<PastArrays>(m, "State",
                          "Where a soft skin is, and what its next steps depend on besides. Keep one to resume, undo or "
                          "fork a simulation.")
-      .def(py::init<decltype(PastArrays::coordinates), decltype(PastArrays::bones), VectorXd, VectorXd>(),
-           "coordinates"_a, "bones"_a, "limit"_a = VectorXd(), "contact"_a = VectorXd())
+      .def(py::init<decltype(PastArrays::coordinates), decltype(PastArrays::bones), VectorXd, VectorXd, VectorXd>(),
+           "coordinates"_a, "bones"_a, "limit"_a = VectorXd(), "contact"_a = VectorXd(), "dents"_a = VectorXd())
       .def_readonly("coordinates", &PastArrays::coordinates,
                     "Coordinates (dofs), now and at the last three steps. The unit is meters times the square root of "
                     "cubic meters for a reduced model, and meters for a full one.")
       .def_readonly("bones", &PastArrays::bones, "Transforms (B, 12) of the bones, bind to world space, likewise.")
       .def_readonly("limit", &PastArrays::limit,
                     "What the motion limit remembers of the load (any); empty without one, or where it has not acted.")
-      .def_readonly("contact", &PastArrays::contact, "What is touched (any); empty where nothing is.");
+      .def_readonly("contact", &PastArrays::contact, "What is touched (any); empty where nothing is.")
+      .def_readonly("dents", &PastArrays::dents, "Amplitudes of the contact's local responses (P); empty without.");
 }
 
 void bind_report(py::module_& m) {
@@ -366,10 +367,10 @@ void bind_simulation(py::module_& m) {
       .def_property_readonly(
           "dents",
           [](const AnySimulation& s) {
-            return s.visit([](const auto& own) { return in_turn(own, [&] { return VectorXd(own.body.dents()); }); });
+            return s.visit(
+                [](const auto& own) { return in_turn(own, [&] { return VectorXd(own.body.state().dents); }); });
           },
-          "A copy of the amplitudes of its contact's local responses after the last step, none without. Setting a "
-          "state sets them to zero.")
+          "A copy of the amplitudes of its contact's local responses after the last step, as of `State`.")
       .def_property_readonly(
           "excess",
           [](const AnySimulation& s) {
@@ -396,12 +397,13 @@ void bind_simulation(py::module_& m) {
           [](const AnySimulation& s) {
             const State state =
                 s.visit([](const auto& own) { return in_turn(own, [&] { return State(own.body.state()); }); });
-            return PastArrays{state.q, state.bones, driven_numbers(state.driven), contact_numbers(state)};
+            return PastArrays{state.q, state.bones, driven_numbers(state.driven), contact_numbers(state), state.dents};
           },
           [](AnySimulation& s, const PastArrays& numbers) {
             s.visit([&](auto& own) {
               State state{
-                  numbers.coordinates, numbers.bones, read_driven(numbers.limit, own.body.model().dofs()), {}, {}};
+                  numbers.coordinates, numbers.bones, read_driven(numbers.limit, own.body.model().dofs()), {}, {},
+                  numbers.dents};
               read_contact(numbers.contact, state);
               changing(own, [&] { own.body.set_state(state); });
             });

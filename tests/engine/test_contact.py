@@ -437,6 +437,23 @@ def test_a_state_with_dents_resumes_to_the_last_bit(belly, few):
     assert second.dents.any()
     np.testing.assert_array_equal(second.dents, whole.dents)
     np.testing.assert_array_equal(second.coordinates, whole.coordinates)
+    parts = {name: getattr(whole.state, name) for name in ("coordinates", "bones", "limit", "contact", "dents")}
+    for wrong, error in ((np.zeros(3), "dents of 256 patches, got 3"), (np.full(256, np.nan), "not a finite number")):
+        with pytest.raises((ValueError, dynamorph.Error), match=error):
+            second.state = dynamorph.State(**parts | {"dents": wrong})
+
+
+def test_what_lies_in_its_dents_hardly_iterates(belly, few):
+    """A step begins with the dents of the step before."""
+    simulation = simulated_few(belly, few, few.local)
+    flat = dynamorph.Collider(0.5 * np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]]), [[0, 2, 1], [0, 3, 2]])
+    places = [placed(x, 0, 0) for x in np.r_[np.linspace(0.251, 0.235, 20), [0.235] * 100]]
+    reports = [step(simulation, flat, pair) for pair in itertools.pairwise(places)]
+    assert reports[-1].contacts > 20
+    assert reports[-1].iterations <= 3
+    parts = {name: getattr(simulation.state, name) for name in ("coordinates", "bones", "limit", "contact")}
+    simulation.state = dynamorph.State(**parts)
+    assert step(simulation, flat, places[-2:]).iterations > 3
 
 
 def test_a_reduced_model_is_pushed_out_too(belly, few):

@@ -101,6 +101,7 @@ def _fits(kept: dict[str, np.ndarray], model: Model, states: int) -> bool:
         "bones": (4, bones + 1, 12),
         "limit": (np.size(kept.get("limit", ())),),  # as much as it remembers
         "contact": (np.size(kept.get("contact", ())),),  # as much as was touched
+        "dents": (with_dents - dofs,),
         "pose": (bones, 4, 4),
     }
     if model.settings.method == "STATIC":  # nothing moves

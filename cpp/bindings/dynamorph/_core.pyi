@@ -632,7 +632,7 @@ class State:
     """
     Where a soft skin is, and what its next steps depend on besides. Keep one to resume, undo or fork a simulation.
     """
-    def __init__(self, coordinates: typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], bones: typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"], limit: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] = ..., contact: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] = ...) -> None:
+    def __init__(self, coordinates: typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], bones: typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"], limit: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] = ..., contact: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] = ..., dents: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] = ...) -> None:
         ...
     @property
     def bones(self) -> typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"]:
@@ -648,6 +648,11 @@ class State:
     def coordinates(self) -> typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"]:
         """
         Coordinates (dofs), now and at the last three steps. The unit is meters times the square root of cubic meters for a reduced model, and meters for a full one.
+        """
+    @property
+    def dents(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        Amplitudes of the contact's local responses (P); empty without.
         """
     @property
     def limit(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
@@ -789,7 +794,7 @@ class Simulation:
     @property
     def dents(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
         """
-        A copy of the amplitudes of its contact's local responses after the last step, none without. Setting a state sets them to zero.
+        A copy of the amplitudes of its contact's local responses after the last step, as of `State`.
         """
     @property
     def elastic_energy(self) -> float:

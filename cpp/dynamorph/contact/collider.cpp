@@ -405,9 +405,12 @@ ColliderPoint Collider::first_crossing(const ColliderPose& before, const Collide
                                        const Vector3d& to, Crossing kind) const {
   ColliderPoint found;
   double best = 1;
+  const bool still = &before == &after;
   const auto visit = [&](int t) {
     const Vector3d a = corner(before, t, 0), u = corner(before, t, 1) - a, v = corner(before, t, 2) - a, d = from - a;
-    const Vector3d a_end = corner(after, t, 0), da = a_end - a, dd = to - a_end - d, n = u.cross(v);
+    const Vector3d n = u.cross(v);
+    if (still && d.dot(n) * (to - a).dot(n) > 0) return;  // it stays on one side of the plane
+    const Vector3d a_end = corner(after, t, 0), da = a_end - a, dd = to - a_end - d;
     const Vector3d du = corner(after, t, 1) - a_end - u, dv = corner(after, t, 2) - a_end - v;
     const Vector3d dn = u.cross(dv) + du.cross(v), ddn = du.cross(dv);
     const Cubic volume{d.dot(n), d.dot(dn) + dd.dot(n), d.dot(ddn) + dd.dot(dn), dd.dot(ddn)};
@@ -426,10 +429,10 @@ ColliderPoint Collider::first_crossing(const ColliderPose& before, const Collide
       return true;
     });
   };
-  if (&before != &after)
-    before.bvh.along(from, to - from, best, after.bvh, visit);
-  else
+  if (still)
     before.bvh.along(from, to - from, best, visit);
+  else
+    before.bvh.along(from, to - from, best, after.bvh, visit);
   if (found) found.point = at(after, found);
   return found;
 }

@@ -298,46 +298,55 @@ std::pair<VectorXd, MatrixXd> ContactSamples<Model>::local_answers(const std::ve
                                                                    const VectorXd& neutral) const {
   std::vector<int> all(std::size_t(local_->size()));
   std::iota(all.begin(), all.end(), 0);
-  MatrixXd places(3 * Index(others.size()), local_->size());
   PointRows axes;
-  for (int i = 0; i < int(places.rows()); ++i) {
-    axes.add_row();
-    axes.add(others[std::size_t(i / 3)], Vector3d::Unit(i % 3));
-    places.row(i) = local_row(axes, i, all);
-  }
+  std::vector<int> each_axis;
+  for (const int vertex : others)
+    for (int axis = 0; axis < 3; ++axis) {
+      each_axis.push_back(axes.size());
+      axes.add_row();
+      axes.add(vertex, Vector3d::Unit(axis));
+    }
+  RowMajor places, row;
+  local_rows(axes, each_axis, all, places);
   VectorXd own(numbers.size());
-  MatrixXd moved = MatrixXd::Zero(places.rows(), numbers.size());
+  MatrixXd moved(places.rows(), numbers.size());
   for (int k = 0; k < numbers.size(); ++k) {
     const std::vector<int>& patches = patches_[std::size_t(samples[std::size_t(k)])];
-    const Index m = Index(patches.size());
-    MatrixXd stiffness(m, m);
-    for (Index i = 0; i < m; ++i)
-      for (Index j = 0; j < m; ++j)
-        stiffness(i, j) = local_->stiffness()(patches[std::size_t(i)], patches[std::size_t(j)]);
-    const VectorXd row = local_row(numbers, k, patches).transpose();
-    const VectorXd answer = stiffness.llt().solve(row) / local_stiffer(samples[std::size_t(k)], neutral);
-    own(k) = row.dot(answer);
-    for (Index i = 0; i < m; ++i) moved.col(k) += answer(i) * places.col(patches[std::size_t(i)]);
+    local_rows(numbers, {k}, patches, row);
+    const MatrixXd stiffness = local_->stiffness()(patches, patches);
+    const VectorXd answer = stiffness.llt().solve(row.transpose()) / local_stiffer(samples[std::size_t(k)], neutral);
+    own(k) = row.row(0).dot(answer);
+    moved.col(k) = places(Eigen::all, patches) * answer;
   }
   return {own, moved};
 }
 
 template <class Model>
-Eigen::RowVectorXd ContactSamples<Model>::local_row(const PointRows& numbers, int row,
-                                                    const std::vector<int>& patches) const {
+void ContactSamples<Model>::local_rows(const PointRows& numbers, const std::vector<int>& chosen,
+                                       const std::vector<int>& patches, RowMajor& out) const {
   const Embedding& embedding = map_.skin().embedding;
-  Eigen::RowVectorXd out = Eigen::RowVectorXd::Zero(Index(patches.size()));
-  for (int part = numbers.first(row); part < numbers.first(row + 1); ++part)
-    for (int k = 0; k < 4; ++k) {
-      const int v = numbers.point(part), node = model().body().free_of_node[std::size_t(embedding.nodes(v, k))];
-      if (node < 0) continue;
-      for (int axis = 0; axis < 3; ++axis) {
-        const double factor = embedding.weights(v, k) * numbers.direction(part)(axis);
-        const double* shapes = local_->shapes().row(3 * node + axis).data();
-        for (std::size_t m = 0; m < patches.size(); ++m) out(Index(m)) += factor * shapes[patches[m]];
+  const std::vector<int>& free_of_node = model().body().free_of_node;
+  std::vector<int> place(model().body().free_nodes.size(), -1), rows;  // of a node in `shapes`, and its rows
+  RowMajor shapes;  // of the nodes that are used: the patches' shapes have many more
+  const auto each_node = [&](int row, const auto& f) {
+    for (int part = numbers.first(row); part < numbers.first(row + 1); ++part)
+      for (int k = 0; k < 4; ++k) {
+        const int v = numbers.point(part), node = free_of_node[std::size_t(embedding.nodes(v, k))];
+        if (node >= 0) f(node, embedding.weights(v, k) * numbers.direction(part));
       }
-    }
-  return out;
+  };
+  for (const int row : chosen)
+    each_node(row, [&](int node, const Vector3d&) {
+      if (place[std::size_t(node)] >= 0) return;
+      place[std::size_t(node)] = int(rows.size());
+      rows.insert(rows.end(), {3 * node, 3 * node + 1, 3 * node + 2});
+    });
+  shapes = local_->shapes()(rows, patches);
+  out.setZero(Index(chosen.size()), Index(patches.size()));
+  for (std::size_t i = 0; i < chosen.size(); ++i)
+    each_node(chosen[i], [&](int node, const Vector3d& direction) {
+      out.row(Index(i)).noalias() += direction.transpose() * shapes.middleRows<3>(place[std::size_t(node)]);
+    });
 }
 
 template <class Model>

@@ -11,8 +11,7 @@
 // point. Its few coordinates can move firm skin only by moving other skin far: where that would move any other sample
 // 1.7 times as far as the pushed one they take no part in contact, and all of it from 1.5 times as far on.
 // Without the local responses of patches (local_responses.hpp) such a sample is not pushed; with them they give way
-// there alone, C_p is the compliance of both, and the samples of a patch push as much as ten together, however many
-// they are.
+// there alone, and C_p is the compliance of both.
 //
 // A sample is a vertex of the skin or a point of one of its edges or faces. It is where the mean of its corners is, as
 // the skin is drawn, and a push on it pushes all of them.
@@ -68,8 +67,10 @@ class ContactSamples {
   const std::vector<int>& patches(Eigen::Index sample) const { return patches_[std::size_t(sample)]; }
   /// The part of a push that the model's coordinates take, in [0, 1]; one without local responses.
   double taken(Eigen::Index sample) const { return taken_(sample); }
-  /// What a number of the skin's vertices, with directions in bind space, is for a unit of each of these patches.
-  Eigen::RowVectorXd local_row(const PointRows& numbers, int row, const std::vector<int>& patches) const;
+  /// What some numbers of the skin's vertices, with directions in bind space, are for a unit of each of these patches:
+  /// out (chosen, patches).
+  void local_rows(const PointRows& numbers, const std::vector<int>& chosen, const std::vector<int>& patches,
+                  RowMajor& out) const;
   /// How much stiffer the local responses at a sample are at target weights (J).
   double local_stiffer(Eigen::Index sample, const VectorXd& weights) const {
     return stiffer(sample, weights, local_->shear().cwiseInverse());

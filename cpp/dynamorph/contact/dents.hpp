@@ -2,12 +2,11 @@
 // Local responses (local_responses.hpp) in a step. What gives way has no mass and no past: its amplitudes a are
 // unknowns of the step beside the model's coordinates, with the energy
 //
-//   E = a^T C a / 2 + sum_m 1000 C_mm (ramp(|a_m| - A_m) + ramp(|g_m a| - A_m)).
+//   E = a^T C a / 2 + sum_m 300 C_mm (ramp(|a_m| - A_m) + ramp(|g_m a| - A_m)).
 //
 // g_m a is what all patches together do where patch m moves the skin farthest, as if it alone did it, and A_m the
 // amplitude at which that is as far as the deepest contact is deep. Samples that patches are too coarse for would ask
-// for more, and throw skin about. A contact i is moved by rho_i a along its normal. With C = L L^T and c the
-// mean of its diagonal, the unknowns are b = L^T a / sqrt(c): all have the stiffness c.
+// for more, and throw skin about. A contact i is moved by rho_i a along its normal.
 #pragma once
 
 #include <vector>
@@ -22,20 +21,19 @@ class Dents {
   void clear();
   bool empty() const { return patches_.empty(); }
 
-  /// rho (n, m), C (m, m), g (m, m), A (m) > 0. They begin where these pressures (n), newtons, hold them: those of the
-  /// step before.
-  void begin(std::vector<int> patches, const MatrixXd& rows, const MatrixXd& stiffness, const RowMajor& together,
-             VectorXd most, const VectorXd& pressures);
+  /// rho (n, m), C (m, m), g (m, m), A (m) > 0. They begin at these amplitudes of all patches.
+  void begin(std::vector<int> patches, RowMajor rows, MatrixXd stiffness, const RowMajor& together, VectorXd most,
+             const VectorXd& amplitudes);
 
-  /// Moves the unknowns to b (m).
-  void at(const Eigen::Ref<const VectorXd>& b);
-  const VectorXd& unknowns() const { return b_; }       ///< b (m)
-  const VectorXd& given_way() const { return given_; }  ///< rho a (n), meters
-  double energy() const { return energy_; }             ///< E, J
-  const VectorXd& resisting() const { return force_; }  ///< dE/db (m)
-  const RowMajor& rows() const { return rows_; }        ///< of the contacts over b (n, m)
-  double stiffness() const { return stiffness_; }       ///< c
-  /// Calls f(row over b, stiffness > 0) for each bound A that is reached.
+  /// Moves them to a (m).
+  void at(const Eigen::Ref<const VectorXd>& a);
+  const VectorXd& unknowns() const { return a_; }           ///< a
+  const VectorXd& given_way() const { return given_; }      ///< rho a (n), meters
+  double energy() const { return energy_; }                 ///< E, J
+  const VectorXd& resisting() const { return force_; }      ///< dE/da (m)
+  const RowMajor& rows() const { return rows_; }            ///< rho
+  const MatrixXd& stiffness() const { return stiffness_; }  ///< C
+  /// Calls f(row over a, stiffness > 0) for each bound A that is reached.
   template <class F>
   void each_hard(F&& f) const {
     for (Eigen::Index m = 0; m < hard_slope_.size(); ++m)
@@ -48,9 +46,10 @@ class Dents {
  private:
   std::vector<int> patches_;
   VectorXd most_, hardness_;
-  RowMajor bounded_rows_, rows_;  ///< of a and g a (2m), and of the contacts, over b
-  double stiffness_ = 1, energy_ = 0;
-  VectorXd b_, bounded_, given_, force_, hard_force_, hard_slope_;
+  RowMajor bounded_rows_, rows_;  ///< of a and g a (2m), and of the contacts
+  MatrixXd stiffness_;
+  double energy_ = 0;
+  VectorXd a_, bounded_, given_, force_, hard_force_, hard_slope_;
 };
 
 }  // namespace dynamorph

@@ -119,9 +119,10 @@ struct ContactTerm {
     if constexpr (kGivesWay) points_.own_rows.resize(0, 0);
   }
 
-  /// contacts: by collider, and those of a collider by sample. pressures: of the step before, likewise.
+  /// contacts: by collider, and those of a collider by sample. pressures: of the step before, likewise. dents: the
+  /// amplitudes of all patches then.
   void begin(const Samples& samples, const std::vector<Contact>& contacts, const ContactStep& step,
-             const std::vector<Pressure>& pressures) {
+             const std::vector<Pressure>& pressures, const VectorXd& dents) {
     clear();
     distance_ = step.distance;
     width_ = step.width;
@@ -147,7 +148,7 @@ struct ContactTerm {
       };
       const Pressure last = pressure_of(pressures, contact);
       touching_.push_back(
-          {contact, numbers_.size(), stiffness, stiffness * far, friction, last.force, friction * last.force, {}, {}});
+          {contact, numbers_.size(), stiffness, stiffness * far, friction, friction * last.force, {}, {}});
       add(contact.normal, contact.point + step.distance * contact.normal);
       if (!(friction > 0)) continue;
       const Vector3d across = contact.normal.unitOrthogonal();
@@ -158,8 +159,8 @@ struct ContactTerm {
     offsets_.conservativeResize(numbers_.size());
     if (touching_.empty()) return;
     samples.rows(numbers_, scratch_, rows_);
-    if constexpr (std::is_same_v<Samples, PosedSamples<Model>>)
-      if (samples.of.local()) begin_dents(samples.of, samples.weights, step.giving);
+    if constexpr (kGivesWay && std::is_same_v<Samples, PosedSamples<Model>>)
+      if (samples.of.local()) begin_dents(samples.of, samples.weights, step.giving, dents);
   }
 
   /// The unknowns of the patches, which follow the coordinates.
@@ -278,7 +279,8 @@ struct ContactTerm {
   }
 
   /// Lets the skin give way by the patches beneath the contacts that are near.
-  void begin_dents(const ContactSamples<Model>& samples, const VectorXd& weights, double giving) {
+  void begin_dents(const ContactSamples<Model>& samples, const VectorXd& weights, double giving,
+                   const VectorXd& dents) {
     struct Patch {
       int sample;
       double deepest;  ///< of its contacts, where the targets alone put them
@@ -298,7 +300,7 @@ struct ContactTerm {
     std::vector<int> patches;
     for (const auto& [number, patch] : found) patches.push_back(number);
     const Eigen::Index m = Eigen::Index(patches.size());
-    RowMajor rows = RowMajor::Zero(Eigen::Index(touching_.size()), m);
+    std::vector<int> which, numbers;  // of the touches that press patches
     for (std::size_t i = 0; i < touching_.size(); ++i) {
       const Touch& touch = touching_[i];
       if (!touch.presses_patches()) continue;
@@ -307,24 +309,24 @@ struct ContactTerm {
         contact_rows::scale(rows_, row, taken);
         offsets_(row) += (1 - taken) * at_shape(row);
       }
-      rows.row(Eigen::Index(i)) = samples.local_row(scratch_, touch.row, patches);
+      which.push_back(int(i));
+      numbers.push_back(touch.row);
     }
     if (patches.empty()) return;
-    MatrixXd stiffness(m, m);
     VectorXd stiffer(m), most(m);
     Eigen::Index j = 0;
     for (const auto& [number, patch] : found) {
       stiffer(j) = std::sqrt(samples.local_stiffer(patch.sample, weights));
       most(j++) = patch.deepest / std::max(samples.local()->farthest()(number), 1e-300);
     }
-    for (j = 0; j < m; ++j)
-      for (Eigen::Index k = 0; k < m; ++k)
-        stiffness(j, k) =
-            stiffer(j) * stiffer(k) * samples.local()->stiffness()(patches[std::size_t(j)], patches[std::size_t(k)]);
-    VectorXd last(rows.rows());
-    for (std::size_t i = 0; i < touching_.size(); ++i) last(Eigen::Index(i)) = touching_[i].last;
+    MatrixXd stiffness = samples.local()->stiffness()(patches, patches);
+    stiffness = stiffer.asDiagonal() * stiffness * stiffer.asDiagonal();
     const RowMajor together = samples.local()->moved_where_farthest(patches);
-    dents_.begin(std::move(patches), rows, stiffness, together, most, last);
+    RowMajor rows = RowMajor::Zero(Eigen::Index(touching_.size()), m), given;
+    samples.local_rows(scratch_, numbers, patches, given);
+    rows(which, Eigen::all) = given;
+    points_.own_factor = stiffness.llt().matrixL();
+    dents_.begin(std::move(patches), std::move(rows), std::move(stiffness), together, most, dents);
   }
 
   /// The energy at x, with the gaps, slips and normal forces there.
@@ -384,21 +386,19 @@ struct ContactTerm {
   template <class Add>
   void add_patches(const Add& add) {
     dents_.each_hard([&](const auto&, double stiffness) { add(stiffness, {0, 0, 0}); });
-    points_.own_stiffness = dents_.stiffness();
     points_.own_rows.resize(Eigen::Index(stiffness_.size()), unknowns().size());
     if (dents_.empty()) return;
     Eigen::Index row = 0;
     for (std::size_t i = 0; i < touching_.size(); ++i)
       if (touching_[i].stiffness * touching_[i].normal.stiffness > 0)
         points_.own_rows.row(row++) = dents_.rows().row(Eigen::Index(i));
-    dents_.each_hard([&](const auto& over_b, double) { points_.own_rows.row(row++) = over_b; });
+    dents_.each_hard([&](const auto& over_a, double) { points_.own_rows.row(row++) = over_a; });
   }
 
   struct Touch {
     Contact contact;
     int row;  ///< of the gap in rows_; those of the slip follow where there is friction
     double stiffness, magnitude, friction;
-    double last;  ///< pressure of the step before, newtons
     double held;  ///< friction times the pressure of the round before
     ContactRamp normal;
     SlipForce slip_force;

@@ -98,7 +98,12 @@ MovingBody<Model>::MovingBody(std::shared_ptr<const Model> model, StepOptions op
   check(parts_, *model_);
   damped_ = quadratic_.H = newton_.hessian.base = model_->zero();
   state_.driven = not_driven(parts_.limit ? parts_.limit->bones() : 0, model_->dofs());
-  dents_.setZero(parts_.contact && parts_.contact->local() ? parts_.contact->local()->size() : 0);
+  state_.dents = VectorXd::Zero(patches());
+}
+
+template <class Model>
+Eigen::Index MovingBody<Model>::patches() const {
+  return parts_.contact && parts_.contact->local() ? parts_.contact->local()->size() : 0;
 }
 
 template <class Model>
@@ -143,7 +148,8 @@ void MovingBody<Model>::find_contacts(const StepInput<Model>& input) {
   search_.find(input, state_, next_);
   contacts_.clear();
   if (search_.found().empty()) return;
-  contacts_.begin({*parts_.contact, input.bones, input.weights}, search_.found(), contact_step(), state_.pressures);
+  contacts_.begin({*parts_.contact, input.bones, input.weights}, search_.found(), contact_step(), state_.pressures,
+                  state_.dents);
 }
 
 template <class Model>
@@ -194,7 +200,7 @@ StepReport MovingBody<Model>::start(const Transforms& now, const Transforms& nex
                                 std::to_string(next.rows()));
   VectorXd q;
   StepReport report = solve_static({now, weights}, q);
-  dents_.setZero();
+  state_.dents.setZero();
   weights_ = weights;
   state_.driven = load_.driven();
   state_.q.fill(q);
@@ -220,10 +226,11 @@ void MovingBody<Model>::lie_down(const StepInput<Model>& input, StepReport& repo
     const bool lies = (next_ - state_.q[0]).norm() <= negligible;
     state_.q.fill(next_);
     state_.contact = search_.memory();
+    contacts_.dents(state_.dents);
     if (lies) break;
   }
   report_contacts(input, report);
-  contacts_.dents(dents_);
+  contacts_.dents(state_.dents);
   contacts_.pressures(state_.pressures);
 }
 
@@ -240,8 +247,12 @@ void MovingBody<Model>::set_state(const State& state) {
   const Eigen::Index limited = parts_.limit ? parts_.limit->bones() : 0;
   if (parts_.limit) check_driven(state.driven, limited, model_->dofs());
   if (parts_.contact) check_contacts(state, parts_.contact->size());
+  if (state.dents.size() > 0 && state.dents.size() != patches())
+    throw std::invalid_argument("state: expected the dents of " + std::to_string(patches()) + " patches, got " +
+                                std::to_string(state.dents.size()));
+  if (!state.dents.allFinite()) throw Error("The state has a dent that is not a finite number");
   state_ = state;
-  dents_.setZero();
+  if (state.dents.size() == 0) state_.dents = VectorXd::Zero(patches());
   if (!parts_.contact) {
     state_.contact.clear();
     state_.pressures.clear();
@@ -266,6 +277,7 @@ void MovingBody<Model>::begin_step(const StepInput<Model>& input) {
     carry_past(model_->body(), input.bones, state_.bones);
     state_.contact.clear();
     state_.pressures.clear();
+    state_.dents.setZero();
   }
   try {
     prepare(input);
@@ -328,7 +340,7 @@ template <class Model>
 void MovingBody<Model>::end_step(const StepInput<Model>& input, StepReport& report) {
   report.teleported = teleported_;
   report_contacts(input, report);
-  contacts_.dents(dents_);
+  contacts_.dents(state_.dents);
   std::rotate(state_.q.rbegin(), state_.q.rbegin() + 1, state_.q.rend());
   std::rotate(state_.bones.rbegin(), state_.bones.rbegin() + 1, state_.bones.rend());
   state_.q[0] = next_;

@@ -81,9 +81,6 @@ class MovingBody {
   /// for what is not finite.
   void set_state(const State& state);
   const VectorXd& coordinates() const { return state_.q[0]; }
-  /// Amplitudes of the local responses after the last step, none without. The state does not have them: they have no
-  /// past.
-  const VectorXd& dents() const { return dents_; }
   /// Energies of the state, J, at the target weights of the last start() or step. The kinetic energy uses the
   /// integrator's own velocity.
   double kinetic_energy() const;
@@ -134,6 +131,7 @@ class MovingBody {
   StepReport minimize(int max_iterations);
   void require_pose() const;
   double farthest(const Transforms& bones) const;
+  Eigen::Index patches() const;  ///< of the local responses; 0 without
 
   std::shared_ptr<const Model> model_;
   StepOptions options_;
@@ -142,7 +140,6 @@ class MovingBody {
   State before_;  ///< before a jump, in case the step fails
   bool teleported_ = false;
   VectorXd weights_;  ///< of the last start() or step
-  VectorXd dents_;
 
   typename Model::Blend blend_;
   StepLoad<Model> load_;

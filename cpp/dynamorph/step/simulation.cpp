@@ -259,7 +259,7 @@ void Simulation<Model>::find_contacts(const StepInput<Model>* inputs) {
   step.own_friction = friction_;
   SelfContact<Model>::find_between(skins, worn_, found_);
   contacts_.clear();
-  if (!found_.empty()) contacts_.begin({std::move(samples), first_sample_, layout_}, found_, step, pressures);
+  if (!found_.empty()) contacts_.begin({std::move(samples), first_sample_, layout_}, found_, step, pressures, {});
 }
 
 template <class Model>

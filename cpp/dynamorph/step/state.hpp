@@ -20,6 +20,7 @@ struct State {
   DrivenLoad driven;                                       ///< of the motion limit; empty without one
   ContactMemory contact;                                   ///< from which sides it touches colliders
   std::vector<Pressure> pressures;                         ///< of what it touches, by collider, then by sample
+  VectorXd dents;  ///< amplitudes of the local responses (P): where a step's Newton's method begins; empty without
 };
 
 struct StepReport {

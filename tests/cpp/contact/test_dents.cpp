@@ -119,22 +119,21 @@ TEST_CASE("dents resist with the derivative of their energy, which is that of th
   const MatrixXd C = root * root.transpose() + MatrixXd::Identity(m, m);
   const RowMajor alike = RowMajor::Identity(m, m) + random_vector(m * m, 0.5, 7).reshaped(m, m);
   Dents dents;
-  const VectorXd pressures = VectorXd::LinSpaced(n, 0, 3);
-  dents.begin({0, 2, 3, 5}, rows, C, alike, VectorXd::Constant(m, most), pressures);
-  CHECK((C * amplitudes(dents) - rows.transpose() * pressures).norm() < 1e-9);
-  const VectorXd b = random_vector(m, 0.02, 8);
-  dents.at(b);
-  const VectorXd own = amplitudes(dents);
+  const VectorXd begun = random_vector(6, 0.02, 9);  // of all patches
+  dents.begin({0, 2, 3, 5}, rows, C, alike, VectorXd::Constant(m, most), begun);
+  CHECK((amplitudes(dents) - begun({0, 2, 3, 5})).norm() < 1e-12);
+  const VectorXd own = random_vector(m, 0.02, 8);
+  dents.at(own);
+  CHECK(amplitudes(dents) == own);
   double energy = 0.5 * own.dot(C * own);
   const VectorXd together = alike * own;
   for (const VectorXd& bounded : {own, together})
-    for (int j = 0; j < m; ++j) energy += 1000 * C(j, j) * contact_ramp(std::abs(bounded(j)) - most, most / 2).energy;
+    for (int j = 0; j < m; ++j) energy += 300 * C(j, j) * contact_ramp(std::abs(bounded(j)) - most, most / 2).energy;
   CHECK(dents.energy() == doctest::Approx(energy).epsilon(1e-9));
   CHECK((rows * own - dents.given_way()).norm() < 1e-12);
-  CHECK((dents.rows() * b - dents.given_way()).norm() < 1e-12);
 
   const VectorXd resisting = dents.resisting();
-  MatrixXd stiffness = dents.stiffness() * MatrixXd::Identity(m, m);
+  MatrixXd stiffness = dents.stiffness();
   int hard = 0;
   dents.each_hard([&](const auto& row, double d) {
     stiffness += d * row.transpose() * row;
@@ -144,10 +143,10 @@ TEST_CASE("dents resist with the derivative of their energy, which is that of th
   constexpr double e = 1e-7;
   for (int j = 0; j < m; ++j) {
     const VectorXd step = e * VectorXd::Unit(m, j);
-    dents.at(b + step);
+    dents.at(own + step);
     const double more = dents.energy();
     const VectorXd after = dents.resisting();
-    dents.at(b - step);
+    dents.at(own - step);
     CHECK((more - dents.energy()) / (2 * e) == doctest::Approx(resisting(j)).epsilon(1e-5));
     CHECK(((after - dents.resisting()) / (2 * e) - stiffness.col(j)).norm() < 1e-4 * stiffness.norm());
   }

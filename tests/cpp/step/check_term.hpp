@@ -15,7 +15,7 @@ inline void add_points(const SparsePoints& points, const VectorXd& x, VectorXd& 
 }
 inline void add_points(const DensePoints& points, const VectorXd& x, VectorXd& y) {
   const Eigen::Index p = points.own_rows.rows(), m = points.own_rows.cols();
-  y.tail(m) += points.own_stiffness * x.tail(m);
+  y.tail(m) += points.own_factor * (points.own_factor.transpose() * x.tail(m));
   if (points.stiffness.size() == 0) return;
   VectorXd moved = points.rows * x.head(points.rows.cols());
   moved.head(p) += points.own_rows * x.tail(m);

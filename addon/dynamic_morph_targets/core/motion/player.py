@@ -49,7 +49,7 @@ STEP = (
 NOTHING = {"converged": True, "excess_bone": -1, "unusable_colliders": ()}
 NO_STEPS: Any = SimpleNamespace(**dict.fromkeys(STEP, 0) | NOTHING)  # StepReport() without the engine
 State: TypeAlias = "dynamorph.State"
-STATE = ("coordinates", "bones", "limit", "contact")  # its parts
+STATE = ("coordinates", "bones", "limit", "contact", "dents")  # its parts
 
 
 def changed(state: State, **parts: Any) -> State:

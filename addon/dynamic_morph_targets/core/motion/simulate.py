@@ -145,14 +145,15 @@ class Shot:
             "bones": np.array(state.bones),
             "limit": np.array(state.limit),
             "contact": np.array(state.contact),
+            "dents": np.array(state.dents),
         }
 
     def resume(self, kept: dict[str, np.ndarray], first: RigSamples) -> None:
         """Continues after the frames of another instance of the same shot; first: the sample of the first frame."""
         self._coordinates, self._weights, self._steps = ([kept[name]] for name in ("coordinates", "weights", "steps"))
         self.done = len(kept["coordinates"])
-        past = {"coordinates": list(kept["past"]), "bones": list(kept["bones"])}
-        self.player.resume(first, changed(self.player.state, **past, limit=kept["limit"], contact=kept["contact"]))
+        past = {"coordinates": list(kept["past"])} | {name: kept[name] for name in ("limit", "contact", "dents")}
+        self.player.resume(first, changed(self.player.state, **past, bones=list(kept["bones"])))
 
     @property
     def held(self) -> Held:

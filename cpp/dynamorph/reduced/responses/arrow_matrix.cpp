@@ -114,10 +114,11 @@ bool ArrowSolver::gather(const std::vector<const DensePoints*>& points, Eigen::I
 
 bool ArrowSolver::soften(const DensePoints& points, const Eigen::Ref<const VectorXd>& own_b, Eigen::Index first_row) {
   const RowMajor& R = points.own_rows;
-  const double c = points.own_stiffness;
-  softened_.push_back({MatrixXd::Zero(R.rows(), R.rows()), R * own_b / c, first_row});
+  const auto own = points.own_factor.triangularView<Eigen::Lower>();
+  const MatrixXd given = own.solve(R.transpose());  // L^-1 R^T
+  softened_.push_back({MatrixXd::Zero(R.rows(), R.rows()), given.transpose() * own.solve(own_b), first_row});
   Softened& softened = softened_.back();
-  softened.lower.selfadjointView<Eigen::Lower>().rankUpdate(R, 1 / c);
+  softened.lower.selfadjointView<Eigen::Lower>().rankUpdate(given.transpose());
   softened.lower.diagonal() += points.stiffness.head(R.rows()).cwiseInverse();
   if (Eigen::LLT<Eigen::Ref<MatrixXd>>(softened.lower).info() != Eigen::Success) return false;
   const auto lower = softened.lower.triangularView<Eigen::Lower>();
@@ -140,7 +141,10 @@ void ArrowSolver::solve_own(const std::vector<const DensePoints*>& points, const
     if (R.cols() == 0) continue;
     VectorXd forces = softened->forces + rows_.middleRows(softened->first_row, R.rows()) * reduced_x_;
     softened->lower.triangularView<Eigen::Lower>().adjoint().solveInPlace(forces);
-    x.segment(own, R.cols()) = (b.segment(own, R.cols()) - R.transpose() * forces) / each->own_stiffness;
+    auto own_x = x.segment(own, R.cols());
+    own_x = b.segment(own, R.cols()) - R.transpose() * forces;
+    each->own_factor.triangularView<Eigen::Lower>().solveInPlace(own_x);
+    each->own_factor.triangularView<Eigen::Lower>().adjoint().solveInPlace(own_x);
     own += R.cols();
     ++softened;
   }

@@ -58,12 +58,12 @@ class ArrowFactor {
 };
 
 /// Stiffness at points beside an arrow matrix: J^T diag(d) J with d >= 0. The first points may also give way by
-/// unknowns a of their own, which have the stiffness c each: [J R]^T diag(d) [J R] and c over a.
+/// unknowns a of their own, which have a stiffness C = L L^T as well: [J R]^T diag(d) [J R], and C over a.
 struct DensePoints {
-  RowMajor rows;             ///< J (k, rows of the matrix)
-  VectorXd stiffness;        ///< d (k)
-  RowMajor own_rows;         ///< R (p, m) of the first p <= k points, whose d > 0
-  double own_stiffness = 1;  ///< c > 0
+  RowMajor rows;        ///< J (k, rows of the matrix)
+  VectorXd stiffness;   ///< d (k)
+  RowMajor own_rows;    ///< R (p, m) of the first p <= k points, whose d > 0
+  MatrixXd own_factor;  ///< L (m, m)
 };
 
 /// Solves (H + that of the points) x = b, where x are the unknowns of H, and then those that points have of their own:
@@ -75,10 +75,10 @@ class ArrowSolver {
   bool solve(const ArrowMatrix& H, const std::vector<const DensePoints*>& points, const VectorXd& b, VectorXd& x);
 
  private:
-  /// Points without their own unknowns: L^-1 J with a stiffness of one each, where L L^T = diag(d)^-1 + R R^T / c.
+  /// Points without their own unknowns: S^-1 J with a stiffness of one each, where S S^T = diag(d)^-1 + R C^-1 R^T.
   struct Softened {
-    MatrixXd lower;          ///< L
-    VectorXd forces;         ///< L^-1 R b_a / c
+    MatrixXd lower;          ///< S
+    VectorXd forces;         ///< S^-1 R C^-1 b_a
     Eigen::Index first_row;  ///< of them in rows_
   };
 

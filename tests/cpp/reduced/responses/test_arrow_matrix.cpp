@@ -171,12 +171,13 @@ TEST_CASE("points give way by unknowns of their own, as the dense matrix of all 
         points.stiffness = VectorXd::LinSpaced(rows, 40, 2);
         points.stiffness(rows - 1) = 0;  // the last does not act
         points.own_rows = random_vector(pressed * m, 1, 33 + unsigned(k)).reshaped<Eigen::RowMajor>(pressed, m);
-        points.own_stiffness = 5;
+        points.own_factor = random_vector(m * m, 0.3, 35).reshaped(m, m).triangularView<Eigen::Lower>();
+        points.own_factor.diagonal().array() += 2;
         MatrixXd over = MatrixXd::Zero(rows, n + 7);
         over.leftCols(n) = points.rows;
         over.block(0, own, pressed, m) = points.own_rows;
         sum += over.transpose() * points.stiffness.asDiagonal() * over;
-        for (int j = 0; j < m; ++j) sum(own + j, own + j) += 5;
+        sum.block(own, own, m, m) += points.own_factor * points.own_factor.transpose();
         own += m;
       }
       const VectorXd b = random_vector(n + 7, 1, 32);
