@@ -15,9 +15,7 @@ constexpr double kSticks = 1e-3;           ///< of the size, per second: what sl
 // Where colliders are looked for.
 constexpr double kContactMargin = 0.02;  ///< of the size: samples that come so near in a step can touch something
 constexpr double kContactNear = 0.005;   ///< of the size: those that hardly move, only if they come so near
-constexpr double kWays = 2;              ///< of a sample in a step: from how much farther it is looked at
-constexpr double kAppears = 1.5;  ///< thicknesses of tissue in which a sample is looked for that appears in a collider
-constexpr double kSeen = 3;       ///< the same of a collider that is gone through
+constexpr double kSeen = 3;  ///< thicknesses of tissue in which a collider is looked for that is gone through
 
 // What the bones take into a collider by more than this, in thicknesses of tissue, has less weight, and none.
 constexpr double kFadeBegins = 0.7, kFadeEnds = 1.2;
@@ -26,7 +24,6 @@ constexpr double kFadeBegins = 0.7, kFadeEnds = 1.2;
 constexpr double kIntoSkin = -0.3;   ///< below, a surface presses on the skin from outside
 constexpr double kFromWithin = 0.5;  ///< above, from within the body
 constexpr double kTurnsOver = 0.95;  ///< above, what touched the skin has turned over
-constexpr double kTouches = 0.25;    ///< of the margin: gap in which a sample touched something
 constexpr double kSmooth = 0.9;      ///< normal . normal of two facets of a smooth surface
 constexpr double kHollow = 0.1;      ///< of the margin: how far behind a plane the surface may be in a hollow
 
@@ -34,12 +31,10 @@ constexpr double kHollow = 0.1;      ///< of the margin: how far behind a plane 
 constexpr double kSharpness = 2e-3;  ///< tau, of the body's size
 constexpr double kCovered = 0.15;    ///< of the tissue's thickness: as near as points on a ball's side are to it
 constexpr int kCovering = 8;         ///< of those at least
-/// How far one must go to a ball through the body, in thicknesses, up to which it is not touched, and from which it is
-/// touched where it is.
-constexpr double kNearThroughBody = 0.4, kFarThroughBody = 1;
 /// Depth in thicknesses of both sides, up to which contacts have all weight, and from which they have none.
 constexpr double kOwnFadeBegins = 0.38, kOwnFadeEnds = 0.48;
-constexpr double kCrushed = 0.25, kFolded = 0.4;  ///< of the volume of a joint: contacts at it have no weight, and all
+/// Of the volume of a joint: with less, contacts at it have less weight, and with two thirds of it none.
+constexpr double kFolded = 0.4;
 constexpr double kOwnApart = 3e-3;  ///< of the size: what a contact moves both sides apart in a step, at most
 
 // How a reduced model gives way by patches.

@@ -211,7 +211,7 @@ Vector3d ContactFinder::Search::direction(const Vector3d& x, const ColliderPoint
 void ContactFinder::Search::run(const Sample& sample) {
   const double way = (sample.to - sample.from).norm() + deforms_ + 2 * nudge_;
   ColliderPoint nearest;
-  const double margin = std::min(margin_, near_ + kWays * way);
+  const double margin = std::min(margin_, near_ + way);
   if (way <= margin) nearest = collider_.nearest(end_, sample.to, margin);
   bool lost = !sample.held.isZero(0);
   if (way > margin || (nearest && (nearest.point - sample.to).norm() <= way)) lost |= !sweep(sample);
@@ -408,7 +408,7 @@ void ContactFinder::touch(const Collider& collider, int number, const Posed& pos
     if (known && !jumps) {
       while (plane != held.end() && plane->collider == number && plane->sample < p) ++plane;
       for (; plane != held.end() && plane->collider == number && plane->sample == p; ++plane) {
-        if (plane->normal.dot(before - plane->point) < kTouches * margin) sample.limit = kTurnsOver;
+        if (plane->normal.dot(before - plane->point) < near) sample.limit = kTurnsOver;
         sample.held = posed.from_begin.turn.transpose() * plane->normal;
         sample.from = search.let_out(sample.from, posed.from_begin.to_own(plane->point), sample.held);
       }

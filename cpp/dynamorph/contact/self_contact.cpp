@@ -208,7 +208,7 @@ void SelfContact<Model>::find_beyond() {
 template <class Model>
 NearBalls SelfContact<Model>::near_at_rest(const Vector3d& place, const Vector3d& normal, double thickness) const {
   const Points& centers = balls_.skin().rest;
-  // In thicknesses of tissue.
+  // In thicknesses of tissue: what is one away through the body is touched where it is.
   const auto away = [&](int ball) {
     const double radius = body_.radius(ball);
     return ((centers.row(ball) - place.transpose()).norm() - radius) / std::min(thickness, radius);
@@ -220,7 +220,7 @@ NearBalls SelfContact<Model>::near_at_rest(const Vector3d& place, const Vector3d
     if (normal.dot(place - centers.row(k).transpose()) > 0) begins = std::min(begins, Way(away(k), k));
   if (begins.second >= 0) next.push(begins);
   std::map<int, double> farthest;
-  while (!next.empty() && next.top().first < kFarThroughBody) {
+  while (!next.empty() && next.top().first < 1) {
     const auto [far, ball] = next.top();
     next.pop();
     if (!farthest.emplace(ball, far).second) continue;
@@ -232,9 +232,8 @@ NearBalls SelfContact<Model>::near_at_rest(const Vector3d& place, const Vector3d
   double sum = 0;
   for (int k = 0; k < int(balls_.size()); ++k) {
     const auto it = farthest.find(k);
-    const double touched =
-        it == farthest.end() ? 1 : smooth_step((it->second - kNearThroughBody) / (kFarThroughBody - kNearThroughBody));
-    if (touched < 1 || away(k) < kFarThroughBody) out.emplace_back(k, touched);
+    const double touched = it == farthest.end() ? 1 : smooth_step(it->second);
+    if (touched < 1 || away(k) < 1) out.emplace_back(k, touched);
     if (touched > 0)
       sum += std::exp((touched * covered_(k) - (centers.row(k) - place.transpose()).norm()) / sharpness_);
   }
@@ -557,7 +556,7 @@ double SelfContact<Model>::folded(const Body& body, const Body& other, const std
   const Matrix3d mean = 0.5 * (scratch.turns[std::size_t(a)] + scratch.turns[std::size_t(b)]);
   const double whole = std::pow(scratch.scales[std::size_t(a)] * scratch.scales[std::size_t(b)], 1.5);
   const double left = std::abs(mean.determinant()) / std::max(whole, 1e-300);
-  return smooth_step((left - kCrushed) / (kFolded - kCrushed));
+  return smooth_step(3 * left / kFolded - 2);
 }
 
 template <class Model>

@@ -10,7 +10,6 @@ constexpr double kLoadBegins = 0.5;  ///< of a limit: beyond, a load is scaled d
 /// hardly any damping that is shaken by ten times its limit goes to 2.3 of it, with 30 to 1.8, with 40 to 1.5;
 /// characters keep the motion that they kept.
 constexpr double kPull = 30;
-constexpr double kEdgePull = 120;     ///< of twice the energy that stretches edges to their limit
 constexpr double kRampBegins = 0.6;   ///< of a limit: from there on something is pulled back
 constexpr double kWatched = 0.45;     ///< of a limit: what is nearer at first is not pulled in this step
 constexpr double kPercentile = 0.97;  ///< of a bone's skin; spikes and slivers that only ride along must not decide

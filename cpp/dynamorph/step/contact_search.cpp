@@ -119,7 +119,7 @@ void ContactSearch<Model>::choose_samples(const StepInput<Model>& input, const S
   std::vector<int>& samples = near_.samples;
   samples.clear();
   for (const auto& group : samples_->groups()) {
-    const double near = farthest + margin, appears = kAppears * group.thickness;
+    const double near = farthest + margin, appears = kFadeEnds * group.thickness;
     const Box box = samples_->region(group, state.bones[0], near).merged(samples_->region(group, input.bones, near));
     const auto reaches = [&](const Extent& extent) {
       const double square = extent.known ? 0 : appears * appears;

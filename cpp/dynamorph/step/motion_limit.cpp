@@ -168,7 +168,7 @@ std::vector<Pull> pulls_of(const Tissue& tissue, const SkinLimits& limits, const
     for (int e : pulled) {
       const Edge& edge = tissue.skin.edges[std::size_t(e)];
       const int first = int(points.nodes.rows() + Index(ends.size()));
-      out.push_back({numbers.size(), 1, 1, kEdgePull * critical.energy / stretched});
+      out.push_back({numbers.size(), 1, 1, kPull * critical.energy / stretched});
       add_stretch(limits, edge, first, first + 1, numbers);
       ends.insert(ends.end(), {edge.first, edge.second});
     }
