@@ -243,7 +243,7 @@ def calls() -> dict[str, tuple[object, dict]]:
         "Simulation.start": (started, {"now": s.bones, "next": s.next, "weights": s.weights,
                                        "colliders": [s.collider_motion]}),
         "Simulation.state": (started, {"value": state}),
-        "State": (lib, {name: getattr(state, name) for name in ("coordinates", "bones", "limit", "contact")}),
+        "State": (lib, {name: getattr(state, name) for name in ("coordinates", "bones", "limit", "contact", "dents")}),
         "StepReport": (lib, {}),
         "Coupling": (lib, {"bodies": coupled_bodies(), "friction": 0.5, "garments": [(0, 1, np.eye(4)[:3])]}),
         "Coupling.advance": (lambda: dynamorph.Coupling(coupled_bodies()), {"motions": [moving, moving]}),
