@@ -18,7 +18,7 @@ const JOB_TYPE = {
         },
         {
             key: "format", type: "string", default: "",
-            description: "modes, frames, pc2, gltf, fbx, alembic, usd, raw or soft_skin. If empty, each object uses its own setting",
+            description: "modes, frames, pc2, gltf, fbx, alembic, usd or soft_skin. If empty, each object uses its own setting",
         },
         {
             key: "options", type: "string", default: "",
@@ -36,7 +36,7 @@ const JOB_TYPE = {
     ],
 };
 
-const ENDINGS = { gltf: "glb", fbx: "fbx", alembic: "abc", usd: "usdc", raw: "npz", soft_skin: "dynamorph", pc2: "pc2" };
+const ENDINGS = { gltf: "glb", fbx: "fbx", alembic: "abc", usd: "usdc", soft_skin: "dynamorph", pc2: "pc2" };
 
 function compileJob(job) {
     const settings = job.settings;

@@ -302,7 +302,7 @@ CALLS = {  # what a button needs beforehand, and its arguments
 BY_MOUSE = {"grab"}  # of a tool
 CHANGING_NOTHING = {  # nothing that is saved or undone
     "cancel": (target_selected, {}),
-    "export": (baked, {"format": "RAW", "filepath": str(FOLDER / "clip.npz")}),
+    "export": (baked, {"format": "GLTF", "filepath": str(FOLDER / "clip.glb")}),
     "export_actions": (baked, {"format": "GLTF", "filepath": str(FOLDER / "clips.glb")}),
     "export_check": (baked, {"format": "GLTF"}),
     "material_preset": (target_selected, {"name": "Test"}),

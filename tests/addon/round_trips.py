@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import importlib
 import json
-import shutil
 import struct
 import subprocess
 import sys
@@ -68,51 +67,6 @@ def by_import(load: str, from_0=False, **options) -> Callable:
         return shown(found, [frame - frames[0] for frame in frames] if from_0 else frames)
 
     return read
-
-
-def by_numpy(path: Path, _mesh: str, frames) -> np.ndarray:
-    """A raw clip before skinning, local space."""
-    with np.load(path, allow_pickle=False) as clip:
-        surfaces = (
-            clip["vertices"]
-            + np.tensordot(clip["coordinates"], clip["modes"], 1)
-            + np.tensordot(clip["weights"], clip["residual_shapes"], 1)
-        )
-        return surfaces[np.searchsorted(clip["frames"], frames)]
-
-
-PLAYER = """
-#include <stdio.h>
-#include <stdlib.h>
-#include "dynamorph.h"
-int main(int count, char **arguments) {
-  const size_t size = strtoul(arguments[2], NULL, 10);
-  void *bytes = malloc(size);
-  FILE *file = fopen(arguments[1], "rb");
-  dm_clip clip;
-  const char *error = dm_open(&clip, bytes, fread(bytes, 1, size, file));
-  if (error) { fputs(error, stderr); return 2; }
-  float *surface = malloc(sizeof *surface * 3 * clip.vertices);
-  for (int frame = 0; frame < clip.frames; ++frame) {
-    dm_surface(&clip, frame, surface);
-    fwrite(surface, sizeof *surface, 3 * clip.vertices, stdout);
-  }
-  return count == 3 ? 0 : 2;
-}
-"""
-
-
-def by_c_runtime(path: Path, _mesh: str, frames) -> np.ndarray:
-    """A raw clip of these frames, as runtime/dynamorph.h plays it: before skinning, local space."""
-    compiler = shutil.which("cc")
-    if not compiler:
-        raise ReaderMissing("no C compiler")
-    with tempfile.TemporaryDirectory() as folder:
-        source, program = Path(folder) / "player.c", Path(folder) / "player"
-        source.write_text(PLAYER)
-        subprocess.run([compiler, "-O1", "-std=c99", f"-I{ROOT / 'runtime'}", source, "-o", program, "-lm"], check=True)
-        played = subprocess.run([program, path, str(path.stat().st_size)], capture_output=True, check=True)
-    return np.frombuffer(played.stdout, "<f4").reshape(len(frames), -1, 3)
 
 
 def point_cache(path: Path, _mesh: str, frames) -> np.ndarray:
@@ -348,8 +302,6 @@ FORMS = (
     Form("FBX", "Blender, imported", key="FBX", read=FBX),
     Form("Alembic", "Blender, imported", key="ALEMBIC", read=ALEMBIC),
     Form("USD", "usd-core", key="USD", read=by_usd_core),
-    Form("Raw Clip", "NumPy", key="RAW", read=by_numpy, local=True),
-    Form("Raw Clip", "runtime/dynamorph.h", key="RAW", read=by_c_runtime, local=True),
 )
 
 

@@ -1,11 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A bake with fewer keys, its point caches, and the raw clip as NumPy and as the C header play it."""
+"""A bake with fewer keys, and its point caches."""
 
-import io
-import shutil
-import subprocess
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,34 +9,6 @@ from dynamic_morph_targets.core.motion import baked
 from dynamic_morph_targets.core.motion.baked import Bake
 from dynamic_morph_targets.core.result import keys
 from dynamic_morph_targets.io import point_cache
-
-HEADER = Path(__file__).parents[2] / "runtime" / "dynamorph.h"
-FPS = 24.0
-
-PLAYER = """
-#include <stdio.h>
-#include <stdlib.h>
-#include "dynamorph.h"
-int main(int count, char **arguments) {
-  static float aligned[1 << 20];
-  FILE *file = fopen(arguments[1], "rb");
-  dm_clip clip;
-  const char *error = dm_open(&clip, aligned, fread(aligned, 1, sizeof aligned, file));
-  if (error) { puts(error); return 2; }
-  float *surface = malloc(sizeof *surface * 3 * clip.vertices), *z = malloc(sizeof *z * (clip.modes + clip.targets));
-  for (int i = 2; i < count; ++i) {
-    const double frame = atof(arguments[i]);
-    dm_surface(&clip, frame, surface);
-    for (int v = 0; v < 3 * clip.vertices; ++v) printf("%.9g ", surface[v]);
-    dm_values(&clip, frame, z, z + clip.modes);
-    for (int k = 0; k < clip.modes + clip.targets; ++k) printf("%.9g ", z[k]);
-    printf("%.9g\\n", clip.fps);
-  }
-  free(surface);
-  free(z);
-  return 0;
-}
-"""
 
 
 def shot(frames=40, modes=6, targets=3, vertices=50, seed=0) -> tuple[Bake, np.ndarray]:
@@ -156,63 +124,3 @@ def test_point_caches_are_read_back():
     assert np.frombuffer(pc2, "<f4", 2, 20).tolist() == [1.0, 1.0]
     assert np.frombuffer(pc2, "<i4", 1, 28).tolist() == [len(exact)]
     np.testing.assert_array_equal(np.frombuffer(pc2, "<f4", offset=32).reshape(exact.shape), exact)
-
-
-def test_a_raw_clip_is_what_numpy_reads():
-    bake, vertices = shot()
-    packed = point_cache.raw(bake, vertices, FPS)
-    assert packed == point_cache.raw(bake, vertices, FPS)
-    with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
-        again = vertices + np.tensordot(arrays["coordinates"], arrays["modes"], 1)
-        again += np.tensordot(arrays["weights"], arrays["residual_shapes"], 1)
-        assert arrays["fps"] == FPS
-        np.testing.assert_array_equal(arrays["frames"], bake.frames)
-    np.testing.assert_allclose(again, surface(bake, vertices), atol=1e-5)
-
-
-@pytest.fixture(scope="module")
-def player(tmp_path_factory):
-    """Runs the C header's player on a clip: what it prints, and its exit code."""
-    compiler = shutil.which("cc") or shutil.which("gcc")
-    if compiler is None:
-        pytest.skip("no C compiler")
-    folder = tmp_path_factory.mktemp("player")
-    (folder / "player.c").write_text(PLAYER)
-    strict = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1", "-fsanitize=address,undefined")
-    subprocess.run([compiler, *strict, f"-I{HEADER.parent}", folder / "player.c", "-o", folder / "player"], check=True)
-
-    def play(packed: bytes, *frames) -> tuple[str, int]:
-        (folder / "clip.npz").write_bytes(packed)
-        run = subprocess.run(
-            [folder / "player", folder / "clip.npz", *map(str, frames)], capture_output=True, text=True, check=False
-        )
-        assert run.returncode in (0, 2), run.stderr
-        return run.stdout, run.returncode
-
-    return play
-
-
-def test_the_c_header_plays_a_clip(player):
-    bake, vertices = shot()
-    times = (-1.0, 0.0, 2.0, 7.25, 38.9, 39.0, 100.0)
-    text, code = player(point_cache.raw(bake, vertices, FPS), *times)
-    assert code == 0
-    rows = np.array([line.split() for line in text.splitlines()], float)
-    exact, at = surface(bake, vertices).reshape(len(bake.frames), -1), np.clip(times, 0, 39)
-    values = np.hstack([exact, bake.coordinates, bake.weights, np.full((len(exact), 1), FPS)])
-    between = np.array([np.interp(at, np.arange(40), column) for column in values.T]).T
-    np.testing.assert_allclose(rows, between, atol=2e-5)
-
-
-def test_the_c_header_refuses_what_is_no_clip(player):
-    bake, vertices = shot()
-    packed = point_cache.raw(bake, vertices, FPS)
-    random = np.random.default_rng(1)
-    for size in (0, 10, 100, len(packed) // 2, len(packed) - 1):
-        assert player(packed[:size])[1] == 2
-    other = io.BytesIO()
-    np.savez_compressed(other, vertices=vertices)
-    assert "compressed" in player(other.getvalue())[0]
-    for _ in range(30):  # a flipped byte is refused or plays, but reads nothing outside (the sanitizer would tell)
-        at = random.integers(len(packed))
-        player(packed[:at] + bytes([random.integers(256)]) + packed[at + 1 :], 3.5)

@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Random input for what reads files and for the engine: taken, or refused with an error that is expected; no crash."""
 
-import shutil
-import subprocess
 import time
 
 import dynamorph as dm
-import fuzzing
 import numpy as np
 import pytest
 import scenes
@@ -67,29 +64,6 @@ def read_table(path):
     except FitError as error:
         assert str(error)
 
-
-def test_edited_clips(tmp_path):
-    """The C header for players, by a program of C under the sanitizers; how many is up to the time."""
-    compiler = shutil.which("gcc")
-    if compiler is None:
-        pytest.skip("needs gcc")
-    folder, program = fuzzing.ROOT / "tests" / "fuzz", tmp_path / "clip"
-    sanitizers = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined")
-    strict = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", "-g", *sanitizers)
-    subprocess.run(
-        [compiler, *strict, f"-I{fuzzing.ROOT / 'runtime'}", folder / "clip.c", "-o", program, "-lm"], check=True
-    )
-    seed = time.time_ns() if fuzzing.MINUTES else 1
-    arguments = (seed, max(1, round(fuzzing.seconds())), *corpus("clip"))
-    run = subprocess.run([program, *map(str, arguments)], cwd=tmp_path, capture_output=True, text=True, check=False)
-    if fuzzing.MINUTES:
-        tried = int(run.stdout.split()[0]) if run.stdout else 0
-        failed = run.returncode != 0
-        fuzzing.keep("test_edited_clips", tried, fuzzing.seconds(), failed)
-    assert run.returncode == 0 and "clips" in run.stdout, f"seed {seed}, {tmp_path / 'crash.npz'}: {run.stderr}"
-
-
-fuzzing.targets.append(test_edited_clips.__name__)
 
 # Meshes ------------------------------------------------------------------------------------------------------------
 

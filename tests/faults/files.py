@@ -42,7 +42,7 @@ UNKNOWN = ("Blender could not write all of it", "iostream error", outputs.UNREAD
 KINDS = {
     "write": errno.ENOSPC, "fsync": errno.EIO, "rename": errno.ESTALE, "open": errno.ENOSPC, "read": errno.ESTALE
 }  # fmt: skip
-EXPORTS = {"gltf": ".glb", "fbx": ".fbx", "alembic": ".abc", "usd": ".usdc", "raw": ".npz"}
+EXPORTS = {"gltf": ".glb", "fbx": ".fbx", "alembic": ".abc", "usd": ".usdc"}
 RESULTS = (".blend", ".pc2", ".dynamorph", *EXPORTS.values())
 # Name -> arguments; {folder} is where all that they write goes.
 COMMANDS = {

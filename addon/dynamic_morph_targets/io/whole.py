@@ -7,7 +7,6 @@ Never touches bpy, and reads only as much as it takes. Alembic and USD have no s
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -29,14 +28,6 @@ def _fbx(path: Path) -> bool:
         return begin == FBX and file.read() == FBX_END
 
 
-def _npz(path: Path) -> bool:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return archive.testzip() is None
-    except zipfile.BadZipFile:
-        return False
-
-
 def _pc2(path: Path) -> bool:
     with path.open("rb") as file:
         head = file.read(32)
@@ -44,4 +35,4 @@ def _pc2(path: Path) -> bool:
     return head[:11] == b"POINTCACHE2" and path.stat().st_size == 32 + 12 * int(points) * int(frames)
 
 
-CHECKS = {".fbx": _fbx, ".glb": glb.is_whole, ".npz": _npz, ".pc2": _pc2}
+CHECKS = {".fbx": _fbx, ".glb": glb.is_whole, ".pc2": _pc2}

@@ -198,5 +198,5 @@ def test_nothing_asks_for_the_network(scene, monkeypatch, tmp_path):
     OPS.add_soft_skin()
     coarse(obj)
     assert OPS.bake() == {"FINISHED"}
-    assert OPS.export(format="RAW", filepath=str(tmp_path / "arm.npz")) == {"FINISHED"}
+    assert OPS.export(format="GLTF", filepath=str(tmp_path / "arm.glb")) == {"FINISHED"}
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))

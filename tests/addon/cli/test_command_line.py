@@ -703,15 +703,15 @@ def test_a_format_that_plays_in_blender(shot, run):
 
 
 def test_a_format_that_is_a_file_for_other_programs(shot, run, monkeypatch):
-    code, out, errors = run("bake", shot, "--object", "Arm", "--format", "raw")
+    code, out, errors = run("bake", shot, "--object", "Arm", "--format", "gltf")
     assert code == 0, errors
-    assert (shot.parent / "Arm.npz").is_file() and "written to Arm.npz" in out
+    assert (shot.parent / "Arm.glb").is_file() and "written to Arm.glb" in out
     code, _, errors = run(
         "bake", shot, "--all", "--format", "pc2", "--output-file", shot.parent / "x.pc2", "-o", "y.blend"
     )
     assert code == 2 and "put {object} in its name" in errors
     monkeypatch.setattr(paths, "clean_name", lambda name: "x")
-    code, _, errors = run("bake", shot, "--all", "--format", "raw")
+    code, _, errors = run("bake", shot, "--all", "--format", "gltf")
     assert code == 2 and "several meshes would share it: give them names that differ more" in errors
     monkeypatch.undo()
     files, saved = shot.parent / "{object}.pc2", shot.parent / "y.blend"
@@ -730,7 +730,7 @@ def test_a_format_that_is_a_file_for_other_programs(shot, run, monkeypatch):
         (["--format", "gltf", "--clips", "actions", "--frames", "1", "9"], "leave --frames out"),
         (["--format", "gltf", "--output-file", "x.fbx"], "a file of gltf ends in .glb"),
         (["--format", "pc2", "--output-file", "x.cache", "--in-place"], "a file of pc2 ends in .pc2"),
-        (["--format", "raw", "--output-file", "nowhere/x.npz"], "there is no folder"),
+        (["--format", "gltf", "--output-file", "nowhere/x.glb"], "there is no folder"),
     ],
 )
 def test_a_bake_that_would_go_nowhere(shot, run, stand_in, arguments, words):

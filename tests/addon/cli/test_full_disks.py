@@ -167,16 +167,16 @@ def test_a_file_of_the_artist_is_never_taken_for_a_partial_one(baked, tmp_path, 
 
 
 def test_what_a_killed_process_left_is_removed_after_an_hour(baked, tmp_path):
-    left = [tmp_path / f"Arm.{digit * 16}.part.npz" for digit in "ab"]
+    left = [tmp_path / f"Arm.{digit * 16}.part.glb" for digit in "ab"]
     left[0].write_bytes(EARLIER)
     left[1].mkdir()
-    (left[1] / "Arm.npz").write_bytes(EARLIER)
-    export(baked, tmp_path / "Arm.npz", "RAW")
+    (left[1] / "Arm.glb").write_bytes(EARLIER)
+    export(baked, tmp_path / "Arm.glb", "GLTF")
     assert all(file.exists() for file in left)
     for file in left:
         os.utime(file, (time.time() - 4000.0,) * 2)
-    export(baked, tmp_path / "Arm.npz", "RAW")
-    assert names(tmp_path) == ["Arm.npz"]
+    export(baked, tmp_path / "Arm.glb", "GLTF")
+    assert names(tmp_path) == ["Arm.glb"]
 
 
 CRASH = "import os; os.abort()"
@@ -401,10 +401,10 @@ def test_pictures_that_are_not_saved_are_named(textured):
 
 
 def test_an_incomplete_file_is_recognized(baked, tmp_path):
-    for key in ("GLTF", "FBX", "RAW"):
+    for key in ("GLTF", "FBX"):
         export(baked, path_of(key, tmp_path), key)
     files = [file for file in tmp_path.iterdir() if file.suffix in whole.CHECKS]
-    assert len(files) == 3
+    assert len(files) == 2
     for file in files:
         content = file.read_bytes()
         assert whole.is_whole(file)

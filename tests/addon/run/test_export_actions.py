@@ -281,8 +281,8 @@ def test_the_buttons_write_clips(game_arm, tmp_path, capfd):
     OPS.bake()
     assert OPS.export(format="GLTF", clips="ACTIONS", filepath=str(tmp_path / "arm")) == {"FINISHED"}
     assert "'Arm' written as 'arm.glb': Bend, Wave" in capfd.readouterr().out
-    OPS.export(format="RAW", clips="ACTIONS", filepath=str(tmp_path / "arm"))  # it has only one
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["arm.glb", "arm.npz"]
+    OPS.export(format="ALEMBIC", clips="ACTIONS", filepath=str(tmp_path / "arm"))  # it has only one
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["arm.abc", "arm.glb"]
 
 
 def test_in_a_window_the_artist_s_animation_is_there_between_two_turns(game_arm, tmp_path):

@@ -116,7 +116,7 @@ def test_a_point_cache_is_exported_as_a_surface_only(baked, tmp_path):
     disk.save(file, point_cache.point_cache(bake, key_positions(obj)))
     writer.write_keys(obj, keys.targets_alone(bake), cache=file)
     exact = posed("Arm")
-    for key in ("GLTF", "FBX", "RAW"):
+    for key in ("GLTF", "FBX"):
         with pytest.raises(errors.ExportError, match="'Arm' is a point cache.*bake to Shape Keys first"):
             export_actions.export(obj, key, tmp_path / "Arm.file", FRAMES)
     content = file.read_bytes()
@@ -133,35 +133,6 @@ def test_a_point_cache_is_exported_as_a_surface_only(baked, tmp_path):
 
 def key_positions(obj):
     return references.key_points(keys_of(obj).reference_key).astype(float)
-
-
-@pytest.mark.parametrize("read", [round_trips.by_numpy, round_trips.by_c_runtime])
-def test_a_raw_clip_is_the_bake(baked, tmp_path, read):
-    obj, bake = baked
-    path = written(obj, "RAW", tmp_path)
-    with np.load(path, allow_pickle=False) as clip:
-        assert clip["frames"] == pytest.approx(bake.frames)
-        assert clip["fps"] == bpy.context.scene.render.fps
-    exact = key_positions(obj) + np.array([bake.displacement(k) for k in range(len(bake.frames))])
-    check_clip(read, path, exact)
-
-
-@pytest.mark.parametrize("read", [round_trips.by_numpy, round_trips.by_c_runtime])
-def test_a_raw_clip_is_of_the_body_that_is_seen(baked, tmp_path, read):
-    """Also where a key that is always on makes another one of the Basis."""
-    obj, bake = baked
-    smile = keys_of(obj).key_blocks["smile"]
-    smile.value = 1.0
-    exact = references.key_points(smile) + np.array([bake.displacement(k) for k in range(len(bake.frames))])
-    assert np.abs(exact - key_positions(obj)).max() > 0.04 and list(losses.losses(obj, "RAW")) == []
-    check_clip(read, written(obj, "RAW", tmp_path), exact)
-
-
-def check_clip(read, path, exact):
-    try:
-        assert farthest(read(path, "Arm", EVERY), exact) < CLOSE
-    except round_trips.ReaderMissing as missing:
-        pytest.skip(str(missing))
 
 
 @pytest.mark.parametrize("key", ["ALEMBIC", "USD"])
@@ -422,7 +393,7 @@ def test_export_check_sees_keys_that_stand_at_0_now(baked):
         smile.keyframe_insert("value", frame=frame)
     bpy.context.scene.frame_set(1)
     assert smile.value == 0.0
-    assert list(losses.losses(obj, "RAW")) == ["A raw clip has only the bake's keys: smile is left out"]
+    assert "A soft skin file has only the targets' keys: smile is left out" in losses.losses(obj, "SOFT_SKIN")
 
 
 def test_a_muted_key_is_not_shown(scene, baked, tmp_path):
@@ -447,12 +418,12 @@ def test_an_export_leaves_the_values_of_keys(baked, tmp_path, key):
 def test_the_button_writes_what_the_format_is_called(baked, tmp_path):
     obj, _ = baked
     bpy.context.view_layer.objects.active = obj
-    bpy.ops.dynamorph.export(format="RAW", filepath=str(tmp_path / "arm"))
-    assert [file.name for file in tmp_path.iterdir()] == ["arm.npz"]
+    bpy.ops.dynamorph.export(format="GLTF", filepath=str(tmp_path / "arm"))
+    assert [file.name for file in tmp_path.iterdir()] == ["arm.glb"]
     assert bpy.ops.dynamorph.export_check(format="FBX") == {"FINISHED"}
     writer.free(obj)
     with pytest.raises(RuntimeError, match="press Bake first"):
-        bpy.ops.dynamorph.export(format="RAW", filepath=str(tmp_path / "none"))
+        bpy.ops.dynamorph.export(format="GLTF", filepath=str(tmp_path / "none"))
     assert not bpy.ops.dynamorph.export_check.poll()
 
 
@@ -461,7 +432,7 @@ def test_a_file_without_a_name_is_refused(baked, tmp_path, folder):
     obj, _ = baked
     activate(obj)
     with pytest.raises(RuntimeError, match="There is no file name: type one"):
-        bpy.ops.dynamorph.export(format="RAW", filepath=folder.format(tmp_path))
+        bpy.ops.dynamorph.export(format="GLTF", filepath=folder.format(tmp_path))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -502,7 +473,7 @@ def test_frames_before_0_are_written_or_refused(baked, tmp_path, key):
     built.give(obj)
     path = tmp_path / f"arm{exports.FORMATS[key].suffix}"
     export = export_actions.export
-    if key in ("ALEMBIC", "RAW", "SOFT_SKIN"):
+    if key in ("ALEMBIC", "SOFT_SKIN"):
         export(obj, key, path, (-10, 10))
         assert path.is_file()
         return
@@ -515,7 +486,7 @@ def test_refused(baked, tmp_path):
     obj, _ = baked
     error = errors.ExportError
     with pytest.raises(error, match="folder '.*nowhere' .* does not exist"):
-        export_actions.export(obj, "RAW", tmp_path / "nowhere" / "arm.npz", FRAMES)
+        export_actions.export(obj, "GLTF", tmp_path / "nowhere" / "arm.glb", FRAMES)
     obj.hide_set(True)
     with pytest.raises(error, match="'Arm' is hidden"):
         export_actions.export(obj, "USD", tmp_path / "arm.usdc", FRAMES)

@@ -2,8 +2,8 @@
 """A character as a file of another format.
 
 Blender's own exporters write what Blender shows: glTF and FBX the shape keys as morph targets with their values at each
-frame, Alembic and USD the posed surface. A raw clip is the bake alone, before skinning, for other engines. A soft skin
-is the model and its character, to be simulated elsewhere.
+frame, Alembic and USD the posed surface. A soft skin is the model and its character, to be simulated
+elsewhere.
 """
 
 from __future__ import annotations
@@ -192,8 +192,6 @@ FORMATS = {
                       surface=True, option="alembic"),
     "USD": Format("USD", ".usdc", "The posed surface at every frame", blender_formats.write_usd, surface=True,
                   has_parts=True, scenes=True, option="usd"),
-    "RAW": Format("Raw Clip", ".npz", "Modes and their values, for NumPy and runtime/dynamorph.h",
-                  own_formats.write_raw),
     "SOFT_SKIN": Format("Soft Skin", ".dynamorph", "The built model, for programs that simulate it. It needs no bake",
                         own_formats.write_soft_skin, needs_bake=False, check=own_formats.check_soft_skin),
 }  # fmt: skip

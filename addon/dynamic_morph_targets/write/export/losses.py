@@ -25,9 +25,7 @@ def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
     if not FORMATS[key].needs_bake:
         yield from _soft_skin_losses(obj)
         return
-    if key == "RAW":
-        yield from _raw_losses(obj)
-    elif FORMATS[key].skins:
+    if FORMATS[key].skins:
         planned = _planned_keys(obj) if takes == "ACTIONS" else None
         moved = obj, *shown_attachments(obj)
         for mesh in meshes_together(obj):
@@ -48,26 +46,15 @@ def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
                 name=name,
                 format=FORMATS[key].label,
             )
-    if key != "RAW":
-        yield from _unit_losses(key)
-        for hidden in left_out(obj):
-            yield Message("'{name}' is hidden, so Blender does not export it: unhide it", name=hidden.name)
+    yield from _unit_losses(key)
+    for hidden in left_out(obj):
+        yield Message("'{name}' is hidden, so Blender does not export it: unhide it", name=hidden.name)
 
 
 def _planned_keys(obj) -> int:
     """The largest number of keys that the clips of all Actions take together."""
     settings = obj.dynamorph
     return settings.output.keys or len(settings.modes) + max(len(settings.targets) - 1, 0)
-
-
-def _raw_losses(obj) -> Iterator[str]:
-    names = ", ".join(f"'{each.name}'" for each in meshes_together(obj) if each != obj)
-    if names:
-        yield Message("A raw clip is of one mesh: {names} is left out", names=names)
-    known = animation.baked_keys(obj) | identity.shifts(obj).keys()
-    others = [name for name in animation.moving_keys(obj) if name not in known]
-    if others:
-        yield Message("A raw clip has only the bake's keys: {keys} is left out", keys=", ".join(others))
 
 
 def _soft_skin_losses(obj) -> Iterator[str]:

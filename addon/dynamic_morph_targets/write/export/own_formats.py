@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Writers of the formats of our own: the raw clip of a bake, and a whole soft skin."""
+"""The writer of the format of our own: a whole soft skin."""
 
 from __future__ import annotations
 
@@ -8,19 +8,12 @@ from pathlib import Path
 import bpy
 
 from ...core.errors import ExportError, ModelFileError
-from ...io import point_cache, soft_skin_file
-from ...scene import identity, run_settings
+from ...io import soft_skin_file
+from ...scene import run_settings
 from ...scene.model_store import current_model, stored_model
 from ...scene.rig_motion import sample_present
 from ...scene.skin import attached_meshes
 from ...scene.skinning import Skinning
-from ..bake import reading
-
-
-def write_raw(obj, _collection: str, path: Path, _frames, _takes):
-    """One row per frame, whatever the bake's samples are, because players count frames."""
-    render = bpy.context.scene.render
-    path.write_bytes(point_cache.raw(reading.read_back(obj), identity.body_points(obj), render.fps / render.fps_base))
 
 
 def write_soft_skin(obj, _collection: str, path: Path, _frames, _takes):
