@@ -4,8 +4,10 @@
 import ctypes
 import os
 import resource
+import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from unittest import mock
@@ -295,6 +297,22 @@ def test_a_full_disk_is_no_fault_of_the_mesh(monkeypatch, children, tmp_path):
 def test_another_cage_is_tried(monkeypatch, fault):
     monkeypatch.setenv("DYNAMORPH_MESHER_FAULT", fault)
     *_, mesh = dynamorph.mesh_body(*box(), 300, time_limit=6)
+    assert abs(len(mesh.nodes) / 300 - 1) < 0.2
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX")
+def test_a_busy_machine_does_not_end_the_mesher(monkeypatch):
+    """The limit counts what it computes: here it waits for longer than that."""
+
+    class Waits(subprocess.Popen):
+        def __init__(self, *arguments, **options):
+            super().__init__(*arguments, **options)
+            self.send_signal(signal.SIGSTOP)
+            threading.Timer(3.5, self.send_signal, [signal.SIGCONT]).start()
+
+    monkeypatch.setattr(subprocess, "Popen", Waits)
+    dynamorph.dismiss_mesher()
+    *_, mesh = dynamorph.mesh_body(*box(), 300, time_limit=3.0)
     assert abs(len(mesh.nodes) / 300 - 1) < 0.2
 
 

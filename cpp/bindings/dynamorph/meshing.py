@@ -36,7 +36,7 @@ from dynamorph._core import (
 
 TRY_THIS = "Change the cage resolution a little, or merge vertices that are close together."
 # 1 and 2 are Python's own.
-EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER, EXIT_MESHER, EXIT_DISK, EXIT_IDLE = 10, 11, 12, 13, 14, 15
+EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER, EXIT_MESHER, EXIT_DISK, EXIT_IDLE, EXIT_TIME = 10, 11, 12, 13, 14, 15, 16
 # On Windows exit codes from here up are exceptions, and 3 is abort; elsewhere a signal gives a negative code.
 WINDOWS_CRASH, WINDOWS_ABORT = 0xC0000000, 3
 # TetGen fails, crashes or hangs unpredictably. A slightly coarser or finer cage usually works.
@@ -71,8 +71,9 @@ def mesh_body(
 
     vertices (V, 3): meters. triangles (T, 3): vertex indices. cage: vertices (C, 3) and triangles (D, 3) of a closed
     surface to fill instead of a wrap. bones (B, 2, 3): heads and tails of the bones along which to place nodes, meters.
-    pin_radius: the part of the way from bone to skin within which the bones pin nodes. time_limit: seconds in total;
-    None depends on the size of both. progress: called with 0..1 every 50 ms, returns False to cancel.
+    pin_radius: the part of the way from bone to skin within which the bones pin nodes. time_limit: seconds of computing
+    in total, however busy the machine is; None depends on the size of both. progress: called with 0..1 every 50 ms,
+    returns False to cancel.
     Returns the cage's vertices (C, 3) and outward triangles (D, 3), and the TetMesh. Raises ValueError on wrong shapes
     or indices. Raises Error, which says what to do, when the mesh cannot be used, or when the mesher crashes, hangs or
     needs too much memory at all resolutions near the requested one. Raises MemoryError when the system kills the
@@ -82,11 +83,12 @@ def mesh_body(
     if bones.ndim != 3 or bones.shape[1:] != (2, 3):
         raise ValueError(f"bones: expected shape (any, 2, 3), got {bones.shape}")
     arrays = [*_checked(vertices, triangles), *_closed(cage), bones]
-    deadline = time.monotonic() + (time_limit or 40.0 + target_nodes / 100 + len(arrays[1]) / 20_000)
+    left = time_limit or 40.0 + target_nodes / 100 + len(arrays[1]) / 20_000
     resolutions = RESOLUTIONS if cage is None else RESOLUTIONS[:1]
     failure = None
     for resolution in resolutions:
-        seconds = (deadline - time.monotonic()) / (1 if resolution == resolutions[-1] else 2)
+        seconds = left / (1 if resolution == resolutions[-1] else 2)
+        left -= seconds
         arguments = [target_nodes, seconds, memory_limit_gb, pin_radius, resolution]
         try:
             return _mesh_in_child(arrays, arguments, progress)
@@ -180,17 +182,13 @@ class _Child:
 
     def run(self, request: bytes, arguments: list[float], progress: ProgressFn | None) -> None:
         """Has it do the work. Raises as `mesh_body` does."""
-        time_limit, memory_limit_gb = arguments[1:3]
         self._request = request
         self._talk.start()
-        deadline = time.monotonic() + time_limit
         while self._talk.is_alive():  # until it ends
             if progress and not progress(self._fraction):
                 raise Cancelled("canceled")
-            if time.monotonic() > deadline:
-                raise _MesherFailed(f"Meshing took too long and was stopped. {TRY_THIS}")
             self._talk.join(0.05)
-        _raise_failure(self._process.wait(), "\n".join(self._message), memory_limit_gb)
+        _raise_failure(self._process.wait(), "\n".join(self._message), memory_limit_gb=arguments[2])
 
     def answer(self) -> list[np.ndarray]:
         """The arrays that it wrote."""
@@ -280,6 +278,8 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
         raise _MesherFailed(message)
     if code == EXIT_IDLE:
         raise _MesherFailed(f"The mesher got no work in {IDLE:g} seconds. Try it again.")
+    if code == EXIT_TIME:
+        raise _MesherFailed(f"Meshing took too long and was stopped. {TRY_THIS}")
     if code == EXIT_CALLER:
         raise ValueError(message)
     if code == EXIT_MEMORY:
@@ -313,6 +313,7 @@ def _child() -> None:
     body, cage, bones = (load(), load()), (load(), load()), load()
     target_nodes = int(nodes)
     limit_resources(time_limit, memory_limit_gb)
+    threading.Thread(target=_end_after, args=[time_limit], daemon=True).start()
     try:
         _fault(str(fault), resolution)
         if len(cage[1]):
@@ -332,6 +333,14 @@ def _child() -> None:
         sys.exit(EXIT_DISK)
 
 
+def _end_after(seconds: float) -> None:
+    """Ends this process when it has computed for so long: not what it waits for while others compute."""
+    end = time.process_time() + seconds
+    while (left := end - time.process_time()) > 0:
+        time.sleep(left)
+    os._exit(EXIT_TIME)
+
+
 def _answer(arrays: Iterable[np.ndarray]) -> None:
     """Raises OSError on a full disk, which `np.save` to a file would not notice."""
     content = io.BytesIO()
@@ -344,7 +353,7 @@ def _answer(arrays: Iterable[np.ndarray]) -> None:
 def limit_resources(time_limit: float, memory_limit_gb: float) -> None:
     """Memory and time, and no dump or dialog after a crash. macOS does not limit the memory."""
     memory = int(memory_limit_gb * 2**30)
-    cpu = math.ceil(time_limit) + 10  # longer than the parent's limit: it stops a child after the parent was killed
+    cpu = math.ceil(time_limit) + 10  # where Python has no turn to end it
     if sys.platform == "win32":
         _limit_on_windows(memory, cpu)
         return
@@ -456,6 +465,7 @@ def _fault(kind: str, resolution: float) -> None:
     if kind == "crash":
         signal.raise_signal(signal.SIGSEGV)
     elif kind == "hang":
-        time.sleep(3600)
+        while True:
+            pass
     elif kind == "memory":
         bytearray(2**40)
