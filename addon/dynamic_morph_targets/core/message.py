@@ -20,6 +20,10 @@ class Message(str):
         self.template, self.values = template, values
         return self
 
+    def __getnewargs_ex__(self) -> tuple[tuple[str], dict[str, object]]:
+        """What a copy, or another process, makes it of: names in the sentence may have braces of their own."""
+        return (self.template,), self.values
+
 
 def joined(separator: str, texts: Sequence[str]) -> Message:
     """Sentences one after the other. Each can still be translated."""
