@@ -34,6 +34,7 @@ from .skinning import Skinning
 
 BAKED_MAPS = (MAX_DISTANCE, EXCLUDED)  # on which a bake depends, but no model
 SCULPT = "sculpt"  # in the records of targets; identifies a renamed target
+STEPS_FOLLOW = {"fps", "speed", "samples"}  # unless the artist set how many substeps there are
 PAINTED = ("Firmness changed", "what is rigid changed")  # for both of which a stroke of paint is enough
 DEPENDENCY = {"firmness_group": "Firmness", "unit_scale": "object scale"}  # of settings that have another name there
 # Properties of targets on which no result depends: the stiffness and the region contain them, or they only steer the
@@ -252,8 +253,10 @@ def _changes(obj, then: dict, now: dict) -> list[str]:
     known |= {"collision": settings.collision, "groups": settings, "scene": None}
     for part, group in known.items():
         before, after = then.get(part, {}), now.get(part, {})
-        changed = (_title(group, name) for name in after if before.get(name, after[name]) != after[name])
-        found += [Message("{setting} changed", setting=title) for title in changed]
+        changed = [name for name in after if before.get(name, after[name]) != after[name]]
+        if part == "simulation" and not settings.simulation.substeps and STEPS_FOLLOW.intersection(changed):
+            changed = [name for name in changed if name != "substeps"]
+        found += [Message("{setting} changed", setting=_title(group, name)) for name in changed]
     return found
 
 

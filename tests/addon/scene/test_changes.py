@@ -43,6 +43,8 @@ SETTINGS = [
     ("model.blending", "FORCES", "Between Targets changed"),
     ("firmness_group", "lower", "Firmness changed"),
     ("simulation.speed", 0.9, "Speed changed"),  # with as many substeps
+    ("simulation.speed", 0.2, "Speed changed"),  # with fewer: nobody set them
+    ("simulation.samples", 7, "Samples Per Frame changed"),
     ("simulation.substeps", 9, "Substeps Per Frame changed"),
     ("simulation.integrator", "EULER", "Integrator changed"),
     ("simulation.gravity", 0.5, "Gravity changed"),
@@ -82,6 +84,13 @@ def test_the_scene_counts(scene, baked, path, value, sentence):
     assert sentence in outdated(baked)
     setattr(group, name, before)
     assert outdated(baked) == []
+
+
+def test_substeps_that_nobody_set_follow_the_frame_rate(scene, baked):
+    scene.render.fps = 12
+    assert outdated(baked) == ["Frame rate changed"]
+    baked.dynamorph.simulation.substeps = 9
+    assert outdated(baked) == ["Frame rate changed", "Substeps Per Frame changed"]
 
 
 def test_targets_that_are_added_removed_renamed_or_muted(scene, baked):
