@@ -62,7 +62,8 @@ def remove(handlers: dict[str, Callable]):
 @contextmanager
 def without_handlers():
     """No handler is called for what Blender evaluates in the block, in a scene of ours: other add-ons' handlers would
-    take its frames for the artist's, and ours do not need them.
+    take its frames for the artist's, and ours do not need them. What is added in the block stays, after the others.
+    See docs/decisions/0011.
     """
     lists = [getattr(bpy.app.handlers, name) for name in EVALUATED]
     kept = [list(handlers) for handlers in lists]
@@ -72,7 +73,7 @@ def without_handlers():
         yield
     finally:
         for handlers, before in zip(lists, kept, strict=True):
-            handlers[:] = before
+            handlers[:0] = before
 
 
 def soon(look: Callable, seconds: float):

@@ -10,7 +10,7 @@ import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.motion import player
 from bl_ext.user_default.dynamic_morph_targets.run import live
-from bl_ext.user_default.dynamic_morph_targets.scene import model_store, rig_motion
+from bl_ext.user_default.dynamic_morph_targets.scene import events, model_store, rig_motion
 from bl_ext.user_default.dynamic_morph_targets.write.authoring import suggest
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from builders import evaluated_points, fingerprint, hand_made_bake, refused
@@ -48,6 +48,23 @@ def test_other_add_ons_hear_nothing_of_a_bake(scene, soft_arm, stand_in, heard):
     heard.clear()
     scene.frame_set(7)
     assert heard == [scene.name, scene.name]
+
+
+def test_handlers_that_are_added_meanwhile_stay(scene, heard):
+    """A driver or a property of another add-on may add one, and what is evaluated may fail."""
+
+    def added(*_args):
+        pass
+
+    before = installed()
+    with pytest.raises(errors.SceneError), events.without_handlers():
+        scene.frame_set(9)
+        for name in HEARD:
+            getattr(bpy.app.handlers, name).append(added)
+        raise errors.SceneError("it fails")
+    assert heard == [] and installed() == {name: [*handlers, added] for name, handlers in before.items()}
+    for name in HEARD:
+        getattr(bpy.app.handlers, name).remove(added)
 
 
 def test_other_add_ons_go_on_hearing_of_playback_with_live(scene, soft_arm, heard):
