@@ -326,8 +326,7 @@ void ContactSamples<Model>::local_rows(const PointRows& numbers, const std::vect
                                        const std::vector<int>& patches, RowMajor& out) const {
   const Embedding& embedding = map_.skin().embedding;
   const std::vector<int>& free_of_node = model().body().free_of_node;
-  std::vector<int> place(model().body().free_nodes.size(), -1), rows;  // of a node in `shapes`, and its rows
-  RowMajor shapes;  // of the nodes that are used: the patches' shapes have many more
+  std::vector<int> place(model().body().free_nodes.size(), -1), rows;  // of a node in `used`, and in the shapes
   const auto each_node = [&](int row, const auto& f) {
     for (int part = numbers.first(row); part < numbers.first(row + 1); ++part)
       for (int k = 0; k < 4; ++k) {
@@ -341,11 +340,11 @@ void ContactSamples<Model>::local_rows(const PointRows& numbers, const std::vect
       place[std::size_t(node)] = int(rows.size());
       rows.insert(rows.end(), {3 * node, 3 * node + 1, 3 * node + 2});
     });
-  shapes = local_->shapes()(rows, patches);
+  const RowMajor used = local_->shapes()(rows, patches);
   out.setZero(Index(chosen.size()), Index(patches.size()));
   for (std::size_t i = 0; i < chosen.size(); ++i)
     each_node(chosen[i], [&](int node, const Vector3d& direction) {
-      out.row(Index(i)).noalias() += direction.transpose() * shapes.middleRows<3>(place[std::size_t(node)]);
+      out.row(Index(i)).noalias() += direction.transpose() * used.middleRows<3>(place[std::size_t(node)]);
     });
 }
 
