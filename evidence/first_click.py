@@ -128,7 +128,7 @@ def painted(body) -> float:
     group.add(list(range(len(height))), 0.5, "REPLACE")
     group.add(np.flatnonzero(height < np.median(height)).tolist(), 0.4, "REPLACE")
     began = time.perf_counter()
-    del live.sessions[body.session_uid]  # as `live` does after a stroke
+    del live.state.sessions[body.session_uid]  # as `live` does after a stroke
     live.refresh(body)
     assert live.problem(body) == ""
     return time.perf_counter() - began

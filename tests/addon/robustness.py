@@ -168,7 +168,7 @@ def recording(obj):
     built(obj)
     OPS.live()
     OPS.record_drags()
-    live.sessions[obj.session_uid].recorded = dict(DRAGS)
+    live.state.sessions[obj.session_uid].recorded = dict(DRAGS)
 
 
 def dragged(obj):

@@ -88,9 +88,9 @@ class Grabbing:
     """The hands on one soft skin that is live. Raises SceneError where there is nothing to take hold of."""
 
     def __init__(self, obj: bpy.types.Object):
-        if live.is_on(obj) and obj.session_uid not in live.sessions:
+        if live.is_on(obj) and obj.session_uid not in live.state.sessions:
             live.refresh(obj)  # its file was just opened, or its skinning changed
-        session = live.sessions.get(obj.session_uid)
+        session = live.state.sessions.get(obj.session_uid)
         if session is None or not live.is_on(obj):
             raise SceneError(
                 live.problem(obj) or Message("'{name}' is not live: press Live Soft Skin first", name=obj.name)
@@ -110,7 +110,7 @@ class Grabbing:
 
     def is_of(self, obj: bpy.types.Object) -> bool:
         """Whether these are hands on the soft skin `obj` as it is live now."""
-        return live.is_on(obj) and live.sessions.get(obj.session_uid) is self._session
+        return live.is_on(obj) and live.state.sessions.get(obj.session_uid) is self._session
 
     def take(self, place: np.ndarray, points: np.ndarray) -> int:
         """A hand takes hold of the skin at `place` (3,), which shows at points (V, 3): world space. Returns its number.
@@ -235,7 +235,7 @@ def _aged(hold: Hold) -> Hold:
 
 def record(obj: bpy.types.Object) -> None:
     """From now on Live keeps what hands do to the soft skin `obj`, frame by frame. Raises SceneError."""
-    session = live.sessions.get(obj.session_uid)
+    session = live.state.sessions.get(obj.session_uid)
     if session is None:
         raise SceneError(
             live.problem(obj) or Message("'{name}' is not live: press Live Soft Skin first", name=obj.name)
@@ -244,7 +244,7 @@ def record(obj: bpy.types.Object) -> None:
 
 
 def is_recording(obj: bpy.types.Object) -> bool:
-    session = live.sessions.get(obj.session_uid)
+    session = live.state.sessions.get(obj.session_uid)
     return session is not None and session.recorded is not None
 
 
@@ -252,7 +252,7 @@ def recorded(obj: bpy.types.Object) -> tuple[str, int]:
     """Ends the recording. Returns all drags of the shot, as text, with those from before, and in how many frames they
     are new. Raises RecordError.
     """
-    session = live.sessions[obj.session_uid]
+    session = live.state.sessions[obj.session_uid]
     new = {frame: grab for frame, grab in (session.recorded or {}).items() if len(grab.vertices)}
     session.recorded = None
     track = from_text(obj.dynamorph.simulation.drags, len(session.tissue.character.vertices))

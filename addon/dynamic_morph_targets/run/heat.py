@@ -94,7 +94,7 @@ def _points(session_uid: int, _key_hash: str, name: str) -> np.ndarray:
 
 def _live_motions(obj: bpy.types.Object) -> dict[int, np.ndarray]:
     """The motion of the vertices (V, 3), local space, by session_uid. Raises SceneError when Live does not play."""
-    session = live.sessions.get(obj.session_uid)
+    session = live.state.sessions.get(obj.session_uid)
     motions = session.motions() if session else {}
     if not motions:
         raise SceneError(live.problem(obj) or "Live has not shown this frame yet")

@@ -8,6 +8,7 @@ loading move everything there; it asks for what it needs again at each frame.
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import dataclass, field
 
 import bpy
 from bpy.app.handlers import persistent
@@ -28,22 +29,33 @@ from .tissue import simulation_settings
 
 STROKE = 0.2  # seconds without an edit after which a stroke of paint shows
 SCRUBBED = 0.02  # seconds between two checks whether the artist still drags through the timeline
-sessions: dict[int, Session] = {}  # by Object.session_uid
-_problems: dict[int, tuple[str, tuple[str, ...]]] = {}  # why an object does not play, and the state of its model then
-suspended: set[int] = (
-    set()
-)  # objects that Live leaves alone, because a preview shows something else with their live key
-_hidden: list[int] = []  # session ids of the objects whose live key is hidden while their file is saved
-_asleep = True  # whether the extension was enabled and has not yet looked for what is live
-_frozen: set[int] = set()  # session ids of the objects that stood still in the last render
-_any_live: bool | None = None  # whether an object of this file is live; None: not known yet
+
+
+@dataclass
+class State:
+    """What Live knows of the file that is open; objects by Object.session_uid. Another file begins with a new one."""
+
+    sessions: dict[int, Session] = field(default_factory=dict)
+    # Why one does not play, and what was `_stated` then.
+    problems: dict[int, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
+    suspended: set[int] = field(default_factory=set)  # left alone: a preview shows something else with their live key
+    hidden: list[int] = field(default_factory=list)  # their live key is hidden while the file is saved
+    frozen: set[int] = field(default_factory=set)  # they stood still in the last render
+    any_live: bool | None = None  # whether one is live; None: not known yet
+    asleep: bool = True  # whether nobody has looked yet for what is live
+
+    def reset(self) -> None:
+        vars(self).update(vars(State()))
+
+
+state = State()
 
 
 # On, off, and the present frame ------------------------------------------------------------------------------------
 
 
 def is_on(obj: bpy.types.Object) -> bool:
-    return bool(obj.dynamorph.live.key.name) and obj.session_uid not in suspended
+    return bool(obj.dynamorph.live.key.name) and obj.session_uid not in state.suspended
 
 
 def disabled_reason(obj: bpy.types.Object) -> str:
@@ -61,21 +73,20 @@ def turn_on(obj: bpy.types.Object, scene: bpy.types.Scene) -> None:
 
     There must be no `disabled_reason`.
     """
-    global _any_live
     session = Session(obj, scene)
     session.tissue.add_keys(obj)
-    sessions[obj.session_uid], _any_live = session, True
-    _problems.pop(obj.session_uid, None)
+    state.sessions[obj.session_uid], state.any_live = session, True
+    state.problems.pop(obj.session_uid, None)
     follow(obj, scene)
     events.redraw(events.PANELS)
 
 
 def turn_off(obj: bpy.types.Object) -> None:
     """Raises WriteError."""
-    session = sessions.pop(obj.session_uid, None)
+    session = state.sessions.pop(obj.session_uid, None)
     if session:
         session.rig.close()
-    _problems.pop(obj.session_uid, None)
+    state.problems.pop(obj.session_uid, None)
     live_key.remove(obj)
     events.redraw(events.PANELS)
 
@@ -88,13 +99,13 @@ def refresh(obj: bpy.types.Object) -> None:
 
 def problem(obj: bpy.types.Object) -> str:
     """Why a live object does not play, or ''."""
-    text, model = _problems.get(obj.session_uid, ("", None))
+    text, model = state.problems.get(obj.session_uid, ("", None))
     return text if text and model == _stated(obj) else ""
 
 
 def played_texts(obj: bpy.types.Object) -> list[Message]:
     """What went wrong in the frames that a live object has played: with colliders, and by what playback dropped."""
-    session = sessions.get(obj.session_uid)
+    session = state.sessions.get(obj.session_uid)
     found = session.touched() if session else None
     return [*(found.texts if found else []), *(session.dropped if session else [])]
 
@@ -135,10 +146,10 @@ def follow(
 
 def _session(obj: bpy.types.Object, scene: bpy.types.Scene) -> Session:
     """That of a live object, a new one where it does not fit any more. Raises what prevents it from playing."""
-    before = sessions.get(obj.session_uid)
+    before = state.sessions.get(obj.session_uid)
     if before and before.fits(obj, simulation_settings(obj, scene)):
         return before
-    session = sessions[obj.session_uid] = Session(obj, scene)
+    session = state.sessions[obj.session_uid] = Session(obj, scene)
     if before:
         session.take_over(before)
     muting.show_target(obj, "")  # a target of another build, which Live now shows
@@ -177,8 +188,8 @@ def is_away(obj: bpy.types.Object) -> bool:
 
 def stop(obj: bpy.types.Object, why: str) -> None:
     """Stop Live of `obj` at what it shows now; the panel says why."""
-    sessions.pop(obj.session_uid, None)
-    _problems[obj.session_uid] = why, _stated(obj)
+    state.sessions.pop(obj.session_uid, None)
+    state.problems[obj.session_uid] = why, _stated(obj)
     events.redraw(events.PANELS)
 
 
@@ -190,7 +201,7 @@ def holds_still(scene: bpy.types.Scene) -> bool:
 
 def stood_still(obj: bpy.types.Object) -> bool:
     """Whether Live did not move the skin in the last animation that was rendered."""
-    return obj.session_uid in _frozen
+    return obj.session_uid in state.frozen
 
 
 # Handlers ----------------------------------------------------------------------------------------------------------
@@ -202,25 +213,24 @@ def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | Non
 
     The rig is not read from there but separately, in a scene of its own, which changes frames too.
     """
-    global _any_live
-    if _asleep:
+    if state.asleep:
         _wake()
-    if _any_live is None:
-        _any_live = any(is_on(obj) for obj in soft_skins(bpy.data.objects))
-    if not _any_live or scene != bpy.context.scene:
+    if state.any_live is None:
+        state.any_live = any(is_on(obj) for obj in soft_skins(bpy.data.objects))
+    if not state.any_live or scene != bpy.context.scene:
         return
     live = [obj for obj in soft_skins(scene.objects) if is_on(obj)]
     if holds_still(scene):
-        _frozen.update(obj.session_uid for obj in live)
+        state.frozen.update(obj.session_uid for obj in live)
         return
-    others = sessions.keys() - {obj.session_uid for obj in live} - suspended
+    others = state.sessions.keys() - {obj.session_uid for obj in live} - state.suspended
     if others:  # not those of another scene, which may play in another window
         others -= {obj.session_uid for obj in soft_skins(bpy.data.objects) if is_on(obj)}
     for gone in others:
-        del sessions[gone]
+        del state.sessions[gone]
     scrubbing = events.is_scrubbing()
     for obj in live:
-        session = sessions.get(obj.session_uid)
+        session = state.sessions.get(obj.session_uid)
         if scrubbing and not (session and session.knows(scene.frame_float)):
             events.soon(_show_present, SCRUBBED)
         else:
@@ -239,36 +249,35 @@ def _show_present() -> float | None:
 @persistent
 def _render_begins(*_args: object) -> None:
     """render_init. Here it is too late to lock the interface; what stands still is told afterward."""
-    _frozen.clear()
+    state.frozen.clear()
 
 
 @persistent
 def _edited(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     """depsgraph_update_post, which changing the frame does not call."""
-    global _any_live
     if depsgraph.id_type_updated("OBJECT"):
-        _any_live = None  # one may have been added
+        state.any_live = None  # one may have been added
     updates = list(depsgraph.updates)
     if live_surface.ahead and any(isinstance(update.id, bpy.types.Key) for update in updates):
         live_surface.catch_up()
-    if not (sessions or _problems) or scene != bpy.context.scene:
+    if not (state.sessions or state.problems) or scene != bpy.context.scene:
         return
     if updates:
-        _problems.clear()  # try again
+        state.problems.clear()  # try again
     moved = any(_moves(update) for update in updates)
     reskinned = any(_may_reskin(update) for update in updates)
     here = soft_skins(scene.objects)
-    elsewhere = sessions.keys() - {obj.session_uid for obj in here} - suspended
+    elsewhere = state.sessions.keys() - {obj.session_uid for obj in here} - state.suspended
     for other in elsewhere if moved or reskinned else ():  # it may depend on that, and begins again
-        del sessions[other]
-    for obj in [obj for obj in here if obj.session_uid in sessions]:
-        session = sessions[obj.session_uid]
+        del state.sessions[other]
+    for obj in [obj for obj in here if obj.session_uid in state.sessions]:
+        session = state.sessions[obj.session_uid]
         if moved or (obj.dynamorph.collision.use and any(_reshapes(update, obj) for update in updates)):
             session.rig_changed()
         if reskinned:
             events.soon(_after_stroke, STROKE)
         if reskinned and way_to_skin(obj) != session.skinning:
-            del sessions[obj.session_uid]
+            del state.sessions[obj.session_uid]
         if is_on(obj) and live_key.find(obj, session.tissue.skin.written) is None:
             turn_off(obj)
         elif is_on(obj):
@@ -278,9 +287,9 @@ def _edited(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 def _after_stroke() -> None:
     """By a timer: show what was painted, or mirrored or filled, since the sessions began."""
     for obj in soft_skins(bpy.context.scene.objects):
-        session = sessions.get(obj.session_uid)
+        session = state.sessions.get(obj.session_uid)
         if session and painted(obj) != session.painted:
-            del sessions[obj.session_uid]
+            del state.sessions[obj.session_uid]
             refresh(obj)
 
 
@@ -308,10 +317,9 @@ def _reshapes(update: bpy.types.DepsgraphUpdate, obj: bpy.types.Object) -> bool:
 @persistent
 def _undone(*_args: object) -> None:
     """undo_post, redo_post. The simulated frames stay valid; the motion of the rig may not."""
-    global _any_live
-    _any_live = None
-    _problems.clear()
-    for session in sessions.values():
+    state.any_live = None
+    state.problems.clear()
+    for session in state.sessions.values():
         session.rig_changed()
     events.soon(_show_present, 0.0)  # the key may be that of an earlier frame
 
@@ -336,16 +344,16 @@ def _before_save(*_args: object) -> None:
         if block is not None and obj.library is None:
             blocks = obj.data.shape_keys.key_blocks
             obj.dynamorph.live.key.refer_to(blocks, blocks.find(block.name))
-    _hidden[:] = _hide()
+    state.hidden[:] = _hide()
 
 
 @persistent
 def _after_save(*_args: object) -> None:
     """save_post, save_post_fail: show what was hidden for the file."""
     for obj in soft_skins(bpy.data.objects):
-        if obj.session_uid in _hidden:
+        if obj.session_uid in state.hidden:
             live_key.hide(obj, False)
-    _hidden.clear()
+    state.hidden.clear()
 
 
 def _hide() -> list[int]:
@@ -362,8 +370,7 @@ def _hide() -> list[int]:
 
 def _wake() -> None:
     """Show Live again where it was hidden when its file was saved, or when the add-on was disabled."""
-    global _asleep
-    _asleep = False
+    state.asleep = False
     for obj in soft_skins(bpy.data.objects):
         if obj.dynamorph.live.key.name and live_key.is_hidden(obj):
             live_key.hide(obj, False)
@@ -371,7 +378,7 @@ def _wake() -> None:
 
 def _wake_late() -> None:
     """By a timer, for when the add-on is enabled: then Blender does not show it its data yet."""
-    if _asleep:
+    if state.asleep:
         _wake()
 
 
@@ -392,11 +399,9 @@ LISTENERS = {events.Event.SHOWN_CHANGED: refresh}
 
 
 def register() -> None:
-    global _asleep
     events.add(HANDLERS)
     events.subscribe(LISTENERS)
     _forget()
-    _asleep = True
     events.soon(_wake_late, 0.0)
 
 
@@ -411,9 +416,5 @@ def unregister() -> None:
 
 
 def _forget() -> None:
-    global _any_live
-    _any_live = None
-    sessions.clear()
+    state.reset()
     live_surface.ahead.clear()
-    _problems.clear()
-    _frozen.clear()

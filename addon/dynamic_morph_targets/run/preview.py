@@ -45,7 +45,7 @@ class Preview:
         self._sculpt = obj.dynamorph.sculpt.shown.name
         if not self._was_live:
             self.tissue.add_keys(obj)
-        live.suspended.add(self.object.session_uid)
+        live.state.suspended.add(self.object.session_uid)
         obj.dynamorph.live.lent, obj.dynamorph.live.was_on = True, self._was_live
 
     def show(self, values: np.ndarray, transform: Matrix | None = None) -> None:
@@ -64,7 +64,7 @@ class Preview:
 
     def end(self) -> None:
         """Put everything back."""
-        live.suspended.discard(self.object.session_uid)
+        live.state.suspended.discard(self.object.session_uid)
         for mover in self._movers:
             mover.restore()
         with suppress(SceneError, WriteError):  # it was deleted; or is edited now, and then stays live

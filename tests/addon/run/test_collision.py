@@ -210,7 +210,7 @@ def test_a_model_that_a_full_bake_builds_serves_live(arm):
     assert model_store.load_model(arm).settings.solver == "REDUCED"
     bpy.ops.dynamorph.live()
     assert np.abs(play(arm, 1, FRAMES) - evaluated_points(arm)).max() < 1.0
-    assert run_live.sessions[arm.session_uid].tissue.model.settings.solver == "REDUCED"
+    assert run_live.state.sessions[arm.session_uid].tissue.model.settings.solver == "REDUCED"
 
 
 def test_what_touches_nothing_is_baked_as_chosen(arm):

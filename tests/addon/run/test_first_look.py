@@ -58,12 +58,12 @@ def farthest(first, second) -> float:
 def test_live_goes_on_with_all_modes_where_the_draft_was(new_arm):
     _, steps = until_it_shows(new_arm)
     assert live.is_on(new_arm) and live.problem(new_arm) == "" and not new_arm.dynamorph.model.content_id
-    assert live.sessions[new_arm.session_uid].tissue.modes == build.DRAFT
+    assert live.state.sessions[new_arm.session_uid].tissue.modes == build.DRAFT
     played = [shown_at(frame) for frame in range(1, 13)]
     for _ in steps:
         pass
     assert new_arm.dynamorph.model.content_id and live.is_on(new_arm) and live.problem(new_arm) == ""
-    assert live.sessions[new_arm.session_uid].tissue.modes == 80
+    assert live.state.sessions[new_arm.session_uid].tissue.modes == 80
     after, following = shown_at(12), shown_at(13)
     jump = farthest(played[-1], after)
     before_step, step = farthest(played[-2], played[-1]), farthest(after, following)
@@ -145,18 +145,18 @@ def test_a_build_that_ends_in_the_hop_leaves_nothing(new_arm):
 def test_a_draft_keeps_its_bounce_when_settings_change(new_arm):
     """Blender's targets have the stiffness that the draft plays with."""
     work, _ = until_it_shows(new_arm)
-    before = live.sessions[new_arm.session_uid].tissue.character.material(0).stiffness
+    before = live.state.sessions[new_arm.session_uid].tissue.character.material(0).stiffness
     new_arm.dynamorph.simulation.gravity = 1.0
     shown_at(2)
-    after = live.sessions[new_arm.session_uid].tissue.character.material(0).stiffness
+    after = live.state.sessions[new_arm.session_uid].tissue.character.material(0).stiffness
     assert after == pytest.approx(before, rel=1e-6)
-    session = live.sessions[new_arm.session_uid]
+    session = live.state.sessions[new_arm.session_uid]
     new_arm.dynamorph.model.solver = "FULL"
     shown_at(3), shown_at(4)
-    assert live.sessions[new_arm.session_uid] is not session and live.problem(new_arm) == ""
-    session = live.sessions[new_arm.session_uid]
+    assert live.state.sessions[new_arm.session_uid] is not session and live.problem(new_arm) == ""
+    session = live.state.sessions[new_arm.session_uid]
     shown_at(5)
-    assert live.sessions[new_arm.session_uid] is session
+    assert live.state.sessions[new_arm.session_uid] is session
     work.stop()
 
 
@@ -235,7 +235,7 @@ def test_what_takes_long_is_made_in_the_thread(new_arm, monkeypatch):
     for _ in steps:
         pass
     shown_at(2)
-    assert live.sessions[new_arm.session_uid].tissue.modes == 80
+    assert live.state.sessions[new_arm.session_uid].tissue.modes == 80
     assert len(makers) == 2 and threading.main_thread() not in makers
 
 

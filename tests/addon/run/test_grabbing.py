@@ -149,7 +149,7 @@ def test_a_copy_begins_again_where_the_rig_moves_otherwise_and_ends_with_its_mod
     scene.frame_set(1)
     moved = ticks(hand, 3)[-1]
     assert np.abs(moved - before).max() > 0.3
-    live.sessions.pop(live_arm.session_uid)
+    live.state.sessions.pop(live_arm.session_uid)
     assert not hand.tick()
     assert grabbing.begin(live_arm) is not hand  # Live goes on, and so can a new hand
 

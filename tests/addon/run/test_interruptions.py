@@ -107,7 +107,7 @@ def test_another_file_while_live_plays(soft_arm, tmp_path):
     bpy.context.scene.frame_set(5)
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
     bpy.context.scene.frame_set(6)
-    assert not live.sessions
+    assert not live.state.sessions
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
     obj = bpy.data.objects["Arm"]
     assert obj.data.shape_keys.key_blocks.keys() == ["Basis", "flexed", "smile"]

@@ -72,7 +72,7 @@ def play(obj, frames) -> np.ndarray:
 
 
 def session(obj):
-    return run_live.sessions[obj.session_uid]
+    return run_live.state.sessions[obj.session_uid]
 
 
 def baked(obj, **settings):
@@ -190,7 +190,7 @@ def test_scrubbing_reads_no_rig_until_the_mouse_is_up(playing, monkeypatch):
     scrubbing, looks = [True], []
     monkeypatch.setattr(scene_events, "soon", lambda look, _seconds: looks.append(look))
     monkeypatch.setattr(scene_events, "is_scrubbing", lambda: scrubbing[0])
-    live.sessions[playing.session_uid].rig.forget()
+    live.state.sessions[playing.session_uid].rig.forget()
     sample = rig_motion.sample_rig
     monkeypatch.setattr(rig_motion, "sample_rig", lambda *_args: pytest.fail("the rig is read"))
     scene.frame_set(4)  # known: shows at once
@@ -764,7 +764,24 @@ def test_deleted_objects_and_other_scenes_are_left_alone(playing):
     assert apart(surface(playing), shown) == 0.0
     bpy.data.objects.remove(playing)
     bpy.context.scene.frame_set(5)
-    assert not run_live.sessions
+    assert not run_live.state.sessions
+
+
+def test_another_file_and_another_start_begin_afresh(playing, tmp_path):
+    path, fresh = str(tmp_path / "live.blend"), run_live.State()
+    play(playing, range(1, 4))
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    state = run_live.state
+    state.problems[1], state.frozen, state.hidden = ("no", ()), {2}, [3]
+    state.suspended, state.any_live = {4}, True
+    assert all(getattr(state, name) != getattr(fresh, name) for name in vars(fresh))
+    bpy.ops.wm.open_mainfile(filepath=path)
+    assert state == run_live.State(asleep=False)  # it has looked for what is live
+    bpy.context.scene.frame_set(4)
+    assert state.sessions and state.any_live
+    run_live.unregister()
+    assert state == fresh
+    run_live.register()
 
 
 @pytest.mark.fault("G08")
@@ -787,7 +804,7 @@ def test_two_scenes_that_play_alternately_go_on(playing):
     rig_of(playing).pose.bones["lower"].location.z = 0.3
     rig_of(playing).pose.bones["lower"].keyframe_insert("location", frame=5)
     bpy.context.view_layer.update()
-    assert copy.session_uid not in run_live.sessions  # what was edited may move it too
+    assert copy.session_uid not in run_live.state.sessions  # what was edited may move it too
 
 
 def test_two_characters_and_a_copy(playing):
@@ -796,7 +813,7 @@ def test_two_characters_and_a_copy(playing):
     bpy.ops.object.duplicate()
     copy = bpy.context.object
     bpy.context.scene.frame_set(4)
-    assert copy != playing and len(run_live.sessions) == 2
+    assert copy != playing and len(run_live.state.sessions) == 2
     activate(copy)
     bpy.ops.dynamorph.live()
     assert run_live.is_on(playing) and not run_live.is_on(copy)
@@ -1058,7 +1075,7 @@ def test_saving_and_loading_end_a_preview(shaken, tmp_path, monkeypatch):
     assert deltas(rig_of(obj)) == stood and button.send() == {"CANCELLED"}
     Playing(obj, "DYNAMORPH_OT_play_mode", monkeypatch)
     bpy.ops.wm.open_mainfile(filepath=path)
-    assert run_preview.preview is None and not run_live.suspended
+    assert run_preview.preview is None and not run_live.state.suspended
     assert deltas(rig_of(bpy.data.objects["Arm"])) == stood
 
 
@@ -1148,7 +1165,7 @@ def test_disabling_the_add_on_forgets_sessions(playing):
     live.unregister()
     shown = surface(playing)
     bpy.context.scene.frame_set(4)
-    assert not live.sessions and apart(surface(playing), shown) == 0.0
+    assert not live.state.sessions and apart(surface(playing), shown) == 0.0
     live.register()
     play(playing, [5])
     assert all(list(getattr(bpy.app.handlers, name)).count(handler) == 1 for name, handler in live.HANDLERS.items())

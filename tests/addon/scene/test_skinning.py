@@ -596,10 +596,10 @@ def test_another_way_of_skinning_counts_at_once(scene, small_arm):
     """Live asks Blender for the nodes as soon as bones no longer determine them."""
     run(small_arm, goal="BUILD")
     bpy.ops.dynamorph.live()
-    session = live.sessions[small_arm.session_uid]
+    session = live.state.sessions[small_arm.session_uid]
     assert session.tissue.probe is None
     small_arm.modifiers["Armature"].use_deform_preserve_volume = True
     bpy.context.view_layer.update()
     scene.frame_set(2)
-    session = live.sessions[small_arm.session_uid]
+    session = live.state.sessions[small_arm.session_uid]
     assert session.tissue.probe is not None and live.problem(small_arm) == ""
