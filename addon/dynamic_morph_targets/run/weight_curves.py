@@ -9,7 +9,7 @@ Distances are joint angles over all bones that place the set's targets (pose_spa
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
 
 import bpy
@@ -99,9 +99,6 @@ class RigPoses:
     problem: str = ""
 
 
-shots: dict[int, RigPoses] = {}  # by the armature object's session_uid
-
-
 class Reading:
     """An armature that is read frame by frame, from start to end, until it is a shot."""
 
@@ -134,10 +131,25 @@ class Reading:
             self._shot.pose = rig_samples.keep_collapsed(self._sampling.samples(), self._skeleton)[0].pose
         except SceneError as error:
             self._shot.problem = sentence(error)
-            shots[self._rig] = self._shot
+            state.shots[self._rig] = self._shot
             raise
-        shots[self._rig] = self._shot
+        state.shots[self._rig] = self._shot
         return True
+
+
+@dataclass
+class State:
+    """What is known of the file that is open."""
+
+    shots: dict[int, RigPoses] = field(default_factory=dict)  # by the armature object's session_uid
+    reading: Reading | None = None  # for the graph
+    bars_drawn: bool = False  # since the last change of frame
+
+    def reset(self) -> None:
+        vars(self).update(vars(State()))
+
+
+state = State()
 
 
 def reading(session_uid: int, start: int, end: int) -> Chunks[TargetWeights]:
@@ -155,7 +167,7 @@ def reading(session_uid: int, start: int, end: int) -> Chunks[TargetWeights]:
 def drawn(obj: bpy.types.Object) -> tuple[RigPoses, TargetWeights] | None:
     """The known frames with the present targets; evaluates nothing. Raises like `weights_now`."""
     rig = checks.armature_modifier(obj).object
-    shot = shots.get(rig.session_uid)
+    shot = state.shots.get(rig.session_uid)
     if shot is None or not len(shot.pose) or shot.bones != bones_key(rig.data):
         return None
     return shot, _over(space_of(obj), shot)
@@ -169,14 +181,11 @@ def _over(space: Space, shot: RigPoses) -> TargetWeights:
 def problem(obj: bpy.types.Object) -> str:
     """Why the frames of `obj` could not be evaluated, or ''."""
     rig = references.rig_of(obj)
-    shot = rig and shots.get(rig.session_uid)
+    shot = rig and state.shots.get(rig.session_uid)
     return shot.problem if shot else ""
 
 
 # Keeping up --------------------------------------------------------------------------------------------------------
-
-
-_reading: Reading | None = None  # for the graph
 
 
 def update_soon(wait: float = PATIENCE) -> None:
@@ -201,22 +210,21 @@ def _update() -> float | None:
 
 def _read_on(obj: bpy.types.Object, start: int, end: int) -> bool:
     """Read the frames for a moment; True when there is no more to read."""
-    global _reading
     try:
-        if _reading is None or _reading.of != (obj.session_uid, start, end):
-            _reading = Reading(obj, start, end)
-        if not _reading.advance(obj, SLICE):
+        if state.reading is None or state.reading.of != (obj.session_uid, start, end):
+            state.reading = Reading(obj, start, end)
+        if not state.reading.advance(obj, SLICE):
             return False
     except SceneError:
         pass  # the panel shows it: `problem`
-    _reading = None
+    state.reading = None
     events.redraw(events.PANELS | events.VIEWS)
     return True
 
 
 def _is_old(obj: bpy.types.Object, scene: bpy.types.Scene) -> bool:
     rig = references.rig_of(obj)
-    shot = rig and shots.get(rig.session_uid)
+    shot = rig and state.shots.get(rig.session_uid)
     if not shot:
         return rig is not None
     frames = (scene.frame_start, scene.frame_end)
@@ -228,41 +236,33 @@ def _note_changes(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> No
     """depsgraph_update_post: any Action may move the rig; armatures, ranges and the selection are looked at later."""
     if not bpy.context.window_manager.dynamorph.target_weights:
         return
-    global _reading
     if any(isinstance(update.id, bpy.types.Action) for update in depsgraph.updates):
-        _reading = None
-        for shot in shots.values():
+        state.reading = None
+        for shot in state.shots.values():
             shot.stale = True
-    if _reading is None:  # reading also updates the scene
+    if state.reading is None:  # reading also updates the scene
         update_soon()
-
-
-_bars_drawn = False  # since the last change of frame
 
 
 def follow_frames() -> None:
     """Called where bars are drawn: redraws them at the next frame, because Blender plays without redrawing the
     sidebar.
     """
-    global _bars_drawn
-    _bars_drawn = True
+    state.bars_drawn = True
 
 
 @persistent
 def _next_frame(*_args: object) -> None:
     """frame_change_post."""
-    global _bars_drawn
-    if _bars_drawn and not bpy.app.is_job_running("RENDER"):  # then another thread is here
-        _bars_drawn = False
+    if state.bars_drawn and not bpy.app.is_job_running("RENDER"):  # then another thread is here
+        state.bars_drawn = False
         events.redraw(events.PANELS)
 
 
 @persistent
 def _forget(*_args: object) -> None:
     """load_pre."""
-    global _reading
-    _reading = None
-    shots.clear()
+    state.reset()
 
 
 HANDLERS = {
@@ -284,4 +284,4 @@ def unregister() -> None:
     events.unsubscribe(LISTENERS)
     events.remove(HANDLERS)
     events.forget(_update)
-    shots.clear()
+    state.reset()

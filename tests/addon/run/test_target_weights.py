@@ -117,7 +117,7 @@ def test_curves_reach_over_the_frames_and_leave_the_scene_alone(scene, soft_arm)
 
 
 def test_what_is_drawn_follows_poses_without_looking_at_the_frames_again(soft_arm, monkeypatch):
-    weight_curves.shots.clear()
+    weight_curves.state.shots.clear()
     assert weight_curves.drawn(soft_arm) is None
     first = over(soft_arm)
     monkeypatch.setattr(rig_motion, "RigSampling", None)
@@ -208,7 +208,7 @@ def test_without_a_graph_a_button_reads_the_frames(soft_arm, later, read):
 
 def test_frames_are_read_a_few_at_a_time(scene, soft_arm):
     whole = over(soft_arm).weights
-    weight_curves.shots.clear()
+    weight_curves.state.shots.clear()
     reading, turns = weight_curves.Reading(soft_arm, 1, 20), 1
     while not reading.advance(soft_arm, 0.0):
         assert weight_curves.drawn(soft_arm) is None  # not before all is read

@@ -39,7 +39,7 @@ def test_weights_are_read_a_few_frames_at_a_time(soft_arm, slow):
 
 @pytest.mark.parametrize("name", ["update_target_weights", "find_uncovered_pose"])
 def test_esc_while_frames_are_read(soft_arm, slow, name):
-    weight_curves.shots.clear()
+    weight_curves.state.shots.clear()
     frame = bpy.context.scene.frame_current
     pressed = Pressed(soft_arm, ["TIMER", "TIMER", "ESC"], f"DYNAMORPH_OT_{name}")
     assert pressed.result == {"CANCELLED"} and pressed.turns == 3
