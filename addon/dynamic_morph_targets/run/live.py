@@ -44,9 +44,6 @@ class State:
     any_live: bool | None = None  # whether one is live; None: not known yet
     asleep: bool = True  # whether nobody has looked yet for what is live
 
-    def reset(self) -> None:
-        vars(self).update(vars(State()))
-
 
 state = State()
 
@@ -416,5 +413,5 @@ def unregister() -> None:
 
 
 def _forget() -> None:
-    state.reset()
+    vars(state).update(vars(State()))
     live_surface.ahead.clear()

@@ -145,9 +145,6 @@ class State:
     reading: Reading | None = None  # for the graph
     bars_drawn: bool = False  # since the last change of frame
 
-    def reset(self) -> None:
-        vars(self).update(vars(State()))
-
 
 state = State()
 
@@ -262,7 +259,7 @@ def _next_frame(*_args: object) -> None:
 @persistent
 def _forget(*_args: object) -> None:
     """load_pre."""
-    state.reset()
+    vars(state).update(vars(State()))
 
 
 HANDLERS = {
@@ -284,4 +281,4 @@ def unregister() -> None:
     events.unsubscribe(LISTENERS)
     events.remove(HANDLERS)
     events.forget(_update)
-    state.reset()
+    _forget()
