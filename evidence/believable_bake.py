@@ -28,7 +28,8 @@ import numpy as np
 from believable_measure import NATURAL, baked_keys, positions, rest, show, world_points
 from contact_sheet import quiet, render
 from dynamic_morph_targets.core.geometry import diagonal
-from dynamic_morph_targets.run import job, preview
+from dynamic_morph_targets.core.motion import shake
+from dynamic_morph_targets.run import job
 from dynamic_morph_targets.ui.operators import jobs
 from heat import paint
 from mathutils import Matrix, Vector
@@ -273,8 +274,8 @@ def hop_and_twist(rig, size: float) -> None:
         bone.matrix_basis = Matrix()
     bpy.context.view_layer.update()
     seconds = np.arange(FRAMES) / (scene.render.fps / scene.render.fps_base)
-    heights, _ = preview.shake("HOP", seconds)
-    _, angles = preview.shake("TWIST", seconds - HOPS)
+    heights, _ = shake.shake("HOP", seconds)
+    _, angles = shake.shake("TWIST", seconds - HOPS)
     world = rig.matrix_world.copy()
     rotation = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
     for frame, (height, angle) in enumerate(zip(heights, angles, strict=True), 1):

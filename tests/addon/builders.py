@@ -241,7 +241,7 @@ class StandIn:
         self.playing = threading.Event()  # bake has begun
 
     class Model:
-        tets, thickness, only_cage = (), np.zeros(0), False
+        tets, thickness, modes, only_cage = (), np.zeros(0), (), False
 
         def __init__(self, arrays, dependencies, summary):
             self.arrays, self.dependencies, self.summary = arrays, dependencies, summary

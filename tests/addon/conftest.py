@@ -14,7 +14,9 @@ import addon_utils  # noqa: E402
 import bpy  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.core.model import build  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.core.motion import simulate  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.run import batch  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.scene import model_store  # noqa: E402
+from threaded import Threaded  # noqa: E402
 
 EXIT = pytest.StashKey[int]()
 
@@ -82,8 +84,15 @@ def stand_in(addon, monkeypatch):
         for name in names:
             monkeypatch.setattr(module, name, partial(_call, engine, name))
     monkeypatch.setattr(model_store, "Model", engine.Model)
+    monkeypatch.setattr(batch, "Child", Threaded)
     model_store.forget()
     return engine
+
+
+@pytest.fixture
+def apart(monkeypatch):
+    """Work is computed elsewhere, as in a window, so that a test can do something meanwhile."""
+    monkeypatch.setattr(batch, "worker", lambda *args, **options: batch.Child(*args, **options))
 
 
 def _call(engine, name, *arguments, **options):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A button pressed in a window, without a window: Blender's own operator, and the events that a test gives it."""
 
+import time
 import types
 
 import bpy
@@ -9,6 +10,7 @@ from bl_ext.user_default.dynamic_morph_targets.run import batch
 from builders import activate
 
 APP = bpy.app
+PAUSE = 0.002  # seconds from one tick to the next
 
 
 class Instead:
@@ -72,6 +74,7 @@ class Pressed:
             # Blender shows the reports of a modal operator only after an event, so they are read as they are made.
             patch.setattr(kind, "__getattribute__", self._attribute(kind.__getattribute__), raising=False)
             self.result = press(obj, operator, self._invoke, **settings)
+            in_window(patch)
             self._play(iter(events), before_tick)
         assert batch.running is None
 
@@ -99,6 +102,5 @@ class Pressed:
             event = types.SimpleNamespace(type=next(events, "TIMER"), value="PRESS")
             self.result = self.operator.modal(bpy.context, event)
             self.turns += 1
-            for job in getattr(self.operator.batch, "jobs", ()):  # a task has none
-                if job.thread.is_alive():
-                    job.thread.join(0.005)  # it goes on
+            if event.type == "TIMER":
+                time.sleep(PAUSE)

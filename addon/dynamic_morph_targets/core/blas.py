@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +15,6 @@ import numpy as np
 
 PREFIXES = ("scipy_openblas", "openblas")
 SUFFIXES = ("64_", "")
-
-_lock = threading.Lock()
-_inside = 0  # how many threads are in `one_thread`
-_before = 0  # how many threads NumPy had before
 
 
 def use_one_thread() -> None:
@@ -35,33 +29,6 @@ def threads() -> int:
     """How many threads it has; 0 where that is not known."""
     call = _function("get")
     return call() if call else 0
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """The same for work in a thread of a process that is not ours, as Blender's."""
-    _enter()
-    try:
-        yield
-    finally:
-        _leave()
-
-
-def _enter() -> None:
-    global _inside, _before
-    with _lock:
-        _inside += 1
-        if _inside == 1:
-            _before = threads()
-            use_one_thread()
-
-
-def _leave() -> None:
-    global _inside
-    with _lock:
-        _inside -= 1
-        if _inside == 0 and _before and (call := _function("set")):
-            call(_before)
 
 
 def _function(verb: str) -> Any:

@@ -10,7 +10,6 @@ import platform
 import re
 import sys
 import tomllib
-from contextlib import suppress
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
@@ -133,24 +132,17 @@ def engine_errors() -> tuple[type[Exception], ...]:
     return (dynamorph.Error,)
 
 
-def prepare() -> None:
-    """Start what a first build waits for: the engine and the process of its mesher."""
-    with suppress(EngineNotFoundError):  # the build says so
-        load().prepare_mesher()
-
-
-def dismiss() -> None:
-    """End what `prepare` started beside this process."""
-    if loaded := sys.modules.get("dynamorph"):
-        getattr(loaded, "dismiss_mesher", lambda: None)()  # an engine of before has none
-
-
 def use_threads(count: int) -> None:
     """How many threads the engine takes, from now on or from when it is loaded; 0: as many as there are cores."""
     global _threads, _passed_on
     _threads, _passed_on = count, count == _threads and _passed_on
     if sys.modules.get("dynamorph"):  # None where it is known to be missing
         _tell_threads()
+
+
+def threads() -> int:
+    """The number that `use_threads` was given."""
+    return _threads
 
 
 def _tell_threads() -> None:

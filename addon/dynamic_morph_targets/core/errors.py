@@ -91,6 +91,10 @@ class EngineNotFoundError(DynamorphError):
     """The compiled engine cannot be imported. The message says why and what to do."""
 
 
+class ProcessError(DynamorphError):
+    """The process that computes cannot be started, or crashes. The message says what to do."""
+
+
 class SelfCheckError(DynamorphError):
     """The engine returned something that cannot be right."""
 

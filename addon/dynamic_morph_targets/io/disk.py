@@ -31,14 +31,19 @@ def save(path: str | os.PathLike[str], content: bytes | Iterable[bytes]) -> None
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}.part")  # with the permissions of a new file
     with named(path, temporary):
         try:
-            with temporary.open("xb") as file:
-                file.writelines([content] if isinstance(content, bytes) else content)
-                file.flush()
-                os.fsync(file.fileno())
+            write(temporary, content)
             replace(temporary, path)
         except BaseException:
             discard(temporary)
             raise
+
+
+def write(path: Path, content: bytes | Iterable[bytes]) -> None:
+    """Writes a file that is not there yet, in a folder that is: a crash leaves a part of it. Raises OSError."""
+    with path.open("xb") as file:
+        file.writelines([content] if isinstance(content, bytes) else content)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def remove_abandoned(folder: Path, pattern: str) -> None:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The request of a job, and what it reads of Blender: the character and its settings at once, then the moving rig in
-chunks. All of it in the main thread.
+chunks.
 """
 
 from __future__ import annotations
@@ -110,6 +110,10 @@ def read(request: Request) -> BakeInput:
         _read_shot(given, source.skinning, request, fits)
     if given.output and given.output.format == "PC2":
         _try_caches(given)
+        for name in (given.name, *(each.name for each in character.attachments)):
+            place = given.cache_files.get(name) or paths.cache_path(given.caches, name, "")
+            outputs.remove_abandoned(place)
+            given.unfinished[name] = outputs.partial_of(place)
     _check_memory(given)
     return given
 
@@ -305,7 +309,7 @@ class RigReader:
             self.sampling.close()
 
     def end_chunk(self) -> rig_motion.RigSampling | None:
-        """The chunk that was read, for a thread: its `samples` does not touch Blender."""
+        """The chunk that was read."""
         sampling, self.sampling = self.sampling, None
         return sampling
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The results of jobs -> Blender: all of them or nothing, in the main thread; and the messages for the artist."""
+"""The results of jobs -> Blender: all of them or nothing; and the messages for the artist."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ class Writer:
             return
         obj = self.request.target.find()
         with self.progress.stage("write keys"), self.request.scene.as_context():
-            self._move_caches()
+            self._place_caches()
             for each, (keys, cache) in zip((obj, *self._attachments()), self.outcome.written, strict=True):
                 new = new_bake(each, keys, None if each == obj else obj, cache)
                 undo.callback(new.take_back)
@@ -140,20 +140,29 @@ class Writer:
                 if cache:
                     self.outcome.size += self.outcome.beside.get(cache, cache).stat().st_size
 
-    def _move_caches(self) -> None:
-        """Put point caches beside the .blend, which may have been saved elsewhere meanwhile. Raises OSError."""
+    def _place_caches(self) -> None:
+        """Give point caches their names, beside the .blend, which may have been saved elsewhere meanwhile. Those that
+        were given others get them with that. Raises OSError.
+        """
         given, outcome, folder = self.given, self.outcome, self.request.folder or blend_folder()
         for k, (keys, file) in enumerate(outcome.written):
-            if file is None or folder is None or file.parent.parent != given.caches or folder == given.caches:
+            if file is None:
                 continue
-            moved = folder / file.parent.name / file.name
-            if not moved.exists():
-                outcome.new_files.append(moved)
-            with file.open("rb") as content:
-                disk.save(moved, iter(partial(content.read, 2**20), b""))
-            if file in outcome.new_files:
-                disk.discard(file)
-            outcome.written[k] = keys, moved
+            if file in given.cache_files.values():
+                outcome.new_files.append(outcome.beside[file])
+                continue
+            written = outcome.beside.pop(file)
+            moves = folder is not None and file.parent.parent == given.caches and folder != given.caches
+            place = folder / file.parent.name / file.name if moves else file  # type: ignore[operator]  # it is there
+            if not place.exists():
+                outcome.new_files.append(place)
+            if moves:
+                with written.open("rb") as content:
+                    disk.save(place, iter(partial(content.read, 2**20), b""))
+                disk.discard(written)
+            else:
+                disk.replace(written, place)
+            outcome.written[k] = keys, place
 
     def show_keys(self) -> None:
         """Make the new bakes play in the place of the old ones and of Live."""

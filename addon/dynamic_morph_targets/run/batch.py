@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Build and Bake as one path for the button, the command line and scripts.
 
-The work has three parts: `read` reads Blender, `compute` runs in threads that never touch bpy, `write` changes Blender
-all at once, so that it is one undo step and an error before it changes nothing.
+The work has three parts: `read` reads Blender, `compute` waits for what is computed, in a window by another process
+(see `child`), `write` changes Blender all at once, so that it is one undo step and an error before it changes nothing.
 """
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
+import bpy
 import numpy as np
 
 from ..core.errors import Cancelled, SceneError
@@ -23,9 +23,13 @@ from ..scene import events
 from . import together
 from .bake_input import handles
 from .bake_result import write_all
+from .child import Child, Here
+from .computation import Computations, Draft, checked
 from .job import Job
+from .job_data import Outcome
 
 UNDONE = "The scene was undone while '{name}' was read: nothing was written, start again"
+OFTEN = 0.1  # seconds from one look at the progress to the next, where no window waits
 
 
 class Work(Protocol):
@@ -34,6 +38,7 @@ class Work(Protocol):
     goal: str
     undone: bool
     time_left: TimeLeft
+    tick: Callable[[Any], object] | None
 
     @property
     def name(self) -> str: ...
@@ -41,23 +46,29 @@ class Work(Protocol):
     def message(self) -> str: ...
     @property
     def fraction(self) -> float: ...
-    def steps(self, seconds: float = ..., pause: float = ...) -> Iterator[None]: ...
+    def steps(self, seconds: float = ...) -> Iterator[None]: ...
     def cancel(self) -> None: ...
-    def abandon(self) -> None: ...
     def stop(self) -> None: ...
 
 
 running: Work | None = None  # the work whose progress the panels draw
-winding_down: list[threading.Thread] = []  # of canceled jobs: the engine has not noticed yet
 
 
 W = TypeVar("W", bound=Work)
 
 
+def worker(kind: Callable[..., Any], *args: Any, **options: Any) -> Child | Here:
+    """Where an object computes: a window must go on meanwhile. Arguments as for `Child`."""
+    if bpy.app.background:
+        return Here(kind, *args, heard=options["heard"])
+    return Child(kind, *args, **options)
+
+
 class Batch:
     """Jobs one after the other. All are written when all are done: one undo step, or nothing.
 
-    goal: the button's, as in Job, or "BAKE_ALL".
+    goal: the button's, as in Job, or "BAKE_ALL". tick(self): is called about ten times a second while no window waits
+    for what is computed.
     """
 
     def __init__(self, jobs: Sequence[Job], goal: str):
@@ -65,8 +76,11 @@ class Batch:
         self.goal = goal
         self.undone = False  # by the user, since it began
         self.time_left = TimeLeft()
+        self.tick: Callable[[Batch], object] | None = None
+        self._ticked = 0.0
         self._at = jobs[0]
         self._groups: list[list[Job]] = []  # when they are read: those in one are simulated together
+        self._worker: Child | Here | None = None
 
     @property
     def name(self) -> str:
@@ -85,15 +99,17 @@ class Batch:
         for job in self.jobs:
             job.progress.canceled = True
 
-    def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
-        """The work, main thread. Yields when it has blocked that for about so many seconds, and every `pause` seconds
-        while a thread computes. Raises Cancelled, SceneError and what the threads raise.
+    def steps(self, seconds: float = np.inf) -> Iterator[None]:
+        """The work. Yields when it has blocked the window for about so many seconds, and while another process
+        computes. Raises Cancelled, SceneError and what the computations raise.
         """
-        yield from self.read(seconds, pause)
-        yield from self.compute(seconds, pause)
+        yield from self.read(seconds)
+        yield from self.compute(seconds)
         yield from self.write()
+        if self._worker:
+            self._worker.end()
 
-    def read(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
+    def read(self, seconds: float = np.inf) -> Iterator[None]:
         """The first part of the work: all that the jobs begin with, and the first chunk of their rigs."""
         for job in self.jobs:
             self._at = job
@@ -103,13 +119,14 @@ class Batch:
                 yield from self._turn(reading=True)
         bakes = all(job.input.is_bake for job in self.jobs)
         self._groups = together.groups(self.jobs) if bakes else [[job] for job in self.jobs]
-        for job in self.jobs:
-            if job.computation.needs_cage:
-                self._at = job
+        self._worker = worker(Computations, [job.input for job in self.jobs], heard=self._hear, name=self.name)
+        if self._worker.object:
+            for job, computation in zip(self.jobs, self._worker.object.each, strict=True):
+                job.computation = computation
+        for number, job in enumerate(self.jobs):
+            if job.needs_cage:
                 with job.progress.turn():
-                    job.start_cage()
-                    while not job.wait(pause):
-                        yield from self._turn(reading=True)
+                    job.take_cage((yield from self._asked([job], "make_cage", number)))
         for job in self.jobs:
             yield from self._sampled(job, seconds)
 
@@ -127,15 +144,23 @@ class Batch:
                     other=job.name,
                 )
 
-    def compute(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
+    def compute(self, seconds: float = np.inf) -> Iterator[None]:
         """The second part, for which the rest of the rigs is read. Nothing is written."""
         for group in self._groups:
-            yield from self._computed(group, pause)
-            while sum(job.next_chunk() for job in group):  # all of a group, or none
+            numbers = [self.jobs.index(job) for job in group]
+            garments = together.garments(group)
+            while True:
+                chunks = [job.end_chunk() for job in group]
+                found = yield from self._asked(group, "compute", numbers, chunks, garments)
+                if isinstance(found[0], Outcome):  # of one, or of all of them
+                    break
+                for job, done in zip(group, found, strict=True):
+                    job.begin_chunk(done)
                 for job in group:
                     yield from self._turn(reading=True)
                     yield from self._sampled(job, seconds)
-                yield from self._computed(group, pause)
+            for job, outcome in zip(group, found, strict=True):
+                job.take_outcome(outcome)
 
     def write(self) -> Iterator[None]:
         """The last part, when all can be written: all of it, or nothing."""
@@ -159,15 +184,33 @@ class Batch:
         finally:
             job.leave_rig()
 
-    def _computed(self, group: Sequence[Job], pause: float) -> Iterator[None]:
+    def _asked(self, group: Sequence[Job], name: str, *args: Any) -> Generator[None, None, Any]:
+        """What the method of `Computations` returns, which works for these jobs."""
+        assert self._worker is not None  # the jobs are read
+        self._at = group[0]
         with ExitStack() as turns:
             for job in group:
                 turns.enter_context(job.progress.turn())
-                job.start()
-            for job in group:
-                self._at = job
-                while not job.wait(pause):
-                    yield from self._turn()
+            answer = self._worker.call(name, *args)
+            while True:
+                try:
+                    next(answer)
+                except StopIteration as end:
+                    return end.value
+                yield from self._turn()
+
+    def _hear(self, news: Draft | Sequence[tuple[float, str]]) -> None:
+        """What `Computations` report. Raises Cancelled."""
+        if isinstance(news, Draft):
+            self.jobs[news.number].draft = news.model, news.character
+            return
+        for job, (fraction, message) in zip(self.jobs, news, strict=True):
+            job.progress.fraction = max(fraction, job.progress.fraction)
+            job.progress.message = message or job.progress.message
+        self._check_canceled()
+        if self.tick and time.monotonic() - self._ticked > OFTEN:
+            self._ticked = time.monotonic()
+            self.tick(self)
 
     def _waits_for_render(self, job: Job) -> bool:
         """Whether Blender renders, beside which no rig can be read."""
@@ -180,66 +223,56 @@ class Batch:
         """The window's turn, and what came of it."""
         self.time_left.learn(time.monotonic(), self.fraction)
         yield
-        if self._at.progress.canceled:
-            raise Cancelled
+        self._check_canceled()
         if reading and self.undone:
             raise SceneError(UNDONE, name=self.name)
 
-    def abandon(self) -> None:
-        """Cancel, and leave the thread to end when the engine notices; its result is dropped."""
-        self.cancel()
-        self._part()
-        winding_down[:] = [thread for thread in (*winding_down, *self._threads()) if thread.is_alive()]
+    def _check_canceled(self) -> None:
+        if any(job.progress.canceled for job in self.jobs):
+            raise Cancelled
 
     def stop(self) -> None:
-        """Cancel, and wait until the thread has left the engine."""
-        self.cancel()
-        self._part()
-        for thread in self._threads():
-            thread.join()
-
-    def _part(self) -> None:
-        """Let no thread wait for another one."""
-        for group in self._groups:
-            group[0].leave()
-
-    def _threads(self) -> list[threading.Thread]:
-        return [job.thread for job in self.jobs if job.thread.is_alive()]
+        """End what computes, and remove the files that it has begun, if the results are not written."""
+        if self._worker:
+            self._worker.end()
+        for job in self.jobs:
+            job.discard()
 
 
 def run(job: Job, tick: Callable[[Batch], object] | None = None) -> None:
-    """The whole job at once. tick(its batch) is called in the main thread about ten times a second."""
+    """The whole job at once. tick: as in `Batch`."""
     run_all(Batch([job], job.request.goal), tick)
 
 
 def run_all(work: W, tick: Callable[[W], object] | None = None) -> None:
-    """All jobs at once, or nothing. tick(work): as in `run`."""
-    _exhaust(work, work.steps(), tick)
+    """All jobs at once, or nothing. tick: as in `Batch`."""
+    work.tick = tick
+    _exhaust(work, work.steps())
 
 
 def read_rig(job: Job) -> RigSamples:
     """All that a job reads, at once, to be used otherwise: returns the rig."""
     batch = Batch([job], job.request.goal)
     _exhaust(batch, batch.read())
-    return job.take_rig()
+    chunk = job.end_chunk()
+    assert chunk is not None  # it is asked of a job that reads one
+    return checked(chunk, job.input.character)[0]
 
 
-def _exhaust(work: W, steps: Iterator[None], tick: Callable[[W], object] | None = None) -> None:
-    """All steps; if one fails, no thread is left."""
+def _exhaust(work: Work, steps: Iterator[None]) -> None:
+    """All steps; if one fails, nothing is left of them."""
     try:
         for _ in steps:
-            if tick:
-                tick(work)
+            if work.tick:
+                work.tick(work)
     except BaseException:
         work.stop()
         raise
 
 
 def stop() -> None:
-    """Cancel what runs, and wait until no thread is in the engine: Blender, its file or the add-on goes away."""
+    """Cancel what runs: Blender, its file or the add-on goes away."""
     global running
     if running:
         running.stop()
         running = None
-    while winding_down:
-        winding_down.pop().join()

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a job's thread computes from its input: model, motion, verdict and keys. Neither this module nor its imports
-touch bpy.
+"""What a job computes from its input: model, motion, verdict and keys. Neither this module nor what it imports touches
+bpy.
 """
 
 from __future__ import annotations
@@ -8,10 +8,11 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
-from collections.abc import Generator, Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence, Set
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -26,11 +27,12 @@ from ..core.motion import baked, rig_samples, simulate
 from ..core.motion.baked import Bake
 from ..core.motion.prepared import prepared
 from ..core.motion.rig_samples import RigSamples
-from ..core.motion.simulate import Shot
+from ..core.motion.simulate import Shot, play_together
 from ..core.result import judge
 from ..core.result.keys import as_keys, splice
 from ..core.settings import OutputSettings
-from ..io import disk, model_file, outputs, paths, point_cache
+from ..io import disk, model_file, paths, point_cache
+from .child import Lasting, News
 from .job_data import BakeInput, Outcome, Progress
 
 CAGE = 0.1  # fraction of a job for a cage that is needed before the rig is read
@@ -38,76 +40,125 @@ READ = 0.2  # fraction of a job after which the rig is read
 FADE = 5  # frames over which a part that is baked again blends into the rest
 
 
-class Together(Protocol):
-    """Shots that are simulated as one: `together.Together`."""
+class Draft(Lasting):
+    """News of the job `number`: a model of few modes, and the character with its materials, to be played while the rest
+    is built.
+    """
 
-    def play(self, shot: Shot, rig: RigSamples) -> None: ...
-    def leave(self) -> None: ...
+    def __init__(self, number: int, model: Model, character: Character):
+        self.number, self.model, self.character = number, model, character
 
 
-class Sampling(Protocol):
-    """A chunk of the rig that was read of Blender: `rig_motion.RigSampling`."""
+class Errand:
+    """A piece of work that is one call. news: gets the fraction of it that is done, where the call tells that."""
 
-    def samples(self) -> RigSamples: ...
+    def __init__(self, news: News):
+        self._news = news
+
+    def run(self, work: Callable[..., Any], reports: bool) -> Any:
+        """What work() returns, or with reports work(report=...)."""
+        return work(report=self._news) if reports else work()
+
+
+class Computations:
+    """What the jobs of a batch compute, by their numbers, in whichever process. news: gets a list of (fraction,
+    message) of all jobs, and each `Draft`.
+    """
+
+    def __init__(self, inputs: Sequence[BakeInput], news: News):
+        self._news = news
+        self.each = [Computation(given, self._tell, partial(self._offer, k)) for k, given in enumerate(inputs)]
+
+    def make_cage(self, number: int) -> Model:
+        """What must exist before the rig of a job is read."""
+        with _named(self.each[number]):
+            return self.each[number].make_cage()
+
+    def compute(
+        self, numbers: Sequence[int], chunks: Sequence[RigSamples | None], garments: Set[tuple[str, str]]
+    ) -> list[Outcome | int]:
+        """All that can be computed before the next chunks of the rigs are read. Several jobs are simulated as one, with
+        these `garments`: see `play_together`. Returns for each its outcome, or how many states come before that chunk.
+
+        Raises SceneError, SelfCheckError, OSError and what the engine raises.
+        """
+        jobs = [self.each[number] for number in numbers]
+        for job, chunk in zip(jobs, chunks, strict=True):
+            if chunk is not None:
+                job.take(chunk)
+            job.go_on()
+        played = [(job.shot, job.rig) for job in jobs if job.shot is not None and job.rig is not None]
+        with ExitStack() as stages:
+            for job in jobs:
+                stages.enter_context(job.progress.stage("simulate"))
+            if len(played) > 1:
+                play_together([shot for shot, _ in played], [rig for _, rig in played], garments)
+            for shot, rig in played if len(played) == 1 else ():
+                stages.enter_context(_named(jobs[0]))
+                shot.play(rig)
+        for job in jobs:
+            job.go_on()
+        return [job.outcome if job.shot is None or job.shot.is_complete else job.shot.done for job in jobs]
+
+    def _tell(self) -> None:
+        self._news([(job.progress.fraction, job.progress.message) for job in self.each])
+
+    def _offer(self, number: int, model: Model, character: Character) -> None:
+        self._news(Draft(number, model, character))
+
+
+@contextmanager
+def _named(job: Computation) -> Iterator[None]:
+    """Errors of the engine, which does not know whose cage it works on, name the object."""
+    try:
+        yield
+    except engine.engine_errors() as error:
+        if f"'{job.given.name}'" in str(error):
+            raise
+        raise type(error)(f"'{job.given.name}': {error}") from error
 
 
 class Computation:
     """Computes what a job is for, one chunk of the rig after the other, so that a long shot takes no more memory.
 
-    wanted: how many states of the shot come before the next chunk that it needs; None when there is none. rig: the
-    chunk that was simulated last. shot: the one that is simulated, or was last.
+    rig: the chunk that is simulated, or was last. shot: the one that is simulated, or was. changed(): is called when
+    there is progress; offer(draft, character) when there is a draft.
     """
 
-    def __init__(self, given: BakeInput, progress: Progress):
-        self.given, self.progress = given, progress
+    def __init__(
+        self, given: BakeInput, changed: Callable[[], None], offer: Callable[[Model, Character], None] | None = None
+    ):
+        self.given, self.progress = given, Progress(changed)
         self.outcome = Outcome(given.character, warnings=list(given.warnings), inputs=copy.deepcopy(given.inputs))
+        self.outcome.seconds = self.progress.seconds
         if given.model is not None:
             self.outcome.model = given.model
         self.rig: RigSamples | None = None
         self.shot: Shot | None = None
-        self.previous = given.previous  # a model whose cage may be used again
-        self.together: Together | None = None  # with the computations of others, whose bodies press on this one
-        self.read_from = 0.0  # of the job, the part that is done before the rig is read
+        self._previous = given.previous  # a model whose cage may be used again
         self._shot_from = READ  # of the job, the part that is done before the shot is simulated
-        self.wanted: int | None = len(given.resumed.get("coordinates", ()))
+        self._offer_draft = offer
         self._work = self._steps()
 
-    @property
-    def needs_cage(self) -> bool:
-        """Whether a cage must exist before the rig is read, because Blender poses its nodes."""
-        if not self.given.is_probed:
-            return False
-        return not (self.previous and build.has_cage(self.previous, self.given.character))
-
-    def make_cage(self) -> None:
+    def make_cage(self) -> Model:
         """Build what must exist before the rig is read."""
         with self.progress.stage("build"):
-            progress = self.progress.part(0.0, CAGE)
-            self.previous = build.build_cage(self.given.character, progress, self.previous)
-        self.read_from = CAGE
+            self._previous = build.build_cage(self.given.character, self.progress.part(0.0, CAGE), self._previous)
+        return self._previous
 
-    def compute(self, sampling: Sampling | None = None) -> None:
-        """All that can be computed before the next chunk is read. sampling: of this one, which was read.
-
-        Raises SceneError, SelfCheckError, OSError and what the engine raises.
-        """
-        if sampling:
-            self.take(sampling.samples())
-        self.wanted = next(self._work, None)
-
-    def take(self, samples: RigSamples) -> RigSamples:
+    def take(self, samples: RigSamples) -> None:
         """Check what was read of the rig, and go on with that as `rig`. Raises SceneError."""
         before = self.rig.pose[-1] if self.rig else self.given.resumed.get("pose")
-        if before is not None:  # the last frame becomes the first again
-            samples = samples[1:]
-        if len(samples):
-            samples, found = rig_samples.keep_collapsed(samples, self.given.character.skeleton, before)
-            self.outcome.warnings += [text for text in found if text not in self.outcome.warnings]
-        self.rig = samples
-        return samples
+        self.rig, found = checked(samples, self.given.character, before)
+        self.outcome.warnings += [text for text in found if text not in self.outcome.warnings]
 
-    def _steps(self) -> Iterator[int]:
-        """The work, from chunk to chunk of the rig: yields what becomes `wanted`, and goes on when `rig` is that."""
+    def go_on(self) -> None:
+        """Compute until the shot is to be played to the end of `rig`, then until the next chunk is needed."""
+        with _named(self):
+            next(self._work, None)
+
+    def _steps(self) -> Iterator[None]:
+        """The work: yields where `go_on` ends."""
         given, outcome = self.given, self.outcome
         if given.only_cage:
             if given.reasons:
@@ -117,14 +168,13 @@ class Computation:
             self._build()
         elif given.cache_dir and given.caches_model and not given.is_bake:
             outcome.model_files.append(given.cache_dir.keep_model(given.model))
-        if not given.is_bake or self.progress.canceled:
-            return
-        yield from self._bake()
-        finish(given, outcome, self.progress)
+        if given.is_bake:
+            yield from self._bake()
+            finish(given, outcome, self.progress)
 
     def _build_cage(self) -> None:
         with self.progress.stage("build"):
-            model = build.build_cage(self.given.character, self.progress.part(0.0, 1.0), self.previous)
+            model = build.build_cage(self.given.character, self.progress.part(0.0, 1.0), self._previous)
         self._take_model(model)
 
     def _build(self) -> None:
@@ -136,13 +186,11 @@ class Computation:
                 progress = self.progress.part(READ, built if given.is_bake else 1.0)
                 settings = given.settings if given.has_shot else None
                 draft = self._offer if given.drafts else None
-                model = simulate.build_for(given.character, self.rig, settings, progress, self.previous, draft)
+                model = simulate.build_for(given.character, self.rig, settings, progress, self._previous, draft)
                 if given.cache_dir and given.caches_model:
                     outcome.model_files.append(given.cache_dir.keep_model(model))
         self._take_model(model)
         self._measure(model)
-        if self.progress.canceled:
-            return
         adopt(outcome, self._calibrated())
         self._prepare(model.with_settings(outcome.character.settings), outcome.character)
         self.progress.fraction = self._shot_from = built
@@ -160,11 +208,10 @@ class Computation:
 
     def _offer(self, draft: Model) -> None:
         self._measure(draft)
-        if self.progress.canceled:
-            return
         character = self._calibrated()
         self._prepare(draft, character)
-        self.progress.draft = draft, character
+        assert self._offer_draft is not None  # it is asked for
+        self._offer_draft(draft, character)
 
     def _prepare(self, model: Model, character: Character) -> None:
         """Make here what Live would make next in the main thread."""
@@ -177,7 +224,7 @@ class Computation:
             self.outcome.model = self.outcome.stored = model
             self.outcome.packed = model_file.pack(*model.to_arrays())
 
-    def _bake(self) -> Generator[int, None, None]:
+    def _bake(self) -> Iterator[None]:
         """The whole shot in its quality, with the materials of the outcome's character."""
         given, outcome = self.given, self.outcome
         outcome.character = outcome.character.with_settings(solver=given.solver)
@@ -189,10 +236,13 @@ class Computation:
             if given.first is not None:
                 shot.resume(given.resumed, given.first)
         self.shot = shot
-        self._play(shot)
-        while not shot.is_complete:
-            yield shot.done
-            self._play(shot)
+        while True:
+            yield  # it is played now
+            if given.cache_dir and given.kept and self.rig:  # otherwise nothing was left to do
+                given.cache_dir.keep(given.kept, shot, self.rig.pose[-1])
+            if shot.is_complete:
+                break
+            yield  # the next chunk is read now
         with self.progress.stage("simulate"):
             outcome.bake, outcome.report = shot.bake(exact=given.output is None or given.output.format != "MODES")
         with self.progress.stage("judge"):
@@ -200,17 +250,23 @@ class Computation:
             outcome.verdict = judge.judge(outcome.model, outcome.character, outcome.bake, given.settings, *found)
         outcome.report["inverted_volume"] = outcome.verdict.inverted
 
-    def _play(self, shot: Shot) -> None:
-        """Simulate the shot to the end of the rig that was read."""
-        given, rig = self.given, self.rig
-        assert rig is not None  # a shot has one
-        with self.progress.stage("simulate"):
-            if self.together:
-                self.together.play(shot, rig)
-            else:
-                shot.play(rig)
-        if given.cache_dir and given.kept and len(rig):  # otherwise nothing was left to do
-            given.cache_dir.keep(given.kept, shot, rig.pose[-1])
+
+def needs_cage(given: BakeInput) -> bool:
+    """Whether a cage must exist before the rig is read, because Blender poses its nodes."""
+    if not given.is_probed:
+        return False
+    return not (given.previous and build.has_cage(given.previous, given.character))
+
+
+def checked(
+    samples: RigSamples, character: Character, before: np.ndarray | None = None
+) -> tuple[RigSamples, list[str]]:
+    """What was read of the rig after a pose (B, 4, 4), with a transform for each bone that collapses, and what to tell
+    the artist of those.
+    """
+    if before is not None:  # the last frame becomes the first again
+        samples = samples[1:]
+    return rig_samples.keep_collapsed(samples, character.skeleton, before) if len(samples) else (samples, [])
 
 
 def adopt(outcome: Outcome, character: Character) -> None:
@@ -278,15 +334,14 @@ def _make_keys(given: BakeInput, outcome: Outcome, output: OutputSettings) -> No
 
 
 def _point_cache(given: BakeInput, outcome: Outcome, name: str, points: np.ndarray, bake: Bake) -> Path:
-    """Write the file that plays the bake of the mesh `name`."""
+    """Write what plays the bake of the mesh `name`, and return the path that it is for."""
     default = paths.cache_path(given.caches, name, baked.digest(bake, points, given.settings.fps))
-    file = written = given.cache_files.get(name, default)
-    if name in given.cache_files:  # the earlier file plays until the .blend is saved
-        outputs.remove_abandoned(file)
-        written = outcome.beside[file] = outputs.partial_of(file)
-    if not written.exists():
-        outcome.new_files.append(written)
-    disk.save(written, point_cache.point_cache(bake, points))
+    file = given.cache_files.get(name, default)
+    written = outcome.beside[file] = given.unfinished[name]
+    written.parent.mkdir(parents=True, exist_ok=True)
+    disk.discard(written)  # which a process that has crashed has begun
+    with disk.named(file, written):
+        disk.write(written, point_cache.point_cache(bake, points))
     return file
 
 

@@ -10,74 +10,66 @@ from __future__ import annotations
 
 import hashlib
 import json
-import threading
-import time
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..core import engine, logger
 from ..core.errors import SceneError
-from ..core.geometry import vertex_areas
-from ..core.motion import baked, simulate
+from ..core.motion import shake
 from ..core.settings import SimulationSettings
 from ..scene import events, probe, rig_motion, run_settings, staleness
 from ..scene.skin import ObjectHandle, soft_skins
 from ..scene.skinning import Skinning
-from . import batch, preview
+from .child import Child
+from .computation import Errand
 from .job import Job
 
 FRAMES, FPS, SUBSTEPS = 30, 24.0, 5  # of the motion: two hops, and how they end
 LARGEST = 30_000  # degrees of freedom; with more an unreduced step takes too long to be taken unasked
-TICK = 0.25  # seconds from one look at the thread to the next
-
-found: dict[str, float] = {}  # by `_key`, since Blender was started
-measuring: list[Measurement] = []  # one after the other, by `thread`
-thread = threading.Thread()  # the last one that was started
+TICK = 0.25  # seconds from one look at the measurement to the next
 
 
 class Measurement:
     """The error of one model, which a job has built or used. Raises SceneError when the rig cannot be read.
 
-    key: what it depends on. pauses: whether to wait, because the computer has better things to do.
+    key: what it depends on. work: finds it, in another process.
     """
 
     def __init__(self, job: Job):
         obj = job.target()
         self.object, self.key = ObjectHandle.of(obj), _key(obj)
-        self.pauses = self.canceled = False
-        self._model, self._character, self._settings = job.outcome.model, job.outcome.character, _settings(obj)
-        nodes = probe.Probe(obj, self._model, self._character) if self._character.probed else None
-        self._still = rig_motion.sample_present(obj, nodes)
+        model, character = job.outcome.model, job.outcome.character
+        nodes = probe.Probe(obj, model, character) if character.probed else None
+        still = rig_motion.sample_present(obj, nodes)
+        self.work = partial(shake.expected_error, model, character, still, _settings(obj))
 
-    def run(self) -> float:
-        """In any thread. Raises dynamorph.Cancelled, and what else the engine raises."""
-        model, character = self._model, self._character
-        settings = [replace(character.settings, solver=solver) for solver in ("REDUCED", "FULL")]
-        shots = [simulate.Shot(model.with_settings(each), character, self._settings, self.goes_on) for each in settings]
-        hop = self._still.moved(preview.shake_transforms("HOP", self._still, shots[0].player, FRAMES / FPS))
-        for shot in shots:
-            shot.play(hop)
-        reduced, full = (shot.bake(exact=shot is shots[1])[0] for shot in shots)  # exact reduced ones take memory
-        areas = vertex_areas(character.bind_points, character.triangles)
-        return baked.motion_distance(reduced, full, character.to_bind, areas)
 
-    def goes_on(self, _fraction: float, _message: str) -> bool:
-        """Asked by the simulation, in the thread."""
-        while self.pauses and not self.canceled:
-            time.sleep(TICK)
-        return not self.canceled
+@dataclass
+class State:
+    """found: errors by `_key`, since Blender was started. measuring: what is measured one after the other by `steps`,
+    the first now, in `child`.
+    """
+
+    found: dict[str, float] = field(default_factory=dict)
+    measuring: list[Measurement] = field(default_factory=list)
+    child: Child | None = None
+    steps: Iterator[None] = field(default_factory=lambda: iter(()))
+
+
+state = State()
 
 
 def known(obj: bpy.types.Object) -> float | None:
     """The error of the model of `obj` with its present settings, as a fraction of the motion, if it was measured."""
     record = obj.dynamorph.model
-    if not _concerns(record) or not (found or record.expected_from):
+    if not _concerns(record) or not (state.found or record.expected_from):
         return None
     key = _key(obj)
-    return record.expected_error if record.expected_from == key else found.get(key)
+    return record.expected_error if record.expected_from == key else state.found.get(key)
 
 
 def summary(obj: bpy.types.Object) -> str:
@@ -85,14 +77,13 @@ def summary(obj: bpy.types.Object) -> str:
     error = known(obj)
     if error is not None:
         return iface_("Expected error: {percent:.0f} % of the motion").format(percent=100 * error)
-    return iface_("Expected error: measuring...") if any(_is_of(each, obj) for each in measuring) else ""
+    return iface_("Expected error: measuring...") if any(_is_of(each, obj) for each in state.measuring) else ""
 
 
 def begin(jobs: Sequence[Job]) -> None:
     """Measure, in the background, the models of jobs that have ended, where that is not known. Only in a window: a farm
     has others to wait for it.
     """
-    global thread
     cancel()
     if bpy.app.background:
         return
@@ -100,27 +91,25 @@ def begin(jobs: Sequence[Job]) -> None:
         try:
             with job.request.scene.as_context():
                 if _is_wanted(job):
-                    measuring.append(Measurement(job))
+                    state.measuring.append(Measurement(job))
         except engine.expected_errors():  # then it is not known
             continue
-    if measuring:
-        thread = threading.Thread(target=_run, args=[list(measuring)], name="dynamorph measurement", daemon=True)
-        thread.start()
+    if state.measuring:
+        state.steps = _steps()
         events.soon(look, TICK)
 
 
 def cancel() -> None:
     """What is measured now is not needed any more, or stands in the way."""
-    for each in measuring:
-        each.canceled = True
-    measuring.clear()
+    state.measuring.clear()
+    state.steps = iter(())
     events.forget(look)
-    if thread.is_alive():
-        batch.winding_down.append(thread)
+    _end_child()
 
 
 def store() -> None:
     """Note what was found with the objects, before their file is saved."""
+    found = state.found
     for obj in soft_skins(bpy.data.objects) if found else ():
         record = obj.dynamorph.model
         key = _key(obj) if obj.is_editable and _concerns(record) else ""
@@ -128,33 +117,37 @@ def store() -> None:
             record.expected_error, record.expected_from = found[key], key
 
 
-def _run(measurements: Sequence[Measurement]) -> None:
-    """In a thread. Nobody waits for it, so that no error is the artist's concern."""
-    for each in measurements:
-        if each.canceled:
-            continue
+def _steps() -> Iterator[None]:
+    """Measure one after the other. Nobody waits for it, so that no error is the artist's concern."""
+    while state.measuring:
+        now = state.measuring[0]
         try:
-            found[each.key] = each.run()
+            state.child = Child(Errand, heard=lambda _news: None, name=now.object.name, gentle=True)
+            state.found[now.key] = yield from state.child.call("run", now.work, False)
         except Exception as error:
-            if not (each.canceled or isinstance(error, engine.expected_errors())):
+            if not isinstance(error, engine.expected_errors()):
                 logger.log_bug(error)
+        finally:
+            _end_child()
+        state.measuring.remove(now)
+
+
+def _end_child() -> None:
+    if state.child:
+        state.child.end()
+    state.child = None
 
 
 def look() -> float | None:
-    """By a timer: whether what is measured is still of use, may go on, or has ended."""
-    for each in measuring:
-        each.pauses = plays()
-        each.canceled = each.canceled or not _is_present(each)
-    if thread.is_alive():
+    """By a timer: whether what is measured is still of use, or is known now."""
+    if state.measuring and not _is_present(state.measuring[0]):
+        _end_child()
+        del state.measuring[0]
+        state.steps = _steps()
+    if next(state.steps, True) is None:
         return TICK  # seconds from now
-    measuring.clear()
     events.redraw(events.PANELS)
     return None
-
-
-def plays() -> bool:
-    """Whether something moves on the screen, which the measurement would slow down."""
-    return preview.preview is not None or events.is_playing()
 
 
 def _is_present(measurement: Measurement) -> bool:

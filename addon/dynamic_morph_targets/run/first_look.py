@@ -32,9 +32,9 @@ class FirstLook(Batch):
         super().__init__([Job(obj, "BUILD", rebuild=True, drafts=True)], "BUILD")
         self.shows = False
 
-    def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
-        for _ in super().steps(seconds, pause):
-            draft = self.jobs[0].progress.draft
+    def steps(self, seconds: float = np.inf) -> Iterator[None]:
+        for _ in super().steps(seconds):
+            draft = self.jobs[0].draft
             if draft and not self.shows and not events.render_runs():
                 self.shows = True
                 self._show(draft)
@@ -68,10 +68,6 @@ class FirstLook(Batch):
             pass
         except Exception as bug:
             logger.log_bug(bug)
-
-    def abandon(self) -> None:
-        super().abandon()
-        self._withdraw()
 
     def stop(self) -> None:
         super().stop()

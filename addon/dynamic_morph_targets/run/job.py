@@ -1,37 +1,39 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A model built where that is necessary, a shot simulated and written: the order of the phases, thread and progress."""
+"""A model built where that is necessary, a shot simulated and written: what a job reads and writes of Blender."""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
 
-from ..core import blas, engine
-from ..core.errors import Cancelled
+from ..core.character import Character
 from ..core.message import Message
+from ..core.model.model import Model
 from ..core.motion.rig_samples import RigSamples
+from ..io import disk
 from ..scene import events
 from ..scene.skin import ObjectHandle, SceneHandle
 from . import bake_input, bake_result
 from .bake_input import Request, RigReader
 from .bake_result import Writer
-from .computation import READ, Computation
+from .computation import CAGE, READ, Computation, needs_cage
 from .job_data import BakeInput, Outcome, Progress
 
 
 class Job:
     """Builds the model of one object if that is necessary, and with the goal "BAKE" simulates and writes the shot.
 
-    What it reads of Blender is in `input`, what a thread computes of that in `outcome`; `batch.Batch` runs it. goal,
-    frames, substeps, folder and the other options: as in `Request`. It belongs to the scene that it is made in.
+    What it reads of Blender is in `input`, what is computed of that in `outcome`; `batch.Batch` runs it. goal, frames,
+    substeps, folder and the other options: as in `Request`. It belongs to the scene that it is made in. computation: of
+    one that is computed in this process. draft: a model and the character with its materials, to be played while the
+    rest is built.
     """
 
-    input: BakeInput  # this and the next are there after `read`
+    input: BakeInput  # this is there after `read`
+    outcome: Outcome  # this at the end
     computation: Computation
     _reader: RigReader
 
@@ -47,16 +49,13 @@ class Job:
         options = {"name": obj.name, "frames": frames, "substeps": substeps, "folder": folder, **options}
         self.request = Request(ObjectHandle.of(obj), SceneHandle.present(), goal=goal, **options)
         self.progress = Progress()
-        self.thread = threading.Thread()  # the last one that was started
-        self._error: BaseException | None = None
+        self.draft: tuple[Model, Character] | None = None
+        self._cage: Model | None = None  # that Blender poses
+        self._read_from = 0.0  # of the job, the part that is done before the rig is read
 
     @property
     def name(self) -> str:
         return self.request.name
-
-    @property
-    def outcome(self) -> Outcome:
-        return self.computation.outcome
 
     @property
     def warnings(self) -> list[str]:
@@ -67,16 +66,29 @@ class Job:
         """One line for the artist."""
         return bake_result.summary(self.input, self.outcome, self.progress.waited)
 
-    # Reading: main thread --------------------------------------------------------------------------------------------
+    # Reading ---------------------------------------------------------------------------------------------------------
 
     def read(self) -> None:
         """Check and read the character and its settings. Raises as `bake_input.read`."""
         self.progress.message = "Reading the character"
         with self.request.scene.as_context():
             self.input = bake_input.read(self.request)
-            self.computation = Computation(self.input, self.progress)
+            self._cage = self.input.previous
             self._reader = RigReader(self.request, self.input)
-            self.next_chunk()
+            self.begin_chunk(len(self.input.resumed.get("coordinates", ())))
+
+    @property
+    def needs_cage(self) -> bool:
+        """Whether a cage must be made before the rig is read, because Blender poses its nodes."""
+        return needs_cage(self.input)
+
+    def take_cage(self, cage: Model) -> None:
+        self._cage, self._read_from = cage, CAGE
+
+    def begin_chunk(self, done: int) -> None:
+        """Read what follows after so many states of the shot."""
+        with self.request.scene.as_context():
+            self._reader.begin_chunk(done)
 
     def sample(self, seconds: float = np.inf) -> bool:
         """Read the moving rig, if the job needs it, for about so long; True when the chunk is read."""
@@ -85,8 +97,8 @@ class Job:
             return True
         progress, before = self.progress, self.progress.fraction
         with progress.stage("sample rig"), self.request.scene.as_context():
-            done = self._reader.advance(seconds, self.computation.previous)
-        report = progress.part(self.computation.read_from, READ)
+            done = self._reader.advance(seconds, self._cage)
+        report = progress.part(self._read_from, READ)
         report(sampling.done / sampling.count, Message("Reading frame {frame}", frame=sampling.frame))
         progress.fraction = max(before, progress.fraction)  # another chunk than the first
         return done
@@ -95,65 +107,18 @@ class Job:
         """Nothing more of the chunk is read."""
         self._reader.leave()
 
-    def next_chunk(self) -> bool:
-        """Whether there is another chunk to be read and computed; then it begins."""
-        wanted = self.computation.wanted
-        if wanted is None:
-            return False
-        with self.request.scene.as_context():
-            self._reader.begin_chunk(wanted)
-        return True
-
-    def take_rig(self) -> RigSamples:
-        """What was read of the rig, for others than the job. Raises SceneError."""
+    def end_chunk(self) -> RigSamples | None:
+        """The chunk that was read; None for a job that needs no rig. Raises SceneError."""
         sampling = self._reader.end_chunk()
-        assert sampling is not None  # it is asked of a job that reads one
-        return self.computation.take(sampling.samples())
+        return sampling.samples() if sampling else None
 
-    # Computing: a thread ---------------------------------------------------------------------------------------------
+    def take_outcome(self, outcome: Outcome) -> None:
+        self.outcome = outcome
+        seconds = self.progress.seconds
+        for stage, took in outcome.seconds.items():
+            seconds[stage] = seconds.get(stage, 0.0) + took
 
-    def start_cage(self) -> None:
-        """Begin to make the cage, in a thread."""
-        self._start(self.computation.make_cage)
-
-    def start(self) -> None:
-        """Begin to compute with what was read, in a thread."""
-        self._start(self.computation.compute, self._reader.end_chunk())
-
-    def wait(self, timeout: float | None = None) -> bool:
-        """True when the computation has ended. Raises what it raised, Cancelled if the user stopped it."""
-        self.thread.join(timeout)
-        if self.thread.is_alive():
-            return False
-        if self.progress.canceled:
-            raise Cancelled
-        if self._error and not isinstance(self._error, threading.BrokenBarrierError):  # another one has the reason
-            raise self._error
-        return True
-
-    def _start(self, work: Callable[..., None], *args: object) -> None:
-        name = f"dynamorph {self.name}"
-        self.thread = threading.Thread(target=self._work, args=[work, *args], name=name, daemon=True)
-        self.thread.start()
-
-    def _work(self, work: Callable[..., None], *args: object) -> None:
-        try:
-            with blas.one_thread():
-                work(*args)
-        except engine.engine_errors() as error:  # the engine does not know whose cage it works on
-            named = f"'{self.name}'" in str(error)
-            self._error = error if named else type(error)(f"'{self.name}': {error}")
-        except BaseException as error:  # raised again in the main thread, by wait
-            self._error = error
-        if self._error or self.progress.canceled:
-            self.leave()
-
-    def leave(self) -> None:
-        """Let nobody wait for it any more."""
-        if self.computation.together:
-            self.computation.together.leave()
-
-    # Writing: main thread --------------------------------------------------------------------------------------------
+    # Writing ---------------------------------------------------------------------------------------------------------
 
     def must_wait(self) -> bool:
         """Whether nothing can be written yet: Blender renders what is there, or the artist went on in Edit Mode, which
@@ -176,3 +141,8 @@ class Job:
         """What writes the results."""
         self._reader.free()
         return Writer(self.request, self.input, self.outcome, self.progress)
+
+    def discard(self) -> None:
+        """Remove the files that it has begun. Nothing is written."""
+        for file in self.input.unfinished.values() if hasattr(self, "input") else ():
+            disk.discard(file)

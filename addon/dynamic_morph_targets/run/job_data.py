@@ -30,15 +30,15 @@ STAGES = {
 
 
 class Progress:
-    """How far a job is, and whether it must stop: shared by its thread and the window."""
+    """How far a job is. changed(): is called when `part` was told."""
 
-    def __init__(self) -> None:
+    def __init__(self, changed: Callable[[], None] = lambda: None) -> None:
         self.fraction = 0.0
         self.message = ""
-        self.canceled = False
+        self.canceled = False  # by the user
         self.seconds: dict[str, float] = {}  # by stage
-        self.draft: tuple[Model, Character] | None = None  # to be played while the rest is built
         self.waited = 0.0  # seconds of the job's turns, with all that Blender did between their slices
+        self._changed = changed
 
     @contextmanager
     def turn(self) -> Iterator[None]:
@@ -50,12 +50,13 @@ class Progress:
             self.waited += time.perf_counter() - began
 
     def part(self, begin: float, end: float) -> Callable[[float, str], bool]:
-        """progress(fraction, message) -> bool for a part of the work; False when it must stop."""
+        """progress(fraction, message) -> True for a part of the work."""
 
         def progress(fraction: float, message: str) -> bool:
             self.fraction = begin + (end - begin) * fraction
             self.message = STAGES.get(message, message)
-            return not self.canceled
+            self._changed()
+            return True
 
         return progress
 
@@ -108,6 +109,7 @@ class BakeInput:
     output: OutputSettings | None = None  # None: no form in Blender
     caches: Path = field(init=False)  # the folder of the .blend, beside which point caches are written
     cache_files: dict[str, Path] = field(default_factory=dict)  # other paths for them, by mesh
+    unfinished: dict[str, Path] = field(default_factory=dict)  # where they are written first, by mesh
 
     @property
     def is_bake(self) -> bool:
@@ -150,5 +152,6 @@ class Outcome:
     written: list[tuple[Bake, Path | None]] = field(default_factory=list)
     model_files: list[Path] = field(default_factory=list)  # that were written: in the cache folder, beside the .blend
     new_files: list[Path] = field(default_factory=list)  # new files of point caches
-    beside: dict[Path, Path] = field(default_factory=dict)  # of each that has another path until the .blend is saved
+    beside: dict[Path, Path] = field(default_factory=dict)  # where each point cache is until it has its path
+    seconds: dict[str, float] = field(default_factory=dict)  # by stage
     size: int = 0  # size of the written data in bytes

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import suppress
 from dataclasses import replace
 
@@ -13,8 +12,7 @@ from bpy.types import Operator
 from mathutils import Euler, Matrix
 
 from ..core.errors import SceneError, WriteError
-from ..core.geometry import smooth_step
-from ..core.motion.player import Player
+from ..core.motion import shake
 from ..core.motion.rig_samples import RigSamples
 from ..scene import events, references, rig_motion, skin
 from ..write.bake import muting
@@ -22,9 +20,6 @@ from ..write.display import live_key
 from . import live
 from .tissue import Tissue
 
-SECONDS = 2.5  # a shake test
-REST = 0.1  # seconds of it before it moves
-STOMP, HOP, TWIST = 0.08, 0.12, math.radians(60)  # how far: body sizes, and an angle
 SWING = 0.05  # body sizes: a mode that plays
 DELTAS = ("delta_location", "delta_rotation_euler", "delta_rotation_quaternion")
 
@@ -173,36 +168,12 @@ def end_preview() -> None:
     preview = None
 
 
-def shake(kind: str, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Height, in body sizes, and angle (S,) at these times after the start."""
-    t, none = seconds - REST, np.zeros_like(seconds)
-    if kind == "STOMP":
-        fallen = np.clip((t - 0.4) / 0.2, 0.0, 1.0)
-        return STOMP * np.minimum(smooth_step(t / 0.4), 1.0 - fallen**2), none
-    if kind == "TWIST":
-        return none, TWIST * (smooth_step(t / 0.25) - smooth_step((t - 1.0) / 0.25))
-    airborne = np.where((t > 0.0) & (t < 1.0), t % 0.5 / 0.5, 0.0)
-    return HOP * 4.0 * airborne * (1.0 - airborne), none
-
-
-def shaken(obj: bpy.types.Object, tissue: Tissue, kind: str, seconds: float = SECONDS) -> tuple[RigSamples, np.ndarray]:
+def shaken(obj: bpy.types.Object, tissue: Tissue, kind: str, seconds: float) -> tuple[RigSamples, np.ndarray]:
     """The rig in its present pose, shaken: samples at substeps, and the transforms (S, 4, 4) that move it in Blender's
     world, Blender units."""
     still = rig_motion.sample_present(obj, tissue.probe)
     still = replace(still, tracks=(*still.tracks, *rig_motion.present_colliders(obj)))
-    transforms = shake_transforms(kind, still, tissue.player, seconds)
+    transforms = shake.transforms(kind, still, tissue.player, seconds)
     samples = still.moved(transforms)
     transforms[:, :3, 3] /= skin.unit_scale()
     return samples, transforms
-
-
-def shake_transforms(kind: str, still: RigSamples, player: Player, seconds: float = SECONDS) -> np.ndarray:
-    """What moves the rig that stands still, at the player's substeps: (S, 4, 4), world space, meters."""
-    settings = player.settings
-    count = 1 + round(seconds * settings.rate) * settings.substeps
-    heights, angles = shake(kind, np.arange(count) * settings.step)
-    transforms = np.array([Matrix.Rotation(angle, 4, "Z") for angle in angles])
-    origin = still.rig_world[0, :3, 3]
-    transforms[:, :3, 3] = origin - transforms[:, :3, :3] @ origin
-    transforms[:, 2, 3] += heights * player.size
-    return transforms

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Generator, Iterator
 from typing import Any, TypeVar
@@ -11,15 +10,14 @@ from typing import Any, TypeVar
 import bpy
 import numpy as np
 
-from ..core import blas
 from ..core.errors import Cancelled, SceneError
 from ..core.time_left import TimeLeft
 from ..scene.skin import ObjectHandle, SceneHandle
 from . import batch
+from .computation import Errand
 
 T = TypeVar("T")
 Chunks = Generator[tuple[float, str], None, T]  # yields (fraction, message) after each chunk, and returns the result
-Report = Callable[[float], None]
 
 
 class Task:
@@ -34,10 +32,11 @@ class Task:
         self.fraction, self.message = 0.0, ""
         self.undone = False  # by the user, since it began
         self.time_left = TimeLeft()
+        self.tick: Callable[[Task], object] | None = None
         self.result: Any = None
         self._chunks, self._canceled = chunks, False
 
-    def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
+    def steps(self, seconds: float = np.inf) -> Iterator[None]:
         """As `batch.Batch.steps`."""
         ends = time.monotonic() + seconds
         while not self._canceled and self._next():
@@ -63,43 +62,30 @@ class Task:
     def cancel(self) -> None:
         self._canceled = True
 
-    def abandon(self) -> None:
-        """End what the chunks have begun; a thread runs until its next report."""
+    def stop(self) -> None:
+        """End what the chunks have begun."""
         self.cancel()
         self._chunks.close()
 
-    stop = abandon  # `batch.stop` waits for the thread
 
+def elsewhere(work: Callable[..., T], message: str, name: str, reports: bool = False) -> Chunks[T]:
+    """The chunks of work() for the object `name`, which never touches bpy: in a process of its own where a window is to
+    go on. reports: work(report) calls its argument with the fraction that is done.
+    """
+    fraction = 0.0
 
-def in_thread(work: Callable[[Report], T], message: str) -> Chunks[T]:
-    """The chunks of work in a thread, which never touches bpy and calls its argument with the fraction that is done."""
-    found: list[T] = []
-    errors: list[BaseException] = []
-    fraction, wanted = 0.0, True
-
-    def report(done: float) -> None:
+    def hear(done: float) -> None:
         nonlocal fraction
         fraction = done
-        if not wanted:
-            raise Cancelled
 
-    def run() -> None:
-        try:
-            with blas.one_thread():
-                found.append(work(report))
-        except BaseException as error:  # raised again in the main thread
-            errors.append(error)
-
-    thread = threading.Thread(target=run, name="dynamorph task", daemon=True)
-    thread.start()
+    worker = batch.worker(Errand, heard=hear, name=name)
+    answer = worker.call("run", work, reports)
     try:
-        while thread.is_alive():
+        while True:
+            try:
+                next(answer)
+            except StopIteration as end:
+                return end.value
             yield fraction, message
-            thread.join(0.02)
     finally:
-        wanted = False
-        if thread.is_alive():
-            batch.winding_down.append(thread)
-    if errors:
-        raise errors[0]
-    return found[0]
+        worker.end()

@@ -1,19 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Jobs whose bodies press on each other: which they are, and their shots as one. Their threads wait for each other at
-each chunk, and the last one there simulates the shots of all.
-"""
+"""Jobs whose bodies press on each other, and are simulated as one: which they are."""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from ..core.errors import SceneError
 from ..core.message import Message
 from ..core.motion.coupling import refusal
-from ..core.motion.rig_samples import RigSamples
-from ..core.motion.simulate import Shot, play_together
 from ..scene import collider_state, colliders
 
 if TYPE_CHECKING:
@@ -28,7 +23,7 @@ def groups(jobs: Sequence[Job]) -> list[list[Job]]:
     for obj, job in of.items():
         for clothes, body in colliders.garments([obj, *colliders.pressed(obj)]):
             if clothes == obj and body not in of:
-                job.outcome.warnings.append(
+                job.input.warnings.append(
                     Message(
                         "'{name}' lies on '{body}' but is baked without it: Bake All lets them press on each other",
                         name=obj.name,
@@ -58,15 +53,22 @@ def _join(of: dict) -> None:
                     other=job.name,
                     reason=reason,
                 )
-    meet = Together(len(jobs), {(clothes.name, body.name) for clothes, body in colliders.garments(list(of))})
     frames = min(job.input.frames_per_chunk for job in jobs)
     for obj, job in of.items():
-        job.input.frames_per_chunk, job.computation.together = frames, meet
-        job.input.together = tuple(other.name for other in jobs if other != job)
-        job.outcome.inputs["together"] = list(job.input.together)
-        job.outcome.inputs["colliders"] = collider_state.states(obj, job.input.together)
-        job.next_chunk()
-    note_inputs(jobs)
+        given = job.input
+        given.frames_per_chunk = frames
+        given.together = tuple(other.name for other in jobs if other != job)
+        given.inputs |= {"together": [*given.together], "colliders": collider_state.states(obj, given.together)}
+        job.begin_chunk(0)
+    _note({job.name: job.input.inputs for job in jobs})
+
+
+def garments(jobs: Sequence[Job]) -> frozenset[tuple[str, str]]:
+    """Of jobs that are simulated as one: (clothes, body), names of objects."""
+    if len(jobs) == 1:
+        return frozenset()
+    found = colliders.garments([job.request.target.find() for job in jobs])
+    return frozenset((clothes.name, body.name) for clothes, body in found)
 
 
 def _refusal(job: Job, other: Job) -> str:
@@ -80,31 +82,12 @@ def _refusal(job: Job, other: Job) -> str:
 
 def note_inputs(jobs: Sequence[Job]) -> None:
     """Note in what each of these bakes is made from what those together with it are made from."""
-    made_from = {job.name: collider_state.input_hash(job.outcome.inputs) for job in jobs}
-    for job in jobs:
-        for state in job.outcome.inputs["colliders"]:
+    _note({job.name: job.outcome.inputs for job in jobs})
+
+
+def _note(inputs: Mapping[str, dict]) -> None:
+    made_from = {name: collider_state.input_hash(each) for name, each in inputs.items()}
+    for each in inputs.values():
+        for state in each["colliders"]:
             if state[0] in made_from:
                 state[2] = made_from[state[0]]
-
-
-class Together:
-    """Where the threads of so many jobs meet. garments: (clothes, body), names of objects."""
-
-    def __init__(self, count: int, garments: Set[tuple[str, str]]):
-        self._barrier = threading.Barrier(count, self._play)
-        self._garments = garments
-        self._waiting: list[tuple[Shot, RigSamples]] = []
-
-    def play(self, shot: Shot, rig: RigSamples) -> None:
-        """As `Shot.play`, when all are here. Raises BrokenBarrierError when one of the others has left, or failed."""
-        self._waiting.append((shot, rig))
-        self._barrier.wait()
-
-    def leave(self) -> None:
-        """Wait for nobody any more."""
-        self._barrier.abort()
-
-    def _play(self) -> None:
-        waiting, self._waiting = sorted(self._waiting, key=lambda each: each[0].player.character.name), []
-        shots, rigs = zip(*waiting, strict=True)
-        play_together(shots, rigs, self._garments)

@@ -8,7 +8,6 @@ from collections.abc import Callable
 import bpy
 from bpy.app.handlers import persistent
 
-from ..core import engine
 from ..scene import body_checks, colliders, cuts, events, model_store, references, sampling_scene, skin, staleness
 from ..scene.references import rig_of
 from ..scene.skin import soft_skins
@@ -16,7 +15,7 @@ from ..write import storage
 from ..write.authoring import targets
 from ..write.bake import influence
 from ..write.reconcile import reconcile
-from . import batch, expected_error, heat, live
+from . import batch, child, expected_error, heat, live
 
 PATIENCE = 1.0  # seconds without an edit before the check
 GLANCE = 0.3  # seconds after a panel has asked about a body
@@ -207,7 +206,7 @@ def register() -> None:
 
 def unregister() -> None:
     _before_load()
-    engine.dismiss()
+    child.dismiss()
     sampling_scene.remove_kept()
     bpy.msgbus.clear_by_owner(OWNER)
     events.unsubscribe(LISTENERS)

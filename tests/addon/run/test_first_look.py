@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A new soft skin moves in Live with few modes while the others are found, and goes on with all of them."""
 
-import threading
-
 import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core.errors import Cancelled, SceneError
 from bl_ext.user_default.dynamic_morph_targets.core.model import build
-from bl_ext.user_default.dynamic_morph_targets.core.motion import limits, prepared
+from bl_ext.user_default.dynamic_morph_targets.core.motion import prepared
 from bl_ext.user_default.dynamic_morph_targets.io import model_file
 from bl_ext.user_default.dynamic_morph_targets.run import live, preview
 from bl_ext.user_default.dynamic_morph_targets.run.first_look import FirstLook
@@ -24,7 +22,7 @@ SIZE = 2.4  # meters, of the arm
 
 
 @pytest.fixture
-def new_arm(arm):
+def new_arm(arm, apart):
     """A soft skin that was just added, with a coarse cage and more modes than a draft has."""
     bpy.ops.dynamorph.add_soft_skin()
     model = arm.dynamorph.model
@@ -37,7 +35,7 @@ def new_arm(arm):
 def until_it_shows(obj):
     """A first look up to where Live shows the draft, and its steps that are left."""
     work = FirstLook(obj)
-    steps = work.steps(pause=0.001)
+    steps = work.steps()
     for _ in steps:
         if work.shows:
             return work, steps
@@ -85,7 +83,7 @@ def test_nothing_of_a_draft_stays_where_the_build_ends(new_arm):
     with pytest.raises(Cancelled):
         for _ in steps:
             pass
-    work.abandon()
+    work.stop()
     assert not live.is_on(new_arm) and not new_arm.dynamorph.model.content_id and not model_store.drafts
     assert "Dynamorph Live" not in new_arm.data.shape_keys.key_blocks
 
@@ -137,7 +135,7 @@ def test_a_build_that_ends_in_the_hop_leaves_nothing(new_arm):
     with pytest.raises(Cancelled):
         for _ in steps:
             pass
-    work.abandon()
+    work.stop()
     assert preview.preview is None and rig_of(new_arm).delta_location.length == 0.0
     assert not live.is_on(new_arm) and "Dynamorph Live" not in new_arm.data.shape_keys.key_blocks
 
@@ -174,7 +172,7 @@ def test_a_bounce_that_is_set_while_the_draft_plays_stays(new_arm):
 
 def test_a_render_sees_no_draft(new_arm, monkeypatch):
     work = FirstLook(new_arm)
-    steps = work.steps(pause=0.001)
+    steps = work.steps()
     next(steps)  # it has read the character
     monkeypatch.setattr(events, "render_runs", lambda: True)
     while work.message != "Waiting for the render to end":
@@ -219,26 +217,6 @@ def test_live_begins_again_where_other_nodes_are_pinned(new_arm):
     assert np.isfinite(shown_at(2)).all() and farthest(first, shown_at(1)) < 0.1
 
 
-def test_what_takes_long_is_made_in_the_thread(new_arm, monkeypatch):
-    """The engine's model and the limits, of the draft and of the whole: once each, for Live and for its tests."""
-    makers = []
-
-    def seen(*given):
-        makers.append(threading.current_thread())
-        return limits.motion_limit(*given)
-
-    monkeypatch.setattr(prepared, "motion_limit", seen)
-    prepared.forget()
-    _, steps = until_it_shows(new_arm)
-    hopping(new_arm)
-    preview.end_preview()
-    for _ in steps:
-        pass
-    shown_at(2)
-    assert live.state.sessions[new_arm.session_uid].tissue.modes == 80
-    assert len(makers) == 2 and threading.main_thread() not in makers
-
-
 def test_what_live_cannot_play_is_built_nevertheless(new_arm, monkeypatch):
     """Live says what prevents it when the model is there."""
 
@@ -247,6 +225,6 @@ def test_what_live_cannot_play_is_built_nevertheless(new_arm, monkeypatch):
 
     prepared.forget()
     monkeypatch.setattr(prepared, "motion_limit", refuse)
-    for _ in FirstLook(new_arm).steps(pause=0.001):
+    for _ in FirstLook(new_arm).steps():
         pass
     assert new_arm.dynamorph.model.content_id

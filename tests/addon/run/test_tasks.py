@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Work that is no job, in a window: it shows its progress, and Esc stops it before anything has changed."""
 
-import threading
-import types
-
 import bpy
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors, message
 from bl_ext.user_default.dynamic_morph_targets.run import batch, weight_curves
-from bl_ext.user_default.dynamic_morph_targets.run.task import Task, in_thread
+from bl_ext.user_default.dynamic_morph_targets.run.task import Task, elsewhere
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import jobs
 from builders import rig_of
 from layout import drawn
 from pressed import Pressed
 from test_targets import channels, drive
+from threaded import Threaded
 
 OPS = bpy.ops.dynamorph
 
@@ -81,50 +79,26 @@ def test_esc_between_two_drivers(arm, slow):
     assert seen[1:] == [("Trying the driver of 'flexed'", True, 1), ("Trying the driver of 'smile'", True, 1)]
 
 
-@pytest.fixture
-def waiting(addon):
-    """A thread's work that reports once, and goes on when it may."""
-    may, began = threading.Event(), threading.Event()
-
-    def work(report):
-        report(0.25)
-        began.set()
-        may.wait(10.0)
-        report(0.5)
-        return "done"
-
-    return types.SimpleNamespace(work=work, may=may, began=began)
+def half(report):
+    """Work that another process knows too."""
+    report(0.5)
+    return "done"
 
 
-def test_a_thread_reports_and_its_result_is_the_task_s(soft_arm, waiting):
-    task = Task(soft_arm, "CHECK_TARGETS", in_thread(waiting.work, "Checking targets"))
-    steps = task.steps(0.0)
-    next(steps)
-    waiting.began.wait(10.0)
-    next(steps)
-    assert (task.fraction, task.message) == (0.25, "Checking targets")
-    waiting.may.set()
-    for _ in steps:
-        pass
+@pytest.mark.parametrize("place", ["here", "threaded"])
+def test_what_work_reports_and_returns_is_the_task_s(soft_arm, monkeypatch, place):
+    if place == "threaded":
+        monkeypatch.setattr(batch, "worker", Threaded)
+    task = Task(soft_arm, "CHECK_TARGETS", elsewhere(half, "Checking targets", "Arm", reports=True))
+    batch.run_all(task)
     assert task.result == "done"
 
 
-def test_a_thread_that_is_left_ends_at_its_next_report(soft_arm, waiting):
-    task = Task(soft_arm, "CHECK_TARGETS", in_thread(waiting.work, "Checking targets"))
-    next(task.steps(0.0))
-    waiting.began.wait(10.0)
-    task.abandon()
-    (thread,) = batch.winding_down
-    waiting.may.set()
-    batch.stop()
-    assert not thread.is_alive() and batch.winding_down == [] and task.result is None
-
-
-def test_what_a_thread_raises_is_reported(soft_arm):
-    def fails(_report):
+def test_what_work_raises_is_reported(soft_arm):
+    def fails():
         raise errors.SceneError("'{name}' is too soft", name="Arm")
 
-    task = Task(soft_arm, "CHECK_TARGETS", in_thread(fails, ""))
+    task = Task(soft_arm, "CHECK_TARGETS", elsewhere(fails, "", "Arm"))
     with pytest.raises(errors.SceneError, match="'Arm' is too soft"):
         batch.run_all(task)
 
@@ -137,7 +111,7 @@ def built_arm(soft_arm):
     return soft_arm
 
 
-def test_targets_are_checked_in_a_thread(built_arm):
+def test_targets_are_checked_in_another_process(built_arm):
     pressed = Pressed(built_arm, operator="DYNAMORPH_OT_check_targets")
     assert pressed.result == {"FINISHED"} and len(built_arm.dynamorph.live.checks.split("\n")) == 2
     built_arm.dynamorph.live.checks = ""
@@ -145,7 +119,7 @@ def test_targets_are_checked_in_a_thread(built_arm):
     assert built_arm.dynamorph.live.checks == ""
 
 
-def test_a_bounce_is_fitted_in_a_thread(built_arm):
+def test_a_bounce_is_fitted_in_another_process(built_arm):
     built_arm.dynamorph.active_target_index = 1
     target = built_arm.dynamorph.targets[1]
     before = target.stiffness

@@ -211,25 +211,3 @@ def test_the_scene_of_a_job_is_deleted(scene, soft_arm, other, stand_in):
 
 
 # Threads -------------------------------------------------------------------------------------------------------------
-
-
-class MainThreadOnly:
-    """Stands in for a part of bpy."""
-
-    def __init__(self, real):
-        self.real = real
-
-    def __getattr__(self, name):
-        assert threading.current_thread() is threading.main_thread(), f"bpy was asked for {name} by a thread"
-        return getattr(self.real, name)
-
-
-@pytest.mark.parametrize("kind", ["MODES", "FRAMES", "PC2"])
-def test_a_job_s_thread_never_asks_blender(soft_arm, tmp_path, monkeypatch, kind):
-    pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
-    settings = soft_arm.dynamorph
-    settings.model.cage_nodes, settings.model.modes, settings.output.format = 200, 8, kind
-    for name in ("context", "data", "path", "ops", "app"):
-        monkeypatch.setattr(bpy, name, MainThreadOnly(getattr(bpy, name)))
-    run_all(baking(soft_arm, folder=tmp_path))
-    assert soft_arm.dynamorph.bake.exists

@@ -11,7 +11,7 @@ from bpy.app.translations import pgettext_tip as tip_
 from bpy.types import Operator
 
 from ...core.message import Message, joined, translated
-from ...run import batch, expected_error, full_comparison, live
+from ...run import batch, child, expected_error, full_comparison, live
 from ...run.batch import run_all
 from ...run.job import Job
 from ...scene import events, staleness
@@ -100,7 +100,7 @@ class JobOperator(SoftSkinOperator):
     def _begin(self, context):
         expected_error.cancel()  # the job needs the computer, and outdates what is measured
         self.batch = batch.running = self._batch(reconciled(mesh_in(context)))
-        self.steps = self.batch.steps(SLICE, 0.0)
+        self.steps = self.batch.steps(SLICE)
         self.shown = 0.0  # when
         self.timer = context.window_manager.event_timer_add(TICK, window=context.window)
         context.window_manager.modal_handler_add(self)
@@ -119,8 +119,9 @@ class JobOperator(SoftSkinOperator):
         return {"RUNNING_MODAL"}
 
     def _end(self, context):
-        self.batch.abandon()
+        self.batch.stop()
         batch.running = None
+        child.prepare()  # for what comes next
         context.window_manager.event_timer_remove(self.timer)
         events.redraw(events.PANELS)
         events.redraw_status(context)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import bpy
 from bpy.props import EnumProperty, FloatProperty
 from bpy.types import Operator
@@ -79,10 +81,8 @@ class FitsBounce(TargetOperator, JobOperator):
         index = obj.dynamorph.active_target_index
         model, character, target = model_store.fit_input(obj, obj.dynamorph.active_target)
 
-        def fit(_report):
-            return material_fit.fit_oscillation(model, character, target, frequency, decay)
-
-        return index, (yield from task.in_thread(fit, "Fitting the bounce"))
+        fit = partial(material_fit.fit_oscillation, model, character, target, frequency, decay)
+        return index, (yield from task.elsewhere(fit, "Fitting the bounce", obj.name))
 
     def _done(self, task):
         index, fitted = task.result

@@ -19,10 +19,11 @@ from mathutils import Matrix
 
 from ...core.character import target_labels
 from ...core.errors import SceneError
+from ...core.motion.shake import SECONDS
 from ...core.result import compare
 from ...run import live, preview, task
 from ...run.first_look import FirstLook
-from ...run.preview import SECONDS, SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
+from ...run.preview import SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
 from ...scene import animation, events, model_store, rig_motion, skin
 from ...scene.registration import of_classes
 from ...scene.skinning import Skinning
@@ -354,7 +355,8 @@ class DYNAMORPH_OT_check_targets(JobOperator, Operator):
     @staticmethod
     def _misses(obj) -> task.Chunks[list[str]]:
         model, character = model_store.current_model(obj)
-        misses = yield from task.in_thread(partial(compare.residuals, model, character), "Checking targets")
+        check = partial(compare.residuals, model, character)
+        misses = yield from task.elsewhere(check, "Checking targets", obj.name, reports=True)
         labels = zip(target_labels(character.authored_sets), character.authored_targets, strict=True)
         return [f"{label}: {1000 * misses[target.name]:.3f} mm" for label, target in labels]
 

@@ -9,10 +9,10 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty
 from bpy.types import Operator
 
-from ...core import engine
 from ...core.errors import SceneError, sentence
 from ...core.material.feel import FEELS
 from ...core.message import translated
+from ...run import child
 from ...run.removal import remove_soft_skin
 from ...scene import body_checks, checks, cuts, extract, references, rig_motion, skin, target_properties
 from ...scene.references import armature_modifiers
@@ -55,7 +55,8 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         obj = chosen
         if obj.dynamorph.targets:
             raise SceneError("'{name}' is a soft skin already: press Bake, or add targets", name=obj.name)
-        engine.prepare()  # while the mesh is looked at
+        if not bpy.app.background:
+            child.prepare()  # while the mesh is looked at
         in_the_way = extract.first_look(obj)
         rig = references.rig_of(obj)
         skeleton, rig_world = references.rest_skeleton(rig.data), rig_motion.world_now(rig)
