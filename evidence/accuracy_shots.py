@@ -89,7 +89,7 @@ def one_click_shots(subject: Subject) -> list[Shot]:
 def read_shot(body, clip: str) -> Shot:
     """The scene's frames."""
     job = Job(body, "BAKE", whole=True, stored=False)
-    return Shot(clip, rig=batch.read_rig(job), character=job.outcome.character, settings=job.input.settings)
+    return Shot(clip, rig=batch.read_rig(job), character=job.input.character, settings=job.input.settings)
 
 
 def scene_shots(subject: Subject) -> list[Shot]:

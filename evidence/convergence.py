@@ -29,7 +29,8 @@ from contact_sheet import quiet
 from dynamic_morph_targets.core.character import Target
 from dynamic_morph_targets.core.material import calibration
 from dynamic_morph_targets.core.motion import simulate
-from dynamic_morph_targets.run import batch, job
+from dynamic_morph_targets.core.motion.rig_samples import RigSamples
+from dynamic_morph_targets.run import batch
 from dynamic_morph_targets.run.job import Job
 from measured import measured_at
 
@@ -48,12 +49,12 @@ def main() -> int:
     require("convergence", [BODY.name])
     CACHE.mkdir(parents=True, exist_ok=True)
     dynamic_morph_targets.register()
-    job = shot()
+    job, rig = shot()
     stiffness = None
     for size in sorted({SIZES[0], *arguments.sizes}):
         kept = read(size) if arguments.keep else None
         if kept is None:
-            kept = simulated(job, size, stiffness)
+            kept = simulated(job, rig, size, stiffness)
         stiffness = stiffness or kept["stiffness"]
         print(f"{size}: {kept['nodes']} nodes, {kept['stiffness']:.0f} Pa, {kept['seconds']:.0f} s", flush=True)
     found = compare({SIZES[0], *arguments.sizes})
@@ -62,8 +63,8 @@ def main() -> int:
     return 0
 
 
-def shot() -> job.Job:
-    """The body after one click, with the liveliest frames of its liveliest clip read."""
+def shot() -> tuple[Job, RigSamples]:
+    """The body after one click, and the liveliest frames of its liveliest clip."""
     with quiet():
         characters.open_file(BODY)
         body = characters.largest_skinned()
@@ -72,17 +73,16 @@ def shot() -> job.Job:
         bpy.context.view_layer.objects.active = body
         bpy.ops.dynamorph.add_soft_skin()
         job = Job(body, "BAKE", whole=True, stored=False)
-        batch.read_rig(job)
-    return job
+        return job, batch.read_rig(job)
 
 
-def simulated(job: job.Job, size: int, stiffness: float | None) -> dict:
+def simulated(job: Job, rig: RigSamples, size: int, stiffness: float | None) -> dict:
     """Simulates the shot in a cage of this size, unreduced: with the stiffness that its own frequency asks for, and,
     where there is one, with another cage's stiffness. Keeps both motions."""
     began = time.perf_counter()
     frames = len(job.input.settings.frames)
-    character = job.outcome.character.with_settings(solver="FULL", modes=frames, cage_nodes=size)
-    model = simulate.build_for(character, job.computation.rig, job.input.settings)
+    character = job.input.character.with_settings(solver="FULL", modes=frames, cage_nodes=size)
+    model = simulate.build_for(character, rig, job.input.settings)
     character = calibration.calibrated(character, calibration.reference(model, character))
     own = character.targets[0].material.stiffness
     figures = {
@@ -93,10 +93,10 @@ def simulated(job: job.Job, size: int, stiffness: float | None) -> dict:
         "commit": measured_at("believable.md"),
         "frequency": character.targets[0].frequency,
     }
-    own_motion = motion(job, model, character)
+    own_motion = motion(job, rig, model, character)
     fixed = own_motion
     if stiffness is not None:
-        fixed = motion(job, model, character.with_targets(partial(stiffened, stiffness / own)))
+        fixed = motion(job, rig, model, character.with_targets(partial(stiffened, stiffness / own)))
     figures["seconds"] = time.perf_counter() - began
     np.savez(CACHE / f"{size}.npz", own=own_motion, fixed=fixed, areas=areas(character))
     (CACHE / f"{size}.json").write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
@@ -107,9 +107,9 @@ def stiffened(factor: float, _index: int, target: Target) -> Target:
     return replace(target, material=replace(target.material, stiffness=target.material.stiffness * factor))
 
 
-def motion(job: job.Job, model, character) -> np.ndarray:
+def motion(job: Job, rig: RigSamples, model, character) -> np.ndarray:
     """Displacement (F, V, 3) of the surface, bind space."""
-    bake, _ = simulate.bake(model, character, job.computation.rig, job.input.settings)
+    bake, _ = simulate.bake(model, character, rig, job.input.settings)
     return np.array([bake.displacement(k) for k in range(len(bake.frames))]) @ character.to_bind.T
 
 

@@ -40,6 +40,17 @@ except ImportError:  # in a checkout of before
 FRAMES = 250  # of the bake
 
 
+def _steps(work: FirstLook) -> Iterator[None]:
+    """Of the work as in a window, which looks now and then."""
+    if not hasattr(batch, "Child"):  # a checkout of before
+        yield from work.steps(pause=0.005)
+        return
+    batch.worker = batch.Child
+    for _ in work.steps():
+        yield
+        time.sleep(0.005)
+
+
 def main() -> int:
     assert addon_utils.enable(MODULE, default_set=True) is not None
     engine.load()
@@ -58,7 +69,7 @@ def main() -> int:
     job = Job(body, "BUILD", rebuild=True)
     if FirstLook:
         work = FirstLook(body)
-        job, steps = work.jobs[0], work.steps(pause=0.005)
+        job, steps = work.jobs[0], _steps(work)
         turn_on = live.turn_on
 
         def timed_turn_on(*given: object) -> None:

@@ -83,6 +83,26 @@ SurfacePoints surface_points(const std::optional<IndexArray>& corners, const std
   return {to_indices<Triangles>(*corners, "corners"), *weights};
 }
 
+/// Responses on their way to another process, and there.
+py::tuple pickled(const LocalResponses& responses) {
+  const ResponseParts& parts = responses.parts();
+  return py::make_tuple(MatrixXd(parts.centers.rest), MatrixXd(parts.centers.normals), parts.size, parts.reach,
+                        MatrixXd(parts.shapes), parts.stiffness, parts.farthest, parts.shear, parts.farthest_node);
+}
+
+ResponseParts parts_of(const py::tuple& state) {
+  ResponseParts parts;
+  parts.centers = {state[0].cast<MatrixXd>(), state[1].cast<MatrixXd>(), {}};
+  parts.size = state[2].cast<double>();
+  parts.reach = state[3].cast<double>();
+  parts.shapes = state[4].cast<MatrixXd>();
+  parts.stiffness = state[5].cast<MatrixXd>();
+  parts.farthest = state[6].cast<VectorXd>();
+  parts.shear = state[7].cast<VectorXd>();
+  parts.farthest_node = state[8].cast<std::vector<int>>();
+  return parts;
+}
+
 void bind_local_responses(py::module_& m) {
   py::class_<LocalResponses, std::shared_ptr<LocalResponses>>(
       m, "LocalResponses",
@@ -112,7 +132,8 @@ void bind_local_responses(py::module_& m) {
           "one over the body's volume.")
       .def_property_readonly(
           "stiffness", [](const LocalResponses& r) { return MatrixXd(r.stiffness()); },
-          "C (P, P) of the energy a^T C a / 2, at the neutral targets.");
+          "C (P, P) of the energy a^T C a / 2, at the neutral targets.")
+      .def(py::pickle(&pickled, [](const py::tuple& state) { return std::make_shared<LocalResponses>(parts_of(state)); }));
 }
 
 void bind_samples(py::module_& m) {

@@ -37,7 +37,7 @@ import bpy  # noqa: E402
 import long_runs  # noqa: E402
 import numpy as np  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.cli import commands  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.core import engine  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.run import child  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.write.export import exports  # noqa: E402
 from builders import activate, make_arm, make_soft, soon  # noqa: E402
 from pressed import Pressed  # noqa: E402
@@ -121,7 +121,7 @@ class Walk:
 
     def opened(self) -> set[str]:
         """Files that are still open. A mesher that waits for its work has one, until it ends by itself."""
-        engine.dismiss()
+        child.dismiss()
         return open_files() - self.files
 
 

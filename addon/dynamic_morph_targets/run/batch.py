@@ -67,8 +67,8 @@ def worker(kind: Callable[..., Any], *args: Any, **options: Any) -> Child | Here
 class Batch:
     """Jobs one after the other. All are written when all are done: one undo step, or nothing.
 
-    goal: the button's, as in Job, or "BAKE_ALL". tick(self): is called about ten times a second while no window waits
-    for what is computed.
+    goal: the button's, as in Job, or "BAKE_ALL". worker: where `Computations` are, once the jobs are read. tick(self):
+    is called about ten times a second while no window waits for what is computed.
     """
 
     def __init__(self, jobs: Sequence[Job], goal: str):
@@ -80,7 +80,7 @@ class Batch:
         self._ticked = 0.0
         self._at = jobs[0]
         self._groups: list[list[Job]] = []  # when they are read: those in one are simulated together
-        self._worker: Child | Here | None = None
+        self.worker: Child | Here | None = None
 
     @property
     def name(self) -> str:
@@ -106,8 +106,8 @@ class Batch:
         yield from self.read(seconds)
         yield from self.compute(seconds)
         yield from self.write()
-        if self._worker:
-            self._worker.end()
+        if self.worker:
+            self.worker.end()
 
     def read(self, seconds: float = np.inf) -> Iterator[None]:
         """The first part of the work: all that the jobs begin with, and the first chunk of their rigs."""
@@ -119,9 +119,9 @@ class Batch:
                 yield from self._turn(reading=True)
         bakes = all(job.input.is_bake for job in self.jobs)
         self._groups = together.groups(self.jobs) if bakes else [[job] for job in self.jobs]
-        self._worker = worker(Computations, [job.input for job in self.jobs], heard=self._hear, name=self.name)
-        if self._worker.object:
-            for job, computation in zip(self.jobs, self._worker.object.each, strict=True):
+        self.worker = worker(Computations, [job.input for job in self.jobs], heard=self._hear, name=self.name)
+        if self.worker.object:
+            for job, computation in zip(self.jobs, self.worker.object.each, strict=True):
                 job.computation = computation
         for number, job in enumerate(self.jobs):
             if job.needs_cage:
@@ -186,12 +186,12 @@ class Batch:
 
     def _asked(self, group: Sequence[Job], name: str, *args: Any) -> Generator[None, None, Any]:
         """What the method of `Computations` returns, which works for these jobs."""
-        assert self._worker is not None  # the jobs are read
+        assert self.worker is not None  # the jobs are read
         self._at = group[0]
         with ExitStack() as turns:
             for job in group:
                 turns.enter_context(job.progress.turn())
-            answer = self._worker.call(name, *args)
+            answer = self.worker.call(name, *args)
             while True:
                 try:
                     next(answer)
@@ -233,8 +233,8 @@ class Batch:
 
     def stop(self) -> None:
         """End what computes, and remove the files that it has begun, if the results are not written."""
-        if self._worker:
-            self._worker.end()
+        if self.worker:
+            self.worker.end()
         for job in self.jobs:
             job.discard()
 

@@ -70,9 +70,9 @@ class Child:
     def __init__(self, kind: Callable[..., Any], *args: Any, heard: News, name: str = "", gentle: bool = False):
         self._begin: tuple | None = (kind, args, engine.threads(), gentle)
         self._heard, self._name = heard, name
-        self._process = _Process() if gentle else take()
-        self._folder = Path(tempfile.mkdtemp(prefix="dynamorph-"))
-        self._process.tell(str(self._folder))
+        self._process = Process() if gentle else take()
+        self.folder = Path(tempfile.mkdtemp(prefix="dynamorph-"))
+        self._process.tell(str(self.folder))
         self._calls = 0
         self._news = 0  # how many lasting reports were heard
         self._told = 0.0  # when the last passing one was written
@@ -81,13 +81,13 @@ class Child:
     def call(self, name: str, *args: Any) -> Answer:
         """What its method `name` returns, or raises. Raises ProcessError, OSError."""
         if self._begin:
-            yield from write(self._folder / "begin", self._begin)
+            yield from write(self.folder / "begin", self._begin)
             self._begin = None
         number = self._calls
-        yield from write(self._folder / f"{number}.call", (name, args))
+        yield from write(self.folder / f"{number}.call", (name, args))
         self._calls += 1
         self._process.tell(str(number))
-        answer = self._folder / f"{number}.answer"
+        answer = self.folder / f"{number}.answer"
         while not answer.exists():
             if self._process.ended and not answer.exists():
                 self._again()
@@ -105,17 +105,21 @@ class Child:
         """Whether the process has."""
         return self._process.ended
 
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
     def end(self) -> None:
         """End the process, whatever it does, and remove its files."""
         self._process.end()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        shutil.rmtree(self.folder, ignore_errors=True)
 
     def _listen(self) -> Answer:
         """Pass on what was reported since the last time."""
-        while (lasting := self._folder / f"{self._news}.news").exists():
+        while (lasting := self.folder / f"{self._news}.news").exists():
             self._news += 1
             self._heard((yield from read(lasting)))
-        passing = self._folder / "news"
+        passing = self.folder / "news"
         with contextlib.suppress(OSError):  # there is none yet; or Windows, and it is replaced at this moment
             written = passing.stat().st_mtime_ns
             if written != self._told:
@@ -141,7 +145,7 @@ class Child:
                 ),
             )
         self._process = take()
-        for line in (self._folder, *range(self._calls)):
+        for line in (self.folder, *range(self._calls)):
             self._process.tell(str(line))
 
 
@@ -191,34 +195,34 @@ def _slices(parts: list[memoryview]) -> Generator[tuple[bool, memoryview], None,
 
 # The process, which may be started before there is work for it --------------------------------------------------------
 
-_spare: list[_Process] = []  # at most one
+spare: list[Process] = []  # at most one
 
 
 def prepare() -> None:
     """Start the process of the next `Child` now, because that takes half a second. It ends by itself if it gets no
     work.
     """
-    if not (_spare and _spare[0].waits):
+    if not (spare and spare[0].waits):
         dismiss()
         with contextlib.suppress(DynamorphError):  # `Child` will say so
-            _spare.append(_Process())
+            spare.append(Process())
 
 
 def dismiss() -> None:
     """End what `prepare` started."""
-    while _spare:
-        _spare.pop().end()
+    while spare:
+        spare.pop().end()
 
 
-def take() -> _Process:
+def take() -> Process:
     """A process that waits for work. Raises ProcessError."""
-    if _spare and _spare[0].waits:
-        return _spare.pop()
+    if spare and spare[0].waits:
+        return spare.pop()
     dismiss()
-    return _Process()
+    return Process()
 
 
-class _Process:
+class Process:
     """Python without the artist's environment, which runs `main`. Inside Blender it is Blender's own Python. Raises
     ProcessError.
     """
@@ -246,6 +250,10 @@ class _Process:
         """Write a line to its standard input. If it has ended, that shows soon enough."""
         with _without_sigpipe(), contextlib.suppress(OSError):
             self._process.stdin.write(line.encode() + b"\n")  # type: ignore[union-attr]
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
 
     @property
     def ended(self) -> bool:

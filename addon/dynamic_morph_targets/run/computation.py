@@ -23,9 +23,8 @@ from ..core.material import calibration
 from ..core.message import Message
 from ..core.model import build
 from ..core.model.model import Model
-from ..core.motion import baked, rig_samples, simulate
+from ..core.motion import baked, contact, rig_samples, simulate
 from ..core.motion.baked import Bake
-from ..core.motion.prepared import prepared
 from ..core.motion.rig_samples import RigSamples
 from ..core.motion.simulate import Shot, play_together
 from ..core.result import judge
@@ -214,10 +213,11 @@ class Computation:
         self._offer_draft(draft, character)
 
     def _prepare(self, model: Model, character: Character) -> None:
-        """Make here what Live would make next in the main thread."""
-        if self.given.live and model.settings.method != "STATIC":
+        """Make here what Live would make next, while the window waits for it."""
+        live = self.given.live
+        if live and live.collision and model.settings.method != "STATIC":
             with suppress(*engine.expected_errors()):  # Live says what prevents it
-                prepared(model, character, self.given.live)
+                contact.make_kept(model, character, live.self_collision)
 
     def _take_model(self, model: Model) -> None:
         with self.progress.stage("store model"):

@@ -114,6 +114,8 @@ class Job:
 
     def take_outcome(self, outcome: Outcome) -> None:
         self.outcome = outcome
+        if self.input.model is not None:  # of which the other process has made something
+            self.input.model.made.update(outcome.model.made)
         seconds = self.progress.seconds
         for stage, took in outcome.seconds.items():
             seconds[stage] = seconds.get(stage, 0.0) + took

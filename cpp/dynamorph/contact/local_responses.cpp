@@ -87,7 +87,8 @@ double squared_unlikeness(const Vector3d& x, const Vector3d& normal, const Vecto
 }
 
 double LocalResponses::unlike(int patch, const Vector3d& rest, const Vector3d& normal) const {
-  return std::sqrt(squared_unlikeness(centers_.rest.row(patch), centers_.normals.row(patch), rest, normal, size_));
+  return std::sqrt(
+      squared_unlikeness(parts_.centers.rest.row(patch), parts_.centers.normals.row(patch), rest, normal, parts_.size));
 }
 
 void LocalResponses::patches_at(const Vector3d& rest, const Vector3d& normal,
@@ -95,11 +96,11 @@ void LocalResponses::patches_at(const Vector3d& rest, const Vector3d& normal,
   out.clear();
   double sum = 0;
   std::pair<int, double> nearest{-1, kInfinity};
-  for (int patch = 0; patch < int(centers_.rest.rows()); ++patch) {
+  for (int patch = 0; patch < int(parts_.centers.rest.rows()); ++patch) {
     const double away = unlike(patch, rest, normal);
     if (away < nearest.second) nearest = {patch, away};
-    if (!(away < reach_)) continue;
-    out.push_back({patch, std::pow(1 - away / reach_, 2)});
+    if (!(away < parts_.reach)) continue;
+    out.push_back({patch, std::pow(1 - away / parts_.reach, 2)});
     sum += out.back().second;
   }
   if (out.empty() && nearest.first >= 0) out.push_back({nearest.first, sum = 1});
@@ -107,8 +108,10 @@ void LocalResponses::patches_at(const Vector3d& rest, const Vector3d& normal,
 }
 
 LocalResponses::LocalResponses(const FullModel& model, const MatrixXd& basis, const SkinPlaces& places,
-                               const Embedding& embedding, const std::vector<int>& centers)
-    : centers_(at(places, centers)), size_(model.body().size), shear_(model.body().sets()) {
+                               const Embedding& embedding, const std::vector<int>& centers) {
+  parts_.centers = at(places, centers);
+  parts_.size = model.body().size;
+  parts_.shear.resize(model.body().sets());
   if (centers.empty()) throw std::invalid_argument("centers: at least one is needed");
   check_size("normals", places.normals.rows(), places.rest.rows());
   check_size("corners", places.points.size(), places.rest.rows());
@@ -119,8 +122,8 @@ LocalResponses::LocalResponses(const FullModel& model, const MatrixXd& basis, co
     throw std::invalid_argument("embedding: it belongs to another mesh");
   const VectorXd neutral = neutral_weights(model.body(), model.targets());
   for (std::size_t j = 0; j < model.targets().size(); ++j)
-    if (neutral(Index(j)) == 1) shear_(model.targets()[j].set) = model.targets()[j].lame.mu;
-  reach_ = reach_of(places, centers);
+    if (neutral(Index(j)) == 1) parts_.shear(model.targets()[j].set) = model.targets()[j].lame.mu;
+  parts_.reach = reach_of(places, centers);
 
   const RowMajor pressed = weights_of(places);
   const MatrixXd loads = loads_on(model.skin_points(embedding), places, pressed);
@@ -135,17 +138,17 @@ LocalResponses::LocalResponses(const FullModel& model, const MatrixXd& basis, co
   MatrixXd taken = (basis.transpose() * KB).ldlt().solve(basis.transpose() * loads);  // by the coordinates alone
   taken = (taken * stay_local(ModalPoints(model.body(), embedding, basis), places, pressed, taken).asDiagonal()).eval();
   MatrixXd R = answers - basis * taken;
-  stiffness_ = R.transpose() * (loads - KB * taken);
-  stiffness_ = (0.5 * (stiffness_ + stiffness_.transpose())).eval();
+  parts_.stiffness = R.transpose() * (loads - KB * taken);
+  parts_.stiffness = (0.5 * (parts_.stiffness + parts_.stiffness.transpose())).eval();
   normalize(model.body().volumes.rowwise().sum(), answers.cwiseProduct(loads).colwise().sum(), R);
-  shapes_ = R;
-  farthest_.resize(R.cols());
+  parts_.shapes = R;
+  parts_.farthest.resize(R.cols());
   for (Index patch = 0; patch < R.cols(); ++patch) {
     Index node;
-    farthest_(patch) = as_points(VectorXd(R.col(patch))).rowwise().norm().maxCoeff(&node);
-    farthest_node_.push_back(int(node));
+    parts_.farthest(patch) = as_points(VectorXd(R.col(patch))).rowwise().norm().maxCoeff(&node);
+    parts_.farthest_node.push_back(int(node));
   }
-  if (!shapes_.allFinite() || !stiffness_.allFinite())
+  if (!parts_.shapes.allFinite() || !parts_.stiffness.allFinite())
     throw std::invalid_argument("basis: the responses to it are not finite");
 }
 
@@ -153,11 +156,12 @@ RowMajor LocalResponses::moved_where_farthest(const std::vector<int>& patches) c
   const Index m = Index(patches.size());
   RowMajor out = RowMajor::Identity(m, m);
   for (Index i = 0; i < m; ++i) {
-    const int patch = patches[std::size_t(i)], row = 3 * farthest_node_[std::size_t(patch)];
-    const double square = farthest_(patch) * farthest_(patch);
+    const int patch = patches[std::size_t(i)], row = 3 * parts_.farthest_node[std::size_t(patch)];
+    const double square = parts_.farthest(patch) * parts_.farthest(patch);
     if (!(square > 0)) continue;
     for (Index j = 0; j < m; ++j)
-      out(i, j) = shapes_.block<3, 1>(row, patch).dot(shapes_.block<3, 1>(row, patches[std::size_t(j)])) / square;
+      out(i, j) =
+          parts_.shapes.block<3, 1>(row, patch).dot(parts_.shapes.block<3, 1>(row, patches[std::size_t(j)])) / square;
   }
   return out;
 }
@@ -180,7 +184,7 @@ double LocalResponses::reach_of(const SkinPlaces& places, const std::vector<int>
 }
 
 RowMajor LocalResponses::weights_of(const SkinPlaces& places) const {
-  RowMajor out = RowMajor::Zero(places.rest.rows(), centers_.rest.rows());
+  RowMajor out = RowMajor::Zero(places.rest.rows(), parts_.centers.rest.rows());
   std::vector<std::pair<int, double>> found;
   for (Index p = 0; p < out.rows(); ++p) {
     patches_at(places.rest.row(p), places.normals.row(p), found);
@@ -196,11 +200,11 @@ void LocalResponses::normalize(const VectorXd& volume, const VectorXd& complianc
     const bool gives_way = compliance(patch) > kHeldFirm * compliance.maxCoeff() && square > 0;
     const double scale = gives_way ? 1 / std::sqrt(square) : 0;
     R.col(patch) *= scale;
-    stiffness_.row(patch) *= scale;
-    stiffness_.col(patch) *= scale;
-    if (!gives_way) stiffness_(patch, patch) = 1;  // it does nothing
+    parts_.stiffness.row(patch) *= scale;
+    parts_.stiffness.col(patch) *= scale;
+    if (!gives_way) parts_.stiffness(patch, patch) = 1;  // it does nothing
   }
-  stiffness_.diagonal() *= 1 + kAlike;
+  parts_.stiffness.diagonal() *= 1 + kAlike;
 }
 
 }  // namespace dynamorph

@@ -36,21 +36,39 @@ struct SkinPlaces {
   SurfacePoints points;  ///< (L): which ones of its vertices
 };
 
+/// All that responses consist of, so that they can be made again where they were sent.
+struct ResponseParts {
+  SkinPlaces centers;              ///< (P)
+  double size = 0;                 ///< of the body, meters
+  double reach = 0;                ///< how unlike its center a point of a patch is at most, meters
+  RowMajor shapes;                 ///< R (3 free, P)
+  MatrixXd stiffness;              ///< C (P, P)
+  VectorXd farthest, shear;        ///< (P), (S)
+  std::vector<int> farthest_node;  ///< of each patch, among the free ones
+};
+
 /// Immutable: simulations may share it.
 class LocalResponses {
  public:
+  explicit LocalResponses(ResponseParts parts) : parts_(std::move(parts)) {}
   /// places (L): spread evenly over the soft skin. embedding: of the skin's vertices in the mesh. Every one of
   /// `centers` is in the middle of a patch; at least one. B (3 free, dofs). Throws std::invalid_argument for arrays
   /// that do not fit each other.
   LocalResponses(const FullModel& model, const MatrixXd& basis, const SkinPlaces& places, const Embedding& embedding,
                  const std::vector<int>& centers);
 
-  Eigen::Index size() const { return shapes_.cols(); }  ///< P
+  Eigen::Index size() const { return parts_.shapes.cols(); }  ///< P
   /// R (3 free, P): displacements of the free nodes, each with a mean square of one over the body's volume.
-  const RowMajor& shapes() const { return shapes_; }
-  const MatrixXd& stiffness() const { return stiffness_; }  ///< C (P, P), N/m times m^3
-  const VectorXd& farthest() const { return farthest_; }  ///< how far a unit of each patch (P) moves a node, at most, m
-  const VectorXd& shear() const { return shear_; }  ///< mu (S) of the neutral target of each set, for which C is, Pa
+  const RowMajor& shapes() const { return parts_.shapes; }
+  const MatrixXd& stiffness() const { return parts_.stiffness; }  ///< C (P, P), N/m times m^3
+  const VectorXd& farthest() const {
+    return parts_.farthest;
+  }  ///< how far a unit of each patch (P) moves a node, at most, m
+  const VectorXd& shear() const {
+    return parts_.shear;
+  }  ///< mu (S) of the neutral target of each set, for which C is, Pa
+
+  const ResponseParts& parts() const { return parts_; }
 
   /// The share of its `farthest` that each of these patches (rows, m) is moved there, along its own way, by a unit of
   /// each (columns, m).
@@ -67,13 +85,7 @@ class LocalResponses {
   /// Scales R and C. volume (free): of the nodes; compliance (P): of what is below the patches.
   void normalize(const VectorXd& volume, const VectorXd& compliance, MatrixXd& R);
 
-  SkinPlaces centers_;
-  double size_;       ///< of the body, meters
-  double reach_ = 0;  ///< how unlike its center a point of a patch is at most, meters
-  RowMajor shapes_;
-  MatrixXd stiffness_;
-  VectorXd farthest_, shear_;
-  std::vector<int> farthest_node_;  ///< of each patch, among the free ones
+  ResponseParts parts_;
 };
 
 }  // namespace dynamorph

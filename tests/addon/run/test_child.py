@@ -148,9 +148,8 @@ def test_another_process_goes_on_where_one_is_killed(small, tmp_path, seed):
     killed = []
 
     def kill(work):
-        running = work._worker and work._worker._process._process
-        if not killed and running and time.monotonic() > began + moment:
-            os.kill(running.pid, signal.SIGKILL)
+        if not killed and work.worker and time.monotonic() > began + moment:
+            os.kill(work.worker.pid, signal.SIGKILL)
             killed.append(work.message)
 
     began = time.monotonic()
@@ -161,9 +160,8 @@ def test_another_process_goes_on_where_one_is_killed(small, tmp_path, seed):
 @posix
 def test_what_dies_twice_is_not_started_again(small, tmp_path, caplog):
     def kill(work):
-        running = work._worker and work._worker._process._process
-        if running and running.poll() is None and work.fraction > 0.0:
-            os.kill(running.pid, signal.SIGKILL)
+        if work.worker and not work.worker.ended and work.fraction > 0.0:
+            os.kill(work.worker.pid, signal.SIGKILL)
 
     with pytest.raises(errors.ProcessError, match="'Arm': the process .* ended by the system twice.*memory is short"):
         baked_by(small, Child, tmp_path, kill)
@@ -188,7 +186,7 @@ child = Child(Errand, heard=print)
 answer = child.call("run", time.sleep, False)
 answer = child.call("run", __import__("functools").partial(time.sleep, 1000.0), False)
 for _ in answer:
-    print(child._process._process.pid, child._folder, flush=True)
+    print(child.pid, child.folder, flush=True)
     time.sleep(1000.0)
 """
 
@@ -223,23 +221,23 @@ def test_esc_leaves_nothing(small, tmp_path):
 
     pressed = Pressed(small, events())
     assert pressed.result == {"CANCELLED"} and pressed.reports == [("WARNING", "Canceled: nothing was changed")]
-    assert pressed.operator.batch._worker.ended and not [*tmp_path.rglob("*.part*")]
+    assert pressed.operator.batch.worker.ended and not [*tmp_path.rglob("*.part*")]
     assert not small.dynamorph.model.content_id
 
 
 def test_the_next_process_waits_for_work(addon):
     child.prepare()
-    (spare,) = child._spare
+    (spare,) = child.spare
     child.prepare()
-    assert child._spare == [spare] and spare.waits
+    assert child.spare == [spare] and spare.waits
     errand = Child(Errand, heard=lambda _news: None)
-    assert errand._process is spare and child._spare == []
+    assert errand.pid == spare.pid and child.spare == []
     assert ask(errand, "run", partial(abs, -2), False) == 2
     errand.end()
     child.prepare()
-    (spare,) = child._spare
+    (spare,) = child.spare
     child.dismiss()
-    assert child._spare == [] and spare.ended
+    assert child.spare == [] and spare.ended
 
 
 def test_a_program_that_does_not_start_is_named(addon, monkeypatch):

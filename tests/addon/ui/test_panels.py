@@ -128,12 +128,14 @@ def test_in_a_narrow_region_half_a_hint_is_shown_and_long_names_are_above_their_
     assert texts[texts.index("Max Displacement") + 1] == "max_displacement"
 
 
-def test_the_stages_of_a_build_are_in_an_artists_words(soft_arm):
+def test_the_stages_of_a_build_are_in_an_artists_words(soft_arm, monkeypatch):
     pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
     soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 200, 8
     batch, seen = run_batch.Batch([Job(soft_arm, "BUILD")], "BUILD"), []
-    for _ in batch.steps(0.01, 0.0):
-        seen.append(batch.message)
+    batch.tick = lambda work: seen.append(work.message)
+    monkeypatch.setattr(run_batch, "OFTEN", 0.0)
+    for _ in batch.steps():
+        pass
     stages = job_data.STAGES
     assert not set(seen) & set(stages) and set(seen) & set(stages.values())
 

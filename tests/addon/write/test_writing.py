@@ -33,10 +33,13 @@ def when_computed(batch, stand_in, change):
     """Run the work, and change something when the last job computes."""
     last, changed = batch.jobs[-1], threading.Event()
     stand_in.waits[last.name] = changed
-    for _ in batch.steps(pause=0.01):
-        if not changed.is_set() and last.progress.message.startswith("Frame"):
-            change()
-            changed.set()
+    try:
+        for _ in batch.steps():
+            if not changed.is_set() and last.progress.message.startswith("Frame"):
+                change()
+                changed.set()
+    finally:
+        batch.stop()
     assert changed.is_set()
 
 
@@ -52,7 +55,7 @@ def state(*objects):
 # All or nothing ------------------------------------------------------------------------------------------------------
 
 
-def test_none_is_written_when_one_is_refused(soft_arm, leg, stand_in):
+def test_none_is_written_when_one_is_refused(soft_arm, leg, stand_in, apart):
     leg.data.shape_keys.animation_data_create()
     before = state(soft_arm, leg)
     with pytest.raises(errors.WriteError, match="NLA is turned off for the shape keys of 'Leg'"):
@@ -60,7 +63,7 @@ def test_none_is_written_when_one_is_refused(soft_arm, leg, stand_in):
     assert state(soft_arm, leg) == before
 
 
-def test_no_model_is_stored_with_a_bake_that_is_refused(soft_arm, stand_in):
+def test_no_model_is_stored_with_a_bake_that_is_refused(soft_arm, stand_in, apart):
     with pytest.raises(errors.WriteError, match="NLA is turned off"):
         when_computed(baking(soft_arm), stand_in, lambda: refuse(soft_arm))
     assert soft_arm.dynamorph.model.content_id == ""
@@ -95,7 +98,7 @@ def test_none_is_written_when_the_second_write_fails(soft_arm, leg, stand_in, mo
     assert state(soft_arm, leg) == before
 
 
-def test_a_point_cache_that_nothing_plays_is_removed(soft_arm, leg, stand_in, tmp_path):
+def test_a_point_cache_that_nothing_plays_is_removed(soft_arm, leg, stand_in, apart, tmp_path):
     for obj in (soft_arm, leg):
         obj.dynamorph.output.format = "PC2"
     with pytest.raises(errors.WriteError):
@@ -103,7 +106,7 @@ def test_a_point_cache_that_nothing_plays_is_removed(soft_arm, leg, stand_in, tm
     assert not list(tmp_path.rglob("*.pc2"))
 
 
-def test_point_caches_go_where_the_blend_was_saved_meanwhile(soft_arm, stand_in, tmp_path):
+def test_point_caches_go_where_the_blend_was_saved_meanwhile(soft_arm, stand_in, apart, tmp_path):
     """Or they would be left behind when its folder moves."""
     folders = [tmp_path / name for name in "AB"]
     for folder in folders:

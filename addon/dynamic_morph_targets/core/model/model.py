@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -53,7 +53,8 @@ class Model:
     (J, ...) of a reduced model (dynamorph.ReducedTables), empty of a full one. Of one with responses, else empty:
     responses (3 free, h), response_lambda and response_mu (J, h) their stiffness, coupling_lambda and coupling_mu
     (J, ...) in single precision as it is simulated, relaxation (J, h, r). Static morph targets have no nodes: their
-    residual shapes are the shapes.
+    residual shapes are the shapes. made: what others have made of the model that takes long, by what else it depends
+    on; it goes along to other processes.
     """
 
     nodes: np.ndarray
@@ -89,6 +90,7 @@ class Model:
     settings: ModelSettings
     dependencies: dict[str, str]
     summary: Summary
+    made: dict = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Lays the arrays out as a stored model's are: of another layout NumPy's sums have other last digits."""
@@ -97,7 +99,7 @@ class Model:
 
     @classmethod
     def array_names(cls) -> list[str]:
-        return [field.name for field in fields(cls) if field.type == "np.ndarray"]
+        return [each.name for each in fields(cls) if each.type == "np.ndarray"]
 
     def to_arrays(self) -> tuple[dict[str, np.ndarray], dict]:
         """(arrays, metadata) for `model_file`. The same model gives the same bytes."""
@@ -209,11 +211,16 @@ class Model:
         """The same model, to be simulated with another `solver`. One that was built as FULL has no modes for a reduced
         simulation.
         """
-        return replace(self, settings=settings)
+        return self._as_well_made(replace(self, settings=settings))
 
     def with_summary(self, **changes: Any) -> Model:
         """The same model with other facts in its summary."""
-        return replace(self, summary=replace(self.summary, **changes))
+        return self._as_well_made(replace(self, summary=replace(self.summary, **changes)))
+
+    def _as_well_made(self, same: Model) -> Model:
+        """The same tissue has the same made of it."""
+        object.__setattr__(same, "made", self.made)
+        return same
 
     @property
     def unpainted(self) -> Model:

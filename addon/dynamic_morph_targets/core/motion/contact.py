@@ -5,7 +5,7 @@ and how deep it went. Never touches bpy.
 
 from __future__ import annotations
 
-import weakref
+import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -46,11 +46,7 @@ class Collision:
     """
 
     def __init__(self, model: Model, engine: EngineModel, character: Character):
-        surface = contact_points(model, character)
-        touchable = surface[surface.of(character.excluded) < EXCLUDED]
-        full = model.settings.solver == "FULL"
-        most = SAMPLES if full else REDUCED_SAMPLES
-        points = touchable.at_most(PROBED_SAMPLES if character.probed else most)
+        surface, points = _points(model, character)
         self.skin: Any = None
         self.dents = np.zeros((3 * int(model.free.sum()), 0))
         self.vertices = points.vertices[:, 0]
@@ -63,7 +59,7 @@ class Collision:
         if not len(points.rest):
             return
         local = None
-        if not full:
+        if model.settings.solver == "REDUCED":
             local, self.dents = _local_responses(model, surface)
         vertices, corners = np.unique(points.vertices, return_inverse=True)
         rest, embedding, weights, residual_shapes = carried(model, character, vertices)
@@ -120,6 +116,23 @@ class Collision:
         return self._known[number][0] if number >= 0 else (self._character.name, *self.others)[-1 - number]
 
 
+def make_kept(model: Model, character: Character, own: bool) -> None:
+    """Make what a `Collision` of this body would make and keep with the model. own: with the body itself, too."""
+    surface, points = _points(model, character)
+    if len(points.rest) and model.settings.solver == "REDUCED":
+        _local_responses(model, surface)
+    if len(points.rest) and own:
+        _balls(model, character, points[spread(points.rest, points.normals, OWN_SAMPLES)].rest)
+
+
+def _points(model: Model, character: Character) -> tuple[ContactPoints, ContactPoints]:
+    """All of the skin's points, and those that can touch something."""
+    surface = contact_points(model, character)
+    touchable = surface[surface.of(character.excluded) < EXCLUDED]
+    most = SAMPLES if model.settings.solver == "FULL" else REDUCED_SAMPLES
+    return surface, touchable.at_most(PROBED_SAMPLES if character.probed else most)
+
+
 def carried(model: Model, character: Character, vertices: np.ndarray) -> tuple[Any, ...]:
     """How the engine's points at these vertices (V,) of the skin move: rest positions, embedding, weights of what moves
     them, and residual shapes, as `dynamorph.Skin` takes them.
@@ -164,15 +177,11 @@ def _balls(model: Model, character: Character, places: np.ndarray) -> tuple[np.n
     """Centers (K, 3) and radii (K,) of balls that fill the body near these places (P, 3) of the skin. They take a
     while, so they are kept with the model.
     """
-    known = _known_balls.get(id(model))
-    if not known or not np.array_equal(known[0], places):
+    made_of = hashlib.sha256(places.tobytes()).digest()
+    if ("balls", made_of) not in model.made:
         body = dynamorph.Thickness(character.bind_points, character.soft_triangles)
-        known = _known_balls[id(model)] = places, body.covering(places, COVERED)
-        weakref.finalize(model, _known_balls.pop, id(model), None)
-    return known[1]
-
-
-_known_balls: dict[int, tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]] = {}  # by id(model): places, and balls
+        model.made["balls", made_of] = body.covering(places, COVERED)
+    return model.made["balls", made_of]
 
 
 def _thickness(model: Model, character: Character) -> np.ndarray:
@@ -190,12 +199,13 @@ def _local_responses(model: Model, surface: ContactPoints) -> tuple[Any, np.ndar
     kept with the model, and made for one material: the engine scales it by the shear modulus, and what Live changes
     must not depend on when Live began.
     """
-    known = _known_responses.get(id(model))
-    if known:
-        return known
+    made_for = model.settings.material_model
+    if ("responses", made_for) in model.made:
+        local = model.made["responses", made_for]
+        return local, local.shapes
     places = surface.at_most(PLACES)
-    law = dynamorph.MaterialModel.__members__[model.settings.material_model]
-    local = dynamorph.LocalResponses(
+    law = dynamorph.MaterialModel.__members__[made_for]
+    local = model.made["responses", made_for] = dynamorph.LocalResponses(
         dynamorph.FullModel(model.soft_body(), model.plain_targets(), law, dynamorph.Blending.EVEN),
         model.modes,
         places.rest,
@@ -205,12 +215,7 @@ def _local_responses(model: Model, surface: ContactPoints) -> tuple[Any, np.ndar
         places.vertices,
         places.weights,
     )
-    _known_responses[id(model)] = local, local.shapes
-    weakref.finalize(model, _known_responses.pop, id(model), None)
-    return _known_responses[id(model)]
-
-
-_known_responses: dict[int, tuple[Any, np.ndarray]] = {}  # by id(model)
+    return local, local.shapes
 
 
 def collider_of(track: ColliderTrack, points: np.ndarray) -> Any:
