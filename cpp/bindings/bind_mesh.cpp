@@ -4,6 +4,7 @@
 #include "dynamorph/core/progress.hpp"
 #include "dynamorph/mesh/cage.hpp"
 #include "dynamorph/mesh/closed_surface.hpp"
+#include "dynamorph/mesh/deformation.hpp"
 #include "dynamorph/mesh/embedding.hpp"
 #include "dynamorph/mesh/fill.hpp"
 #include "dynamorph/mesh/mesh_cut.hpp"
@@ -289,6 +290,48 @@ The tetrahedra stay the same. Nodes along the crack are duplicated, and the dupl
            "Embeds the V vertices in the cut mesh, each in a tetrahedron that belongs to skin near it.");
 }
 
+void bind_deformation(py::module_& m) {
+  py::class_<Deformation>(m, "Deformation", "What displacements do to a skin in each of F frames.")
+      .def_readonly("largest", &Deformation::largest, "The largest displacement of a vertex (F,), meters.")
+      .def_readonly("percentile", &Deformation::percentile, "The 99.9th percentile of displacement (F,), meters.")
+      .def_readonly("shortest", &Deformation::shortest,
+                    "The 0.1th percentile of the edges' lengths over those at rest (F,), in the mesh where it is "
+                    "lowest; 1 without edges.")
+      .def_readonly("longest", &Deformation::longest,
+                    "Their 99.9th percentile (F,), in the mesh where it is highest; 1 without edges.")
+      .def_readonly("flipped", &Deformation::flipped,
+                    "The share of the skin's area that is turned by more than 90 degrees (F,).")
+      .def_readonly("farthest", &Deformation::farthest,
+                    "The largest displacement of each vertex (V,) in all frames, meters.");
+  m.def(
+      "measure_deformation",
+      [](const FloatArray& rest, const IndexArray& faces, const std::vector<IndexArray>& edges,
+         const FloatArray& coordinates, const FloatArray& modes, const py::object& progress) {
+        const Points x = points(rest, "rest");
+        const Triangles f = triangles(faces);
+        check_finite("rest", x);
+        std::vector<EdgeEnds> ends;
+        for (const IndexArray& each : edges) ends.push_back(to_indices<EdgeEnds>(each, "edges"));
+        const auto q = to_matrix<RowMajor>(coordinates, "coordinates");
+        check_shape("modes", modes, {q.cols(), x.rows(), 3});
+        const Eigen::Map<const RowMajor> shapes(modes.data(), q.cols(), x.size());  // large, so not copied
+        const ProgressFn report = with_gil(progress);
+        return without_gil([&] { return measure_deformation(x, f, ends, q, shapes, report); });
+      },
+      "rest"_a, "triangles"_a, "edges"_a, "coordinates"_a, "modes"_a, "progress"_a = py::none(),
+      R"(Measures how far displacements move a skin, and how much they stretch it and turn it over.
+
+rest (V, 3): the skin, meters. triangles (T, 3): vertex indices. edges: an array (E, 2) of vertex indices for each mesh
+of the skin, because a small mesh that is torn is visible too. The displacements in F frames are coordinates (F, r) times
+modes (r, V, 3), meters; only a few frames are in memory at a time. To measure displacements (k, V, 3) themselves, pass
+them as modes with an identity matrix as coordinates. progress: called with 0..1, returns False to cancel.
+
+A quantile of displacement counts vertices by the area around them, one of stretch counts edges by their length at rest:
+it is the smallest value up to which there is that share of all area or length. Vertices around which no triangle has an
+area count in `farthest` alone. Raises ValueError on wrong shapes or indices, edges without a length, and numbers that
+are not finite.)");
+}
+
 }  // namespace
 
 void bind_mesh(py::module_& m) {
@@ -297,4 +340,5 @@ void bind_mesh(py::module_& m) {
   bind_body_in_mesh(m);
   bind_mesh_cut(m);
   bind_thickness(m);
+  bind_deformation(m);
 }

@@ -8,7 +8,7 @@ import numpy.typing
 import scipy.sparse
 import typing
 import typing_extensions
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Contact', 'Coupling', 'Embedding', 'Error', 'FullModel', 'Grabs', 'Integrator', 'LocalResponses', 'MaterialModel', 'MeshCut', 'MorphTarget', 'MotionLimit', 'PoseSpace', 'ReducedModel', 'ReducedTables', 'ResponseBasis', 'SelfContact', 'Simulation', 'Skin', 'SoftBody', 'State', 'StepReport', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'tetrahedralize', 'unpack_model']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Contact', 'Coupling', 'Deformation', 'Embedding', 'Error', 'FullModel', 'Grabs', 'Integrator', 'LocalResponses', 'MaterialModel', 'MeshCut', 'MorphTarget', 'MotionLimit', 'PoseSpace', 'ReducedModel', 'ReducedTables', 'ResponseBasis', 'SelfContact', 'Simulation', 'Skin', 'SoftBody', 'State', 'StepReport', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'measure_deformation', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
     """
     A body that cannot be simulated. The message says what to do.
@@ -125,6 +125,40 @@ class Thickness:
         
         They come as near to each of the points (k, 3) of the skin as tolerance times the thickness there, or as near as any
         ball in the body does.
+        """
+class Deformation:
+    """
+    What displacements do to a skin in each of F frames.
+    """
+    @property
+    def farthest(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        The largest displacement of each vertex (V,) in all frames, meters.
+        """
+    @property
+    def flipped(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        The share of the skin's area that is turned by more than 90 degrees (F,).
+        """
+    @property
+    def largest(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        The largest displacement of a vertex (F,), meters.
+        """
+    @property
+    def longest(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        Their 99.9th percentile (F,), in the mesh where it is highest; 1 without edges.
+        """
+    @property
+    def percentile(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        The 99.9th percentile of displacement (F,), meters.
+        """
+    @property
+    def shortest(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        The 0.1th percentile of the edges' lengths over those at rest (F,), in the mesh where it is lowest; 1 without edges.
         """
 class TargetSet:
     """
@@ -888,6 +922,20 @@ def make_cage_surface(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.f
 def make_response_basis(model: FullModel, r: typing.SupportsInt | typing.SupportsIndex, h: typing.SupportsInt | typing.SupportsIndex, progress: typing.Any = None) -> ResponseBasis:
     """
     Makes r modes and h responses from the static answers to what the bones can do. The modes span the targets' shapes exactly. progress(fraction) -> bool: returning False raises Cancelled. Raises Error when the body can move without resistance.
+    """
+def measure_deformation(rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], edges: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.int32]], coordinates: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], modes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], progress: typing.Any = None) -> Deformation:
+    """
+    Measures how far displacements move a skin, and how much they stretch it and turn it over.
+    
+    rest (V, 3): the skin, meters. triangles (T, 3): vertex indices. edges: an array (E, 2) of vertex indices for each mesh
+    of the skin, because a small mesh that is torn is visible too. The displacements in F frames are coordinates (F, r) times
+    modes (r, V, 3), meters; only a few frames are in memory at a time. To measure displacements (k, V, 3) themselves, pass
+    them as modes with an identity matrix as coordinates. progress: called with 0..1, returns False to cancel.
+    
+    A quantile of displacement counts vertices by the area around them, one of stretch counts edges by their length at rest:
+    it is the smallest value up to which there is that share of all area or length. Vertices around which no triangle has an
+    area count in `farthest` alone. Raises ValueError on wrong shapes or indices, edges without a length, and numbers that
+    are not finite.
     """
 def pinned(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], heads: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], tails: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], ratio: typing.SupportsFloat | typing.SupportsIndex) -> numpy.typing.NDArray[numpy.bool]:
     """

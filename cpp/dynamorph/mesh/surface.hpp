@@ -10,6 +10,7 @@
 // doi 10.1145/3197517.3201337).
 #pragma once
 
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
 #include <utility>
@@ -28,6 +29,13 @@ inline Edge undirected(int a, int b) { return {std::min(a, b), std::max(a, b)}; 
 
 /// Throws std::invalid_argument when a triangle names a vertex that does not exist.
 void check_triangles(const Points& vertices, const Triangles& triangles);
+
+/// As long as the area of triangle t, and normal to it.
+inline Vector3d area_vector(const Points& vertices, const Triangles& triangles, Eigen::Index t) {
+  const Vector3d a = vertices.row(triangles(t, 0)), b = vertices.row(triangles(t, 1)),
+                 c = vertices.row(triangles(t, 2));
+  return (b - a).cross(c - a) / 2;
+}
 
 /// The point of triangle abc nearest to p.
 Vector3d closest_on_triangle(const Vector3d& p, const Vector3d& a, const Vector3d& b, const Vector3d& c);

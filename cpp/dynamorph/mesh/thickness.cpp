@@ -21,12 +21,6 @@ constexpr double kThinnest = 5e-3;   // relative to the size; a sheet has no thi
 constexpr double kFacet = 0.04;      // relative to the size; longer triangles are split, as half may be inside the body
 constexpr double kOff = 1e-4;        // relative to the size; how far off a face to test what lies there
 
-Vector3d area_vector(const Points& vertices, const Triangles& triangles, Eigen::Index t) {
-  const Vector3d a = vertices.row(triangles(t, 0)), b = vertices.row(triangles(t, 1)),
-                 c = vertices.row(triangles(t, 2));
-  return (b - a).cross(c - a) / 2;
-}
-
 /// Splits triangles until no edge is longer than `longest`.
 void refine_all(Points& vertices, Triangles& triangles, double longest) {
   std::vector<Vector3d> points;

@@ -7,9 +7,7 @@ targets' shapes. Lengths are relative to the body's size, the diagonal of its bo
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 
@@ -17,6 +15,7 @@ import numpy as np
 
 from .. import records
 from ..character import Character
+from ..engine import dynamorph
 from ..geometry import determinant, diagonal, unique_edges, vertex_areas
 from ..message import Message, named_frames
 from ..model.model import Model
@@ -33,7 +32,6 @@ FLICKERS = 0.1  # of `flicker`; what turns more often flickers, a slow swing is 
 HELD_BACK = 2.0  # of the largest excess of a load; below, the artist is not told
 SHOWS = 1.05  # of the limits; a bake that exceeds them by more is not as requested
 SPLINTER = 1e-4  # of the size; shorter edges are not used to measure stretch
-AT_ONCE = 8  # frames whose displacements are computed together
 SHOWN = 200  # vertices that mark the worst place
 
 
@@ -206,22 +204,18 @@ def judge(
     modes = (bake.modes @ character.to_bind.T).reshape(len(bake.modes), -1)
     displacement = np.linalg.norm(motion * np.linalg.norm(modes, axis=1), axis=1)
     chosen = np.sort(np.argsort(-displacement)[:LOOKED_AT])
-    found: list[tuple[np.ndarray, tuple[float, ...]]] = []
-    with ThreadPoolExecutor(min(AT_ONCE, os.cpu_count() or 1)) as pool:  # NumPy computes beside Python
-        for displaced in _displaced(motion[chosen], modes):
-            found += pool.map(skin.measures, displaced)
-    farthest = np.max([distance for distance, _ in found], axis=0)
-    largest, percentile, low, high, flipped = np.array([measures for _, measures in found]).T
-    worst = int(chosen[(largest / max(largest.max(), 1e-300) + flipped / max(flipped.max(), TURNED)).argmax()])
+    found = skin.deformation(motion[chosen], modes)
+    largest, flipped = found.largest.max(), found.flipped.max()
+    worst = int(chosen[(found.largest / max(largest, 1e-300) + found.flipped / max(flipped, TURNED)).argmax()])
     u = (motion[worst] @ modes).reshape(-1, 3)
     return Verdict(
         limits,
         held,
-        displacement=float(largest.max()),
-        percentile=float(percentile.max()),
-        over_thickness=skin.over_thickness(farthest),
-        stretch=(float(low.min()), float(high.max())),
-        flipped=float(flipped.max()),
+        displacement=float(largest) / skin.size,
+        percentile=float(found.percentile.max()) / skin.size,
+        over_thickness=skin.over_thickness(found.farthest),
+        stretch=(float(found.shortest.min()), float(found.longest.max())),
+        flipped=float(flipped),
         flicker=_flicker(motion[:: settings.samples], modes, skin.areas),
         inverted=_inverted(model, bake, chosen[np.argsort(-displacement[chosen])[:CHECKED]]),
         frame=float(bake.frames[worst]),
@@ -230,59 +224,32 @@ def judge(
     )
 
 
-def _displaced(motion: np.ndarray, modes: np.ndarray) -> Iterator[np.ndarray]:
-    """Displacements (k, V, 3) by rows of motion (F, r), some at once, so that the modes are read less often."""
-    for first in range(0, len(motion), AT_ONCE):
-        yield (motion[first : first + AT_ONCE] @ modes).reshape(-1, modes.shape[1] // 3, 3)
-
-
 class _Skin:
     """The soft part (T, 3) of a character's surface, bind space. thickness (V,): radii, meters, or none."""
 
     def __init__(self, character: Character, triangles: np.ndarray, thickness: np.ndarray):
         self.rest = rest = character.bind_points
-        self._corners = np.ascontiguousarray(triangles.T)
-        self.normals = self._normals(rest)
+        self.triangles = triangles
         self.areas = vertex_areas(rest, triangles)
         self.size = diagonal(rest)
         edges = unique_edges(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), len(rest))
-        lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
-        kept = lengths > SPLINTER * self.size
-        self._ends, self.lengths = np.ascontiguousarray(edges[kept].T), lengths[kept]
+        edges = edges[np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1) > SPLINTER * self.size]
         begins = [0, *(each.members.start for each in character.attachments)]
-        mesh = np.searchsorted(begins, self._ends[0], side="right")
-        self.meshes = [np.flatnonzero(mesh == number) for number in np.unique(mesh)]  # small patches are visible too
+        mesh = np.searchsorted(begins, edges[:, 0], side="right")
+        self.edges = [edges[mesh == number] for number in np.unique(mesh)]
         self.thickness = 2.0 * thickness if len(thickness) else np.zeros(0)
 
-    def _normals(self, points: np.ndarray) -> np.ndarray:
-        a, b, c = (points.take(corner, axis=0) for corner in self._corners)
-        return np.cross(b - a, c - a)
-
-    def measures(self, u: np.ndarray) -> tuple[np.ndarray, tuple[float, ...]]:
-        """Of displacements u (V, 3): how far they are (V,), of the size; the largest, its 99.9th percentile, the
-        shortest and longest edges, and the flipped share.
-        """
-        distance, used = np.linalg.norm(u, axis=1) / self.size, self.areas > 0.0
-        moved = self.rest + u
-        first, second = (moved.take(ends, axis=0) for ends in self._ends)
-        ratio = np.linalg.norm(first - second, axis=1) / self.lengths
-        stretches = [quantiles(ratio[edges], self.lengths[edges], [0.001, 0.999]) for edges in self.meshes]
-        normals = self._normals(moved)
-        over = np.einsum("tc,tc->t", normals, self.normals) < 0.0
-        return distance, (
-            float(distance[used].max()),
-            quantiles(distance[used], self.areas[used], [0.999])[0],
-            min(low for low, _ in stretches),
-            max(high for _, high in stretches),
-            float(np.linalg.norm(self.normals[over], axis=1).sum() / 2.0 / self.areas.sum()),
-        )
+    def deformation(self, motion: np.ndarray, modes: np.ndarray) -> dynamorph.Deformation:
+        """What displacements by motion (F, r) of modes (r, 3V) do to it, in meters."""
+        shapes = modes.reshape(len(modes), -1, 3)
+        return dynamorph.measure_deformation(self.rest, self.triangles, self.edges, motion, shapes)
 
     def over_thickness(self, farthest: np.ndarray) -> float:
-        """The 99th percentile of displacement over thickness; farthest (V,): largest displacements, of the size."""
+        """The 99th percentile of displacement over thickness; farthest (V,): largest displacements, meters."""
         if not len(self.thickness):
             return 0.0
         used = self.areas > 0.0
-        over = farthest * self.size / np.maximum(self.thickness, THINNEST * self.size)
+        over = farthest / np.maximum(self.thickness, THINNEST * self.size)
         return quantiles(over[used], self.areas[used], [0.99])[0]
 
     def place(self, u: np.ndarray) -> tuple[int, ...]:
