@@ -64,7 +64,7 @@ def other_keys():
     """A key a frame, then a budget of keys, show the same motion."""
     whole, output = shown_at(limb.FLEXED + 1), settings().output
     yield from physics("bake")
-    for name in ("output.format", "model.solver"):
+    for name in ("output.format", "model.quality"):
         yield from properties.choose_other(name)
     for kind, name, value in (("FRAMES", "output.frame_step", "1"), ("MODES", "output.keys", "16")):
         output.format = kind

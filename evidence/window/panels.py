@@ -109,8 +109,7 @@ PANELS: dict[str, tuple[Region, tuple[str | tuple[str, float], ...]]] = {
     "bake": (
         properties,
         (
-            "model.solver",
-            "collision.bake_full",
+            "model.quality",
             "simulation.max_displacement",
             "simulation.use_scene_range",
             "simulation.frame_start",
@@ -176,7 +175,7 @@ def open_character():
     for obj in bpy.context.scene.objects:
         obj.hide_set(obj.type == "MESH" and obj != skin() and not is_carried(obj))
     settings().active_target_index = 1
-    settings().collision.bake_full = False  # Full Quality takes minutes
+    settings().model.quality = "REDUCED"  # Full Quality takes minutes
     settings().simulation.use_scene_range, settings().simulation.frame_end = False, LAST
     space, turned = view.area.spaces.active, Euler((1.4, 0.0, 0.6)).to_quaternion()
     space.shading.color_type = "MATERIAL"

@@ -15,6 +15,19 @@ from .events import shown_changed
 from .references import OVERRIDE
 
 CONTEXT = "Dynamorph"  # of translations: words that mean something else in Blender, where Hold is to stop
+QUALITIES = (
+    (
+        "AUTOMATIC", "Automatic",
+        "Live is Reduced. Bakes are too, except those of a body that collides: they are Full, for accurate dents",
+        0,
+    ),
+    ("REDUCED", "Reduced", "Simulates a few characteristic modes, which is fast. Dents are coarse", 1),
+    (
+        "FULL", "Full",
+        "Simulates every node of the cage, with all ripples. It takes much longer and needs no other build",
+        2,
+    ),
+)  # fmt: skip
 
 
 def _is_other_mesh(chosen, obj) -> bool:
@@ -66,6 +79,19 @@ class DynamorphAttachment(PropertyGroup):
     )  # fmt: skip
 
 
+def _get_quality(model) -> int:
+    if model.solver == "FULL":
+        return 2
+    return 0 if model.id_data.dynamorph.collision.bake_full else 1
+
+
+def _set_quality(model, number: int):
+    quality = QUALITIES[number][0]
+    if quality != "FULL":
+        model.id_data.dynamorph.collision.bake_full = quality == "AUTOMATIC"
+    model.solver = "FULL" if quality == "FULL" else "REDUCED"
+
+
 class DynamorphModel(PropertyGroup):
     """How the model of an object is built, and what came of it."""
 
@@ -94,15 +120,14 @@ class DynamorphModel(PropertyGroup):
         name="Quality",
         description="How accurately the motion is simulated, in bakes and in Live. Choose Full for the final bake of a "
         "shot in which ripples matter",
-        items=(
-            ("REDUCED", "Reduced", "Simulates a few characteristic modes, which is fast", 0),
-            (
-                "FULL", "Full",
-                "Simulates every node of the cage, with all ripples. It takes much longer and needs no other build",
-                1,
-            ),
-        ),
+        items=tuple((*texts, number) for number, (*texts, _) in enumerate(QUALITIES[1:])),
         default=ModelSettings.solver, override=OVERRIDE, update=shown_changed,
+    )  # fmt: skip
+    quality: EnumProperty(
+        name="Quality",
+        description="How accurately the motion is simulated, in bakes and in Live. Choose Full for the final bake of a "
+        "shot in which ripples matter, or Reduced to bake exactly what Live shows",
+        items=QUALITIES, get=_get_quality, set=_set_quality, options={"SKIP_SAVE"}, override=OVERRIDE,
     )  # fmt: skip
     blending: EnumProperty(
         name="Between Targets",

@@ -14,8 +14,8 @@ from .skin import unit_scale
 
 
 def bake_solver(obj) -> str:
-    """The quality of a bake of `obj`, REDUCED or FULL: its Quality, or Full where it collides and that is not turned
-    off. Live and clips always have its Quality.
+    """The quality of a bake of `obj`, REDUCED or FULL: that of Live and clips, or Full where it collides and its
+    Quality is Automatic.
     """
     settings = obj.dynamorph
     collision = settings.collision

@@ -71,11 +71,12 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
 def _quality(obj) -> Iterator[Problem]:
     """That what collides is baked in another quality than Live has, or without dents."""
     settings = obj.dynamorph
-    if settings.model.solver == "FULL" or settings.model.method == "STATIC" or not settings.collision.use:
+    quality = settings.model.quality
+    if quality == "FULL" or settings.model.method == "STATIC" or not settings.collision.use:
         return
-    if not settings.collision.bake_full:
+    if quality == "REDUCED":
         yield Problem(
-            "'{name}' collides in Reduced Quality, so its dents are coarse: turn on Bake in Full Quality for accurate "
+            "'{name}' collides in Reduced Quality, so its dents are coarse: set Quality to Automatic for accurate "
             "dents, which takes longer",
             "FULL_QUALITY",
             name=obj.name,

@@ -88,13 +88,40 @@ def test_the_section_says_what_collides(soft_arm):
 
 
 def test_a_bake_without_dents_is_mentioned_with_a_fix(soft_arm):
-    collision = soft_arm.dynamorph.collision
-    collision.bake_full = False
+    collision, model = soft_arm.dynamorph.collision, soft_arm.dynamorph.model
+    model.quality = "REDUCED"
     assert "in Reduced Quality" not in " ".join(drawn(soft_arm))
     collision.use = True
     assert "'Arm' collides in Reduced Quality" in " ".join(drawn(soft_arm))
     bpy.ops.dynamorph.fix(problem="FULL_QUALITY")
-    assert collision.bake_full and "in Reduced Quality" not in " ".join(drawn(soft_arm))
+    assert model.quality == "AUTOMATIC" and "in Reduced Quality" not in " ".join(drawn(soft_arm))
+
+
+@pytest.mark.parametrize(
+    ("quality", "solver", "bake_full"),
+    [("AUTOMATIC", "REDUCED", True), ("REDUCED", "REDUCED", False), ("FULL", "FULL", True)],
+)
+def test_quality_is_one_question(soft_arm, quality, solver, bake_full):
+    """What scripts and files have set says the same as what the panel asks."""
+    collision, model = soft_arm.dynamorph.collision, soft_arm.dynamorph.model
+    assert model.quality == "AUTOMATIC"
+    model.quality = quality
+    assert (model.solver, collision.bake_full) == (solver, bake_full)
+    model.quality = "AUTOMATIC"
+    model.solver, collision.bake_full = solver, bake_full
+    assert model.quality == quality
+    shown = drawn(soft_arm, PHYSICS)
+    assert "quality" in shown and not {"solver", "bake_full"} & set(shown)
+
+
+def test_full_quality_keeps_whether_dents_are_full(soft_arm):
+    """A file that was Full and becomes Reduced by a script is baked as before it."""
+    collision, model = soft_arm.dynamorph.collision, soft_arm.dynamorph.model
+    model.quality = "REDUCED"
+    model.quality = "FULL"
+    assert not collision.bake_full
+    model.solver = "REDUCED"
+    assert model.quality == "REDUCED"
 
 
 def test_a_body_that_stops_itself_is_baked_in_full_quality(soft_arm):
@@ -118,16 +145,17 @@ def test_the_quality_of_a_bake_is_said_before_it_with_its_time(soft_arm, monkeyp
     settings.collision.use = True
     assert "Quality" not in " ".join(drawn(soft_arm))  # nothing collides yet
     make_box()
-    assert "Colliding bodies are baked in Full Quality, which takes less than a minute" in " ".join(drawn(soft_arm))
-    assert "Bakes in Full Quality: less than a minute" in " ".join(drawn(soft_arm, PHYSICS))
+    said = "Colliding bodies are baked in Full Quality, which takes"
+    assert f"{said} less than a minute" in " ".join(drawn(soft_arm))
+    assert " ".join(drawn(soft_arm, PHYSICS)).count("less than a minute") == 1
     monkeypatch.setitem(bake_time.steps, soft_arm.session_uid, 1.5)  # as the last bake measured
-    assert "Bakes in Full Quality: about 2 min" in " ".join(drawn(soft_arm, PHYSICS))  # 19 frames of 5 steps
+    assert f"{said} about 2 min" in " ".join(drawn(soft_arm))  # 19 frames of 5 steps
     settings.simulation.use_scene_range, settings.simulation.frame_end = False, 201
-    assert "Bakes in Full Quality: about 25 min" in " ".join(drawn(soft_arm, PHYSICS))
-    settings.collision.bake_full = False
-    assert "Bakes in" not in " ".join(drawn(soft_arm, PHYSICS))
-    settings.collision.bake_full, settings.model.solver = True, "FULL"
-    assert "bake_full" not in drawn(soft_arm, PHYSICS) and "Full Quality" not in " ".join(drawn(soft_arm))
+    assert f"{said} about 25 min" in " ".join(drawn(soft_arm))
+    settings.model.quality = "REDUCED"
+    assert "are baked in" not in " ".join(drawn(soft_arm))
+    settings.model.quality = "FULL"
+    assert "Full Quality" not in " ".join(drawn(soft_arm))
 
 
 def test_what_cannot_collide_is_among_the_messages(soft_arm):

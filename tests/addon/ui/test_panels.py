@@ -183,7 +183,7 @@ IN_SIGHT = {
     "max_distance": ["max_distance_group"],
     "attachments": ["hold_head"],
     "collision": ["collection", "use_self", "distance", "excluded_group", "use_friction", "friction"],
-    "bake": ["solver", "max_displacement", "use_scene_range", "loop", "format"],
+    "bake": ["quality", "max_displacement", "use_scene_range", "loop", "format"],
 }
 ADVICE = "Raise", "Lower", "Turn", "Choose", "Change", "Paint", "Set", "suit", "where", "sets"  # it says when
 

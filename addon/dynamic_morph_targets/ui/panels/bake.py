@@ -6,10 +6,8 @@ from __future__ import annotations
 from bpy.app.translations import pgettext_iface as iface_
 
 from ...core.errors import RecordError, sentence
-from ...core.message import Message
 from ...core.result import judge
-from ...run import bake_time, batch, full_comparison
-from ...scene import run_settings
+from ...run import batch, full_comparison
 from ...write.bake import influence as bake_influence
 from ...write.display import comparison
 from ..messages import verdict
@@ -100,12 +98,7 @@ def draw_bake(layout, _context, obj):
     settings = obj.dynamorph
     simulation, output = settings.simulation, settings.output
     layout.enabled = batch.running is None
-    draw_setting(layout, settings.model, "solver")
-    if settings.collision.use and settings.model.solver == "REDUCED":
-        layout.prop(settings.collision, "bake_full")
-        if run_settings.bake_solver(obj) == "FULL":
-            time = bake_time.expected(obj)
-            draw_message(layout, Message("Bakes in Full Quality: {time}", time=time), icon="TIME")
+    draw_setting(layout, settings.model, "quality")
     draw_setting(layout, simulation, "max_displacement")
     layout.prop(simulation, "use_scene_range")
     if not simulation.use_scene_range:

@@ -158,7 +158,7 @@ def _collide(obj):
 
 
 def _full_quality(obj):
-    obj.dynamorph.collision.bake_full = True
+    obj.dynamorph.model.quality = "AUTOMATIC"
 
 
 def _no_head(obj):
