@@ -26,6 +26,7 @@ MARK = "<!-- evidence/reference.py makes what follows. -->\n"
 FAMILIES = {
     "setup": "The soft skin",
     "jobs": "Build and bake",
+    "bake_options": "The dialog of a bake",
     "targets": "Targets",
     "poses": "Poses of targets",
     "sculpting": "Sculpting",

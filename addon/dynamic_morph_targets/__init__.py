@@ -16,6 +16,7 @@ def _modules():
     from .ui import languages
     from .ui.operators import (
         attachments,
+        bake_options,
         collision,
         compare,
         drags,
@@ -42,6 +43,7 @@ def _modules():
         preferences,
         properties,
         jobs,
+        bake_options,
         setup,
         painting,
         attachments,

@@ -54,9 +54,10 @@ def problem():
 
 @step("Build Cage")
 def build_cage():
-    yield from physics("advanced", "rare")
-    yield from properties.choose_other("model.hold")
-    yield from close("rare")
+    settings().model.hold = "BONES"  # not by hand
+    yield from physics("advanced")
+    yield from properties.press("dynamorph.reset_setting(setting='hold')")
+    yield from until(lambda: settings().model.hold == "THICKNESS", "what a script has set to be reset")
     yield from physics("cage")
     yield from properties.look_into("model.cage_object")
     yield from properties.enter("model.cage_nodes", "800")

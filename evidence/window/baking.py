@@ -20,6 +20,7 @@ from editors import (
     moved,
     physics,
     properties,
+    rig,
     select_target,
     settings,
     shown_at,
@@ -78,6 +79,19 @@ def other_keys():
     assert len(settings().bake.keys) == 16
     yield from properties.enter("output.keys", "0")
     yield from close("detail", "advanced")
+    yield from bake_again()
+
+
+@step("Bake with Options")
+def bake_options():
+    """Into the armature's Action, and then into one of its own again."""
+    yield from physics("bake")
+    settings().output.bake_to_action = True  # not by hand: the dialog begins with it
+    yield from properties.pop_up("dynamorph.bake_options")
+    yield from properties.key("RET")
+    yield from job_done()
+    assert settings().bake.action == rig().animation_data.action
+    settings().output.bake_to_action = False
     yield from bake_again()
 
 
@@ -190,10 +204,7 @@ def at(*fractions: float):
 
 @step("Esc while it reads the rig")
 def cancel_reading():
-    yield from physics("advanced", "rare")
-    yield from properties.choose_other("simulation.integrator")
-    yield from close("rare")
-    yield from physics("solver")
+    yield from physics("advanced", "solver")
     yield from properties.choose_other("simulation.initial_state")
     yield from properties.enter("simulation.substeps", "20")
     yield from close("solver", "advanced")

@@ -117,6 +117,7 @@ PANELS: dict[str, tuple[Region, tuple[str | tuple[str, float], ...]]] = {
             "simulation.keep_outside",
             "simulation.loop",
             "output.format",
+            "dynamorph.bake_options",
             "dynamorph.bake_all",
         ),
     ),
@@ -138,20 +139,6 @@ PANELS: dict[str, tuple[Region, tuple[str | tuple[str, float], ...]]] = {
             "simulation.fields",
             "simulation.initial_state",
             "dynamorph.record_drags",
-        ),
-    ),
-    "rare": (
-        properties,
-        (
-            "model.hold",
-            "model.pin_radius",
-            "model.basis",
-            "model.fit_to_shot",
-            "model.material_model",
-            "model.blending",
-            "simulation.max_thickness",
-            "simulation.integrator",
-            "output.bake_to_action",
         ),
     ),
 }

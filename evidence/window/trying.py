@@ -64,12 +64,6 @@ def model():
     yield from sidebar.fold("DYNAMORPH_PT_targets")
     yield from physics("advanced", "detail")
     yield from properties.choose_other("model.method")
-    yield from close("detail")
-    yield from physics("rare")
-    for name in ("material_model", "blending", "basis"):
-        yield from properties.choose_other(f"model.{name}")
-    yield from close("rare")
-    yield from physics("detail")
     assert not addon("scene.staleness").model_age(skin())
 
 

@@ -153,6 +153,10 @@ def enveloped(obj):
     obj.modifiers["Armature"].use_bone_envelopes = True
 
 
+def scripted(obj):
+    obj.dynamorph.model.hold = "BONES"
+
+
 def sculpting(obj):
     target_selected(obj)
     OPS.sculpt_target(mode="SCULPT")
@@ -249,6 +253,7 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "apply_material": (target_selected, {"preset": "FAT"}),
     "bake": (target_selected, {}),
     "bake_all": (target_selected, {}),
+    "bake_options": (target_selected, {"to_action": True}),
     "build": (target_selected, {}),
     "build_live": (target_selected, {}),
     "build_cage": (target_selected, {}),
@@ -269,6 +274,7 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "first_look": (target_selected, {}),
     "delete_bake": (baked, {}),
     "go_to_pose": (target_selected, {}),
+    "reset_setting": (scripted, {"setting": "hold"}),
     "hold_bones": (bones_selected, {}),
     "live": (built, {}),
     "load_preset": (preset_saved, {"filepath": str(PRESET), "menu_idname": "DYNAMORPH_PT_material_presets"}),

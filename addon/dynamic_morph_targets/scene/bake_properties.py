@@ -27,6 +27,10 @@ from .references import OVERRIDE
 from .target_properties import DynamorphKey
 
 NATURAL = FEELS["NATURAL"]  # of a new soft skin
+TO_ACTION = (
+    "Store the curves of this bake and the next ones in slots of the armature's Action instead of in a separate "
+    "Action. Turn it on to keep the whole performance in one Action"
+)
 SLOTS = (("A", "A", "The first set of settings", 0), ("B", "B", "The second set of settings", 1))
 
 
@@ -283,12 +287,7 @@ class DynamorphOutput(PropertyGroup):
         default=OutputSettings.tolerance, min=0.0, soft_max=0.01, precision=4, subtype="DISTANCE", override=OVERRIDE,
     )  # fmt: skip
 
-    bake_to_action: BoolProperty(
-        name="Bake to Action",
-        description="Store the curves of the next bake in slots of the armature's Action instead of in a separate "
-        "Action. Turn it on to keep the whole performance in one Action",
-        override=OVERRIDE,
-    )
+    bake_to_action: BoolProperty(name="Bake to Action", description=TO_ACTION, override=OVERRIDE)
 
     def settings(self) -> OutputSettings:
         """As the panels show them: lengths in Blender units."""

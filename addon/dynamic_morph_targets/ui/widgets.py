@@ -22,12 +22,19 @@ BUTTON = 10  # characters that make room for a button
 
 
 def draw_problem(layout, problem, icon: str):
-    row = layout.row()
-    draw_message(row, problem.text, icon=icon, width=line_length() - BUTTON if problem.fix else None)
     if problem.fix:
-        button = row.column()
-        button.alignment = "RIGHT"
-        button.operator("dynamorph.fix").problem = problem.fix
+        draw_with_button(layout, problem.text, icon, "dynamorph.fix").problem = problem.fix
+    else:
+        draw_message(layout, problem.text, icon=icon)
+
+
+def draw_with_button(layout, said: str, icon: str, operator: str, **options):
+    """A message, and beside it the button that changes what it says; returns what takes the operator's settings."""
+    row = layout.row()
+    draw_message(row, said, icon=icon, width=line_length() - BUTTON)
+    button = row.column()
+    button.alignment = "RIGHT"
+    return button.operator(operator, **options)
 
 
 def progress_text(work: batch.Work) -> str:

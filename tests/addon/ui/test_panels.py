@@ -9,7 +9,7 @@ from bl_ext.user_default.dynamic_morph_targets.core import engine
 from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
 from bl_ext.user_default.dynamic_morph_targets.run import job_data, live, preview
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import events, properties
+from bl_ext.user_default.dynamic_morph_targets.scene import events, properties, scripted
 from bl_ext.user_default.dynamic_morph_targets.ui import widgets
 from bl_ext.user_default.dynamic_morph_targets.ui.panels import sections
 from bl_ext.user_default.dynamic_morph_targets.write import storage
@@ -185,6 +185,15 @@ IN_SIGHT = {
     "collision": ["collection", "use_self", "distance", "excluded_group", "use_friction", "friction"],
     "bake": ["quality", "max_displacement", "use_scene_range", "loop", "format"],
 }
+SCRIPTED = {  # what no panel has, as a script sets it, and what Advanced then says
+    "hold": ("BONES", "Hold: Bones"),
+    "pin_radius": (0.25, "Bone Pinning: 0.25"),
+    "basis": ("MODES", "Modes From: Vibration"),
+    "fit_to_shot": (True, "Fit Modes to Shot: on"),
+    "material_model": ("LINEAR", "Material Model: Linear"),
+    "blending": ("FORCES", "Between Targets: Stiffer Wins"),
+    "integrator": ("EULER", "Integrator: Implicit Euler"),
+}
 ADVICE = "Raise", "Lower", "Turn", "Choose", "Change", "Paint", "Set", "suit", "where", "sets"  # it says when
 
 
@@ -195,6 +204,33 @@ def test_few_settings_are_in_sight(arm, stand_in):
     in_sight = {name: [each.split(".")[1] for each in found] for name, found in shown.items() if name not in rest}
     print({name: len(found) for name, found in shown.items()})
     assert in_sight == IN_SIGHT
+
+
+@pytest.mark.parametrize("name", scripted.SCRIPTED)
+def test_what_a_script_has_set_is_said_and_reset(soft_arm, name):
+    """And not otherwise drawn."""
+    for each in scripted.SCRIPTED:  # the test's own script has set some
+        scripted.reset(soft_arm, each)
+    owner, (value, said) = getattr(soft_arm.dynamorph, scripted.SCRIPTED[name]), SCRIPTED[name]
+    assert name not in drawn(soft_arm, PHYSICS) and "dynamorph.reset_setting" not in drawn(soft_arm, PHYSICS)
+    before = getattr(owner, name)
+    setattr(owner, name, value)
+    texts = drawn(soft_arm, PHYSICS)
+    assert f"Set by a script: {said}" in " ".join(texts) and texts.count("dynamorph.reset_setting") == 1
+    assert name not in texts
+    assert bpy.ops.dynamorph.reset_setting(setting=name) == {"FINISHED"}
+    assert getattr(owner, name) == before and "dynamorph.reset_setting" not in drawn(soft_arm, PHYSICS)
+
+
+def test_the_dialog_of_a_bake_says_where_its_curves_go(soft_arm, stand_in):
+    output = soft_arm.dynamorph.output
+    assert not {"bake_to_action", "to_action"} & set(drawn(soft_arm, PHYSICS))
+    bpy.ops.dynamorph.bake_options(to_action=True)
+    assert output.bake_to_action and soft_arm.dynamorph.bake.action == rig_of(soft_arm).animation_data.action
+    assert "Bakes to the armature's Action" in " ".join(drawn(soft_arm, PHYSICS))
+    bpy.ops.dynamorph.bake_options(to_action=False)
+    assert not output.bake_to_action and soft_arm.dynamorph.bake.action != rig_of(soft_arm).animation_data.action
+    assert "Bakes to" not in " ".join(drawn(soft_arm, PHYSICS))
 
 
 def test_reset_to_default_changes_nothing_of_a_new_soft_skin(arm, stand_in):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons that make a mesh a soft skin, fix its problems and prepare its cage."""
+"""Buttons that make a mesh a soft skin, fix its problems, take back what scripts have set, and prepare its cage."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from bpy.types import Operator
 from ...core.errors import SceneError, sentence
 from ...core.material.feel import FEELS
 from ...core.message import translated
-from ...run import child
+from ...run import child, live
 from ...run.removal import remove_soft_skin
-from ...scene import body_checks, checks, cuts, extract, references, rig_motion, skin, target_properties
+from ...scene import body_checks, checks, cuts, extract, references, rig_motion, scripted, skin, target_properties
 from ...scene.references import armature_modifiers
 from ...scene.registration import of_classes
 from ...scene.skinning import Skinning
@@ -146,6 +146,24 @@ class DYNAMORPH_OT_fix(SoftSkinOperator, Operator):
         FIXES[self.problem].apply(obj)
 
 
+class DYNAMORPH_OT_reset_setting(SoftSkinOperator, Operator):
+    """Set what a script has set back to its default, which suits nearly every body"""
+
+    bl_idname = "dynamorph.reset_setting"
+    bl_label = "Reset Setting"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}  # a search would offer only the first setting
+
+    setting: EnumProperty(
+        name="Setting",
+        description="The setting to reset",
+        items=[(name, name, "", number) for number, name in enumerate(scripted.SCRIPTED)],
+    )
+
+    def apply(self, obj):
+        scripted.reset(obj, self.setting)
+        live.refresh(obj)
+
+
 # Cage --------------------------------------------------------------------------------------------------------------
 
 
@@ -161,6 +179,7 @@ CLASSES = (
     DYNAMORPH_OT_add_soft_skin,
     DYNAMORPH_OT_remove_soft_skin,
     DYNAMORPH_OT_fix,
+    DYNAMORPH_OT_reset_setting,
     DYNAMORPH_OT_build_cage,
 )
 register, unregister = of_classes(CLASSES)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sections below Advanced: the cage, the detail of the model, its modes, how it is stepped through time, and what
-is rarely needed.
+"""The section Advanced, and those below it: the cage, the detail of the model, its modes, and how it is stepped through
+time.
 """
 
 from __future__ import annotations
@@ -8,7 +8,8 @@ from __future__ import annotations
 from bpy.types import UIList
 
 from ...run import batch, expected_error, preview
-from ..widgets import draw_drags, draw_message, draw_setting, pair
+from ...scene import scripted
+from ..widgets import draw_drags, draw_message, draw_setting, draw_with_button, pair
 
 
 class DYNAMORPH_UL_modes(UIList):
@@ -19,6 +20,12 @@ class DYNAMORPH_UL_modes(UIList):
         row.label(text=item.name, translate=False)
         row.prop(item, "gain", text="", slider=True)
         row.prop(item, "solo", text="", icon="SOLO_ON" if item.solo else "SOLO_OFF", emboss=False)
+
+
+def draw_advanced(layout, _context, obj):
+    """What a script has set of the settings that no panel has, and what takes it back."""
+    for name, text in scripted.changed(obj):
+        draw_with_button(layout, text, "SCRIPT", "dynamorph.reset_setting", text="Reset").setting = name
 
 
 def draw_cage(layout, context, obj):
@@ -72,25 +79,3 @@ def draw_solver(layout, _context, obj):
     draw_message(layout, "A Wind or Force field of strength 1 pushes with 1 N/m² of skin", icon="INFO")
     draw_setting(layout, obj.dynamorph.simulation, "initial_state")
     draw_drags(layout, obj)
-
-
-def draw_rare(layout, _context, obj):
-    """What hardly any body needs: the defaults suit it."""
-    model, simulation = obj.dynamorph.model, obj.dynamorph.simulation
-    layout.enabled = batch.running is None
-    column = layout.column()
-    draw_setting(column, model, "hold")
-    pinning = column.row()
-    pinning.active = model.hold == "BONES"
-    pinning.prop(model, "pin_radius")
-    column = layout.column()
-    draw_setting(column, model, "basis")
-    fitting = column.row()
-    fitting.active = model.basis == "MODES"
-    fitting.prop(model, "fit_to_shot")
-    for name in ("material_model", "blending"):
-        draw_setting(column, model, name)
-    column = layout.column()
-    for name in ("max_thickness", "integrator"):
-        draw_setting(column, simulation, name)
-    layout.prop(obj.dynamorph.output, "bake_to_action")

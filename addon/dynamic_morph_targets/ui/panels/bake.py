@@ -8,6 +8,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from ...core.errors import RecordError, sentence
 from ...core.result import judge
 from ...run import batch, full_comparison
+from ...write.bake import baked_action
 from ...write.bake import influence as bake_influence
 from ...write.display import comparison
 from ..messages import verdict
@@ -113,7 +114,11 @@ def draw_bake(layout, _context, obj):
         row = column.row()
         row.active = output.tolerance == 0.0
         row.prop(output, "frame_step")
-    layout.operator("dynamorph.bake_all")
+    if baked_action.goes_to_rig(obj):
+        draw_message(layout, "Bakes to the armature's Action", icon="ACTION")
+    buttons = layout.column(align=True)
+    buttons.operator("dynamorph.bake_options")
+    buttons.operator("dynamorph.bake_all")
 
 
 # To and from files ---------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from ...scene import skin
 from ...scene.registration import of_classes
 from ..operators.presets import DYNAMORPH_PT_material_presets, DYNAMORPH_PT_setup_presets, PresetList
 from ..widgets import draw_message, is_narrow, progress_text
-from .advanced import DYNAMORPH_UL_modes, draw_cage, draw_detail, draw_modes, draw_rare, draw_solver, has_modes
+from .advanced import DYNAMORPH_UL_modes, draw_advanced, draw_cage, draw_detail, draw_modes, draw_solver, has_modes
 from .attachments import DYNAMORPH_UL_attachments, attachments_title, draw_attachments
 from .bake import draw_bake, draw_details, draw_export, draw_result, draw_setup, draw_trying, is_baked
 from .collision import draw_collision
@@ -92,10 +92,6 @@ class Section:
         return type(f"DYNAMORPH_PT_{self.name}", (SoftSkinPanel, Panel), place | described)
 
 
-def draw_nothing(_layout, _context, _obj):
-    """The drawing of a section that only contains others."""
-
-
 # While posing and sculpting.
 SIDEBAR_SECTIONS = (
     Section("feel", "Feel", "sidebar", draw_feel, closed=False),
@@ -117,12 +113,11 @@ PHYSICS_SECTIONS = (
     Section("bake", "Bake Settings", "physics", draw_bake),
     Section("export", "Export", "physics", draw_export),
     Section("setup", "Setup", "physics", draw_setup, presets=DYNAMORPH_PT_setup_presets),
-    Section("advanced", "Advanced", "physics", draw_nothing),
+    Section("advanced", "Advanced", "physics", draw_advanced),
     Section("cage", "Cage", "advanced", draw_cage),
     Section("detail", "Detail", "advanced", draw_detail),
     Section("modes", "Modes", "advanced", draw_modes, needed=has_modes),
     Section("solver", "Solver", "advanced", draw_solver),
-    Section("rare", "Rarely Needed", "advanced", draw_rare),
     Section("physics_messages", "Messages", "physics", draw_messages, closed=False),
 )
 
