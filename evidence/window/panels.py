@@ -36,7 +36,10 @@ PANELS: dict[str, tuple[Region, tuple[str | tuple[str, float], ...]]] = {
             ("dynamorph.delete_bake", RIGHT),
         ),
     ),
-    "feel": (sidebar, ("dynamorph.apply_feel", "simulation.amount", "bounce", "settle_time")),
+    "feel": (
+        sidebar,
+        ("dynamorph.apply_feel", "simulation.amount", "targets[1].amount", "bounce", "settle_time"),
+    ),
     "material": (
         sidebar,
         ("stiffness", "poisson", "density", "mass_damping", "stiffness_damping", "mass", "dynamorph.fit_material"),
@@ -62,7 +65,6 @@ PANELS: dict[str, tuple[Region, tuple[str | tuple[str, float], ...]]] = {
             "region",
             ("dynamorph.region_from_sculpt", RIGHT),
             "fade_out_angle",
-            "amount",
         ),
     ),
     "bones": (sidebar, ("dynamorph.use_selected_bones", "dynamorph.remove_bone")),
@@ -147,7 +149,7 @@ TARGET = (
     ("dynamorph.sculpt_target", RIGHT),
     "region",
     "fade_out_angle",
-    "bounce",
+    "amount",
 )  # of the panel below Shape Keys
 
 

@@ -18,6 +18,7 @@ SHORTEST = 16  # characters of a line, even where fewer fit
 DEFAULT = 280  # such pixels: the sidebar's width
 VALUE = 8  # characters that make room for a number in its field
 ROOM = 28  # characters of a line from which on a region is not narrow
+NONE = 2.5  # of Blender's units of width, for a word beside a field
 BUTTON = 10  # characters that make room for a button
 
 
@@ -70,6 +71,16 @@ def draw_setting(layout, owner, name: str):
         layout.prop(owner, name, text="")
     else:
         layout.prop(owner, name)
+
+
+def draw_limit(layout, owner, name: str):
+    """A limit. The field of a number cannot say that 0 is none."""
+    row = layout.row()
+    draw_setting(row.column(), owner, name)
+    if not getattr(owner, name):
+        beside = row.column()
+        beside.ui_units_x = NONE
+        beside.label(text="none")
 
 
 def line_length() -> int:

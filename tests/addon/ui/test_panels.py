@@ -233,6 +233,40 @@ def test_the_dialog_of_a_bake_says_where_its_curves_go(soft_arm, stand_in):
     assert "Bakes to" not in " ".join(drawn(soft_arm, PHYSICS))
 
 
+@pytest.mark.parametrize("width", [33, 19])
+def test_a_limit_of_0_reads_none(soft_arm, monkeypatch, width):
+    """In one place each, whether the region is narrow or not."""
+    monkeypatch.setattr(widgets, "line_length", lambda: width)
+    skin = soft_arm.dynamorph
+    skin.active_target_index, target = 1, skin.targets[1]
+    for panel, owner, name, value in (
+        (PHYSICS, skin.simulation, "max_displacement", 0.05),
+        (PHYSICS, skin.output, "keys", 8),
+        (SIDEBAR, target, "fade_out_angle", 1.0),
+    ):
+        setattr(owner, name, 0)
+        texts = drawn(soft_arm, panel)
+        assert texts.count(name) == 1 and texts[texts.index(name) + 1] == "none"
+        setattr(owner, name, value)
+        texts = drawn(soft_arm, panel)
+        assert texts[texts.index(name) + 1] != "none"
+
+
+def test_what_shows_of_the_motion_has_two_names_with_one_place_each(soft_arm, stand_in):
+    """Amount in Feel, of the whole skin and of the selected target, and Influence in Result."""
+    bpy.ops.dynamorph.bake()
+    skin = soft_arm.dynamorph
+    for index in range(2):
+        skin.active_target_index = index
+        shown = settings_shown(soft_arm)
+        amounts = [each for found in shown.values() for each in found if each.endswith(".amount")]
+        assert amounts == ["DynamorphSimulation.amount", "DynamorphTarget.amount"]
+        assert set(amounts) < set(shown["feel"])
+        assert drawn(soft_arm).count("influence") == 1
+    bpy.ops.dynamorph.remove_target()
+    assert "DynamorphTarget.amount" not in settings_shown(soft_arm)["feel"]  # it would be the whole skin's
+
+
 def test_reset_to_default_changes_nothing_of_a_new_soft_skin(arm, stand_in):
     bpy.ops.dynamorph.add_soft_skin()
     skin = arm.dynamorph

@@ -9,7 +9,7 @@ from bpy.types import UIList
 
 from ...run import batch, expected_error, preview
 from ...scene import scripted
-from ..widgets import draw_drags, draw_message, draw_setting, draw_with_button, pair
+from ..widgets import draw_drags, draw_limit, draw_message, draw_setting, draw_with_button, pair
 
 
 class DYNAMORPH_UL_modes(UIList):
@@ -48,7 +48,7 @@ def draw_detail(layout, _context, obj):
     column.enabled = batch.running is None
     column.prop(model, "modes")
     if obj.dynamorph.output.format == "MODES":
-        column.prop(obj.dynamorph.output, "keys")
+        draw_limit(column, obj.dynamorph.output, "keys")
     draw_setting(column, model, "method")
     layout.operator("dynamorph.check_targets", icon="CHECKMARK")
     for line in filter(None, obj.dynamorph.live.checks.split("\n")):

@@ -13,7 +13,7 @@ from ...write.bake import influence as bake_influence
 from ...write.display import comparison
 from ..messages import verdict
 from ..operators.compare import draw_compare_beside
-from ..widgets import draw_message, draw_setting, pair
+from ..widgets import draw_limit, draw_message, draw_setting, pair
 
 
 def draw_trying(layout, _context, obj):
@@ -100,7 +100,7 @@ def draw_bake(layout, _context, obj):
     simulation, output = settings.simulation, settings.output
     layout.enabled = batch.running is None
     draw_setting(layout, settings.model, "quality")
-    draw_setting(layout, simulation, "max_displacement")
+    draw_limit(layout, simulation, "max_displacement")
     layout.prop(simulation, "use_scene_range")
     if not simulation.use_scene_range:
         column = layout.column(align=True)

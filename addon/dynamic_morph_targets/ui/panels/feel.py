@@ -11,7 +11,7 @@ from ..operators import painting as paint_operators
 
 
 def draw_feel(layout, _context, obj):
-    """The presets and the amount of the whole skin, and how the tissue of the selected target swings."""
+    """The presets and the amount of the whole skin, and how much and how the tissue of the selected target swings."""
     settings = obj.dynamorph
     layout.enabled = batch.running is None
     column = layout.column(align=True)
@@ -31,8 +31,12 @@ def icon_of(obj, target) -> str:
 
 
 def draw_swing(layout, target):
-    """Bounce and Settle Time of a target."""
+    """Amount, Bounce and Settle Time of a target."""
     column = layout.column(align=True)
+    if len(target.id_data.dynamorph.targets) > 1:  # alone, it has the whole body's amount
+        amount = column.row()
+        amount.enabled = batch.running is None
+        amount.prop(target, "amount")
     bounce, settle = column.column(align=True), column.column(align=True)
     bounce.enabled = batch.running is None
     bounce.prop(target, "bounce")

@@ -11,7 +11,7 @@ from ...core import engine, errors
 from ...core.character import region_label
 from ...run import batch, weight_curves
 from ...scene import checks, skin
-from ..widgets import draw_message
+from ..widgets import draw_limit, draw_message
 from .feel import draw_material, draw_swing
 
 WIDE = 340  # pixels at a resolution scale of 1; a list this wide has room for more than names
@@ -96,18 +96,17 @@ def draw_pose(layout, settings):
 
 
 def draw_extent(layout, obj, target):
-    """Where a target counts, on the body and around its pose, and how much moves there."""
+    """Where a target counts, on the body and around its pose. The neutral one counts everywhere."""
+    if target == obj.dynamorph.targets[0]:
+        return
     column = layout.column(align=True)
     column.enabled = batch.running is None
-    if target != obj.dynamorph.targets[0]:
-        column.label(text="Region")  # above the name of a group, which needs the whole row
-        row = column.row(align=True)
-        row.use_property_split = False
-        row.prop_search(target, "region", obj, "vertex_groups", text="")
-        row.operator("dynamorph.region_from_sculpt", text="", icon="AUTO", depress=target.auto_region)
-        column.prop(target, "fade_out_angle")
-    if len(obj.dynamorph.targets) > 1:  # alone, it has the whole body's amount
-        column.prop(target, "amount")
+    column.label(text="Region")  # above the name of a group, which needs the whole row
+    row = column.row(align=True)
+    row.use_property_split = False
+    row.prop_search(target, "region", obj, "vertex_groups", text="")
+    row.operator("dynamorph.region_from_sculpt", text="", icon="AUTO", depress=target.auto_region)
+    draw_limit(column, target, "fade_out_angle")
 
 
 def bones_title(obj) -> str:
