@@ -65,7 +65,7 @@ def displacement() -> float:
 @step("Show Plain Skinning, and the soft skin again")
 def plain():
     bpy.context.scene.frame_set(limb.FLEXED + 1)
-    yield from sidebar.unfold("DYNAMORPH_PT_trying")
+    yield from sidebar.unfold("DYNAMORPH_PT_compare")
     yield from driver.drawn()
     pictured, soft = driver.pixels(viewport.box), shown()
     yield from sidebar.press(PLAIN)
@@ -77,7 +77,7 @@ def plain():
     yield from sidebar.press(PLAIN)
     yield from until(lambda: not addon("write.display.comparison").is_plain(skin()), "the soft skin")
     yield from driver.drawn()
-    yield from sidebar.fold("DYNAMORPH_PT_trying")
+    yield from sidebar.fold("DYNAMORPH_PT_compare")
     assert np.array_equal(shown(), soft)
     assert differing(pictured) < 0.1 * changed, f"the viewport shows something else: {differing(pictured)} of {changed}"
 
@@ -87,7 +87,7 @@ def side_by_side():
     """With plain skinning, and with the bake of the other settings."""
     beside = addon("write.display.beside")
     names = lambda: addon("ui.overlays.viewport").names_beside(skin(), beside.find(skin()))  # noqa: E731
-    yield from sidebar.unfold("DYNAMORPH_PT_trying")
+    yield from sidebar.unfold("DYNAMORPH_PT_compare")
     yield from driver.drawn()
     pictured = driver.pixels(viewport.box)
     yield from sidebar.press(BESIDE)
@@ -114,7 +114,7 @@ def two_bakes():
     yield from bake()
     yield from sidebar.press(BESIDE)
     yield from until(lambda: not beside.find(skin()), "the copy to go")
-    yield from sidebar.fold("DYNAMORPH_PT_trying")
+    yield from sidebar.fold("DYNAMORPH_PT_compare")
 
 
 # The verdict ---------------------------------------------------------------------------------------------------------

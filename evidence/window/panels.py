@@ -72,18 +72,18 @@ PANELS: dict[str, tuple[Region, tuple[str | tuple[str, float], ...]]] = {
         sidebar,
         ("target_weights", ("dynamorph.update_target_weights", RIGHT), "dynamorph.find_uncovered_pose"),
     ),
-    "trying": (
+    "compare": (
         sidebar,
         (
-            "dynamorph.shake_test",
             "dynamorph.show_plain",
             ("dynamorph.swap_slot", LEFT),
             ("dynamorph.copy_slot", RIGHT),
             "dynamorph.compare_beside",
+            "dynamorph.compare_full",
         ),
     ),
     "result": (sidebar, ("influence", "dynamorph.stiffen", "dynamorph.export")),
-    "details": (sidebar, (("dynamorph.show_worst", LEFT), ("heat", RIGHT), "dynamorph.compare_full")),
+    "details": (sidebar, (("dynamorph.show_worst", LEFT), ("heat", RIGHT))),
     "attachments": (
         properties,
         (

@@ -137,7 +137,7 @@ def shown_by_click(frame: int):
 
 @step("Shake Test", picture=view)
 def shake():
-    yield from sidebar.unfold("DYNAMORPH_PT_trying")
+    yield from sidebar.unfold("DYNAMORPH_PT_shake_test")
     rested, stood = shown(), rig().matrix_world.copy()
     running = lambda: addon("run.preview").is_running("dynamorph.shake_test")  # noqa: E731
     hop = "dynamorph.shake_test(kind='HOP')"
@@ -155,6 +155,8 @@ def shake():
 
 @step("Compare A and B")
 def slots():
+    yield from sidebar.fold("DYNAMORPH_PT_shake_test")
+    yield from sidebar.unfold("DYNAMORPH_PT_compare")
     target = settings().targets[1]
     before = target.stiffness
     yield from sidebar.press("dynamorph.swap_slot")
@@ -176,4 +178,4 @@ def live_off():
     assert keys() == ["Basis", "flexed", "Pose 1"]
     assert not any(block.mute for block in skin().data.shape_keys.key_blocks)
     assert moved(limb.FLEXED + 1, limb.FLEXED + 4) == 0.0
-    yield from sidebar.fold("DYNAMORPH_PT_trying")
+    yield from sidebar.fold("DYNAMORPH_PT_compare")

@@ -2,7 +2,7 @@
 """How far the reduced motion of a new model is from Full Quality, found in the background after a build or bake.
 
 The motion is the same for every character: the Shake Test's hop, in the pose that shows. For a whole body the error is
-near that of its worst clip (docs/panels/detail.md). What was found is kept by what it depends on, so that neither
+near that of its worst clip (docs/panels/compare.md). What was found is kept by what it depends on, so that neither
 undo nor redo loses it, and goes into the file when that is saved.
 """
 

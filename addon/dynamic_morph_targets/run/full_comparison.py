@@ -81,4 +81,4 @@ def disabled_reason(obj: bpy.types.Object) -> str:
 def summary(obj: bpy.types.Object) -> str:
     """What was found, as a sentence; '' before the bake was compared."""
     distance = obj.dynamorph.bake.off_full
-    return Message("Reduced motion: {percent:.1f} % off Full Quality", percent=100 * distance) if distance >= 0 else ""
+    return Message("Measured error: {percent:.1f} % of the motion", percent=100 * distance) if distance >= 0 else ""

@@ -56,7 +56,7 @@ def measured(obj) -> float | None:
 
 
 def said(obj) -> str:
-    return " ".join(drawn(obj, "DYNAMORPH_PT_physics"))
+    return " ".join(drawn(obj))
 
 
 def test_the_panel_shows_it_after_a_build(coarse):

@@ -109,10 +109,10 @@ def compared(obj) -> float:
 
 def test_the_panel_says_how_far_a_bake_is_from_final_quality(coarse):
     digest = bake(coarse).target().dynamorph.bake.digest
-    assert "dynamorph.compare_full" in drawn(coarse) and "off Full Quality" not in " ".join(drawn(coarse))
+    assert "dynamorph.compare_full" in drawn(coarse) and "Measured error" not in " ".join(drawn(coarse))
     distance = compared(coarse)
     assert 0.01 < distance < 1.0
-    assert f"Reduced motion: {100 * distance:.1f} % off Full Quality" in " ".join(drawn(coarse))
+    assert f"Measured error: {100 * distance:.1f} % of the motion" in " ".join(drawn(coarse))
     assert coarse.dynamorph.bake.digest == digest  # the bake stays as it was
 
 
@@ -152,7 +152,7 @@ def test_another_bake_was_not_compared(coarse, forget):
     bake(coarse)
     compared(coarse)
     forget(coarse)
-    assert coarse.dynamorph.bake.off_full < 0 and "off Full Quality" not in " ".join(drawn(coarse))
+    assert coarse.dynamorph.bake.off_full < 0 and "Measured error" not in " ".join(drawn(coarse))
 
 
 def test_what_cannot_be_compared(coarse):

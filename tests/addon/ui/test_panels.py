@@ -302,6 +302,22 @@ def test_the_order_of_the_sections(soft_arm):
     assert {parents[label] for label in ("Cage", "Detail", "Solver")} == {"advanced"}
 
 
+def test_what_compares_is_in_one_section(soft_arm, stand_in):
+    """All of it, and nothing else."""
+    compares = ["show_plain", "swap_slot", "copy_slot", "compare_beside", "compare_full"]
+    bpy.ops.dynamorph.bake()
+    soft_arm.dynamorph.bake.off_full = 0.123
+    layout = Layout([])
+    section = next(each for each in sections.SIDEBAR_SECTIONS if each.name == "compare")
+    section.draw(layout, bpy.context, soft_arm)
+    assert layout.controls == [f"dynamorph.{name}" for name in compares]
+    said = "Measured error: 12.3 % of the motion"
+    assert said in " ".join(layout.drawn)
+    everywhere = [*controls(soft_arm), *controls(soft_arm, PHYSICS)]
+    assert all(everywhere.count(each) == 1 for each in layout.controls)
+    assert f"{' '.join(drawn(soft_arm))} {' '.join(drawn(soft_arm, PHYSICS))}".count(said) == 1
+
+
 def test_the_shape_keys_panel_is_about_the_active_key(soft_arm, stand_in):
     settings, keys = soft_arm.dynamorph, soft_arm.data.shape_keys.key_blocks
     settings.active_target_index = 0

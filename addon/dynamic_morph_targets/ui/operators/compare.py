@@ -96,13 +96,6 @@ def _right_of_view(context) -> np.ndarray:
     return np.array(turned @ Vector((1.0, 0.0, 0.0)))
 
 
-def draw_compare_beside(layout, obj):
-    """The button, as long as there is something to compare or to remove."""
-    shown = beside.find(obj) is not None
-    if shown or skin.is_shown_on(obj):
-        layout.operator("dynamorph.compare_beside", icon="MOD_MIRROR", depress=shown)
-
-
 @persistent
 def _before_save(*_args):
     """save_pre: a saved file shows the soft skin wherever it is opened or rendered."""

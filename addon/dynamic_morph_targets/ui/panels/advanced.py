@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from bpy.types import UIList
 
-from ...run import batch, expected_error, preview
+from ...run import batch, preview
 from ...scene import scripted
 from ..widgets import draw_drags, draw_limit, draw_message, draw_setting, draw_with_button, pair
 
@@ -55,8 +55,6 @@ def draw_detail(layout, _context, obj):
         draw_message(layout, line, icon="DOT")
     if model.summary:
         draw_message(layout, model.summary, icon="CHECKMARK")
-    if expected_error.summary(obj):
-        draw_message(layout, expected_error.summary(obj), icon="INFO")
 
 
 def has_modes(obj) -> bool:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sections about the motion: what shows and compares it, the bake and its result, exports and setups."""
+"""The sections about the bake and its result, exports and setups."""
 
 from __future__ import annotations
 
@@ -7,29 +7,11 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ...core.errors import RecordError, sentence
 from ...core.result import judge
-from ...run import batch, full_comparison
+from ...run import batch
 from ...write.bake import baked_action
 from ...write.bake import influence as bake_influence
-from ...write.display import comparison
 from ..messages import verdict
-from ..operators.compare import draw_compare_beside
 from ..widgets import draw_limit, draw_message, draw_setting, pair
-
-
-def draw_trying(layout, _context, obj):
-    """Motion without keyframes, and what it is compared with."""
-    row = layout.row(align=True)
-    for kind in ("STOMP", "TWIST", "HOP"):
-        row.operator("dynamorph.shake_test", text=kind.capitalize()).kind = kind
-    plain = comparison.is_plain(obj)
-    text = "Show Soft Skin" if plain else "Show Plain Skinning"
-    layout.operator("dynamorph.show_plain", text=text, icon="HIDE_OFF" if plain else "HIDE_ON", depress=plain)
-    row = layout.row(align=True)
-    slot, other = ("A", "B") if obj.dynamorph.live.slot == "A" else ("B", "A")
-    row.operator("dynamorph.swap_slot", text=f"Swap to {other}", icon="UV_SYNC_SELECT")
-    row.operator("dynamorph.copy_slot", text=f"Copy {slot} to {other}", icon="COPYDOWN")
-    draw_compare_beside(layout, obj)
-
 
 # The bake ------------------------------------------------------------------------------------------------------------
 
@@ -68,7 +50,7 @@ def draw_verdict(layout, obj):
 
 
 def draw_details(layout, context, obj):
-    """Where the bake looks worst, what was measured, and how far it is from Full Quality."""
+    """Where the bake looks worst, and what was measured."""
     found = verdict(obj)
     row = layout.row(align=True)
     row.use_property_split = False
@@ -81,17 +63,8 @@ def draw_details(layout, context, obj):
         split = column.split(factor=0.55)
         split.label(text=name)
         split.label(text=value, translate=False)
-    draw_off_full(layout, obj)
     if obj.dynamorph.bake.summary:
         draw_message(layout, obj.dynamorph.bake.summary, icon="CHECKMARK")
-
-
-def draw_off_full(layout, obj):
-    """How far the bake's reduced motion, which Live shows too, is from Full Quality, and the button that finds out."""
-    if not full_comparison.disabled_reason(obj):
-        layout.operator("dynamorph.compare_full")
-    if full_comparison.summary(obj):
-        draw_message(layout, full_comparison.summary(obj), icon="INFO")
 
 
 def draw_bake(layout, _context, obj):

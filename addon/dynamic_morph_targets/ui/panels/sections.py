@@ -19,8 +19,9 @@ from ..operators.presets import DYNAMORPH_PT_material_presets, DYNAMORPH_PT_setu
 from ..widgets import draw_message, is_narrow, progress_text
 from .advanced import DYNAMORPH_UL_modes, draw_advanced, draw_cage, draw_detail, draw_modes, draw_solver, has_modes
 from .attachments import DYNAMORPH_UL_attachments, attachments_title, draw_attachments
-from .bake import draw_bake, draw_details, draw_export, draw_result, draw_setup, draw_trying, is_baked
+from .bake import draw_bake, draw_details, draw_export, draw_result, draw_setup, is_baked
 from .collision import draw_collision
+from .compare import draw_compare, draw_shake_test
 from .feel import draw_feel, draw_firmness, draw_material, draw_max_distance
 from .status import draw_messages, draw_top
 from .targets import (
@@ -101,7 +102,8 @@ SIDEBAR_SECTIONS = (
     Section("targets", "Targets", "sidebar", draw_targets),
     Section("bones", "", "targets", draw_bones, needed=has_bones, title=bones_title),
     Section("target_weights", "Target Weights", "sidebar", draw_target_weights, needed=has_weights),
-    Section("trying", "Test and Compare", "sidebar", draw_trying),
+    Section("shake_test", "Shake Test", "sidebar", draw_shake_test),
+    Section("compare", "Compare", "sidebar", draw_compare),
     Section("result", "Result", "sidebar", draw_result, closed=False, needed=is_baked),
     Section("details", "Details", "result", draw_details),
     Section("messages", "Messages", "sidebar", draw_messages, closed=False, before=True),
