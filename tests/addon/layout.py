@@ -29,6 +29,7 @@ class Layout:
 
     def __init__(self, drawn, place=SIDEBAR, controls=None):
         self.drawn = drawn
+        self.labels = []  # (text, icon)
         self.controls = [] if controls is None else controls  # what can be clicked or set, a list as one
         self.context = types.SimpleNamespace(**place)
 
@@ -52,7 +53,8 @@ class Layout:
     def operator_menu_enum(self, name, _property, **_options):
         self.operator(name)
 
-    def label(self, text="", **_options):
+    def label(self, text="", icon="NONE", **_options):
+        self.labels.append((text, icon))
         self.drawn.append(text)
 
     def progress(self, factor, text):
@@ -99,7 +101,7 @@ def controls(obj, panel="DYNAMORPH_PT_sidebar", unfolded=True):
     return layout_of(obj, panel, SIDEBAR, unfolded).controls
 
 
-def layout_of(obj, panel, place, unfolded):
+def layout_of(obj, panel, place=SIDEBAR, unfolded=True):
     layout = Layout([], place)
     panel_class = registered(panel, bpy.types.Panel)
     context = types.SimpleNamespace(

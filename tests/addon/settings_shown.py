@@ -18,6 +18,8 @@ def settings_shown(obj) -> dict[str, list[str]]:
     for section in (*sections.SIDEBAR_SECTIONS, *sections.PHYSICS_SECTIONS):
         if is_there(getattr(bpy.types, f"DYNAMORPH_PT_{section.name}"), context):
             layout = Layout([])
+            if section.switch:
+                layout.prop(*section.switch(obj))
             section.draw(layout, context, obj)
             drawn = [each for each in layout.controls if each.startswith("Dynamorph") and "." in each]
             found[section.name] = [each for each in dict.fromkeys(drawn) if not each.startswith("DynamorphDisplay")]

@@ -13,7 +13,7 @@ from ..scene import run_settings
 from . import names
 from .parsers import name_of
 
-SETTINGS = ("distance", "friction", "bake_full")  # of the panel, that are options of the same name
+SETTINGS = ("distance", "friction", "bake_full")  # properties that are options of the same name
 
 
 def add_options(bake: argparse.ArgumentParser) -> None:

@@ -205,7 +205,8 @@ class DynamorphCollision(PropertyGroup):
     use: BoolProperty(
         name="Collision",
         description="Let mesh objects with Blender's Collision (Physics tab) stop the skin, so that it dents instead "
-        "of passing through. Their own thickness is ignored; set Distance instead",
+        "of passing through. Turn it on if something touches the body. Set Distance instead of the thickness of the "
+        "objects, which is ignored",
         override=OVERRIDE,
     )  # fmt: skip
     collection: PointerProperty(

@@ -313,20 +313,23 @@ def _moving(skinning: Skinning, skeleton: Skeleton) -> tuple[str, ...]:
     return (skinning.rig.name, skinning.obj.name, *skeleton.names, *others)
 
 
+def pushing(view_layer) -> list:
+    """The objects whose force field pushes skin. Fast enough for drawing."""
+    shown = [obj for obj in shown_objects(view_layer) if obj.field and not obj.hide_viewport]
+    return [obj for obj in shown if obj.field.type in PUSHING and obj.field.apply_to_location]
+
+
 def _force_fields(view_layer) -> list:
-    """The objects whose force field pushes skin. Raises SceneError for kinds that would act differently than shown."""
-    found = []
-    for obj in shown_objects(view_layer):
+    """The same. Raises SceneError for kinds that would act differently than shown."""
+    found = pushing(view_layer)
+    for obj in found:
         field = obj.field
-        if not field or field.type not in PUSHING or not field.apply_to_location or obj.hide_viewport:
-            continue
         if field.shape not in {"POINT", "PLANE"} or field.falloff_type != "SPHERE" or field.z_direction != "BOTH":
             raise SceneError(
                 "Force field '{name}' cannot push skin with these settings: choose Shape Point or Plane, Falloff "
                 "Sphere and Z Direction Both, or set Force Fields to 0",
                 name=obj.name,
             )
-        found.append(obj)
     return found
 
 

@@ -141,6 +141,7 @@ def texts(obj, said: Set[str]) -> Iterator[str]:
         outdated = Message(text, reasons=joined(", ", reasons[:MOST_REASONS]), count=more)
         yield joined(". ", [text for text in (outdated, rebuilt(obj)) if text])
     found = verdict(obj)
+    in_result = (found.text, *found.contact_texts) if found else ()
     for warning in filter(None, (*model.warnings.split("\n"), *bake.warnings.split("\n"))):
-        if not (found and warning.startswith(found.text)):  # which the section Result says
+        if not warning.startswith(in_result):
             yield warning

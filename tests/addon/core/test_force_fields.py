@@ -133,6 +133,8 @@ def test_turbulence_keeps_its_size_in_other_units(soft_arm):
 
 
 def test_the_panel_says_what_a_strength_is(soft_arm):
-    assert "A Wind or Force field of strength 1 pushes with 1 N/m² of skin" in " ".join(
-        drawn(soft_arm, "DYNAMORPH_PT_solver")
-    )
+    """Where there is a field."""
+    said = "A Wind or Force field of strength 1 pushes with 1 N/m² of skin"
+    assert said not in " ".join(drawn(soft_arm, "DYNAMORPH_PT_solver"))
+    add_field("WIND")
+    assert said in " ".join(drawn(soft_arm, "DYNAMORPH_PT_solver"))

@@ -39,7 +39,8 @@ def all_settings(soft_arm) -> set:
     settings.active_target_index = 1
     settings.simulation.use_scene_range = False
     settings.simulation.drags = "[]"
-    settings.collision.use = True
+    settings.collision.use = settings.collision.use_friction = True
+    bpy.ops.object.effector_add(type="WIND")
     settings.output.format = "FRAMES"
     settings.attachments.add()
     activate(soft_arm)

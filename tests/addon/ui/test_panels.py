@@ -6,6 +6,9 @@ import types
 import bpy
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import engine
+from bl_ext.user_default.dynamic_morph_targets.core.motion.contact import Touched
+from bl_ext.user_default.dynamic_morph_targets.core.motion.limits import Held
+from bl_ext.user_default.dynamic_morph_targets.core.result import judge
 from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
 from bl_ext.user_default.dynamic_morph_targets.run import job_data, live, preview
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
@@ -15,7 +18,7 @@ from bl_ext.user_default.dynamic_morph_targets.ui.panels import sections
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from builders import activate, hand_made_bake, rig_of
-from layout import Layout, controls, drawn, region
+from layout import Layout, controls, drawn, layout_of, region
 from settings_shown import settings_shown
 
 SIDEBAR, PHYSICS, DATA = "DYNAMORPH_PT_sidebar", "DYNAMORPH_PT_physics", "DYNAMORPH_PT_object_data"
@@ -182,7 +185,7 @@ IN_SIGHT = {
     "firmness": ["firmness_group"],
     "max_distance": ["max_distance_group"],
     "attachments": ["hold_head"],
-    "collision": ["collection", "use_self", "distance", "excluded_group", "use_friction", "friction"],
+    "collision": ["use", "collection", "use_self", "distance", "excluded_group", "use_friction"],
     "bake": ["quality", "max_displacement", "use_scene_range", "loop", "format"],
 }
 SCRIPTED = {  # what no panel has, as a script sets it, and what Advanced then says
@@ -250,6 +253,57 @@ def test_a_limit_of_0_reads_none(soft_arm, monkeypatch, width):
         setattr(owner, name, value)
         texts = drawn(soft_arm, panel)
         assert texts[texts.index(name) + 1] != "none"
+
+
+MOST = 36  # settings
+
+
+def test_few_settings_are_drawn(soft_arm, stand_in):
+    """With every section open, for a target of a body that collides and is baked. Frames, friction, force fields and
+    recorded drags are drawn only where they do something.
+    """
+    soft_arm.dynamorph.active_target_index, soft_arm.dynamorph.collision.use = 1, True
+    bpy.ops.dynamorph.bake()
+    shown = settings_shown(soft_arm)
+    drawn_once = [each for found in shown.values() for each in found]
+    print(len(drawn_once), "settings:", shown)
+    assert len(drawn_once) == len(set(drawn_once)) <= MOST
+
+
+def test_force_fields_and_friction_are_drawn_where_they_do_something(soft_arm):
+    texts = drawn(soft_arm, PHYSICS)
+    assert not {"fields", "friction"} & set(texts) and "N/m²" not in " ".join(texts)
+    bpy.ops.object.effector_add(type="WIND")
+    activate(soft_arm)
+    soft_arm.dynamorph.collision.use_friction = True
+    texts = drawn(soft_arm, PHYSICS)
+    assert {"fields", "friction"} <= set(texts) and "N/m²" in " ".join(texts)
+
+
+def test_a_message_stands_once_and_has_one_icon(soft_arm, stand_in, monkeypatch):
+    """In each of the two places, whatever is wrong."""
+    monkeypatch.setattr(widgets, "line_length", lambda: 1000)
+    settings = soft_arm.dynamorph
+    settings.collision.use = settings.collision.use_self = True
+    bpy.ops.dynamorph.bake()
+    touched = Touched(depth=0.01, bone="lower", collider="Ball", frames=(3, 4), unusable=(("Cube", 5, 6),))
+    held = Held("lower", 5.0, (3, 4))
+    verdict = judge.Verdict(judge.Limits(0.05), held, percentile=0.1, frame=7.0, touched=touched)
+    settings.bake.verdict = verdict.record
+    settings.bake.warnings = "\n".join((verdict.text, *verdict.contact_texts, "The disk is nearly full"))
+    settings.bake.off_full = 0.2
+    settings.model.modes = 5
+    attachment = settings.attachments.add()
+    attachment.object, attachment.name = soft_arm, "Arm"  # which cannot be
+    icons: dict[str, set[str]] = {}
+    for panel in (SIDEBAR, PHYSICS):
+        labels = [(text, icon) for text, icon in layout_of(soft_arm, panel).labels if len(text.split()) > 3]
+        texts = [text for text, _ in labels]
+        assert len(texts) == len(set(texts)), sorted(texts)
+        for text, icon in labels:
+            icons.setdefault(text, set()).add(icon)
+    assert {text: found for text, found in icons.items() if len(found) > 1} == {}
+    assert "The disk is nearly full" in icons and len(icons) > 5
 
 
 def test_what_shows_of_the_motion_has_two_names_with_one_place_each(soft_arm, stand_in):

@@ -8,7 +8,7 @@ from __future__ import annotations
 from bpy.types import UIList
 
 from ...run import batch, preview
-from ...scene import scripted
+from ...scene import rig_motion, scripted
 from ..widgets import draw_drags, draw_limit, draw_message, draw_setting, draw_with_button, pair
 
 
@@ -70,10 +70,12 @@ def draw_modes(layout, _context, obj):
     row.operator("dynamorph.reset_gains", icon="LOOP_BACK")
 
 
-def draw_solver(layout, _context, obj):
+def draw_solver(layout, context, obj):
     layout.enabled = batch.running is None
-    for name in ("speed", "substeps", "samples", "gravity", "fields"):
+    for name in ("speed", "substeps", "samples", "gravity"):
         draw_setting(layout, obj.dynamorph.simulation, name)
-    draw_message(layout, "A Wind or Force field of strength 1 pushes with 1 N/m² of skin", icon="INFO")
+    if rig_motion.pushing(context.view_layer):
+        draw_setting(layout, obj.dynamorph.simulation, "fields")
+        draw_message(layout, "A Wind or Force field of strength 1 pushes with 1 N/m² of skin", icon="INFO")
     draw_setting(layout, obj.dynamorph.simulation, "initial_state")
     draw_drags(layout, obj)

@@ -9,6 +9,7 @@ from bpy.types import UIList
 from ...run import batch
 from ...scene import colliders
 from ...write.authoring import attachments
+from .. import messages
 from ..widgets import draw_message
 
 FEW_NOTES = 3  # notes about meshes that are left alone
@@ -67,8 +68,10 @@ def draw_attachment(layout, obj, attachment):
         column.prop_search(attachment, "group", attachment.object or obj, "vertex_groups")
     if attachment.reason:
         draw_message(layout, attachment.reason, icon="INFO")
-    if attachments.problem(obj, attachment):
-        draw_message(layout, attachments.problem(obj, attachment))
+    wrong = attachments.problem(obj, attachment)
+    if wrong:
+        if wrong not in {problem.text for problem, _ in messages.messages(obj)}:
+            draw_message(layout, wrong)
     elif attachment.object and attachment.attached_by == "OWN_CAGE" and not attachment.object.dynamorph.targets:
         text = iface_("'{name}' needs a soft skin of its own").format(name=attachment.object.name)
         draw_message(layout, text, icon="INFO")

@@ -31,7 +31,6 @@ def draw_collision(layout, context, obj):
     column.prop(settings, "distance")
     column.prop_search(obj.dynamorph, "excluded_group", obj, "vertex_groups")
     draw_setting(column, settings, "use_friction")
-    friction = column.row()
-    friction.active = settings.use_friction
-    friction.prop(settings, "friction")
+    if settings.use_friction:
+        column.prop(settings, "friction")
     layout.prop(context.window_manager.dynamorph, "contact", icon="OVERLAY", toggle=True)
