@@ -30,12 +30,13 @@ import rig_families  # noqa: E402
 import table  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.core import engine  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run import batch, live  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.run.first_look import FirstLook  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job  # noqa: E402
 
 try:
-    from bl_ext.user_default.dynamic_morph_targets.run.first_look import FirstLook
+    from bl_ext.user_default.dynamic_morph_targets.run import remembered
 except ImportError:  # in a checkout of before
-    FirstLook = None
+    remembered = None
 
 FRAMES = 250  # of the bake
 
@@ -139,7 +140,8 @@ def painted(body) -> float:
     group.add(list(range(len(height))), 0.5, "REPLACE")
     group.add(np.flatnonzero(height < np.median(height)).tolist(), 0.4, "REPLACE")
     began = time.perf_counter()
-    del live.state.sessions[body.session_uid]  # as `live` does after a stroke
+    sessions = remembered.live.sessions if remembered else live.state.sessions
+    del sessions[body.session_uid]  # as `live` does after a stroke
     live.refresh(body)
     assert live.problem(body) == ""
     return time.perf_counter() - began

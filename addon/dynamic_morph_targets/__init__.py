@@ -5,8 +5,7 @@ Imports wait until `register`: core and io then serve and are tested without Ble
 compiled engine is imported when it is first used (see core.engine), so that the add-on can say what is missing.
 """
 
-_registered: list = []  # modules, in the order in which they were registered
-_commands: list = []  # handles that Blender wants back
+from functools import partial
 
 
 def _modules():
@@ -75,6 +74,7 @@ def register():
 
     from .cli import main
     from .core import blas
+    from .scene import registration
 
     def run_command(arguments):
         blas.use_one_thread()  # not where the artist and other add-ons work
@@ -82,9 +82,11 @@ def register():
 
     try:
         for module in _modules():
-            _registered.append(module)  # first, so that what it leaves when it fails is taken back too
+            registration.later(__name__, partial(_unregister, module))  # first: it is taken back too when it fails
             module.register()
-        _commands.append(bpy.utils.register_cli_command("dynamorph", run_command))
+        command = bpy.utils.register_cli_command("dynamorph", run_command)
+        if not bpy.app.module:  # in the wheel nobody can call it, and without it bpy 4.5 waits forever as Python ends
+            registration.later(__name__, partial(bpy.utils.unregister_cli_command, command))
     except BaseException:
         unregister()
         raise
@@ -95,17 +97,15 @@ def unregister():
 
     Each module's own `unregister` takes back what there is of it, for the same reason.
     """
-    import bpy
+    from .scene import registration
 
+    registration.take_back(__name__)
+
+
+def _unregister(module):
     from .core import logger
 
-    while _commands:
-        command = _commands.pop()
-        if not bpy.app.module:  # in the wheel nobody can call it, and without it bpy 4.5 waits forever as Python ends
-            bpy.utils.unregister_cli_command(command)
-    while _registered:
-        module = _registered.pop()
-        try:
-            module.unregister()
-        except Exception as bug:  # the others are to go all the same
-            logger.log_bug(bug)
+    try:
+        module.unregister()
+    except Exception as bug:  # the others are to go all the same
+        logger.log_bug(bug)

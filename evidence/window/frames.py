@@ -137,7 +137,7 @@ def latency(skin, target, stiffness: float):
         yield from until(lambda: playback.drawn[-1] > done, "the picture of it", 60)
         seconds = playback.drawn[-1] - begin
         yield from stop()
-    sets = live.state.sessions[skin.session_uid].tissue.character.target_sets
+    sets = addon("run.remembered").live.sessions[skin.session_uid].tissue.character.target_sets
     used = [each.material.stiffness for target_set in sets for each in target_set.targets]
     assert stiffness in used, "the frame was simulated as before"
     return seconds, live.problem(skin)

@@ -6,7 +6,7 @@ import types
 
 import bpy
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.run import batch
+from bl_ext.user_default.dynamic_morph_targets.run import remembered
 from builders import activate
 
 APP = bpy.app
@@ -76,7 +76,7 @@ class Pressed:
             self.result = press(obj, operator, self._invoke, **settings)
             in_window(patch)
             self._play(iter(events), before_tick)
-        assert batch.running is None
+        assert remembered.work.running is None
 
     def _attribute(self, original):
         def attribute(operator, name):
@@ -93,10 +93,10 @@ class Pressed:
 
     def _play(self, events, before_tick):
         while self.result in ({"RUNNING_MODAL"}, {"PASS_THROUGH"}):
-            assert batch.running is self.operator.batch
+            assert remembered.work.running is self.operator.batch
             if before_tick:
-                before_tick(batch.running)
-            if batch.running is None:
+                before_tick(remembered.work.running)
+            if remembered.work.running is None:
                 self.result = None
                 return
             event = types.SimpleNamespace(type=next(events, "TIMER"), value="PRESS")

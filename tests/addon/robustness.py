@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 from bl_ext.user_default.dynamic_morph_targets.core.motion.grab import Grab, as_text
 from bl_ext.user_default.dynamic_morph_targets.core.result.judge import Limits, Verdict
-from bl_ext.user_default.dynamic_morph_targets.run import batch, live
+from bl_ext.user_default.dynamic_morph_targets.run import batch, remembered
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import model_store, target_properties
 from builders import activate, evaluated_points, fingerprint, keys_of, make_box, rig_of
@@ -172,7 +172,7 @@ def recording(obj):
     built(obj)
     OPS.live()
     OPS.record_drags()
-    live.state.sessions[obj.session_uid].recorded = dict(DRAGS)
+    remembered.live.sessions[obj.session_uid].recorded = dict(DRAGS)
 
 
 def dragged(obj):

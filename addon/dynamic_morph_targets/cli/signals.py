@@ -6,9 +6,10 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from types import FrameType
 
-_raised: list[int] = []  # in the present block
+_RAISED: ContextVar[list[int]] = ContextVar("raised")  # in the present block
 
 
 class Preempted(BaseException):
@@ -20,11 +21,12 @@ def raised() -> Iterator[None]:
     """They raise KeyboardInterrupt and Preempted in the block. Blender swallows the first Ctrl-C unless a handler of
     Python is in place.
     """
-    _raised.clear()
+    token = _RAISED.set([])
     before = _handle(_raise)
     try:
         yield
     finally:
+        _RAISED.reset(token)
         for number, handler in before.items():
             if handler is not None:  # otherwise it is Blender's own, set in C, and Blender ends here anyway
                 signal.signal(number, handler)
@@ -59,8 +61,8 @@ def check() -> None:
     """Raise once more what has come while Blender called Python: a handler, a driver, an operator. It prints what these
     raise, and goes on.
     """
-    if _raised:
-        raise _error(_raised[0])
+    if raised := _RAISED.get([]):
+        raise _error(raised[0])
 
 
 def ignore() -> None:
@@ -77,7 +79,7 @@ def _handle(handler: Callable[[int, FrameType | None], object] | signal.Handlers
 def _raise(number: int, _frame: FrameType | None) -> None:
     """Only once: another one would end what the first one has led to."""
     ignore()
-    _raised.append(number)
+    _RAISED.get().append(number)
     raise _error(number)
 
 

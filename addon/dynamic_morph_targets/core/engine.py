@@ -33,7 +33,7 @@ REMEDIES = {
     r"map segment|Cannot allocate memory": "Memory is short: close other programs or raise the limit (ulimit -v), "
     "and restart",
 }
-_threads, _passed_on = 0, True  # what the user wants, and whether the engine knows; 0 is its own choice
+_threads = 0  # what the user wants; 0 is the engine's own choice
 
 
 def load() -> ModuleType:
@@ -49,7 +49,7 @@ def load() -> ModuleType:
             remedy=_remedy(str(error)),
         ) from error
     _check_version()
-    _tell_threads()
+    dynamorph.set_threads(_threads)
     return dynamorph
 
 
@@ -134,22 +134,12 @@ def engine_errors() -> tuple[type[Exception], ...]:
 
 def use_threads(count: int) -> None:
     """How many threads the engine takes, from now on or from when it is loaded; 0: as many as there are cores."""
-    global _threads, _passed_on
-    _threads, _passed_on = count, count == _threads and _passed_on
+    global _threads
+    _threads = count
     if sys.modules.get("dynamorph"):  # None where it is known to be missing
-        _tell_threads()
+        load()
 
 
 def threads() -> int:
     """The number that `use_threads` was given."""
     return _threads
-
-
-def _tell_threads() -> None:
-    """When it is loaded, by whatever uses it first: a job, Live, a fit."""
-    global _passed_on
-    if not _passed_on:
-        import dynamorph
-
-        dynamorph.set_threads(_threads)
-        _passed_on = True

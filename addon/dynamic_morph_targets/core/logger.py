@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import logging
 import traceback
+from functools import cache
 
 from .message import Message
 
 logger = logging.getLogger("dynamic_morph_targets")  # prints to the console unless a user configures it
-_logged: set[tuple] = set()  # kinds and places of the bugs that `log_once` has logged
 
 
 def log_bug(error: BaseException) -> None:
@@ -20,10 +20,19 @@ def log_bug(error: BaseException) -> None:
 def log_once(error: BaseException) -> None:
     """The same, for what is tried again and again: an error of one kind from one place is logged once."""
     where = traceback.extract_tb(error.__traceback__)[-1:]
-    bug = type(error), *((frame.filename, frame.lineno) for frame in where)
-    if bug not in _logged:
-        _logged.add(bug)
+    if _is_new(type(error), *((frame.filename, frame.lineno) for frame in where)):
         log_bug(error)
+
+
+def _is_new(*bug: object) -> bool:
+    """Whether `log_once` has not logged it: of this kind, from this place."""
+    known = _known.cache_info().currsize
+    _known(*bug)
+    return _known.cache_info().currsize > known
+
+
+@cache
+def _known(*_bug: object) -> None: ...
 
 
 def bug_sentence(error: BaseException) -> str:

@@ -14,17 +14,16 @@ from ..core.message import Message
 from ..core.settings import SimulationSettings
 from ..scene import run_settings
 from .job_data import BakeInput
+from .remembered import work
 
 STEP, NODES = 0.08, 2000  # seconds of a step with a cage of so many nodes, where something is touched, on two cores
 PASSES = 4  # of a loop
-
-steps: dict[int, float] = {}  # by Object.session_uid: seconds of a step in its last bake in Full Quality
 
 
 def learn(obj: bpy.types.Object, given: BakeInput, seconds: float) -> None:
     """Note how many seconds the simulation of a bake took."""
     if given.solver == "FULL" and given.settings.collision and not given.resumed:
-        steps[obj.session_uid] = seconds / _count(given.settings)
+        work.seconds[obj.session_uid] = seconds / _count(given.settings)
 
 
 def expected(obj: bpy.types.Object, frames: tuple[int, int] | None = None, substeps: int | None = None) -> Message:
@@ -35,7 +34,7 @@ def expected(obj: bpy.types.Object, frames: tuple[int, int] | None = None, subst
         return Message("longer")
     nodes = obj.dynamorph.model.cage_nodes
     usual = STEP * (nodes / NODES) ** 2 * (PASSES if settings.loop else 1)
-    minutes = steps.get(obj.session_uid, usual) * _count(settings) / 60.0
+    minutes = work.seconds.get(obj.session_uid, usual) * _count(settings) / 60.0
     return Message("about {count:.0f} min", count=minutes) if minutes >= 1.0 else Message("less than a minute")
 
 

@@ -27,6 +27,7 @@ from .child import Child, Here
 from .computation import Computations, Draft, checked
 from .job import Job
 from .job_data import Outcome
+from .remembered import work
 
 UNDONE = "The scene was undone while '{name}' was read: nothing was written, start again"
 OFTEN = 0.1  # seconds from one look at the progress to the next, where no window waits
@@ -49,9 +50,6 @@ class Work(Protocol):
     def steps(self, seconds: float = ...) -> Iterator[None]: ...
     def cancel(self) -> None: ...
     def stop(self) -> None: ...
-
-
-running: Work | None = None  # the work whose progress the panels draw
 
 
 W = TypeVar("W", bound=Work)
@@ -244,10 +242,10 @@ def run(job: Job, tick: Callable[[Batch], object] | None = None) -> None:
     run_all(Batch([job], job.request.goal), tick)
 
 
-def run_all(work: W, tick: Callable[[W], object] | None = None) -> None:
+def run_all(whole: W, tick: Callable[[W], object] | None = None) -> None:
     """All jobs at once, or nothing. tick: as in `Batch`."""
-    work.tick = tick
-    _exhaust(work, work.steps())
+    whole.tick = tick
+    _exhaust(whole, whole.steps())
 
 
 def read_rig(job: Job) -> RigSamples:
@@ -259,20 +257,19 @@ def read_rig(job: Job) -> RigSamples:
     return checked(chunk, job.input.character)[0]
 
 
-def _exhaust(work: Work, steps: Iterator[None]) -> None:
+def _exhaust(whole: Work, steps: Iterator[None]) -> None:
     """All steps; if one fails, nothing is left of them."""
     try:
         for _ in steps:
-            if work.tick:
-                work.tick(work)
+            if whole.tick:
+                whole.tick(whole)
     except BaseException:
-        work.stop()
+        whole.stop()
         raise
 
 
 def stop() -> None:
     """Cancel what runs: Blender, its file or the add-on goes away."""
-    global running
-    if running:
-        running.stop()
-        running = None
+    if work.running:
+        work.running.stop()
+        work.running = None

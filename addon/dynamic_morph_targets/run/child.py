@@ -32,6 +32,7 @@ import numpy as np
 from ..core import blas, engine, logger
 from ..core.errors import DynamorphError, ProcessError
 from ..core.message import Message
+from .remembered import work
 
 News: TypeAlias = Callable[[Any], None]  # is called with what an object reports
 Answer: TypeAlias = Generator[None, None, Any]  # yields until the answer is there, and returns it
@@ -195,29 +196,27 @@ def _slices(parts: list[memoryview]) -> Generator[tuple[bool, memoryview], None,
 
 # The process, which may be started before there is work for it --------------------------------------------------------
 
-spare: list[Process] = []  # at most one
-
 
 def prepare() -> None:
     """Start the process of the next `Child` now, because that takes half a second. It ends by itself if it gets no
     work.
     """
-    if not (spare and spare[0].waits):
+    if not (work.spare and work.spare[0].waits):
         dismiss()
         with contextlib.suppress(DynamorphError):  # `Child` will say so
-            spare.append(Process())
+            work.spare.append(Process())
 
 
 def dismiss() -> None:
     """End what `prepare` started."""
-    while spare:
-        spare.pop().end()
+    while work.spare:
+        work.spare.pop().end()
 
 
 def take() -> Process:
     """A process that waits for work. Raises ProcessError."""
-    if spare and spare[0].waits:
-        return spare.pop()
+    if work.spare and work.spare[0].waits:
+        return work.spare.pop()
     dismiss()
     return Process()
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 
 import bpy
@@ -27,6 +26,7 @@ from ..scene.skinning import Skinning
 from .child import Child
 from .computation import Errand
 from .job import Job
+from .remembered import work
 
 FRAMES, FPS, SUBSTEPS = 30, 24.0, 5  # of the motion: two hops, and how they end
 LARGEST = 30_000  # degrees of freedom; with more an unreduced step takes too long to be taken unasked
@@ -48,28 +48,13 @@ class Measurement:
         self.work = partial(shake.expected_error, model, character, still, _settings(obj))
 
 
-@dataclass
-class State:
-    """found: errors by `_key`, since Blender was started. measuring: what is measured one after the other by `steps`,
-    the first now, in `child`.
-    """
-
-    found: dict[str, float] = field(default_factory=dict)
-    measuring: list[Measurement] = field(default_factory=list)
-    child: Child | None = None
-    steps: Iterator[None] = field(default_factory=lambda: iter(()))
-
-
-state = State()
-
-
 def known(obj: bpy.types.Object) -> float | None:
     """The error of the model of `obj` with its present settings, as a fraction of the motion, if it was measured."""
     record = obj.dynamorph.model
-    if not _concerns(record) or not (state.found or record.expected_from):
+    if not _concerns(record) or not (work.errors or record.expected_from):
         return None
     key = _key(obj)
-    return record.expected_error if record.expected_from == key else state.found.get(key)
+    return record.expected_error if record.expected_from == key else work.errors.get(key)
 
 
 def summary(obj: bpy.types.Object) -> str:
@@ -77,7 +62,7 @@ def summary(obj: bpy.types.Object) -> str:
     error = known(obj)
     if error is not None:
         return iface_("Expected error: {percent:.0f} % of the motion").format(percent=100 * error)
-    return iface_("Expected error: measuring...") if any(_is_of(each, obj) for each in state.measuring) else ""
+    return iface_("Expected error: measuring...") if any(_is_of(each, obj) for each in work.measuring) else ""
 
 
 def begin(jobs: Sequence[Job]) -> None:
@@ -91,25 +76,25 @@ def begin(jobs: Sequence[Job]) -> None:
         try:
             with job.request.scene.as_context():
                 if _is_wanted(job):
-                    state.measuring.append(Measurement(job))
+                    work.measuring.append(Measurement(job))
         except engine.expected_errors():  # then it is not known
             continue
-    if state.measuring:
-        state.steps = _steps()
+    if work.measuring:
+        work.steps = _steps()
         events.soon(look, TICK)
 
 
 def cancel() -> None:
     """What is measured now is not needed any more, or stands in the way."""
-    state.measuring.clear()
-    state.steps = iter(())
+    work.measuring.clear()
+    work.steps = iter(())
     events.forget(look)
     _end_child()
 
 
 def store() -> None:
     """Note what was found with the objects, before their file is saved."""
-    found = state.found
+    found = work.errors
     for obj in soft_skins(bpy.data.objects) if found else ():
         record = obj.dynamorph.model
         key = _key(obj) if obj.is_editable and _concerns(record) else ""
@@ -119,32 +104,32 @@ def store() -> None:
 
 def _steps() -> Iterator[None]:
     """Measure one after the other. Nobody waits for it, so that no error is the artist's concern."""
-    while state.measuring:
-        now = state.measuring[0]
+    while work.measuring:
+        now = work.measuring[0]
         try:
-            state.child = Child(Errand, heard=lambda _news: None, name=now.object.name, gentle=True)
-            state.found[now.key] = yield from state.child.call("run", now.work, False)
+            work.child = Child(Errand, heard=lambda _news: None, name=now.object.name, gentle=True)
+            work.errors[now.key] = yield from work.child.call("run", now.work, False)
         except Exception as error:
             if not isinstance(error, engine.expected_errors()):
                 logger.log_bug(error)
         finally:
             _end_child()
-        state.measuring.remove(now)
+        work.measuring.remove(now)
 
 
 def _end_child() -> None:
-    if state.child:
-        state.child.end()
-    state.child = None
+    if work.child:
+        work.child.end()
+    work.child = None
 
 
 def look() -> float | None:
     """By a timer: whether what is measured is still of use, or is known now."""
-    if state.measuring and not _is_present(state.measuring[0]):
+    if work.measuring and not _is_present(work.measuring[0]):
         _end_child()
-        del state.measuring[0]
-        state.steps = _steps()
-    if next(state.steps, True) is None:
+        del work.measuring[0]
+        work.steps = _steps()
+    if next(work.steps, True) is None:
         return TICK  # seconds from now
     events.redraw(events.PANELS)
     return None

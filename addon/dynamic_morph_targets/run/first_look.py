@@ -13,8 +13,9 @@ from ..core import engine, logger
 from ..core.character import Character
 from ..core.errors import SceneError, WriteError
 from ..core.model.model import Model
-from ..scene import events, model_store
-from . import live, preview
+from ..scene import events
+from ..scene.remembered import opened
+from . import live, preview, remembered
 from .bake_result import store_materials
 from .batch import Batch
 from .job import Job
@@ -51,7 +52,7 @@ class FirstLook(Batch):
     @property
     def _preview(self) -> preview.Preview | None:
         """The one of this soft skin that runs."""
-        running, target = preview.preview, self.jobs[0].request.target
+        running, target = remembered.live.preview, self.jobs[0].request.target
         return running if running and running.object.session_uid == target.session_uid else None
 
     def _show(self, draft: tuple[Model, Character]) -> None:
@@ -62,7 +63,7 @@ class FirstLook(Batch):
         try:
             obj = request.target.find()
             store_materials(obj, draft[1])
-            model_store.drafts[obj.session_uid] = draft
+            opened.drafts[obj.session_uid] = draft
             live.turn_on(obj, bpy.context.scene)
         except engine.expected_errors():
             pass
@@ -75,7 +76,7 @@ class FirstLook(Batch):
 
     def _withdraw(self) -> None:
         """Nothing plays the draft any more."""
-        if not model_store.drafts.pop(self.jobs[0].request.target.session_uid, None):
+        if not opened.drafts.pop(self.jobs[0].request.target.session_uid, None):
             return
         with suppress(SceneError, WriteError):  # it was deleted; or is edited now, and Live says what is missing
             obj = self.jobs[0].request.target.find()

@@ -20,7 +20,7 @@ from ..core.model.model import Model
 from ..core.motion.grab import FIRM, Grab, as_text, from_text, pinch, together
 from ..core.motion.player import Frame, Player, changed
 from ..scene import events, skin
-from . import live
+from . import live, remembered
 from .session import Session
 
 RADIUS = 0.03  # of the body's size: of what a hand takes hold of
@@ -88,9 +88,9 @@ class Grabbing:
     """The hands on one soft skin that is live. Raises SceneError where there is nothing to take hold of."""
 
     def __init__(self, obj: bpy.types.Object):
-        if live.is_on(obj) and obj.session_uid not in live.state.sessions:
+        if live.is_on(obj) and obj.session_uid not in remembered.live.sessions:
             live.refresh(obj)  # its file was just opened, or its skinning changed
-        session = live.state.sessions.get(obj.session_uid)
+        session = remembered.live.sessions.get(obj.session_uid)
         if session is None or not live.is_on(obj):
             raise SceneError(
                 live.problem(obj) or Message("'{name}' is not live: press Live Soft Skin first", name=obj.name)
@@ -110,7 +110,7 @@ class Grabbing:
 
     def is_of(self, obj: bpy.types.Object) -> bool:
         """Whether these are hands on the soft skin `obj` as it is live now."""
-        return live.is_on(obj) and live.state.sessions.get(obj.session_uid) is self._session
+        return live.is_on(obj) and remembered.live.sessions.get(obj.session_uid) is self._session
 
     def take(self, place: np.ndarray, points: np.ndarray) -> int:
         """A hand takes hold of the skin at `place` (3,), which shows at points (V, 3): world space. Returns its number.
@@ -235,7 +235,7 @@ def _aged(hold: Hold) -> Hold:
 
 def record(obj: bpy.types.Object) -> None:
     """From now on Live keeps what hands do to the soft skin `obj`, frame by frame. Raises SceneError."""
-    session = live.state.sessions.get(obj.session_uid)
+    session = remembered.live.sessions.get(obj.session_uid)
     if session is None:
         raise SceneError(
             live.problem(obj) or Message("'{name}' is not live: press Live Soft Skin first", name=obj.name)
@@ -244,7 +244,7 @@ def record(obj: bpy.types.Object) -> None:
 
 
 def is_recording(obj: bpy.types.Object) -> bool:
-    session = live.state.sessions.get(obj.session_uid)
+    session = remembered.live.sessions.get(obj.session_uid)
     return session is not None and session.recorded is not None
 
 
@@ -252,7 +252,7 @@ def recorded(obj: bpy.types.Object) -> tuple[str, int]:
     """Ends the recording. Returns all drags of the shot, as text, with those from before, and in how many frames they
     are new. Raises RecordError.
     """
-    session = live.state.sessions[obj.session_uid]
+    session = remembered.live.sessions[obj.session_uid]
     new = {frame: grab for frame, grab in (session.recorded or {}).items() if len(grab.vertices)}
     session.recorded = None
     track = from_text(obj.dynamorph.simulation.drags, len(session.tissue.character.vertices))
@@ -261,15 +261,12 @@ def recorded(obj: bpy.types.Object) -> tuple[str, int]:
     return as_text(track), len(new)
 
 
-current: Grabbing | None = None
-
-
 def begin(obj: bpy.types.Object) -> Grabbing:
     """The hands on the soft skin `obj`; those on another one let go. Raises SceneError."""
-    global current
+    current = remembered.live.hands
     if current is None or not current.is_of(obj):
         end()
-        current = Grabbing(obj)
+        current = remembered.live.hands = Grabbing(obj)
     if not bpy.app.background and not bpy.app.timers.is_registered(_tick):
         bpy.app.timers.register(_tick)
     return current
@@ -277,8 +274,7 @@ def begin(obj: bpy.types.Object) -> Grabbing:
 
 def end() -> None:
     """Let go of everything, and show what Live has at this frame."""
-    global current
-    ended, current = current, None
+    ended, remembered.live.hands = remembered.live.hands, None
     if ended is None:
         return
     ended.let_go_of_all()
@@ -288,14 +284,9 @@ def end() -> None:
             live.refresh(obj)
 
 
-def forget() -> None:
-    """The file is closed."""
-    global current
-    current = None
-
-
 def _tick() -> float | None:
     """By a timer, once a frame."""
+    current = remembered.live.hands
     if current is None:
         return None
     try:

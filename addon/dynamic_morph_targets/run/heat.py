@@ -19,7 +19,7 @@ from ..core.message import Message
 from ..core.painted_map import FIRMNESS, MAX_DISTANCE
 from ..scene import extract, mesh_data, model_store, references, skin
 from ..write.bake import reading
-from . import live
+from . import live, remembered
 
 LIMIT = 0.05  # of the body's size; used when Max Displacement is 0
 # Colors from 0 to 1, also for people who confuse red and green, and the color beyond 1.
@@ -94,7 +94,7 @@ def _points(session_uid: int, _key_hash: str, name: str) -> np.ndarray:
 
 def _live_motions(obj: bpy.types.Object) -> dict[int, np.ndarray]:
     """The motion of the vertices (V, 3), local space, by session_uid. Raises SceneError when Live does not play."""
-    session = live.state.sessions.get(obj.session_uid)
+    session = remembered.live.sessions.get(obj.session_uid)
     motions = session.motions() if session else {}
     if not motions:
         raise SceneError(live.problem(obj) or "Live has not shown this frame yet")

@@ -8,7 +8,6 @@ loading move everything there; it asks for what it needs again at each frame.
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, field
 
 import bpy
 from bpy.app.handlers import persistent
@@ -17,12 +16,13 @@ from ..core import engine, errors, logger
 from ..core.message import Message, joined
 from ..core.motion.coupling import refusal
 from ..core.settings import SimulationSettings
-from ..scene import colliders, events, model_store, references, staleness
+from ..scene import colliders, events, references, staleness
+from ..scene.remembered import opened
 from ..scene.skin import shown_attachments, soft_skins
 from ..write import reconcile
 from ..write.bake import muting
 from ..write.display import live_key
-from . import live_surface
+from . import live_surface, remembered
 from .live_group import LiveGroup
 from .session import Session, painted, way_to_skin
 from .tissue import simulation_settings
@@ -31,35 +31,18 @@ STROKE = 0.2  # seconds without an edit after which a stroke of paint shows
 SCRUBBED = 0.02  # seconds between two checks whether the artist still drags through the timeline
 
 
-@dataclass
-class State:
-    """What Live knows of the file that is open; objects by Object.session_uid. Another file begins with a new one."""
-
-    sessions: dict[int, Session] = field(default_factory=dict)
-    # Why one does not play, and what was `_stated` then.
-    problems: dict[int, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
-    suspended: set[int] = field(default_factory=set)  # left alone: a preview shows something else with their live key
-    hidden: list[int] = field(default_factory=list)  # their live key is hidden while the file is saved
-    frozen: set[int] = field(default_factory=set)  # they stood still in the last render
-    any_live: bool | None = None  # whether one is live; None: not known yet
-    asleep: bool = True  # whether nobody has looked yet for what is live
-
-
-state = State()
-
-
 # On, off, and the present frame ------------------------------------------------------------------------------------
 
 
 def is_on(obj: bpy.types.Object) -> bool:
-    return bool(obj.dynamorph.live.key.name) and obj.session_uid not in state.suspended
+    return bool(obj.dynamorph.live.key.name) and obj.session_uid not in remembered.live.suspended
 
 
 def disabled_reason(obj: bpy.types.Object) -> str:
     """Why the soft skin of an object cannot be shown, or ''. Reasons that take longer to find are raised by
     `turn_on`.
     """
-    if obj.session_uid in model_store.drafts:
+    if obj.session_uid in opened.drafts:
         return ""
     age = staleness.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]
     return Message("Press Build Model first: {reasons}", reasons=joined("; ", age)) if age else ""
@@ -72,18 +55,18 @@ def turn_on(obj: bpy.types.Object, scene: bpy.types.Scene) -> None:
     """
     session = Session(obj, scene)
     session.tissue.add_keys(obj)
-    state.sessions[obj.session_uid], state.any_live = session, True
-    state.problems.pop(obj.session_uid, None)
+    remembered.live.sessions[obj.session_uid], remembered.live.any_live = session, True
+    remembered.live.problems.pop(obj.session_uid, None)
     follow(obj, scene)
     events.redraw(events.PANELS)
 
 
 def turn_off(obj: bpy.types.Object) -> None:
     """Raises WriteError."""
-    session = state.sessions.pop(obj.session_uid, None)
+    session = remembered.live.sessions.pop(obj.session_uid, None)
     if session:
         session.rig.close()
-    state.problems.pop(obj.session_uid, None)
+    remembered.live.problems.pop(obj.session_uid, None)
     live_key.remove(obj)
     events.redraw(events.PANELS)
 
@@ -96,13 +79,13 @@ def refresh(obj: bpy.types.Object) -> None:
 
 def problem(obj: bpy.types.Object) -> str:
     """Why a live object does not play, or ''."""
-    text, model = state.problems.get(obj.session_uid, ("", None))
+    text, model = remembered.live.problems.get(obj.session_uid, ("", None))
     return text if text and model == _stated(obj) else ""
 
 
 def played_texts(obj: bpy.types.Object) -> list[Message]:
     """What went wrong in the frames that a live object has played: with colliders, and by what playback dropped."""
-    session = state.sessions.get(obj.session_uid)
+    session = remembered.live.sessions.get(obj.session_uid)
     found = session.touched() if session else None
     return [*(found.texts if found else []), *(session.dropped if session else [])]
 
@@ -143,10 +126,10 @@ def follow(
 
 def _session(obj: bpy.types.Object, scene: bpy.types.Scene) -> Session:
     """That of a live object, a new one where it does not fit any more. Raises what prevents it from playing."""
-    before = state.sessions.get(obj.session_uid)
+    before = remembered.live.sessions.get(obj.session_uid)
     if before and before.fits(obj, simulation_settings(obj, scene)):
         return before
-    session = state.sessions[obj.session_uid] = Session(obj, scene)
+    session = remembered.live.sessions[obj.session_uid] = Session(obj, scene)
     if before:
         session.take_over(before)
     muting.show_target(obj, "")  # a target of another build, which Live now shows
@@ -185,8 +168,8 @@ def is_away(obj: bpy.types.Object) -> bool:
 
 def stop(obj: bpy.types.Object, why: str) -> None:
     """Stop Live of `obj` at what it shows now; the panel says why."""
-    state.sessions.pop(obj.session_uid, None)
-    state.problems[obj.session_uid] = why, _stated(obj)
+    remembered.live.sessions.pop(obj.session_uid, None)
+    remembered.live.problems[obj.session_uid] = why, _stated(obj)
     events.redraw(events.PANELS)
 
 
@@ -198,7 +181,7 @@ def holds_still(scene: bpy.types.Scene) -> bool:
 
 def stood_still(obj: bpy.types.Object) -> bool:
     """Whether Live did not move the skin in the last animation that was rendered."""
-    return obj.session_uid in state.frozen
+    return obj.session_uid in remembered.live.frozen
 
 
 # Handlers ----------------------------------------------------------------------------------------------------------
@@ -210,24 +193,24 @@ def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | Non
 
     The rig is not read from there but separately, in a scene of its own, which changes frames too.
     """
-    if state.asleep:
+    if remembered.live.asleep:
         _wake()
-    if state.any_live is None:
-        state.any_live = any(is_on(obj) for obj in soft_skins(bpy.data.objects))
-    if not state.any_live or scene != bpy.context.scene:
+    if remembered.live.any_live is None:
+        remembered.live.any_live = any(is_on(obj) for obj in soft_skins(bpy.data.objects))
+    if not remembered.live.any_live or scene != bpy.context.scene:
         return
     live = [obj for obj in soft_skins(scene.objects) if is_on(obj)]
     if holds_still(scene):
-        state.frozen.update(obj.session_uid for obj in live)
+        remembered.live.frozen.update(obj.session_uid for obj in live)
         return
-    others = state.sessions.keys() - {obj.session_uid for obj in live} - state.suspended
+    others = remembered.live.sessions.keys() - {obj.session_uid for obj in live} - remembered.live.suspended
     if others:  # not those of another scene, which may play in another window
         others -= {obj.session_uid for obj in soft_skins(bpy.data.objects) if is_on(obj)}
     for gone in others:
-        del state.sessions[gone]
+        del remembered.live.sessions[gone]
     scrubbing = events.is_scrubbing()
     for obj in live:
-        session = state.sessions.get(obj.session_uid)
+        session = remembered.live.sessions.get(obj.session_uid)
         if scrubbing and not (session and session.knows(scene.frame_float)):
             events.soon(_show_present, SCRUBBED)
         else:
@@ -246,35 +229,35 @@ def _show_present() -> float | None:
 @persistent
 def _render_begins(*_args: object) -> None:
     """render_init. Here it is too late to lock the interface; what stands still is told afterward."""
-    state.frozen.clear()
+    remembered.live.frozen.clear()
 
 
 @persistent
 def _edited(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     """depsgraph_update_post, which changing the frame does not call."""
     if depsgraph.id_type_updated("OBJECT"):
-        state.any_live = None  # one may have been added
+        remembered.live.any_live = None  # one may have been added
     updates = list(depsgraph.updates)
-    if live_surface.ahead and any(isinstance(update.id, bpy.types.Key) for update in updates):
+    if remembered.live.ahead and any(isinstance(update.id, bpy.types.Key) for update in updates):
         live_surface.catch_up()
-    if not (state.sessions or state.problems) or scene != bpy.context.scene:
+    if not (remembered.live.sessions or remembered.live.problems) or scene != bpy.context.scene:
         return
     if updates:
-        state.problems.clear()  # try again
+        remembered.live.problems.clear()  # try again
     moved = any(_moves(update) for update in updates)
     reskinned = any(_may_reskin(update) for update in updates)
     here = soft_skins(scene.objects)
-    elsewhere = state.sessions.keys() - {obj.session_uid for obj in here} - state.suspended
+    elsewhere = remembered.live.sessions.keys() - {obj.session_uid for obj in here} - remembered.live.suspended
     for other in elsewhere if moved or reskinned else ():  # it may depend on that, and begins again
-        del state.sessions[other]
-    for obj in [obj for obj in here if obj.session_uid in state.sessions]:
-        session = state.sessions[obj.session_uid]
+        del remembered.live.sessions[other]
+    for obj in [obj for obj in here if obj.session_uid in remembered.live.sessions]:
+        session = remembered.live.sessions[obj.session_uid]
         if moved or (obj.dynamorph.collision.use and any(_reshapes(update, obj) for update in updates)):
             session.rig_changed()
         if reskinned:
             events.soon(_after_stroke, STROKE)
         if reskinned and way_to_skin(obj) != session.skinning:
-            del state.sessions[obj.session_uid]
+            del remembered.live.sessions[obj.session_uid]
         if is_on(obj) and live_key.find(obj, session.tissue.skin.written) is None:
             turn_off(obj)
         elif is_on(obj):
@@ -284,9 +267,9 @@ def _edited(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 def _after_stroke() -> None:
     """By a timer: show what was painted, or mirrored or filled, since the sessions began."""
     for obj in soft_skins(bpy.context.scene.objects):
-        session = state.sessions.get(obj.session_uid)
+        session = remembered.live.sessions.get(obj.session_uid)
         if session and painted(obj) != session.painted:
-            del state.sessions[obj.session_uid]
+            del remembered.live.sessions[obj.session_uid]
             refresh(obj)
 
 
@@ -314,17 +297,16 @@ def _reshapes(update: bpy.types.DepsgraphUpdate, obj: bpy.types.Object) -> bool:
 @persistent
 def _undone(*_args: object) -> None:
     """undo_post, redo_post. The simulated frames stay valid; the motion of the rig may not."""
-    state.any_live = None
-    state.problems.clear()
-    for session in state.sessions.values():
+    remembered.live.any_live = None
+    remembered.live.problems.clear()
+    for session in remembered.live.sessions.values():
         session.rig_changed()
     events.soon(_show_present, 0.0)  # the key may be that of an earlier frame
 
 
 @persistent
 def _loaded(*_args: object) -> None:
-    """load_post: the ids may now belong to other objects."""
-    _forget()
+    """load_post."""
     _wake()
 
 
@@ -341,16 +323,16 @@ def _before_save(*_args: object) -> None:
         if block is not None and obj.library is None:
             blocks = obj.data.shape_keys.key_blocks
             obj.dynamorph.live.key.refer_to(blocks, blocks.find(block.name))
-    state.hidden[:] = _hide()
+    remembered.live.hidden[:] = _hide()
 
 
 @persistent
 def _after_save(*_args: object) -> None:
     """save_post, save_post_fail: show what was hidden for the file."""
     for obj in soft_skins(bpy.data.objects):
-        if obj.session_uid in state.hidden:
+        if obj.session_uid in remembered.live.hidden:
             live_key.hide(obj, False)
-    state.hidden.clear()
+    remembered.live.hidden.clear()
 
 
 def _hide() -> list[int]:
@@ -367,7 +349,7 @@ def _hide() -> list[int]:
 
 def _wake() -> None:
     """Show Live again where it was hidden when its file was saved, or when the add-on was disabled."""
-    state.asleep = False
+    remembered.live.asleep = False
     for obj in soft_skins(bpy.data.objects):
         if obj.dynamorph.live.key.name and live_key.is_hidden(obj):
             live_key.hide(obj, False)
@@ -375,7 +357,7 @@ def _wake() -> None:
 
 def _wake_late() -> None:
     """By a timer, for when the add-on is enabled: then Blender does not show it its data yet."""
-    if state.asleep:
+    if remembered.live.asleep:
         _wake()
 
 
@@ -398,7 +380,6 @@ LISTENERS = {events.Event.SHOWN_CHANGED: refresh}
 def register() -> None:
     events.add(HANDLERS)
     events.subscribe(LISTENERS)
-    _forget()
     events.soon(_wake_late, 0.0)
 
 
@@ -408,10 +389,4 @@ def unregister() -> None:
     live_surface.catch_up()
     for look in (_show_present, _after_stroke, _wake_late):
         events.forget(look)
-    _forget()
     _hide()
-
-
-def _forget() -> None:
-    vars(state).update(vars(State()))
-    live_surface.ahead.clear()

@@ -16,6 +16,7 @@ from ..core.errors import SceneError
 from ..scene import colliders, events, skin
 from ..scene.references import key_points
 from ..write.display import live_key
+from . import remembered
 
 AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 # What displaces the points of a surface: coordinates (dofs,) -> (3 V,), float32, local space.
@@ -59,7 +60,7 @@ class LiveMesh:
             self._write(block, points)
         else:
             shown.points.foreach_set("co", points)
-            self.ahead, ahead[obj.session_uid] = points, self
+            self.ahead, remembered.live.ahead[obj.session_uid] = points, self
         return True
 
     def follow_up(self, depsgraph: bpy.types.Depsgraph, evaluated: Set[int]) -> None:
@@ -88,19 +89,16 @@ class LiveMesh:
     def _write(self, block: bpy.types.ShapeKey, points: np.ndarray) -> None:
         live_key.write(block, points)
         self.written, self.ahead = points, None
-        ahead.pop(self.object.session_uid, None)
-
-
-ahead: dict[int, LiveMesh] = {}  # by Object.session_uid: those with points `ahead`
+        remembered.live.ahead.pop(self.object.session_uid, None)
 
 
 @persistent
 def catch_up(*_args: object) -> None:
     """animation_playback_post, object_bake_pre: the keys get what shows already, for whoever reads them."""
-    for surface in [*ahead.values()]:
+    for surface in [*remembered.live.ahead.values()]:
         with suppress(SceneError):  # it was deleted
             surface.catch_up()
-    ahead.clear()
+    remembered.live.ahead.clear()
 
 
 def evaluated_next() -> bpy.types.Depsgraph | None:
@@ -118,14 +116,14 @@ def evaluated_next() -> bpy.types.Depsgraph | None:
 @persistent
 def frame_evaluated(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
     """frame_change_post: see that what went ahead shows."""
-    if not ahead or depsgraph is None or scene != bpy.context.scene:
+    if not remembered.live.ahead or depsgraph is None or scene != bpy.context.scene:
         return
     if depsgraph != bpy.context.view_layer.depsgraph:  # of an export, or of a render that a script asked for
         catch_up()
         return
     updates = [update for update in depsgraph.updates if update.is_updated_geometry]
     evaluated = {update.id.original.session_uid for update in updates if isinstance(update.id, bpy.types.Object)}
-    for surface in [*ahead.values()]:
+    for surface in [*remembered.live.ahead.values()]:
         with suppress(SceneError):  # it was deleted
             surface.follow_up(depsgraph, evaluated)
 

@@ -17,7 +17,7 @@ from ..core.motion.rig_samples import RigSamples
 from ..scene import events, references, rig_motion, skin
 from ..write.bake import muting
 from ..write.display import live_key
-from . import live
+from . import live, remembered
 from .tissue import Tissue
 
 SWING = 0.05  # body sizes: a mode that plays
@@ -40,7 +40,7 @@ class Preview:
         self._sculpt = obj.dynamorph.sculpt.shown.name
         if not self._was_live:
             self.tissue.add_keys(obj)
-        live.state.suspended.add(self.object.session_uid)
+        remembered.live.suspended.add(self.object.session_uid)
         obj.dynamorph.live.lent, obj.dynamorph.live.was_on = True, self._was_live
 
     def show(self, values: np.ndarray, transform: Matrix | None = None) -> None:
@@ -59,7 +59,7 @@ class Preview:
 
     def end(self) -> None:
         """Put everything back."""
-        live.state.suspended.discard(self.object.session_uid)
+        remembered.live.suspended.discard(self.object.session_uid)
         for mover in self._movers:
             mover.restore()
         with suppress(SceneError, WriteError):  # it was deleted; or is edited now, and then stays live
@@ -144,28 +144,24 @@ def movers(obj: bpy.types.Object) -> list[bpy.types.Object]:
     return [rig] if parent else [rig, obj]
 
 
-preview: Preview | None = None  # the one that runs in a window
-
-
 def is_running(operator: str) -> bool:
-    return preview is not None and preview.name == operator
+    running = remembered.live.preview
+    return running is not None and running.name == operator
 
 
 def begin_preview(obj: bpy.types.Object, operator: type[Operator]) -> Preview:
     """Begin a preview, and end the one that runs."""
-    global preview
     end_preview()
-    preview = Preview(obj, operator)
+    running = remembered.live.preview = Preview(obj, operator)
     events.redraw(events.PANELS)
-    return preview
+    return running
 
 
 def end_preview() -> None:
-    global preview
-    if preview:
-        preview.end()
+    if remembered.live.preview:
+        remembered.live.preview.end()
         events.redraw(events.PANELS)
-    preview = None
+    remembered.live.preview = None
 
 
 def shaken(obj: bpy.types.Object, tissue: Tissue, kind: str, seconds: float) -> tuple[RigSamples, np.ndarray]:

@@ -11,14 +11,13 @@ import numpy as np
 from ..core.geometry import diagonal
 from ..core.motion import contact
 from ..scene import colliders, identity, mesh_data
+from . import remembered
 
 NEAR = 5e-4  # of the size, beyond Distance: what is nearer is touched
 INSIDE = 2e-3  # of the size: what is deeper in a collider shows
 
+
 # By Object.session_uid: a collider's last shape (V, 3), what tells its faces, and the engine's.
-_known: dict[int, tuple[np.ndarray, tuple[int, bool], Any]] = {}
-
-
 def touching(
     obj: bpy.types.Object, points: np.ndarray, depsgraph: bpy.types.Depsgraph
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -62,17 +61,12 @@ def _lower(distances: np.ndarray, points: np.ndarray, evaluated: bpy.types.Objec
 
 def _collider(uid: int, track: Any, shape: np.ndarray) -> Any:
     """The engine's collider with this shape (V, 3), which is kept while its object has it."""
-    known = _known.get(uid)
+    known = remembered.live.colliders.get(uid)
     faces = track.topology, track.one_sided
     if known is None or known[1] != faces or not np.array_equal(known[0], shape):
-        known = _known[uid] = shape, faces, contact.collider_of(track, shape)
+        known = remembered.live.colliders[uid] = shape, faces, contact.collider_of(track, shape)
     return known[2]
 
 
 def _weight(obj: bpy.types.Object, group: int, vertex: int) -> float:
     return next((each.weight for each in obj.data.vertices[vertex].groups if each.group == group), 0.0)
-
-
-def forget() -> None:
-    """The file is closed."""
-    _known.clear()

@@ -8,19 +8,22 @@ from collections.abc import Callable
 import bpy
 from bpy.app.handlers import persistent
 
-from ..scene import body_checks, colliders, cuts, events, model_store, references, sampling_scene, skin, staleness
+from ..core import states
+from ..core.motion import prepared
+from ..scene import body_checks, colliders, cuts, events, sampling_scene, skin, staleness
 from ..scene.references import rig_of
+from ..scene.remembered import opened
 from ..scene.skin import soft_skins
 from ..write import storage
 from ..write.authoring import targets
 from ..write.bake import influence
 from ..write.reconcile import reconcile
 from . import batch, child, expected_error, heat, live
+from .remembered import work
 
 PATIENCE = 1.0  # seconds without an edit before the check
 GLANCE = 0.3  # seconds after a panel has asked about a body
 OWNER = object()  # owner of the subscriptions
-_asked: set[tuple[Callable, int]] = set()  # what a panel asks for: a look, and the session id of its object
 
 
 @persistent
@@ -28,12 +31,9 @@ def _before_load(*_args: object) -> None:
     """load_pre: the job's results would have no place to go, and what is kept in memory belongs to nothing any more."""
     expected_error.cancel()
     batch.stop()
-    model_store.forget()
-    references.forget()
     heat.forget()
-    body_checks.forget()
-    cuts.forget()
-    _asked.clear()
+    prepared.forget()
+    states.reset()
 
 
 @persistent
@@ -47,8 +47,8 @@ def _before_save(*_args: object) -> None:
 def _after_undo(*_args: object) -> None:
     """undo_post, redo_post: what a job has read so far belongs to another scene, and the curves have changed."""
     sampling_scene.remove_kept()
-    if batch.running:
-        batch.running.undone = True
+    if work.running:
+        work.running.undone = True
     events.soon(_look_at_animations, PATIENCE)
 
 
@@ -101,7 +101,7 @@ def _may_animate(edited: bpy.types.ID) -> bool:
 
 
 def _ask(look: Callable, obj: bpy.types.Object) -> None:
-    _asked.add((look, obj.session_uid))
+    opened.asked.add((look, obj.session_uid))
     events.soon(_look_at_bodies, GLANCE)
 
 
@@ -109,11 +109,11 @@ def _look_at_bodies() -> float | None:
     """By a timer: look at the bodies that panels have asked about."""
     if events.render_runs():
         return GLANCE  # seconds from now
-    for obj in bpy.context.scene.objects if _asked else ():
+    for obj in bpy.context.scene.objects if opened.asked else ():
         for look in (body_checks.look, cuts.look):
-            if (look, obj.session_uid) in _asked and obj.mode == "OBJECT":
+            if (look, obj.session_uid) in opened.asked and obj.mode == "OBJECT":
                 look(obj)
-    _asked.clear()
+    opened.asked.clear()
     events.redraw(events.PANELS)
     return None
 
@@ -127,7 +127,7 @@ def _look_at_meshes() -> float | None:
     if events.render_runs():
         return PATIENCE  # seconds from now
     for obj in skin.soft_skins(bpy.context.scene.objects):
-        if obj.dynamorph.model.content_id and obj.mode == "OBJECT" and not batch.running:
+        if obj.dynamorph.model.content_id and obj.mode == "OBJECT" and not work.running:
             storage.show_stale(obj)
     events.redraw(events.PANELS)
     return None

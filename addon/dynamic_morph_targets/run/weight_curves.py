@@ -9,7 +9,7 @@ Distances are joint angles over all bones that place the set's targets (pose_spa
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache, partial
 
 import bpy
@@ -24,7 +24,7 @@ from ..core.motion.target_weights import Space, TargetWeights
 from ..core.settings import Material
 from ..scene import checks, events, references, rig_motion, skin
 from ..scene.references import bones_key
-from . import batch
+from . import remembered
 from .task import Chunks
 
 PATIENCE = 0.5  # seconds without an edit before the graph is updated
@@ -131,22 +131,10 @@ class Reading:
             self._shot.pose = rig_samples.keep_collapsed(self._sampling.samples(), self._skeleton)[0].pose
         except SceneError as error:
             self._shot.problem = sentence(error)
-            state.shots[self._rig] = self._shot
+            remembered.live.poses[self._rig] = self._shot
             raise
-        state.shots[self._rig] = self._shot
+        remembered.live.poses[self._rig] = self._shot
         return True
-
-
-@dataclass
-class State:
-    """What is known of the file that is open."""
-
-    shots: dict[int, RigPoses] = field(default_factory=dict)  # by the armature object's session_uid
-    reading: Reading | None = None  # for the graph
-    bars_drawn: bool = False  # since the last change of frame
-
-
-state = State()
 
 
 def reading(session_uid: int, start: int, end: int) -> Chunks[TargetWeights]:
@@ -164,7 +152,7 @@ def reading(session_uid: int, start: int, end: int) -> Chunks[TargetWeights]:
 def drawn(obj: bpy.types.Object) -> tuple[RigPoses, TargetWeights] | None:
     """The known frames with the present targets; evaluates nothing. Raises like `weights_now`."""
     rig = checks.armature_modifier(obj).object
-    shot = state.shots.get(rig.session_uid)
+    shot = remembered.live.poses.get(rig.session_uid)
     if shot is None or not len(shot.pose) or shot.bones != bones_key(rig.data):
         return None
     return shot, _over(space_of(obj), shot)
@@ -178,7 +166,7 @@ def _over(space: Space, shot: RigPoses) -> TargetWeights:
 def problem(obj: bpy.types.Object) -> str:
     """Why the frames of `obj` could not be evaluated, or ''."""
     rig = references.rig_of(obj)
-    shot = rig and state.shots.get(rig.session_uid)
+    shot = rig and remembered.live.poses.get(rig.session_uid)
     return shot.problem if shot else ""
 
 
@@ -198,7 +186,7 @@ def _update() -> float | None:
     if obj is None or not obj.dynamorph.targets or not bpy.context.window_manager.dynamorph.target_weights:
         return None
     moving = any(operator.bl_idname.startswith("TRANSFORM_OT") for operator in window.modal_operators)
-    if moving or batch.running or bpy.app.is_job_running("RENDER"):
+    if moving or remembered.work.running or bpy.app.is_job_running("RENDER"):
         return PATIENCE
     if not _is_old(obj, window.scene):
         return None
@@ -208,20 +196,20 @@ def _update() -> float | None:
 def _read_on(obj: bpy.types.Object, start: int, end: int) -> bool:
     """Read the frames for a moment; True when there is no more to read."""
     try:
-        if state.reading is None or state.reading.of != (obj.session_uid, start, end):
-            state.reading = Reading(obj, start, end)
-        if not state.reading.advance(obj, SLICE):
+        if remembered.live.reading is None or remembered.live.reading.of != (obj.session_uid, start, end):
+            remembered.live.reading = Reading(obj, start, end)
+        if not remembered.live.reading.advance(obj, SLICE):
             return False
     except SceneError:
         pass  # the panel shows it: `problem`
-    state.reading = None
+    remembered.live.reading = None
     events.redraw(events.PANELS | events.VIEWS)
     return True
 
 
 def _is_old(obj: bpy.types.Object, scene: bpy.types.Scene) -> bool:
     rig = references.rig_of(obj)
-    shot = rig and state.shots.get(rig.session_uid)
+    shot = rig and remembered.live.poses.get(rig.session_uid)
     if not shot:
         return rig is not None
     frames = (scene.frame_start, scene.frame_end)
@@ -234,10 +222,10 @@ def _note_changes(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> No
     if not bpy.context.window_manager.dynamorph.target_weights:
         return
     if any(isinstance(update.id, bpy.types.Action) for update in depsgraph.updates):
-        state.reading = None
-        for shot in state.shots.values():
+        remembered.live.reading = None
+        for shot in remembered.live.poses.values():
             shot.stale = True
-    if state.reading is None:  # reading also updates the scene
+    if remembered.live.reading is None:  # reading also updates the scene
         update_soon()
 
 
@@ -245,25 +233,18 @@ def follow_frames() -> None:
     """Called where bars are drawn: redraws them at the next frame, because Blender plays without redrawing the
     sidebar.
     """
-    state.bars_drawn = True
+    remembered.live.bars_drawn = True
 
 
 @persistent
 def _next_frame(*_args: object) -> None:
     """frame_change_post."""
-    if state.bars_drawn and not bpy.app.is_job_running("RENDER"):  # then another thread is here
-        state.bars_drawn = False
+    if remembered.live.bars_drawn and not bpy.app.is_job_running("RENDER"):  # then another thread is here
+        remembered.live.bars_drawn = False
         events.redraw(events.PANELS)
 
 
-@persistent
-def _forget(*_args: object) -> None:
-    """load_pre."""
-    vars(state).update(vars(State()))
-
-
 HANDLERS = {
-    "load_pre": _forget,
     "depsgraph_update_post": _note_changes,
     "frame_change_post": _next_frame,
 }
@@ -281,4 +262,3 @@ def unregister() -> None:
     events.unsubscribe(LISTENERS)
     events.remove(HANDLERS)
     events.forget(_update)
-    _forget()

@@ -19,6 +19,7 @@ from . import events
 from .checks import Problem
 from .identity import longest_side
 from .mesh_data import stretch
+from .remembered import opened
 from .skin import unit_scale
 from .skinning import Skinning
 from .source import Source
@@ -27,15 +28,13 @@ PLAUSIBLE = (0.05, 4.0)  # meters, the longest side; a body of another size is p
 HEAVIEST = 2000.0  # kg; a heavier body is probably unintended
 PERSON = 1.7  # meters; what a fix makes of an implausible size
 
-_looks: dict[int, tuple[tuple, list[Problem]]] = {}  # by Object.session_uid: the body's state then, what looked wrong
-
 
 def known(skinning: Skinning) -> list[Problem]:
     """What the last look at a body found. Reads no mesh: fit for drawing."""
     obj = skinning.obj
     if not skinning.modifiers:
         return []
-    state, found = _looks.get(obj.session_uid, ((), []))
+    state, found = opened.bodies.get(obj.session_uid, ((), []))
     if obj.mode != "OBJECT":  # what is edited, sculpted or painted is looked at afterward
         return found
     if state != _state(skinning):
@@ -50,20 +49,15 @@ def look(obj) -> list[Problem]:
     if skinning.modifiers:
         with suppress(SceneError):  # weights that are not numbers, which a build refuses
             found = list(unintended(Source.of(skinning), mesh_points(obj), stretch(_world(obj))))
-    _looks[obj.session_uid] = _state(skinning), found
+    opened.bodies[obj.session_uid] = _state(skinning), found
     return found
 
 
 def outdate(mesh):
     """The mesh was edited: its bodies are looked at again before anything is said about them."""
-    for uid, (state, found) in _looks.items():
+    for uid, (state, found) in opened.bodies.items():
         if state[0] == mesh.session_uid:
-            _looks[uid] = (mesh.session_uid,), found
-
-
-def forget():
-    """Forget all: the file is closed."""
-    _looks.clear()
+            opened.bodies[uid] = (mesh.session_uid,), found
 
 
 def unintended(source: Source, points: np.ndarray, to_bind: np.ndarray) -> Iterator[Problem]:

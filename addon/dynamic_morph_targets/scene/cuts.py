@@ -18,19 +18,17 @@ from .checks import Problem
 from .colliders import colliders, of_body
 from .mesh_data import mesh_triangles
 from .references import rig_of
+from .remembered import opened
 from .skin import shown_objects
 from .skinning import meshes_on
 
 LOOKED_AT = 20_000  # triangles of a mesh near the other one, at most; of more, evenly many, which a cut still crosses
 SOLID = {"SOLID", "TEXTURED"}  # display of objects that are not helpers
 
-_edits = 0  # how often something was moved or edited
-_looks: dict[int, tuple[tuple, list[str]]] = {}  # by Object.session_uid: when, and the names of what cut it then
-
 
 def known(obj) -> Iterator[Problem]:
     """What the last look at the soft skin `obj` found. Reads no mesh: fit for drawing."""
-    when, found = _looks.get(obj.session_uid, ((), []))
+    when, found = opened.cuts.get(obj.session_uid, ((), []))
     if when != _now() and obj.mode == "OBJECT" and not events.is_playing():
         events.emit(events.Event.LOOK_ASKED, look, obj)
     stopping = {other.name for other in colliders(obj)} if found else set()
@@ -47,7 +45,7 @@ def known(obj) -> Iterator[Problem]:
 
 def look(obj):
     """Find out what cuts the soft skin `obj` now, for `known`."""
-    _looks[obj.session_uid] = _now(), [other.name for other in cutting(obj)] if obj.dynamorph.targets else []
+    opened.cuts[obj.session_uid] = _now(), [other.name for other in cutting(obj)] if obj.dynamorph.targets else []
 
 
 def cutting(obj) -> list:
@@ -64,17 +62,11 @@ def cutting(obj) -> list:
 
 def outdate():
     """Something was moved or edited: another look is needed."""
-    global _edits
-    _edits += 1
-
-
-def forget():
-    """Forget all: the file is closed."""
-    _looks.clear()
+    opened.edits += 1
 
 
 def _now() -> tuple:
-    return _edits, bpy.context.scene.frame_current
+    return opened.edits, bpy.context.scene.frame_current
 
 
 def _others(obj) -> list:

@@ -13,20 +13,15 @@ import numpy as np
 
 from .. import preferences
 from ..core import errors
-from ..core.character import Character
 from ..core.errors import SceneError
 from ..core.message import joined
 from ..core.model import build
 from ..core.model.model import CAGE, Model, first_part
-from ..core.motion import prepared
 from ..io import model_file
 from . import extract
+from .remembered import opened
 
 MOST = 4  # models that are kept in memory
-_models: dict[tuple[int, str], Model] = {}  # by Object.session_uid and content id, the last used last
-
-# By Object.session_uid: models that can be played while those that replace them are built, with their characters.
-drafts: dict[int, tuple[Model, Character]] = {}
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes, as whole numbers after their count
 
@@ -70,24 +65,17 @@ def load_model(obj):
     content_id = obj.dynamorph.model.content_id
     if not content_id:
         return None
-    remember(obj, _models.get((obj.session_uid, content_id)) or _loaded(obj))
-    return _models[obj.session_uid, content_id]
+    remember(obj, opened.models.get((obj.session_uid, content_id)) or _loaded(obj))
+    return opened.models[obj.session_uid, content_id]
 
 
 def remember(obj, model: Model):
     """Keep in memory what is stored as the model of `obj`, so that nobody has to read and check it again."""
     key = obj.session_uid, obj.dynamorph.model.content_id
-    _models.pop(key, None)
-    _models[key] = model
-    while len(_models) > MOST:
-        del _models[next(iter(_models))]
-
-
-def forget():
-    """Free the models that are kept in memory: their objects are going away."""
-    _models.clear()
-    drafts.clear()
-    prepared.forget()
+    opened.models.pop(key, None)
+    opened.models[key] = model
+    while len(opened.models) > MOST:
+        del opened.models[next(iter(opened.models))]
 
 
 def _loaded(obj) -> Model:
@@ -139,8 +127,8 @@ def _current(obj, character):
 
 def live_model(obj):
     """`current_model` for Live, which shows the Firmness map as it is painted, without a build, and drafts."""
-    if obj.session_uid in drafts:
-        draft, of_draft = drafts[obj.session_uid]
+    if obj.session_uid in opened.drafts:
+        draft, of_draft = opened.drafts[obj.session_uid]
         return draft.with_settings(replace(draft.settings, solver=obj.dynamorph.model.solver)), of_draft
     character, model = extract.character(obj), None
     with suppress(errors.ModelFileError):  # `_current` says so

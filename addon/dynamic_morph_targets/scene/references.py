@@ -11,6 +11,7 @@ import numpy as np
 from bpy.props import IntProperty, StringProperty
 
 from ..core.character import Skeleton
+from .remembered import opened
 
 OVERRIDE = {"LIBRARY_OVERRIDABLE"}
 OVERRIDE_LIST = {"LIBRARY_OVERRIDABLE", "USE_INSERTION"}
@@ -109,22 +110,14 @@ def basis_hash(blocks) -> str:
     return _hash("points", blocks[0], key_points(blocks[0]))
 
 
-_hashes: dict[tuple, tuple] = {}  # by shape key and what is hashed of it: its fingerprint, and its hash
-
-
-def forget():
-    """Free what is kept of shape keys: their file is closed."""
-    _hashes.clear()
-
-
 def _hash(what: str, block, points: np.ndarray) -> str:
     """The hash of points (V, 3) float32 of a shape key. Blender does not say which keys an edit has changed, so
     all are compared after each step of a slider; hashing takes five times as long as comparing.
     """
     where, seen = (what, block.id_data.session_uid, block.name), _fingerprint(points)
-    if _hashes.get(where, ("",))[0] != seen:
-        _hashes[where] = seen, hashlib.blake2b(points.tobytes(), digest_size=8).hexdigest()
-    return _hashes[where][1]
+    if opened.key_hashes.get(where, ("",))[0] != seen:
+        opened.key_hashes[where] = seen, hashlib.blake2b(points.tobytes(), digest_size=8).hexdigest()
+    return opened.key_hashes[where][1]
 
 
 def _fingerprint(points: np.ndarray) -> tuple[int, ...]:

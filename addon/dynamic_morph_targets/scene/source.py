@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -26,23 +27,23 @@ from .references import rest_skeleton
 from .rig_motion import worlds_at_start
 from .skinning import Skinning
 
-_sources: dict[tuple[int, int, int], Source] | None = None  # within `read_once`: by mesh, rig and body
+Sources: TypeAlias = "dict[tuple[int, int, int], Source]"  # by mesh, rig and body
+_READ: ContextVar[Sources | None] = ContextVar("read", default=None)  # within `read_once`
 
 
 @contextmanager
 def read_once() -> Iterator[None]:
     """Each mesh is read once within, whoever asks, until `read_again` says that what sources read has changed."""
-    global _sources
-    _sources = {}
+    token = _READ.set({})
     try:
         yield
     finally:
-        _sources = None
+        _READ.reset(token)
 
 
 def read_again() -> None:
-    if _sources is not None:
-        _sources.clear()
+    if read := _READ.get():
+        read.clear()
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +71,11 @@ class Source:
 
     def _shared(self) -> Source:
         """Itself, or within `read_once` the first one of the same mesh."""
-        if _sources is None:
+        read = _READ.get()
+        if read is None:
             return self
         body = self.body.obj.session_uid if self.body else 0
-        return _sources.setdefault((self.obj.session_uid, self.rig.session_uid, body), self)
+        return read.setdefault((self.obj.session_uid, self.rig.session_uid, body), self)
 
     @property
     def obj(self):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import asdict
 
 import numpy as np
@@ -93,29 +94,28 @@ def _kilograms() -> float:
     return unit_scale() ** 3
 
 
-_computed = False  # whether what is written now follows from something else
+_COMPUTED = ContextVar("computed", default=False)  # whether what is written now follows from something else
 
 
 @contextmanager
 def as_computed():
     """A stiffness written inside this context does not count as set by hand, and none follows a density."""
-    global _computed
-    before, _computed = _computed, True
+    token = _COMPUTED.set(True)
     try:
         yield
     finally:
-        _computed = before
+        _COMPUTED.reset(token)
 
 
 def _stiffness_set(target, _context):
     """update: the artist, or a script, wants the stiffness in pascals as it is."""
-    if not _computed:
+    if not _COMPUTED.get():
         target.frequency, target.by_hand = 0.0, True
 
 
 def _density_set(target, _context):
     """update: a bounce that was set stays, and the stiffness follows."""
-    if not _computed:
+    if not _COMPUTED.get():
         target.follow_frequency()
 
 

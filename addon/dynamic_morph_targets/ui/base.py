@@ -10,7 +10,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core import engine, errors, logger, message
 from ..core.message import Message, translated
-from ..run import batch
+from ..run import remembered
 from ..scene import events, skin
 from ..write.reconcile import reconcile
 
@@ -101,9 +101,9 @@ def reconciled(obj):
 
 def at_work() -> str:
     """Which job must end first, or ''."""
-    if not batch.running:
+    if not remembered.work.running:
         return ""
-    return Message("Wait until '{name}' is done, or cancel it", name=batch.running.name)
+    return Message("Wait until '{name}' is done, or cancel it", name=remembered.work.running.name)
 
 
 def listed(names: list[str]) -> str:

@@ -12,7 +12,7 @@ from ..core.errors import RecordError
 from ..core.message import Message, joined
 from ..core.model.model import CAGE, HOLD, MODES
 from ..core.result import judge
-from ..run import bake_time, batch, live
+from ..run import bake_time, live, remembered
 from ..scene import body_checks, checks, colliders, cuts, run_settings, staleness
 from ..scene.checks import Problem
 from ..scene.skinning import Skinning
@@ -135,7 +135,7 @@ def texts(obj, said: Set[str]) -> Iterator[str]:
         yield "Plain skinning is shown: the soft skin stays hidden until you press Show Soft Skin or save"
     ages = dict.fromkeys((*staleness.model_age(obj), *staleness.outdated(obj)))
     reasons = [reason for reason in ages if reason not in said]
-    if reasons and not batch.running:  # while a job runs they are outdated themselves
+    if reasons and not remembered.work.running:  # while a job runs they are outdated themselves
         more = len(reasons) - MOST_REASONS
         text = "Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}"
         outdated = Message(text, reasons=joined(", ", reasons[:MOST_REASONS]), count=more)

@@ -10,7 +10,7 @@ import blf
 import bpy
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors, message
-from bl_ext.user_default.dynamic_morph_targets.run import batch
+from bl_ext.user_default.dynamic_morph_targets.run import batch, remembered
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.ui import base, languages, widgets
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import transfer
@@ -93,7 +93,7 @@ def test_progress_is_translated(soft_arm, german, monkeypatch):
     job.progress.fraction, job.progress.message = 0.38, message.Message("Simulating frame {frame}", frame=7)
     running = batch.Batch([job], "BAKE")
     running.time_left.seconds = 11.4
-    monkeypatch.setattr(batch, "running", running)
+    monkeypatch.setattr(remembered.work, "running", running)
     assert "38%  noch 0:12  Einzelbild 7 wird simuliert" in drawn(soft_arm)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
-from bl_ext.user_default.dynamic_morph_targets.run import batch, child
+from bl_ext.user_default.dynamic_morph_targets.run import batch, child, remembered
 from bl_ext.user_default.dynamic_morph_targets.run.child import Child, Here
 from bl_ext.user_default.dynamic_morph_targets.run.computation import Draft, Errand
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
@@ -215,7 +215,7 @@ def test_esc_leaves_nothing(small, tmp_path):
     small.dynamorph.output.format = "PC2"
 
     def events():
-        while batch.running.fraction < 0.3:
+        while remembered.work.running.fraction < 0.3:
             yield "TIMER"
         yield "ESC"
 
@@ -227,17 +227,17 @@ def test_esc_leaves_nothing(small, tmp_path):
 
 def test_the_next_process_waits_for_work(addon):
     child.prepare()
-    (spare,) = child.spare
+    (spare,) = remembered.work.spare
     child.prepare()
-    assert child.spare == [spare] and spare.waits
+    assert remembered.work.spare == [spare] and spare.waits
     errand = Child(Errand, heard=lambda _news: None)
-    assert errand.pid == spare.pid and child.spare == []
+    assert errand.pid == spare.pid and remembered.work.spare == []
     assert ask(errand, "run", partial(abs, -2), False) == 2
     errand.end()
     child.prepare()
-    (spare,) = child.spare
+    (spare,) = remembered.work.spare
     child.dismiss()
-    assert child.spare == [] and spare.ended
+    assert remembered.work.spare == [] and spare.ended
 
 
 def test_a_program_that_does_not_start_is_named(addon, monkeypatch):

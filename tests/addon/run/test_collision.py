@@ -13,7 +13,7 @@ import real_character
 from bl_ext.user_default.dynamic_morph_targets.core.errors import SceneError
 from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
 from bl_ext.user_default.dynamic_morph_targets.io.cache_dir import CacheDir
-from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch, full_comparison, preview
+from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch, full_comparison, preview, remembered
 from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.run.tissue import Tissue
@@ -210,7 +210,7 @@ def test_a_model_that_a_full_bake_builds_serves_live(arm):
     assert model_store.load_model(arm).settings.solver == "REDUCED"
     bpy.ops.dynamorph.live()
     assert np.abs(play(arm, 1, FRAMES) - evaluated_points(arm)).max() < 1.0
-    assert run_live.state.sessions[arm.session_uid].tissue.model.settings.solver == "REDUCED"
+    assert remembered.live.sessions[arm.session_uid].tissue.model.settings.solver == "REDUCED"
 
 
 def test_what_touches_nothing_is_baked_as_chosen(arm):

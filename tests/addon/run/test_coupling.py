@@ -7,7 +7,7 @@ import pytest
 from bl_ext.user_default.dynamic_morph_targets.cli import main
 from bl_ext.user_default.dynamic_morph_targets.core import records
 from bl_ext.user_default.dynamic_morph_targets.core.errors import Cancelled, SceneError
-from bl_ext.user_default.dynamic_morph_targets.run import batch
+from bl_ext.user_default.dynamic_morph_targets.run import batch, remembered
 from bl_ext.user_default.dynamic_morph_targets.run import live as live_module
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import colliders, staleness
@@ -202,7 +202,7 @@ def test_both_stop_where_it_is_canceled(arms, apart):
 
 
 def live(obj) -> live_module.Session:
-    return live_module.state.sessions[obj.session_uid]
+    return remembered.live.sessions[obj.session_uid]
 
 
 def played(*objects, last=FRAMES) -> list[np.ndarray]:

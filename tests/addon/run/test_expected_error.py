@@ -13,7 +13,7 @@ from bl_ext.user_default.dynamic_morph_targets.cli import main
 from bl_ext.user_default.dynamic_morph_targets.core import errors, geometry
 from bl_ext.user_default.dynamic_morph_targets.core.motion import rig_samples, simulate
 from bl_ext.user_default.dynamic_morph_targets.core.settings import SimulationSettings
-from bl_ext.user_default.dynamic_morph_targets.run import batch, expected_error
+from bl_ext.user_default.dynamic_morph_targets.run import batch, expected_error, remembered
 from bl_ext.user_default.dynamic_morph_targets.run.child import GENTLE
 from bl_ext.user_default.dynamic_morph_targets.scene import rig_motion
 from bl_ext.user_default.dynamic_morph_targets.write import storage
@@ -28,7 +28,7 @@ pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 def coarse(soft_arm, monkeypatch):
     """The soft arm with a coarse cage and few modes, in what takes itself for a window; nothing was measured before."""
     in_window(monkeypatch)
-    monkeypatch.setattr(expected_error.state, "found", {})
+    monkeypatch.setattr(remembered.work, "errors", {})
     model = soft_arm.dynamorph.model
     model.cage_nodes, model.basis, model.modes = 200, "MODES", 12
     yield soft_arm
@@ -138,7 +138,7 @@ def test_the_shot_and_what_is_shown_of_it_do_not_matter(coarse):
 def test_what_is_known_is_not_measured_again(coarse):
     measured(coarse)
     build(coarse, "DYNAMORPH_OT_bake")
-    assert not expected_error.state.measuring and "Expected error" in said(coarse)
+    assert not remembered.work.measuring and "Expected error" in said(coarse)
 
 
 def instead(monkeypatch, work):
@@ -177,9 +177,9 @@ def test_the_panel_says_that_it_is_measured(coarse, endless):
 def test_it_stops_for_what_matters_more(coarse, endless, end, caplog):
     build(coarse)
     endless.look()
-    child = endless.state.child
+    child = remembered.work.child
     end(coarse)
-    assert child.ended and not endless.state.measuring and not endless.state.found and not caplog.records
+    assert child.ended and not remembered.work.measuring and not remembered.work.errors and not caplog.records
 
 
 @pytest.mark.parametrize(
@@ -194,10 +194,10 @@ def test_it_stops_for_what_matters_more(coarse, endless, end, caplog):
 def test_it_stops_when_its_object_is_another(coarse, endless, end):
     build(coarse)
     endless.look()
-    child = endless.state.child
+    child = remembered.work.child
     end(coarse)
     wait()
-    assert child.ended and not endless.state.measuring and not endless.state.found
+    assert child.ended and not remembered.work.measuring and not remembered.work.errors
 
 
 def test_all_others_go_first(coarse, monkeypatch):
@@ -223,14 +223,14 @@ def test_a_rig_that_cannot_be_read_is_not_measured(coarse, monkeypatch):
 
     monkeypatch.setattr(rig_motion, "sample_present", refuse)
     build(coarse)
-    assert not expected_error.state.measuring and coarse.dynamorph.model.content_id
+    assert not remembered.work.measuring and coarse.dynamorph.model.content_id
 
 
 def test_without_a_window_nothing_is_measured(soft_arm):
     soft_arm.dynamorph.model.cage_nodes = 200
     activate(soft_arm)
     assert bpy.ops.dynamorph.build() == bpy.ops.dynamorph.bake() == {"FINISHED"}
-    assert not expected_error.state.measuring and "Expected error" not in said(soft_arm)
+    assert not remembered.work.measuring and "Expected error" not in said(soft_arm)
 
 
 def test_large_cages_and_what_has_no_modes_are_not_measured(coarse, monkeypatch):
@@ -243,7 +243,7 @@ def test_large_cages_and_what_has_no_modes_are_not_measured(coarse, monkeypatch)
 
 def measured_nothing(obj) -> bool:
     build(obj)
-    return not expected_error.state.measuring
+    return not remembered.work.measuring
 
 
 def test_skins_that_blender_poses_are_measured_too(coarse):
@@ -256,7 +256,7 @@ def test_a_file_keeps_it(coarse, tmp_path, monkeypatch, capfd):
     file = tmp_path / "shot.blend"
     assert coarse.dynamorph.model.expected_from == ""  # not before it is saved: undo would lose it
     bpy.ops.wm.save_as_mainfile(filepath=str(file))
-    expected_error.state.found.clear()
+    remembered.work.errors.clear()
     bpy.ops.wm.open_mainfile(filepath=str(file))
     assert expected_error.known(bpy.data.objects["Arm"]) == pytest.approx(error)
     assert main.main(["info", str(file)], opens_file=True) == 0

@@ -8,9 +8,10 @@ from bl_ext.user_default.dynamic_morph_targets.core.errors import Cancelled, Sce
 from bl_ext.user_default.dynamic_morph_targets.core.model import build
 from bl_ext.user_default.dynamic_morph_targets.core.motion import prepared
 from bl_ext.user_default.dynamic_morph_targets.io import model_file
-from bl_ext.user_default.dynamic_morph_targets.run import live, preview
+from bl_ext.user_default.dynamic_morph_targets.run import live, preview, remembered
 from bl_ext.user_default.dynamic_morph_targets.run.first_look import FirstLook
 from bl_ext.user_default.dynamic_morph_targets.scene import events, extract, model_store, references
+from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import playback
 from builders import rig_of
 from mathutils import Matrix
@@ -56,12 +57,12 @@ def farthest(first, second) -> float:
 def test_live_goes_on_with_all_modes_where_the_draft_was(new_arm):
     _, steps = until_it_shows(new_arm)
     assert live.is_on(new_arm) and live.problem(new_arm) == "" and not new_arm.dynamorph.model.content_id
-    assert live.state.sessions[new_arm.session_uid].tissue.modes == build.DRAFT
+    assert remembered.live.sessions[new_arm.session_uid].tissue.modes == build.DRAFT
     played = [shown_at(frame) for frame in range(1, 13)]
     for _ in steps:
         pass
     assert new_arm.dynamorph.model.content_id and live.is_on(new_arm) and live.problem(new_arm) == ""
-    assert live.state.sessions[new_arm.session_uid].tissue.modes == 80
+    assert remembered.live.sessions[new_arm.session_uid].tissue.modes == 80
     after, following = shown_at(12), shown_at(13)
     jump = farthest(played[-1], after)
     before_step, step = farthest(played[-2], played[-1]), farthest(after, following)
@@ -84,7 +85,7 @@ def test_nothing_of_a_draft_stays_where_the_build_ends(new_arm):
         for _ in steps:
             pass
     work.stop()
-    assert not live.is_on(new_arm) and not new_arm.dynamorph.model.content_id and not model_store.drafts
+    assert not live.is_on(new_arm) and not new_arm.dynamorph.model.content_id and not opened.drafts
     assert "Dynamorph Live" not in new_arm.data.shape_keys.key_blocks
 
 
@@ -96,14 +97,14 @@ def test_a_file_that_is_saved_meanwhile_has_nothing_of_the_draft(new_arm, tmp_pa
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "draft.blend"))
     (arm,) = (obj for obj in bpy.data.objects if obj.dynamorph.targets)
     assert arm.data.shape_keys.key_blocks.keys() == ["Basis", "flexed", "smile"]
-    assert not live.is_on(arm) and not arm.dynamorph.model.content_id and not model_store.drafts
+    assert not live.is_on(arm) and not arm.dynamorph.model.content_id and not opened.drafts
 
 
 def test_a_deleted_soft_skin_has_no_draft(new_arm):
     work, _ = until_it_shows(new_arm)
     bpy.data.objects.remove(new_arm)
     work.stop()
-    assert not model_store.drafts
+    assert not opened.drafts
 
 
 def hopping(obj) -> preview.Preview:
@@ -136,25 +137,25 @@ def test_a_build_that_ends_in_the_hop_leaves_nothing(new_arm):
         for _ in steps:
             pass
     work.stop()
-    assert preview.preview is None and rig_of(new_arm).delta_location.length == 0.0
+    assert remembered.live.preview is None and rig_of(new_arm).delta_location.length == 0.0
     assert not live.is_on(new_arm) and "Dynamorph Live" not in new_arm.data.shape_keys.key_blocks
 
 
 def test_a_draft_keeps_its_bounce_when_settings_change(new_arm):
     """Blender's targets have the stiffness that the draft plays with."""
     work, _ = until_it_shows(new_arm)
-    before = live.state.sessions[new_arm.session_uid].tissue.character.material(0).stiffness
+    before = remembered.live.sessions[new_arm.session_uid].tissue.character.material(0).stiffness
     new_arm.dynamorph.simulation.gravity = 1.0
     shown_at(2)
-    after = live.state.sessions[new_arm.session_uid].tissue.character.material(0).stiffness
+    after = remembered.live.sessions[new_arm.session_uid].tissue.character.material(0).stiffness
     assert after == pytest.approx(before, rel=1e-6)
-    session = live.state.sessions[new_arm.session_uid]
+    session = remembered.live.sessions[new_arm.session_uid]
     new_arm.dynamorph.model.solver = "FULL"
     shown_at(3), shown_at(4)
-    assert live.state.sessions[new_arm.session_uid] is not session and live.problem(new_arm) == ""
-    session = live.state.sessions[new_arm.session_uid]
+    assert remembered.live.sessions[new_arm.session_uid] is not session and live.problem(new_arm) == ""
+    session = remembered.live.sessions[new_arm.session_uid]
     shown_at(5)
-    assert live.state.sessions[new_arm.session_uid] is session
+    assert remembered.live.sessions[new_arm.session_uid] is session
     work.stop()
 
 

@@ -5,7 +5,7 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core.errors import SceneError
-from bl_ext.user_default.dynamic_morph_targets.run import grabbing, live
+from bl_ext.user_default.dynamic_morph_targets.run import grabbing, live, remembered
 from bl_ext.user_default.dynamic_morph_targets.scene import events, mesh_data
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import hands
 from builders import KEPT, evaluated_points, rig_of
@@ -149,7 +149,7 @@ def test_a_copy_begins_again_where_the_rig_moves_otherwise_and_ends_with_its_mod
     scene.frame_set(1)
     moved = ticks(hand, 3)[-1]
     assert np.abs(moved - before).max() > 0.3
-    live.state.sessions.pop(live_arm.session_uid)
+    remembered.live.sessions.pop(live_arm.session_uid)
     assert not hand.tick()
     assert grabbing.begin(live_arm) is not hand  # Live goes on, and so can a new hand
 

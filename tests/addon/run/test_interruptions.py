@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
-from bl_ext.user_default.dynamic_morph_targets.run import job, live
+from bl_ext.user_default.dynamic_morph_targets.run import job, live, remembered
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from builders import evaluated_points, fingerprint
 from installed import MODULE
@@ -102,7 +102,7 @@ def test_another_file_while_live_plays(soft_arm, tmp_path):
     bpy.context.scene.frame_set(5)
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
     bpy.context.scene.frame_set(6)
-    assert not live.state.sessions
+    assert not remembered.live.sessions
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
     obj = bpy.data.objects["Arm"]
     assert obj.data.shape_keys.key_blocks.keys() == ["Basis", "flexed", "smile"]
@@ -121,14 +121,14 @@ def test_switched_off_and_on_during_a_bake_twenty_times(soft_arm, stand_in, apar
     for _ in range(20):
         stand_in.waits["Arm"] = threading.Event()
         batch = run_batch
-        batch.running = batch.Batch([job.Job(soft_arm, goal="BAKE")], "BAKE")
-        steps = batch.running.steps()
-        while not batch.running.message.startswith("Frame"):
+        remembered.work.running = batch.Batch([job.Job(soft_arm, goal="BAKE")], "BAKE")
+        steps = remembered.work.running.steps()
+        while not remembered.work.running.message.startswith("Frame"):
             next(steps)
         began = time.monotonic()
         addon_utils.disable(MODULE)
         assert time.monotonic() - began < SOON
-        assert handlers() == [] and batch.running is None
+        assert handlers() == [] and remembered.work.running is None
         addon_utils.enable(MODULE)
         assert handlers() == installed
     assert fingerprint(soft_arm) == before

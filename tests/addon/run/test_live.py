@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.motion.player import Player
-from bl_ext.user_default.dynamic_morph_targets.run import batch
+from bl_ext.user_default.dynamic_morph_targets.run import batch, remembered
 from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
 from bl_ext.user_default.dynamic_morph_targets.run import preview as run_preview
 from bl_ext.user_default.dynamic_morph_targets.run import session as run_session
@@ -72,7 +72,7 @@ def play(obj, frames) -> np.ndarray:
 
 
 def session(obj):
-    return run_live.state.sessions[obj.session_uid]
+    return remembered.live.sessions[obj.session_uid]
 
 
 def baked(obj, **settings):
@@ -182,7 +182,7 @@ def test_playback_that_drops_too_many_frames_says_so(playing, monkeypatch):
 
 def test_scrubbing_reads_no_rig_until_the_mouse_is_up(playing, monkeypatch):
     """Blender 5.2 crashes when a scene is removed from a handler while the artist drags through the timeline."""
-    live, scene = run_live, bpy.context.scene
+    scene = bpy.context.scene
     for frame in range(1, 5):
         scene.frame_set(frame)
     shown = {4: surface(playing)}
@@ -190,7 +190,7 @@ def test_scrubbing_reads_no_rig_until_the_mouse_is_up(playing, monkeypatch):
     scrubbing, looks = [True], []
     monkeypatch.setattr(scene_events, "soon", lambda look, _seconds: looks.append(look))
     monkeypatch.setattr(scene_events, "is_scrubbing", lambda: scrubbing[0])
-    live.state.sessions[playing.session_uid].rig.forget()
+    remembered.live.sessions[playing.session_uid].rig.forget()
     sample = rig_motion.sample_rig
     monkeypatch.setattr(rig_motion, "sample_rig", lambda *_args: pytest.fail("the rig is read"))
     scene.frame_set(4)  # known: shows at once
@@ -764,7 +764,7 @@ def test_deleted_objects_and_other_scenes_are_left_alone(playing):
     assert apart(surface(playing), shown) == 0.0
     bpy.data.objects.remove(playing)
     bpy.context.scene.frame_set(5)
-    assert not run_live.state.sessions
+    assert not remembered.live.sessions
 
 
 def test_another_file_and_another_start_begin_afresh(playing, tmp_path):
@@ -804,7 +804,7 @@ def test_two_scenes_that_play_alternately_go_on(playing):
     rig_of(playing).pose.bones["lower"].location.z = 0.3
     rig_of(playing).pose.bones["lower"].keyframe_insert("location", frame=5)
     bpy.context.view_layer.update()
-    assert copy.session_uid not in run_live.state.sessions  # what was edited may move it too
+    assert copy.session_uid not in remembered.live.sessions  # what was edited may move it too
 
 
 def test_two_characters_and_a_copy(playing):
@@ -813,7 +813,7 @@ def test_two_characters_and_a_copy(playing):
     bpy.ops.object.duplicate()
     copy = bpy.context.object
     bpy.context.scene.frame_set(4)
-    assert copy != playing and len(run_live.state.sessions) == 2
+    assert copy != playing and len(remembered.live.sessions) == 2
     activate(copy)
     bpy.ops.dynamorph.live()
     assert run_live.is_on(playing) and not run_live.is_on(copy)
@@ -1024,7 +1024,7 @@ def played_after_a_hop(obj, monkeypatch, event="TIMER", **settings) -> list[str]
     monkeypatch.setattr(playback, "press", lambda _by, name: pressed.append(name))
     button = Playing(obj, "DYNAMORPH_OT_shake_test", monkeypatch, kind="HOP", **settings)
     button.now = 10.0
-    assert button.send(event) not in ({"RUNNING_MODAL"}, {"PASS_THROUGH"}) and run_preview.preview is None
+    assert button.send(event) not in ({"RUNNING_MODAL"}, {"PASS_THROUGH"}) and remembered.live.preview is None
     return pressed
 
 
@@ -1075,7 +1075,7 @@ def test_saving_and_loading_end_a_preview(shaken, tmp_path, monkeypatch):
     assert deltas(rig_of(obj)) == stood and button.send() == {"CANCELLED"}
     Playing(obj, "DYNAMORPH_OT_play_mode", monkeypatch)
     bpy.ops.wm.open_mainfile(filepath=path)
-    assert run_preview.preview is None and not run_live.state.suspended
+    assert remembered.live.preview is None and not remembered.live.suspended
     assert deltas(rig_of(bpy.data.objects["Arm"])) == stood
 
 
@@ -1125,7 +1125,7 @@ def test_a_mode_that_plays_stands_still_while_blender_renders(live_arm, monkeypa
     assert button.send("ESC") == {"CANCELLED"}
     steps = [apart(first, second) for first, second in pairwise(shown)]
     assert min(steps[:2]) > 1e-4 and steps[2:] == [0.0, 0.0]
-    assert run_preview.preview is None
+    assert remembered.live.preview is None
 
 
 # Comparing ---------------------------------------------------------------------------------------------------------
@@ -1165,7 +1165,7 @@ def test_disabling_the_add_on_forgets_sessions(playing):
     live.unregister()
     shown = surface(playing)
     bpy.context.scene.frame_set(4)
-    assert not live.state.sessions and apart(surface(playing), shown) == 0.0
+    assert not remembered.live.sessions and apart(surface(playing), shown) == 0.0
     live.register()
     play(playing, [5])
     assert all(list(getattr(bpy.app.handlers, name)).count(handler) == 1 for name, handler in live.HANDLERS.items())

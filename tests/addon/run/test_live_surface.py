@@ -6,7 +6,7 @@ same.
 import bpy
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.run import live_surface
+from bl_ext.user_default.dynamic_morph_targets.run import live_surface, remembered
 from bl_ext.user_default.dynamic_morph_targets.scene import events
 from bl_ext.user_default.dynamic_morph_targets.write.display import live_key
 from builders import evaluated_points, rig_of
@@ -95,10 +95,10 @@ def test_another_depsgraph_gets_the_key_itself(in_playback, tmp_path):
     obj, frames = in_playback
     for frame in range(2, 5):
         bpy.context.scene.frame_set(frame)
-    assert frames == [] and live_surface.ahead
+    assert frames == [] and remembered.live.ahead
     obj.select_set(True)
     bpy.ops.wm.alembic_export(filepath=str(tmp_path / "a.abc"), start=5, end=7, as_background_job=False)
-    assert frames and not live_surface.ahead
+    assert frames and not remembered.live.ahead
 
 
 def test_what_moves_in_live_alone_is_written(in_playback):

@@ -12,7 +12,7 @@ from bl_ext.user_default.dynamic_morph_targets.core import engine
 from bl_ext.user_default.dynamic_morph_targets.core.material import fit
 from bl_ext.user_default.dynamic_morph_targets.core.material.feel import FEELS
 from bl_ext.user_default.dynamic_morph_targets.core.motion import posing
-from bl_ext.user_default.dynamic_morph_targets.run import batch, heat, task, weight_curves
+from bl_ext.user_default.dynamic_morph_targets.run import batch, heat, remembered, task, weight_curves
 from bl_ext.user_default.dynamic_morph_targets.scene import events, extract, mesh_data, model_store, plain, rig_motion
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import gpu_drawing
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import graph as overlays_graph
@@ -117,7 +117,7 @@ def test_curves_reach_over_the_frames_and_leave_the_scene_alone(scene, soft_arm)
 
 
 def test_what_is_drawn_follows_poses_without_looking_at_the_frames_again(soft_arm, monkeypatch):
-    weight_curves.state.shots.clear()
+    remembered.live.poses.clear()
     assert weight_curves.drawn(soft_arm) is None
     first = over(soft_arm)
     monkeypatch.setattr(rig_motion, "RigSampling", None)
@@ -208,7 +208,7 @@ def test_without_a_graph_a_button_reads_the_frames(soft_arm, later, read):
 
 def test_frames_are_read_a_few_at_a_time(scene, soft_arm):
     whole = over(soft_arm).weights
-    weight_curves.state.shots.clear()
+    remembered.live.poses.clear()
     reading, turns = weight_curves.Reading(soft_arm, 1, 20), 1
     while not reading.advance(soft_arm, 0.0):
         assert weight_curves.drawn(soft_arm) is None  # not before all is read

@@ -4,7 +4,7 @@
 import bpy
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors, message
-from bl_ext.user_default.dynamic_morph_targets.run import batch, weight_curves
+from bl_ext.user_default.dynamic_morph_targets.run import batch, remembered, weight_curves
 from bl_ext.user_default.dynamic_morph_targets.run.task import Task, elsewhere
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import jobs
 from builders import rig_of
@@ -37,7 +37,7 @@ def test_weights_are_read_a_few_frames_at_a_time(soft_arm, slow):
 
 @pytest.mark.parametrize("name", ["update_target_weights", "find_uncovered_pose"])
 def test_esc_while_frames_are_read(soft_arm, slow, name):
-    weight_curves.state.shots.clear()
+    remembered.live.poses.clear()
     frame = bpy.context.scene.frame_current
     pressed = Pressed(soft_arm, ["TIMER", "TIMER", "ESC"], f"DYNAMORPH_OT_{name}")
     assert pressed.result == {"CANCELLED"} and pressed.turns == 3
@@ -132,7 +132,7 @@ def test_a_bounce_is_fitted_in_another_process(built_arm):
 def test_the_first_row_shows_the_progress(soft_arm, monkeypatch):
     task = Task(soft_arm, "SUGGEST_POSE", iter(()))
     task.fraction, task.message = 0.5, message.Message("Reading frame {frame}", frame=7)
-    monkeypatch.setattr(batch, "running", task)
+    monkeypatch.setattr(remembered.work, "running", task)
     assert drawn(soft_arm)[:2] == ["50%  Reading frame 7", "dynamorph.cancel"]
 
 

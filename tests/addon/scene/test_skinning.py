@@ -12,7 +12,7 @@ from bl_ext.user_default.dynamic_morph_targets.core import settings
 from bl_ext.user_default.dynamic_morph_targets.core.motion import loops, simulate
 from bl_ext.user_default.dynamic_morph_targets.core.motion.player import Player
 from bl_ext.user_default.dynamic_morph_targets.core.result import compare
-from bl_ext.user_default.dynamic_morph_targets.run import bake_input, live
+from bl_ext.user_default.dynamic_morph_targets.run import bake_input, live, remembered
 from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
 from bl_ext.user_default.dynamic_morph_targets.run import job as run_job
 from bl_ext.user_default.dynamic_morph_targets.scene import (
@@ -597,10 +597,10 @@ def test_another_way_of_skinning_counts_at_once(scene, small_arm):
     """Live asks Blender for the nodes as soon as bones no longer determine them."""
     run(small_arm, goal="BUILD")
     bpy.ops.dynamorph.live()
-    session = live.state.sessions[small_arm.session_uid]
+    session = remembered.live.sessions[small_arm.session_uid]
     assert session.tissue.probe is None
     small_arm.modifiers["Armature"].use_deform_preserve_volume = True
     bpy.context.view_layer.update()
     scene.frame_set(2)
-    session = live.state.sessions[small_arm.session_uid]
+    session = remembered.live.sessions[small_arm.session_uid]
     assert session.tissue.probe is not None and live.problem(small_arm) == ""

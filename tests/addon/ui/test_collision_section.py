@@ -4,7 +4,7 @@
 import bpy
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.run import bake_time
+from bl_ext.user_default.dynamic_morph_targets.run import remembered
 from bl_ext.user_default.dynamic_morph_targets.scene import colliders, run_settings
 from builders import activate, evaluated_points, make_box, make_mesh, refused, rig_of
 from layout import drawn
@@ -148,7 +148,7 @@ def test_the_quality_of_a_bake_is_said_before_it_with_its_time(soft_arm, monkeyp
     said = "Colliding bodies are baked in Full Quality, which takes"
     assert f"{said} less than a minute" in " ".join(drawn(soft_arm))
     assert " ".join(drawn(soft_arm, PHYSICS)).count("less than a minute") == 1
-    monkeypatch.setitem(bake_time.steps, soft_arm.session_uid, 1.5)  # as the last bake measured
+    monkeypatch.setitem(remembered.work.seconds, soft_arm.session_uid, 1.5)  # as the last bake measured
     assert f"{said} about 2 min" in " ".join(drawn(soft_arm))  # 19 frames of 5 steps
     settings.simulation.use_scene_range, settings.simulation.frame_end = False, 201
     assert f"{said} about 25 min" in " ".join(drawn(soft_arm))

@@ -13,6 +13,7 @@ import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import engine, errors
 from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
 from bl_ext.user_default.dynamic_morph_targets.run import job as run_job
+from bl_ext.user_default.dynamic_morph_targets.run import remembered
 from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store, rig_motion, run_settings
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
@@ -410,7 +411,7 @@ def test_a_bug_in_the_engine_does_not_block_the_buttons(soft_arm, stand_in):
     stand_in.fail = KeyError("bug")
     pressed = Pressed(soft_arm)
     assert pressed.result == {"CANCELLED"} and "KeyError: 'bug'" in pressed.reports[0][1]
-    assert run_batch.running is None and bpy.ops.dynamorph.bake.poll()
+    assert remembered.work.running is None and bpy.ops.dynamorph.bake.poll()
 
 
 @pytest.mark.fault("G05")
@@ -418,12 +419,12 @@ def test_disabling_the_addon_stops_the_job(soft_arm, stand_in, apart):
     stand_in.waits["Arm"] = threading.Event()
     batch = run_batch
     job = run_job.Job(soft_arm, goal="BAKE")
-    batch.running = batch.Batch([job], "BAKE")
-    steps = batch.running.steps()
+    remembered.work.running = batch.Batch([job], "BAKE")
+    steps = remembered.work.running.steps()
     while job.progress.message != "Frame 0":
         next(steps)
     addon_utils.disable(MODULE)
-    assert stand_in.looks < 10 and batch.running is None
+    assert stand_in.looks < 10 and remembered.work.running is None
     addon_utils.enable(MODULE)
 
 

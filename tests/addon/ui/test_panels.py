@@ -10,7 +10,7 @@ from bl_ext.user_default.dynamic_morph_targets.core.motion.contact import Touche
 from bl_ext.user_default.dynamic_morph_targets.core.motion.limits import Held
 from bl_ext.user_default.dynamic_morph_targets.core.result import judge
 from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
-from bl_ext.user_default.dynamic_morph_targets.run import job_data, live, preview
+from bl_ext.user_default.dynamic_morph_targets.run import job_data, live, remembered
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import events, properties, scripted
 from bl_ext.user_default.dynamic_morph_targets.ui import widgets
@@ -150,15 +150,15 @@ def next_step(obj) -> str:
 
 def test_progress_takes_the_row_of_the_state(soft_arm, stand_in):
     batch, job = run_batch, Job(soft_arm, goal="BAKE")
-    batch.running, job.progress.message = batch.Batch([job], "BAKE"), "Frame 7"
+    remembered.work.running, job.progress.message = batch.Batch([job], "BAKE"), "Frame 7"
     try:
         for panel in (SIDEBAR, PHYSICS):
             assert drawn(soft_arm, panel)[:8] == ["0%  Frame 7", "dynamorph.cancel", *BUTTONS]
         assert not bpy.ops.dynamorph.build.poll() and not bpy.ops.dynamorph.bake.poll()
-        job.progress.fraction, batch.running.time_left.seconds = 0.38, 11.4
+        job.progress.fraction, remembered.work.running.time_left.seconds = 0.38, 11.4
         assert "38%  0:12 left  Frame 7" in drawn(soft_arm)
     finally:
-        batch.running = None
+        remembered.work.running = None
 
 
 # Where things are ----------------------------------------------------------------------------------------------------
@@ -420,13 +420,13 @@ def test_the_status_bar_says_what_runs(soft_arm, stand_in, monkeypatch):
     job = Job(soft_arm, goal="BAKE")
     job.progress.fraction, job.progress.message = 0.4, "Frame 7"
     running = run_batch.Batch([job], "BAKE")
-    monkeypatch.setattr(run_batch, "running", running)
+    monkeypatch.setattr(remembered.work, "running", running)
     assert status() == ["40%  Frame 7    Esc: cancel"]
     running.time_left.seconds = 72.0
     assert status() == ["40%  1:12 left  Frame 7    Esc: cancel"]
-    monkeypatch.setattr(run_batch, "running", None)
+    monkeypatch.setattr(remembered.work, "running", None)
     shake = types.SimpleNamespace(label="Shake Test", seconds_left=1.5)
-    monkeypatch.setattr(preview, "preview", shake)
+    monkeypatch.setattr(remembered.live, "preview", shake)
     assert status() == ["Shake Test  0:02 left    Esc: stop"]
     shake.seconds_left = None
     assert status() == ["Shake Test    Esc: stop"]

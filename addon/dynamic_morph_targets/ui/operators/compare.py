@@ -17,11 +17,10 @@ from ...run import live
 from ...run.preview import end_preview
 from ...scene import events, skin
 from ...scene.registration import of_classes
+from ...scene.remembered import opened
 from ...write.authoring.slots import put_slot, slot_settings
 from ...write.display import beside, comparison
 from ..base import SoftSkinOperator
-
-_left_out: list[bpy.types.Action] = []  # of the file that is being saved
 
 
 class DYNAMORPH_OT_show_plain(SoftSkinOperator, Operator):
@@ -103,15 +102,15 @@ def _before_save(*_args):
         if obj.library is None and comparison.is_plain(obj):
             with suppress(WriteError):  # in Edit Mode the panel keeps saying that plain skinning is shown
                 comparison.show(obj, False)
-    _left_out[:] = beside.leave_out_of_file()
+    opened.left_out[:] = beside.leave_out_of_file()
 
 
 @persistent
 def _after_save(*_args):
     """save_post, save_post_fail."""
-    for action in _left_out:
+    for action in opened.left_out:
         action.is_runtime_data = False
-    _left_out.clear()
+    opened.left_out.clear()
 
 
 @persistent

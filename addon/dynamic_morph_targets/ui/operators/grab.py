@@ -4,17 +4,17 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 
 import bpy
 import numpy as np
-from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Operator, WorkSpaceTool
 from bpy_extras.view3d_utils import region_2d_to_location_3d, region_2d_to_origin_3d, region_2d_to_vector_3d
 from mathutils import Vector
 
-from ...run import grabbing
-from ...scene import events, mesh_data, skin
+from ...run import grabbing, remembered
+from ...scene import events, mesh_data, registration, skin
 from ...scene.registration import of_classes
 from ..base import report_errors
 from ..widgets import draw_drags
@@ -69,7 +69,7 @@ class DYNAMORPH_OT_grab(Operator):
         events.redraw(events.VIEWS)
 
     def _follow(self, context, event):
-        if grabbing.current is not self.grabbing:
+        if remembered.live.hands is not self.grabbing:
             return {"CANCELLED"}
         if event.type in {"ESC", "RIGHTMOUSE"}:
             self.grabbing.let_go_of_all()
@@ -146,30 +146,17 @@ class DYNAMORPH_TOOL_grab_pose(GrabTool):
 
 
 TOOLS = (DYNAMORPH_TOOL_grab_object, DYNAMORPH_TOOL_grab_pose)
-_shown: list = []  # tools that are in the toolbar
 _register, _unregister = of_classes((DYNAMORPH_OT_grab,))
-
-
-@persistent
-def _before_load(*_args):
-    """load_pre."""
-    grabbing.forget()
-
-
-HANDLERS = {"load_pre": _before_load}
 
 
 def register():
     _register()
-    events.add(HANDLERS)
     for tool in TOOLS:
         bpy.utils.register_tool(tool, separator=True)
-        _shown.append(tool)
+        registration.later(__name__, partial(bpy.utils.unregister_tool, tool))
 
 
 def unregister():
     grabbing.end()
-    events.remove(HANDLERS)
-    while _shown:
-        bpy.utils.unregister_tool(_shown.pop())
+    registration.take_back(__name__)
     _unregister()

@@ -11,7 +11,7 @@ from bpy.app.translations import pgettext_tip as tip_
 from bpy.types import Operator
 
 from ...core.message import Message, joined, translated
-from ...run import batch, child, expected_error, full_comparison, live
+from ...run import batch, child, expected_error, full_comparison, live, remembered
 from ...run.batch import run_all
 from ...run.job import Job
 from ...scene import events, staleness
@@ -99,7 +99,7 @@ class JobOperator(SoftSkinOperator):
 
     def _begin(self, context):
         expected_error.cancel()  # the job needs the computer, and outdates what is measured
-        self.batch = batch.running = self._batch(reconciled(mesh_in(context)))
+        self.batch = remembered.work.running = self._batch(reconciled(mesh_in(context)))
         self.steps = self.batch.steps(SLICE)
         self.shown = 0.0  # when
         self.timer = context.window_manager.event_timer_add(TICK, window=context.window)
@@ -120,7 +120,7 @@ class JobOperator(SoftSkinOperator):
 
     def _end(self, context):
         self.batch.stop()
-        batch.running = None
+        remembered.work.running = None
         child.prepare()  # for what comes next
         context.window_manager.event_timer_remove(self.timer)
         events.redraw(events.PANELS)
@@ -249,8 +249,8 @@ class DYNAMORPH_OT_cancel(Operator):
     bl_label = "Cancel Soft Skin Job"
 
     def execute(self, _context):
-        if batch.running:
-            batch.running.cancel()
+        if remembered.work.running:
+            remembered.work.running.cancel()
         return {"FINISHED"}
 
 

@@ -21,11 +21,12 @@ from ...core.character import target_labels
 from ...core.errors import SceneError
 from ...core.motion.shake import SECONDS
 from ...core.result import compare
-from ...run import live, preview, task
+from ...run import live, preview, remembered, task
 from ...run.first_look import FirstLook
 from ...run.preview import SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
 from ...scene import animation, events, model_store, rig_motion, skin
 from ...scene.registration import of_classes
+from ...scene.remembered import opened
 from ...scene.skinning import Skinning
 from ..base import SoftSkinOperator, report_errors
 from .jobs import JobOperator, press
@@ -43,7 +44,7 @@ class TissueOperator(SoftSkinOperator):
     @classmethod
     def disabled_reason(cls, context):
         obj = skin.mesh_in(context)
-        if obj and obj.session_uid in model_store.drafts:  # it can be played while the rest of its model is built
+        if obj and obj.session_uid in opened.drafts:  # it can be played while the rest of its model is built
             return ""
         return super().disabled_reason(context) or live.disabled_reason(obj)
 
@@ -164,7 +165,7 @@ class PreviewOperator(TissueOperator):
         return report_errors(self, self._begin, context)
 
     def modal(self, context, event):
-        if self.running is not preview.preview:  # stopped by its button, by undo or by anything else that ends previews
+        if self.running is not remembered.live.preview:  # its button, undo or anything else has ended it
             return self._end(context)
         if event.type == "ESC" and event.value == "PRESS":
             return self._end(context)
@@ -229,7 +230,7 @@ class PreviewOperator(TissueOperator):
         return {"FINISHED"}
 
     def _end(self, context):
-        if self.running is preview.preview:
+        if self.running is remembered.live.preview:
             end_preview()
         context.window_manager.event_timer_remove(self.timer)
         events.redraw_status(context)

@@ -8,8 +8,8 @@ import gpu
 import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
 
-from ...run import grabbing
-from ...scene import mesh_data, skin
+from ...run import remembered
+from ...scene import mesh_data, registration, skin
 from .gpu_drawing import draw_lines, draw_points, draw_text, is_shown, make_batch, pixels
 from .viewport import quietly
 
@@ -18,7 +18,7 @@ def hands_on(context) -> list[tuple[np.ndarray, np.ndarray, float]]:
     """Of each hand on the soft skin of the context: the place that it holds, now, and the place to which it pulls that,
     (3,) each, world space; newtons.
     """
-    obj, current = skin.mesh_in(context), grabbing.current
+    obj, current = skin.mesh_in(context), remembered.live.hands
     if current is None or not current.holds or not is_shown(context, obj) or not current.is_of(obj):
         return []
     points, unit = mesh_data.shown_points(obj, context.view_layer.depsgraph), skin.unit_scale()
@@ -50,15 +50,11 @@ def _draw_forces():
             draw_text(f"{newtons:.3g} N", at.x + pixels(10.0), at.y, text)
 
 
-_handles: list = []
-
-
 def register():
     if not bpy.app.background:
         for draw, moment in ((_draw_hands, "POST_VIEW"), (_draw_forces, "POST_PIXEL")):
-            _handles.append(bpy.types.SpaceView3D.draw_handler_add(quietly(draw), (), "WINDOW", moment))
+            registration.draw_in_view(__name__, quietly(draw), moment)
 
 
 def unregister():
-    while _handles:
-        bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
+    registration.take_back(__name__)

@@ -22,7 +22,7 @@ from mathutils import Matrix, Vector
 from ...core import engine, errors, logger
 from ...core.motion.rig_samples import RigSamples
 from ...run import heat, live, touching
-from ...scene import checks, events, mesh_data, model_store, references, rig_motion, skin
+from ...scene import checks, events, mesh_data, model_store, references, registration, rig_motion, skin
 from ...write.display import beside, comparison
 from .gpu_drawing import (
     MARGIN,
@@ -355,9 +355,6 @@ def quietly(draw):
     return callback
 
 
-_handles: list = []
-
-
 @persistent
 def _before_load(*_args):
     """load_pre."""
@@ -391,18 +388,16 @@ def register():
         in_view = (_draw_surface, _draw_cage, _draw_contact)
         on_top = (draw_graph, _draw_names_beside, _draw_surface_legend)
         for draw, moment in [(draw, "POST_VIEW") for draw in in_view] + [(draw, "POST_PIXEL") for draw in on_top]:
-            _handles.append(bpy.types.SpaceView3D.draw_handler_add(quietly(draw), (), "WINDOW", moment))
+            registration.draw_in_view(__name__, quietly(draw), moment)
 
 
 def unregister():
     events.remove(HANDLERS)
-    while _handles:
-        bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
+    registration.take_back(__name__)
     forget()
 
 
 def forget():
-    """Free what is kept on the graphics card, cages and colliders."""
-    touching.forget()
+    """Free what is kept on the graphics card, and cages."""
     for cache in (_cage, _order, _cage_batches, graph_batches):
         cache.cache_clear()

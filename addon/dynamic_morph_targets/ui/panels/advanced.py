@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from bpy.types import UIList
 
-from ...run import batch, preview
+from ...run import preview, remembered
 from ...scene import rig_motion, scripted
 from ..widgets import draw_drags, draw_limit, draw_message, draw_setting, draw_with_button, pair
 
@@ -31,7 +31,7 @@ def draw_advanced(layout, _context, obj):
 def draw_cage(layout, context, obj):
     model = obj.dynamorph.model
     column = layout.column()
-    column.enabled = batch.running is None
+    column.enabled = remembered.work.running is None
     column.prop(model, "cage_nodes")
     draw_setting(column, model, "cage_object")
     layout.operator("dynamorph.build_cage", icon="MESH_ICOSPHERE")
@@ -45,7 +45,7 @@ def draw_cage(layout, context, obj):
 def draw_detail(layout, _context, obj):
     model = obj.dynamorph.model
     column = layout.column()
-    column.enabled = batch.running is None
+    column.enabled = remembered.work.running is None
     column.prop(model, "modes")
     if obj.dynamorph.output.format == "MODES":
         draw_limit(column, obj.dynamorph.output, "keys")
@@ -71,7 +71,7 @@ def draw_modes(layout, _context, obj):
 
 
 def draw_solver(layout, context, obj):
-    layout.enabled = batch.running is None
+    layout.enabled = remembered.work.running is None
     for name in ("speed", "substeps", "samples", "gravity"):
         draw_setting(layout, obj.dynamorph.simulation, name)
     if rig_motion.pushing(context.view_layer):

@@ -6,7 +6,7 @@ from __future__ import annotations
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import UIList
 
-from ...run import batch
+from ...run import remembered
 from ...scene import colliders
 from ...write.authoring import attachments
 from .. import messages
@@ -20,7 +20,7 @@ class DYNAMORPH_UL_attachments(UIList):
 
     def draw_item(self, _context, layout, data, item, _icon, _active_data, _active_property, _index):
         row = layout.row(align=True)
-        row.enabled = batch.running is None
+        row.enabled = remembered.work.running is None
         name = item.group or (item.object.name if item.object else item.name)
         if item.group and item.object:
             name = f"{item.object.name}: {name.removeprefix(attachments.PREFIX)}"
@@ -61,7 +61,7 @@ def draw_attachments(layout, _context, obj):
 
 def draw_attachment(layout, obj, attachment):
     column = layout.column(align=True)
-    column.enabled = batch.running is None
+    column.enabled = remembered.work.running is None
     if not attachment.group or attachment.object:
         column.prop(attachment, "object")
     if not attachment.object or attachment.group:
@@ -86,7 +86,7 @@ def draw_attachment(layout, obj, attachment):
 def draw_head(layout, model):
     """Whether the skin of the head is held, and which bone that is."""
     row = layout.row()
-    row.enabled = batch.running is None
+    row.enabled = remembered.work.running is None
     row.prop(model, "hold_head")
     if model.hold_head and model.head:
         draw_message(layout, iface_("Held as the head: {bones}").format(bones=model.head), icon="INFO")

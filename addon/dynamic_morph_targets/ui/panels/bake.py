@@ -7,7 +7,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ...core.errors import RecordError, sentence
 from ...core.result import judge
-from ...run import batch
+from ...run import remembered
 from ...write.bake import baked_action
 from ...write.bake import influence as bake_influence
 from ..messages import verdict
@@ -71,7 +71,7 @@ def draw_bake(layout, _context, obj):
     """What is baked, how far the skin may move in it, and what stores the motion."""
     settings = obj.dynamorph
     simulation, output = settings.simulation, settings.output
-    layout.enabled = batch.running is None
+    layout.enabled = remembered.work.running is None
     draw_setting(layout, settings.model, "quality")
     draw_limit(layout, simulation, "max_displacement")
     layout.prop(simulation, "use_scene_range")
@@ -100,7 +100,9 @@ def draw_bake(layout, _context, obj):
 def draw_export(layout, _context, obj):
     row = layout.row(align=True)
     # A menu does not poll its buttons. A model alone is enough to export Actions as clips.
-    row.enabled = batch.running is None and (obj.dynamorph.bake.exists or bool(obj.dynamorph.model.content_id))
+    row.enabled = remembered.work.running is None and (
+        obj.dynamorph.bake.exists or bool(obj.dynamorph.model.content_id)
+    )
     row.operator_menu_enum("dynamorph.export", "format", icon="EXPORT")
     row.operator_menu_enum("dynamorph.export_check", "format", text="", icon="VIEWZOOM")
 

@@ -4,14 +4,14 @@
 from __future__ import annotations
 
 from ...core.message import Message, listed
-from ...run import batch
+from ...run import remembered
 from ...scene import colliders
 from ..widgets import draw_message, draw_setting
 
 
 def draw_collision(layout, context, obj):
     settings = obj.dynamorph.collision
-    layout.enabled = batch.running is None
+    layout.enabled = remembered.work.running is None
     buttons = layout.column(align=True)
     buttons.operator("dynamorph.collide", icon="MOD_PHYSICS")
     buttons.operator("dynamorph.add_floor", icon="MESH_PLANE")

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from ...core.material import feel
 from ...core.painted_map import FIRMNESS, MAX_DISTANCE, PaintedMap
-from ...run import batch
+from ...run import remembered
 from ...write.authoring import painting
 from ..operators import painting as paint_operators
 
@@ -13,7 +13,7 @@ from ..operators import painting as paint_operators
 def draw_feel(layout, _context, obj):
     """The presets and the amount of the whole skin, and how much and how the tissue of the selected target swings."""
     settings = obj.dynamorph
-    layout.enabled = batch.running is None
+    layout.enabled = remembered.work.running is None
     column = layout.column(align=True)
     row = column.row(align=True)
     chosen = feel.active(settings.targets[0], settings.simulation)
@@ -35,12 +35,12 @@ def draw_swing(layout, target):
     column = layout.column(align=True)
     if len(target.id_data.dynamorph.targets) > 1:  # alone, it has the whole body's amount
         amount = column.row()
-        amount.enabled = batch.running is None
+        amount.enabled = remembered.work.running is None
         amount.prop(target, "amount")
     bounce, settle = column.column(align=True), column.column(align=True)
-    bounce.enabled = batch.running is None
+    bounce.enabled = remembered.work.running is None
     bounce.prop(target, "bounce")
-    settle.enabled = target.is_measured and batch.running is None
+    settle.enabled = target.is_measured and remembered.work.running is None
     settle.prop(target, "settle_time")
     if not target.is_measured:
         column.label(text="Measured by the next build", icon="INFO")
@@ -51,7 +51,7 @@ def draw_swing(layout, target):
 def draw_material(layout, _context, obj):
     """The material of the selected target in physical units."""
     target = obj.dynamorph.active_target
-    layout.enabled = batch.running is None
+    layout.enabled = remembered.work.running is None
     if target is None:
         return
     layout.label(text=target.name, icon=icon_of(obj, target), translate=False)
@@ -75,7 +75,7 @@ def draw_max_distance(layout, context, obj):
 
 def _draw_map(layout, context, obj, of: PaintedMap):
     """A map that is painted."""
-    layout.enabled = batch.running is None
+    layout.enabled = remembered.work.running is None
     row = layout.row(align=True)
     row.prop_search(obj.dynamorph, of.group, obj, "vertex_groups", text="")  # the name of the group fits
     button = row.row(align=True)

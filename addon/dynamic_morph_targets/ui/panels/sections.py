@@ -12,7 +12,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Panel
 
 from ...core.time_left import clock
-from ...run import batch, preview
+from ...run import remembered
 from ...scene import skin
 from ...scene.registration import of_classes
 from ..operators.presets import DYNAMORPH_PT_material_presets, DYNAMORPH_PT_setup_presets, PresetList
@@ -176,13 +176,13 @@ def draw_add(panel, context):
 
 def draw_status(header, _context):
     """What runs, at the left of the status bar of every window, wherever it was started."""
-    work = batch.running
+    work = remembered.work.running
     if work:
         text = iface_("{progress}    Esc: cancel").format(progress=progress_text(work))
-    elif preview.preview:
-        seconds = preview.preview.seconds_left
+    elif remembered.live.preview:
+        seconds = remembered.live.preview.seconds_left
         text = iface_("{name}    Esc: stop" if seconds is None else "{name}  {time} left    Esc: stop")
-        text = text.format(name=iface_(preview.preview.label, "Operator"), time=clock(seconds or 0.0))
+        text = text.format(name=iface_(remembered.live.preview.label, "Operator"), time=clock(seconds or 0.0))
     else:
         return
     header.layout.label(text=text, translate=False)

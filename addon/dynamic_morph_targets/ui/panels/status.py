@@ -6,7 +6,7 @@ from __future__ import annotations
 from bpy.app.translations import pgettext_iface as iface_
 
 from ...core import engine
-from ...run import batch, live, preview
+from ...run import live, remembered
 from ...scene import checks, events, skin, staleness
 from ...scene.skinning import Skinning
 from ...write.display import comparison
@@ -30,7 +30,7 @@ def draw_top(layout, context, obj):
     row = buttons.row(align=True)
     row.operator("dynamorph.bake", text="Bake", icon="REC")
     row.operator("dynamorph.delete_bake", icon="NONE" if is_narrow() else "TRASH")
-    hint = "" if batch.running else next_step(obj)
+    hint = "" if remembered.work.running else next_step(obj)
     hint = iface_(hint)
     if is_narrow():  # one line, so that no button moves
         hint = hint.partition(", ")[0]
@@ -40,7 +40,7 @@ def draw_top(layout, context, obj):
 def draw_state(layout, context, obj):
     """One row: what runs, with its progress, or what the skin shows."""
     row = layout.row(align=True)
-    job = batch.running
+    job = remembered.work.running
     if job:
         row.progress(factor=job.fraction, text=progress_text(job))
         row.operator("dynamorph.cancel", text="", icon="X")
@@ -63,8 +63,8 @@ def state(obj) -> tuple[str, str]:
         return iface_("Sculpting '{name}'").format(name=sculpt.key.name), "SCULPTMODE_HLT"
     if comparison.is_plain(obj):
         return iface_("Plain skinning"), "HIDE_ON"
-    if preview.preview and preview.preview.object.session_uid == obj.session_uid:
-        return iface_(preview.preview.label), "PLAY"
+    if remembered.live.preview and remembered.live.preview.object.session_uid == obj.session_uid:
+        return iface_(remembered.live.preview.label), "PLAY"
     if live.is_on(obj):
         if live.problem(obj) or is_outdated(obj):
             return iface_("Live out of date"), "ERROR"

@@ -9,7 +9,7 @@ from bpy.types import Menu, UIList
 
 from ...core import engine, errors
 from ...core.character import region_label
-from ...run import batch, weight_curves
+from ...run import remembered, weight_curves
 from ...scene import checks, skin
 from ..widgets import draw_limit, draw_message
 from .feel import draw_material, draw_swing
@@ -26,7 +26,7 @@ class DYNAMORPH_UL_targets(UIList):
         keys = data.id_data.data.shape_keys
         block = keys.key_blocks.get(item.name) if keys and not neutral else None
         row = layout.row(align=True)
-        row.enabled = batch.running is None
+        row.enabled = remembered.work.running is None
         row.active = not item.mute
         split = row.split(factor=0.66 if wide else 1.0)
         if block:
@@ -100,7 +100,7 @@ def draw_extent(layout, obj, target):
     if target == obj.dynamorph.targets[0]:
         return
     column = layout.column(align=True)
-    column.enabled = batch.running is None
+    column.enabled = remembered.work.running is None
     column.label(text="Region")  # above the name of a group, which needs the whole row
     row = column.row(align=True)
     row.use_property_split = False

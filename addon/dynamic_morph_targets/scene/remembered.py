@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is remembered of the file that is open. Objects by Object.session_uid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import bpy
+
+from ..core import states
+
+if TYPE_CHECKING:
+    from ..core.character import Character
+    from ..core.model.model import Model
+    from .checks import Problem
+
+
+@dataclass
+class OpenFile:
+    """models: by object and content id, the last used last. drafts: models that can be played while those that replace
+    them are built, with their characters. bodies: a body's state at the last look, and what looked wrong. cuts: when
+    it was last looked for meshes that cut a body, and their names; edits: how often something was moved or edited.
+    key_hashes: by shape key and what is hashed of it, its fingerprint and its hash. asked: looks that panels ask
+    for, and at what. left_out: Actions, of the file that is being saved.
+    """
+
+    models: dict[tuple[int, str], Model] = field(default_factory=dict)
+    drafts: dict[int, tuple[Model, Character]] = field(default_factory=dict)
+    bodies: dict[int, tuple[tuple, list[Problem]]] = field(default_factory=dict)
+    cuts: dict[int, tuple[tuple, list[str]]] = field(default_factory=dict)
+    edits: int = 0
+    key_hashes: dict[tuple, tuple] = field(default_factory=dict)
+    asked: set[tuple[Callable, int]] = field(default_factory=set)
+    left_out: list[bpy.types.Action] = field(default_factory=list)
+
+
+opened = states.of(OpenFile)
