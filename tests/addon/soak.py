@@ -120,7 +120,7 @@ class Walk:
         return [f"{what}: {', '.join(map(str, names))}" for what, names in found.items() if names]
 
     def opened(self) -> set[str]:
-        """Files that are still open. A mesher that waits for its work has one, until it ends by itself."""
+        """Files that are still open. A process that waits for work has one, until it ends by itself."""
         child.dismiss()
         return open_files() - self.files
 

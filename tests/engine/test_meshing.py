@@ -269,8 +269,11 @@ def test_a_failing_mesher_becomes_an_error(monkeypatch, children, fault, message
 
 
 @pytest.mark.fault("F12")
-def test_a_full_disk_is_no_fault_of_the_mesh(monkeypatch, children, tmp_path):
-    """Where the temporary files are. A file of limited size stands in for it: what fits is a part of the answer."""
+@pytest.mark.parametrize(("room", "message"), [(4096, "File too large"), (0, "No space left on device")])
+def test_a_full_disk_is_no_fault_of_the_mesh(monkeypatch, children, tmp_path, room, message):
+    """Where the temporary files are. Files of limited size stand in for it: what fits is a part of the answer, or not
+    even the report of what was wrong.
+    """
     opened = []
 
     def limited():
@@ -282,11 +285,11 @@ def test_a_full_disk_is_no_fault_of_the_mesh(monkeypatch, children, tmp_path):
             super().__init__(*arguments, **options, preexec_fn=limit)
 
     def limit():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
 
     monkeypatch.setattr(subprocess, "Popen", Child)
     monkeypatch.setattr(meshing.tempfile, "TemporaryFile", limited)
-    with pytest.raises(OSError, match="File too large"):
+    with pytest.raises(OSError, match=message):
         dynamorph.mesh_body(*box(), 300)
     assert len(children) == 1  # no other resolution is tried
     assert all(child.returncode is not None for child in children)
@@ -373,6 +376,40 @@ def test_a_mesher_that_waits_ends_with_its_parent():
     assert not child.exists()
 
 
+MESHES_FOR_LONG = """
+import subprocess, dynamorph, test_meshing
+class Child(subprocess.Popen):
+    def __init__(self, *arguments, **options):
+        super().__init__(*arguments, **options)
+        print(self.pid, flush=True)
+subprocess.Popen = Child
+dynamorph.mesh_body(*test_meshing.box(), 20000, cage=test_meshing.box())
+"""
+
+
+@pytest.mark.parametrize("fault", ["", "hang"])
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs /proc")
+def test_a_mesher_that_works_ends_with_its_parent(fault):
+    """Also while TetGen computes, for several seconds here, and whatever ends the parent."""
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    environment = os.environ | {"PYTHONPATH": path, "DYNAMORPH_MESHER_FAULT": fault}
+    command = [sys.executable, "-c", MESHES_FOR_LONG]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as parent:
+        child = Path("/proc") / parent.stdout.readline().strip() / "stat"
+        try:
+            while computed(child) < 2.0:
+                time.sleep(0.05)
+        finally:
+            parent.kill()
+    time.sleep(0.5)
+    assert not child.exists() or child.read_text().rpartition(")")[2].split()[0] == "Z"
+
+
+def computed(stat: Path) -> float:
+    """Seconds for which a process has computed."""
+    return sum(map(int, stat.read_text().rpartition(")")[2].split()[11:13])) / os.sysconf("SC_CLK_TCK")
+
+
 WRITES_TO_A_DEAD_MESHER = """
 import signal, subprocess, dynamorph, numpy as np
 signal.signal(signal.SIGPIPE, signal.SIG_DFL)
@@ -381,16 +418,16 @@ subprocess.Popen = lambda command, **options: popen([command[0], "-c", "import o
 try:
     dynamorph.mesh_body(np.zeros((100000, 3)), np.zeros((1, 3), int), 300)
 except dynamorph.Error:
-    print("it goes on")
+    print("it goes on", signal.pthread_sigmask(signal.SIG_BLOCK, ()), signal.sigpending())
 """
 
 
 @pytest.mark.fault("C03")
 @pytest.mark.skipif(os.name == "nt", reason="POSIX")
 def test_a_mesher_that_died_takes_nobody_along():
-    """Not even a program that started Python without its signal handlers."""
+    """Not even a program that started Python without its signal handlers; these stay as they are."""
     run = subprocess.run([sys.executable, "-c", WRITES_TO_A_DEAD_MESHER], stdout=subprocess.PIPE, text=True)
-    assert (run.returncode, run.stdout) == (0, "it goes on\n")
+    assert (run.returncode, run.stdout) == (0, "it goes on set() set()\n")
 
 
 def test_dismissed_meshers_are_gone(children):
@@ -443,6 +480,26 @@ def test_reports_of_a_windows_child_are_understood(monkeypatch):
     monkeypatch.setattr(subprocess, "Popen", Child)
     with pytest.raises(dynamorph.Error, match="^The cage \ufffd is ü$"):
         dynamorph.mesh_body(*box(), 300)
+
+
+def test_half_a_number_is_no_progress(monkeypatch):
+    """The parent may read while the child writes."""
+    code = f"""if True:
+        import os, time
+        for part in (b"0.25\\n0.7", b"5\\n0.", b"875\\n"):
+            os.write(2, part)
+            time.sleep(0.3)
+        os._exit({meshing.EXIT_ERROR})"""
+
+    class Child(subprocess.Popen):
+        def __init__(self, command, **options):
+            super().__init__([command[0], "-c", code], **options)
+
+    monkeypatch.setattr(subprocess, "Popen", Child)
+    seen = []
+    with pytest.raises(dynamorph.Error, match="^$"):
+        dynamorph.mesh_body(*box(), 300, progress=lambda fraction: seen.append(fraction) or True)
+    assert sorted(set(seen) - {0.0}) == [0.25, 0.75, 0.875] and seen == sorted(seen)
 
 
 def test_the_child_says_everything_in_utf_8(children):
@@ -526,6 +583,12 @@ def test_progress_rises_and_false_cancels():
     assert 0 <= seen[0] < seen[-1] <= 1
     with pytest.raises(dynamorph.Cancelled):
         dynamorph.mesh_body(*sphere(), 2000, progress=lambda fraction: False)
+
+
+def test_the_caller_has_no_other_thread():
+    """Blender's Python may be in the middle of anything, and a thread could outlive it."""
+    before = threading.enumerate()
+    assert dynamorph.mesh_body(*box(), 300, progress=lambda _: threading.enumerate() == before)
 
 
 def test_an_exception_in_progress_reaches_the_caller():

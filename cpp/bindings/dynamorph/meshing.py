@@ -11,6 +11,7 @@ import io
 import itertools
 import math
 import os
+import queue
 import signal
 import struct
 import subprocess
@@ -18,8 +19,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -106,7 +107,8 @@ def _mesh_in_child(
         np.save(request, array, allow_pickle=False)
     child = _take()
     try:
-        child.run(request.getvalue(), arguments, progress)
+        child.give(request.getvalue())
+        child.wait(progress, memory_limit_gb=arguments[2])
         vertices, triangles, nodes, tets = child.answer()
     finally:  # also on KeyboardInterrupt or an exception raised by progress
         child.end()
@@ -115,35 +117,37 @@ def _mesh_in_child(
 
 # The child, which may be started before there is work for it ----------------------------------------------------------
 
-_spare: list[_Child] = []  # at most one
-_changing = threading.RLock()  # it is prepared in one thread, and taken in others
+_spare: list[_Child] = []  # one; where two threads prepare it at the same time, two
 
 
 def prepare_mesher() -> None:
     """Starts the process of the next `mesh_body` now, because it takes a tenth of a second. It ends by itself if it
     gets no work.
     """
-    with _changing:
-        if not (_spare and _spare[0].waits):
-            dismiss_mesher()
-            with suppress(Error, OSError):  # `mesh_body` will say so
-                _spare.append(_Child())
+    with suppress(Error, OSError):  # `mesh_body` will say so
+        _spare.append(_take())
 
 
 @atexit.register
 def dismiss_mesher() -> None:
     """Ends what `prepare_mesher` started."""
-    with _changing:
-        while _spare:
-            _spare.pop().end()
+    while child := _prepared():
+        child.end()
+
+
+def _prepared() -> _Child | None:
+    """A child that `prepare_mesher` started, which is the caller's from now on: no other thread gets it."""
+    with suppress(IndexError):
+        return _spare.pop()
+    return None
 
 
 def _take() -> _Child:
     """A child that waits for work."""
-    with _changing:
-        if _spare and _spare[0].waits:
-            return _spare.pop()
-        dismiss_mesher()
+    while child := _prepared():
+        if child.waits:
+            return child
+        child.end()
     return _Child()
 
 
@@ -157,38 +161,45 @@ class _Child:
         code = f"import sys; sys.path[:0] = {paths!r}; from dynamorph.meshing import _child; _child()"
         environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # each thread reserves memory, and memory is limited
         self._answer = tempfile.TemporaryFile()  # noqa: SIM115 - it is closed by `end`
-        try:
-            self._process = subprocess.Popen(
-                [sys.executable or "", "-I", "-S", "-X", "utf8", "-c", code],
-                stdin=subprocess.PIPE, stdout=self._answer, stderr=subprocess.PIPE, bufsize=0, env=environment,
-                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),  # or Windows would flash a console
-            )  # fmt: skip
-        except OSError as error:
-            self._answer.close()
-            raise Error(
-                f"The mesher could not be started with '{sys.executable}' ({error}). Let the virus scanner allow this "
-                "program, or install it again."
-            ) from error
+        with tempfile.NamedTemporaryFile() as reports:
+            self._reports = _opened_again(reports.name)
+            try:
+                self._process = subprocess.Popen(
+                    [sys.executable or "", "-I", "-S", "-X", "utf8", "-c", code],
+                    stdin=subprocess.PIPE, stdout=self._answer, stderr=reports, bufsize=0, env=environment,
+                    creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),  # or Windows would flash a console
+                )  # fmt: skip
+            except OSError as error:
+                self._answer.close()
+                self._reports.close()
+                raise Error(
+                    f"The mesher could not be started with '{sys.executable}' ({error}). Let the virus scanner allow "
+                    "this program, or install it again."
+                ) from error
         self._began = time.monotonic()
-        self._talk = threading.Thread(target=self._exchange, daemon=True)
-        self._request = b""
-        self._fraction = 0.0
-        self._message: list[str] = []
 
     @property
     def waits(self) -> bool:
         """Whether it takes work."""
         return self._process.poll() is None and time.monotonic() - self._began < IDLE / 2
 
-    def run(self, request: bytes, arguments: list[float], progress: ProgressFn | None) -> None:
-        """Has it do the work. Raises as `mesh_body` does."""
-        self._request = request
-        self._talk.start()
-        while self._talk.is_alive():  # until it ends
-            if progress and not progress(self._fraction):
+    def give(self, request: bytes) -> None:
+        """Has it do the work. It reads the request at once."""
+        assert self._process.stdin  # a pipe, which stays open: its end tells the child that this process has ended
+        left = memoryview(struct.pack("<Q", len(request)) + request)
+        with _without_sigpipe(), suppress(OSError):  # it has ended; its exit code says why
+            while left:
+                left = left[self._process.stdin.write(left) :]
+
+    def wait(self, progress: ProgressFn | None, memory_limit_gb: float) -> None:
+        """Waits until it has done the work. Raises as `mesh_body` does."""
+        code = None
+        while code is None:
+            if progress and not progress(self._reported()[0]):
                 raise Cancelled("canceled")
-            self._talk.join(0.05)
-        _raise_failure(self._process.wait(), "\n".join(self._message), memory_limit_gb=arguments[2])
+            with suppress(subprocess.TimeoutExpired):
+                code = self._process.wait(0.05)
+        _raise_failure(code, self._reported()[1], memory_limit_gb)
 
     def answer(self) -> list[np.ndarray]:
         """The arrays that it wrote."""
@@ -199,27 +210,46 @@ class _Child:
         """Ends it, whatever it does."""
         self._process.kill()
         self._process.wait()
-        if self._talk.ident is not None:  # it was started
-            self._talk.join()
-        for stream in (self._process.stdin, self._process.stderr, self._answer):
+        for stream in (self._process.stdin, self._reports, self._answer):
             stream.close()  # type: ignore[union-attr]
 
-    def _exchange(self) -> None:
-        """Writes the request, then reads what the child reports: progress (numbers) and, at the end, a message."""
-        assert self._process.stdin and self._process.stderr  # they are pipes
-        if sys.platform != "win32":  # where Python was started without its signal handlers, it would end this process
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
-        left = memoryview(self._request)
-        with suppress(OSError):  # it has ended; its exit code says why
-            while left:
-                left = left[self._process.stdin.write(left) :]
-            self._process.stdin.close()
-        for line in self._process.stderr:
-            text = line.decode("utf-8", "replace").rstrip()
+    def _reported(self) -> tuple[float, str]:
+        """The progress, 0..1, and the message in what it has reported by now, a few kilobytes: lines that are numbers,
+        and all others.
+        """
+        self._reports.seek(0)
+        *lines, rest = self._reports.read().decode("utf-8", "replace").split("\n")  # the rest may be half a number
+        fraction, message = 0.0, []
+        for line in lines:
             try:
-                self._fraction = float(text)
+                fraction = float(line)
             except ValueError:
-                self._message.append(text)
+                message.append(line.rstrip())
+        return fraction, "\n".join([*message, rest]).rstrip()
+
+
+def _opened_again(path: str) -> io.FileIO:
+    """A temporary file for reading what the child writes there: if both shared one that is open, they would share its
+    position. On Windows it is O_TEMPORARY that lets a file that is deleted when it is closed be opened again.
+    """
+    return io.FileIO(os.open(path, os.O_RDONLY | getattr(os, "O_TEMPORARY", 0)))
+
+
+@contextmanager
+def _without_sigpipe() -> Iterator[None]:
+    """What is written to a process that has ended must not end this one: so it would where Python was started without
+    its signal handlers.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
+    try:
+        yield
+    finally:
+        if signal.SIGPIPE in signal.sigpending():
+            signal.sigwait({signal.SIGPIPE})
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _closed(cage: Surface | None) -> Surface:
@@ -288,7 +318,7 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
             "resolution."
         )
     if code == EXIT_DISK:
-        number = getattr(errno, message)
+        number = getattr(errno, message, errno.ENOSPC)  # a full one may have no room for the message either
         raise OSError(number, os.strerror(number), tempfile.gettempdir())
     if code == -KILLED:
         raise MemoryError("The mesher was killed by the system, as happens when memory is short.")
@@ -300,14 +330,38 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
 
 
 def _child() -> None:
-    """The child's main function: reads arrays from standard input and writes arrays to standard output."""
-    unused = threading.Timer(IDLE, os._exit, [EXIT_IDLE])
-    unused.daemon = True
-    unused.start()
-    request = io.BytesIO(sys.stdin.buffer.read())
-    unused.cancel()
-    if not request.getbuffer():  # the parent has no work, or has ended
-        return
+    """The child's main function: reads arrays from standard input, and writes arrays to standard output and what it
+    reports to standard error.
+    """
+    work: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=[work], daemon=True).start()
+    try:
+        code = _worked(io.BytesIO(work.get(timeout=IDLE)))
+    except queue.Empty:
+        code = EXIT_IDLE
+    except MemoryError:
+        code = EXIT_MEMORY
+    except OSError as error:
+        code = EXIT_DISK
+        with suppress(OSError):  # what it reports may be on the same disk
+            _say(errno.errorcode.get(error.errno or 0, "EIO"))
+    os._exit(code)  # not by Python's own end, which would report a full disk once more
+
+
+def _listen(work: queue.SimpleQueue[bytes]) -> None:
+    """Reads the request, then waits for the end of standard input, which tells that the parent has ended, however that
+    was, and ends this process with it. Also while it meshes, because compiled code lets other threads run.
+    """
+    try:
+        (size,) = struct.unpack("<Q", sys.stdin.buffer.read(8))
+        work.put(sys.stdin.buffer.read(size))
+        os.read(0, 1)  # nothing comes
+    finally:
+        os._exit(1)
+
+
+def _worked(request: io.BytesIO) -> int:
+    """Meshes what the request says. Returns the exit code."""
     load = functools.partial(np.load, request, allow_pickle=False)
     fault, (nodes, time_limit, memory_limit_gb, pin_radius, resolution) = load(), load().tolist()
     body, cage, bones = (load(), load()), (load(), load()), load()
@@ -321,16 +375,16 @@ def _child() -> None:
             arrays = _filled(cage, body, bones, pin_radius, target_nodes)
         else:
             arrays = _wrapped(body, bones, pin_radius, target_nodes, resolution)
-        _answer(arrays)
     except (Error, ValueError) as error:
-        print(error, file=sys.stderr)
+        _say(error)
         codes: dict[type[Exception], int] = {_MesherFailed: EXIT_MESHER, Error: EXIT_ERROR}
-        sys.exit(codes.get(type(error), EXIT_CALLER))
-    except MemoryError:
-        sys.exit(EXIT_MEMORY)
-    except OSError as error:
-        print(errno.errorcode.get(error.errno or 0, "EIO"), file=sys.stderr)
-        sys.exit(EXIT_DISK)
+        return codes.get(type(error), EXIT_CALLER)
+    _answer(arrays)
+    return 0
+
+
+def _say(what: object) -> None:
+    print(what, file=sys.stderr, flush=True)
 
 
 def _end_after(seconds: float) -> None:
@@ -454,7 +508,7 @@ def _filled(
 
 
 def _report(attempt: int, done: float) -> bool:
-    print(1 - 0.1**attempt * (1 - 0.9 * done), file=sys.stderr, flush=True)
+    _say(1 - 0.1**attempt * (1 - 0.9 * done))
     return True
 
 
