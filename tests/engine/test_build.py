@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What building makes of a character: the cage alone first, painted firmness, and why a model is out of date."""
 
+import threading
 from dataclasses import replace
 
 import dynamorph
@@ -119,7 +120,7 @@ def test_only_the_cage_is_built_and_then_built_on(cage, monkeypatch):
     assert len(cage.tets) and cage.summary.nodes == len(cage.nodes) and 0 < cage.summary.pinned < len(cage.nodes)
     assert stale_reasons(cage, bar()) == ["only the cage is built"]
     stored = building.Model.from_arrays(*model_file.unpack(model_file.pack(*cage.to_arrays())))
-    monkeypatch.setattr(dynamorph, "mesh_body", None)  # must not be needed
+    monkeypatch.setattr(dynamorph, "Meshing", None)  # must not be needed
     model = build(bar(), previous=stored)
     np.testing.assert_array_equal(model.tets, cage.tets)
     np.testing.assert_array_equal(model.pinned, cage.pinned)
@@ -187,7 +188,7 @@ def test_only_what_depends_on_an_edit_is_built_again(edit, hold, monkeypatch):
     assert first_part(building.changes(previous, after)) == part
     fresh = build(after)
     if part != CAGE:
-        for name in ("mesh_body", "MeshCut", "embed", "fill_fractions", "Thickness"):
+        for name in ("Meshing", "MeshCut", "embed", "fill_fractions", "Thickness"):
             monkeypatch.setattr(dynamorph, name, None)  # must not be needed
     stored = building.Model.from_arrays(*model_file.unpack(model_file.pack(*previous.to_arrays())))
     again = build(after, previous=stored)
@@ -199,14 +200,32 @@ def test_what_is_static_has_no_cage():
         build_cage(bar(method="STATIC"))
 
 
-def test_progress_of_the_cage_is_the_whole_progress(cage):
+@pytest.mark.parametrize("hold", ["BONES", "THICKNESS"])
+def test_progress_of_the_cage_is_the_whole_progress(hold):
     heard = []
-    build_cage(bar(cage_nodes=200), lambda fraction, message: heard.append((fraction, message)) or True)
+    build_cage(bar(cage_nodes=200, hold=hold), lambda fraction, message: heard.append((fraction, message)) or True)
     fractions = [fraction for fraction, _ in heard]
     assert fractions == sorted(fractions) and fractions[0] == 0 and fractions[-1] > 0.85
     assert {message for _, message in heard} == {"Meshing", "Embedding"}
     with pytest.raises(dynamorph.Cancelled):
         build_cage(bar(cage_nodes=200), lambda fraction, message: message != "Embedding")
+
+
+def test_the_thickness_is_found_while_another_process_meshes(monkeypatch, children):
+    """In this thread. What ends it ends that process."""
+    threads, of = threading.enumerate(), bar(cage_nodes=200, hold="THICKNESS")
+
+    def found(*_):
+        assert children[0].poll() is None and threading.enumerate() == threads
+        raise ZeroDivisionError
+
+    monkeypatch.setenv("DYNAMORPH_MESHER_FAULT", "hang")
+    with monkeypatch.context() as patch, pytest.raises(ZeroDivisionError):
+        patch.setattr(dynamorph, "Thickness", found)
+        build_cage(of)
+    with pytest.raises(dynamorph.Cancelled):
+        build_cage(of, lambda _fraction, _message: not children[1:])
+    assert len(children) == 2 and all(child.returncode is not None for child in children)
 
 
 def test_models_of_another_engine_are_out_of_date(monkeypatch, cage):

@@ -430,6 +430,34 @@ def test_a_mesher_that_died_takes_nobody_along():
     assert (run.returncode, run.stdout) == (0, "it goes on set() set()\n")
 
 
+def test_it_meshes_while_the_caller_does_something_else(children):
+    with dynamorph.Meshing(*sphere(), 300) as meshing:
+        assert children[0].wait(60) == 0  # nobody asks for the result yet
+        *cage, mesh = meshing.result()
+    *expected_cage, expected = dynamorph.mesh_body(*sphere(), 300)
+    for found, other in zip(
+        (*cage, mesh.nodes, mesh.tets), (*expected_cage, expected.nodes, expected.tets), strict=True
+    ):
+        np.testing.assert_array_equal(found, other)
+
+
+@pytest.mark.fault("C03")
+def test_another_cage_is_tried_when_the_result_is_asked_for(monkeypatch, children):
+    monkeypatch.setenv("DYNAMORPH_MESHER_FAULT", "crash once")
+    with dynamorph.Meshing(*box(), 300) as meshing:
+        assert children[0].wait(60) == -signal.SIGSEGV
+        assert abs(len(meshing.result()[2].nodes) / 300 - 1) < 0.2
+    assert len(children) == 2 and all(child.returncode is not None for child in children)
+
+
+def test_meshing_ends_with_its_statement(monkeypatch, children):
+    monkeypatch.setenv("DYNAMORPH_MESHER_FAULT", "hang")
+    with pytest.raises(ZeroDivisionError), dynamorph.Meshing(*box(), 300):
+        assert children[0].poll() is None
+        _ = 1 / 0
+    assert children[0].returncode is not None
+
+
 def test_dismissed_meshers_are_gone(children):
     dynamorph.prepare_mesher()
     dynamorph.dismiss_mesher()

@@ -158,7 +158,7 @@ def test_a_fork_that_is_open_is_left_as_it_was(monkeypatch):
 def test_a_cage_that_was_cut_serves_again(monkeypatch):
     of = held_at_bend(0.02)
     cut = build_cage(of)
-    monkeypatch.setattr(dynamorph, "mesh_body", None)  # must not be needed
+    monkeypatch.setattr(dynamorph, "Meshing", None)  # must not be needed
     again = build_cage(of, previous=cut)
     np.testing.assert_array_equal(again.nodes, cut.nodes)
     np.testing.assert_array_equal(again.tets, cut.tets)

@@ -4,6 +4,7 @@
 from importlib import metadata
 
 from dynamorph._core import *  # noqa: F403
+from dynamorph.meshing import Meshing as Meshing
 from dynamorph.meshing import dismiss_mesher as dismiss_mesher
 from dynamorph.meshing import mesh_body as mesh_body
 from dynamorph.meshing import prepare_mesher as prepare_mesher

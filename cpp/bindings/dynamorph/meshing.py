@@ -80,39 +80,82 @@ def mesh_body(
     needs too much memory at all resolutions near the requested one. Raises MemoryError when the system kills the
     mesher, and Cancelled when progress returns False.
     """
-    bones = np.zeros((0, 2, 3)) if bones is None else np.asarray(bones, np.float64)
-    if bones.ndim != 3 or bones.shape[1:] != (2, 3):
-        raise ValueError(f"bones: expected shape (any, 2, 3), got {bones.shape}")
-    arrays = [*_checked(vertices, triangles), *_closed(cage), bones]
-    left = time_limit or 40.0 + target_nodes / 100 + len(arrays[1]) / 20_000
-    resolutions = RESOLUTIONS if cage is None else RESOLUTIONS[:1]
-    failure = None
-    for resolution in resolutions:
-        seconds = left / (1 if resolution == resolutions[-1] else 2)
-        left -= seconds
-        arguments = [target_nodes, seconds, memory_limit_gb, pin_radius, resolution]
+    with Meshing(
+        vertices,
+        triangles,
+        target_nodes,
+        cage=cage,
+        bones=bones,
+        pin_radius=pin_radius,
+        time_limit=time_limit,
+        memory_limit_gb=memory_limit_gb,
+    ) as meshing:
+        return meshing.result(progress)
+
+
+class Meshing:
+    """`mesh_body` in two parts: it begins when this is made, in another process, and `result` waits for it, so that the
+    caller can do something else in between. Use it in a `with` statement, whose end ends that process.
+    """
+
+    def __init__(
+        self,
+        vertices: np.ndarray,
+        triangles: np.ndarray,
+        target_nodes: int,
+        *,
+        cage: Surface | None = None,
+        bones: np.ndarray | None = None,
+        pin_radius: float = 0.4,
+        time_limit: float | None = None,
+        memory_limit_gb: float = 4.0,
+    ) -> None:
+        """Begins. Takes what `mesh_body` does, and raises ValueError and Error like it."""
+        bones = np.zeros((0, 2, 3)) if bones is None else np.asarray(bones, np.float64)
+        if bones.ndim != 3 or bones.shape[1:] != (2, 3):
+            raise ValueError(f"bones: expected shape (any, 2, 3), got {bones.shape}")
+        self._arrays = [*_checked(vertices, triangles), *_closed(cage), bones]
+        self._settings = [target_nodes, memory_limit_gb, pin_radius]
+        self._seconds_left = time_limit or 40.0 + target_nodes / 100 + len(self._arrays[1]) / 20_000
+        self._resolutions = list(RESOLUTIONS if cage is None else RESOLUTIONS[:1])  # those to try yet
+        self._child = self._begun()
+
+    def result(self, progress: ProgressFn | None = None) -> tuple[np.ndarray, np.ndarray, TetMesh]:
+        """Waits for it. Returns and raises what `mesh_body` does."""
+        while True:
+            try:
+                self._child.wait(progress, memory_limit_gb=self._settings[1])
+                break
+            except _MesherFailed as error:
+                if not self._resolutions:
+                    raise Error(str(error)) from None
+            self._child.end()
+            self._child = self._begun()
+        vertices, triangles, nodes, tets = self._child.answer()
+        return vertices, triangles, TetMesh(nodes, tets)
+
+    def __enter__(self) -> Meshing:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._child.end()
+
+    def _begun(self) -> _Child:
+        """A child that meshes at the next resolution."""
+        resolution = self._resolutions.pop(0)
+        seconds = self._seconds_left / (2 if self._resolutions else 1)
+        self._seconds_left -= seconds
+        fault = os.environ.get(FAULT_VARIABLE, "")
+        request = io.BytesIO()
+        for array in (np.array(fault), np.array([*self._settings, seconds, resolution]), *self._arrays):
+            np.save(request, array, allow_pickle=False)
+        child = _take()
         try:
-            return _mesh_in_child(arrays, arguments, progress)
-        except _MesherFailed as error:
-            failure = error
-    raise Error(str(failure))
-
-
-def _mesh_in_child(
-    arrays: list[np.ndarray], arguments: list[float], progress: ProgressFn | None
-) -> tuple[np.ndarray, np.ndarray, TetMesh]:
-    request = io.BytesIO()
-    fault = os.environ.get(FAULT_VARIABLE, "")
-    for array in (np.array(fault), np.array(arguments), *arrays):
-        np.save(request, array, allow_pickle=False)
-    child = _take()
-    try:
-        child.give(request.getvalue())
-        child.wait(progress, memory_limit_gb=arguments[2])
-        vertices, triangles, nodes, tets = child.answer()
-    finally:  # also on KeyboardInterrupt or an exception raised by progress
-        child.end()
-    return vertices, triangles, TetMesh(nodes, tets)
+            child.give(request.getvalue())
+        except BaseException:  # KeyboardInterrupt, say
+            child.end()
+            raise
+        return child
 
 
 # The child, which may be started before there is work for it ----------------------------------------------------------
@@ -363,7 +406,7 @@ def _listen(work: queue.SimpleQueue[bytes]) -> None:
 def _worked(request: io.BytesIO) -> int:
     """Meshes what the request says. Returns the exit code."""
     load = functools.partial(np.load, request, allow_pickle=False)
-    fault, (nodes, time_limit, memory_limit_gb, pin_radius, resolution) = load(), load().tolist()
+    fault, (nodes, memory_limit_gb, pin_radius, time_limit, resolution) = load(), load().tolist()
     body, cage, bones = (load(), load()), (load(), load()), load()
     target_nodes = int(nodes)
     limit_resources(time_limit, memory_limit_gb)

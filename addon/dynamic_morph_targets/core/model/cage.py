@@ -4,18 +4,16 @@
 from __future__ import annotations
 
 import hashlib
-import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
 from .. import firmness as paint
-from ..character import Character
+from ..character import Character, OwnCage
 from ..engine import dynamorph
 from ..geometry import diagonal, triangle_areas, without_cards
 from . import pins
@@ -25,7 +23,6 @@ from .summary import Summary
 
 ProgressFn = Callable[[float, str], bool]  # of a build: how much is done, and what is at hand
 Report = Callable[[float], bool]  # of a stage of it
-Step = TypeVar("Step")
 GRID = (
     2.0**-13
 )  # body sizes; with a finer grid, the last digits of coordinates, which a scale changes, would change the mesh
@@ -151,14 +148,13 @@ def _cages(character: Character, surface: np.ndarray) -> dict[int, Character]:
     return cages
 
 
-def _in_turn(steps: Iterable[Step], report: Report) -> list[tuple[Step, Report]]:
-    """The steps, each with a progress of its own; they take similar times."""
-    listed = list(steps)
+def _turns(count: int, report: Report) -> list[Report]:
+    """The progress of each of so many steps; they take similar times."""
 
     def of_turn(turn: int) -> Report:
-        return lambda fraction: report((turn + fraction) / len(listed))
+        return lambda fraction: report((turn + fraction) / count)
 
-    return [(step, of_turn(turn)) for turn, step in enumerate(listed)]
+    return [of_turn(turn) for turn in range(count)]
 
 
 @dataclass(frozen=True)
@@ -190,8 +186,8 @@ def _new(
         defects = dynamorph.closed_surface(surface, character.triangles)[2]  # first: it refuses with advice
         meshes, body = _meshed(character, contents, surface, report)
     with stages("Embedding", 0.03) as report:
-        each_filled = _in_turn(zip(contents.values(), meshes, strict=True), report)
-        cages = [_filled(*each, surface, turn) for each, turn in each_filled]
+        each_filled = zip(contents.values(), meshes, _turns(len(meshes), report), strict=True)
+        cages = [_filled(each, mesh, surface, turn) for each, mesh, turn in each_filled]
         mesh, embedding = _together(character.cage_index, list(contents), cages)
         filled = _Filled(
             mesh,
@@ -245,45 +241,61 @@ def _alike(embedding: dynamorph.Embedding, coincident: np.ndarray) -> dynamorph.
 def _meshed(
     character: Character, contents: dict[int, Character], surface: np.ndarray, report: Report
 ) -> tuple[list[dynamorph.TetMesh], BodyThickness | None]:
-    """The tetrahedra of each cage, and the thickness of the body where that holds it. The meshers are other processes:
-    the thickness is found at the same time.
+    """The tetrahedra of each cage, and the thickness of the body where that holds it. It is found while another process
+    meshes the first cage.
     """
-
-    def mesh_all() -> list[dynamorph.TetMesh]:
-        return [_tetrahedra(each, surface, turn) for each, turn in _in_turn(contents.values(), report)]
-
-    if character.settings.hold == "BONES":
-        return mesh_all(), None
-    ended = threading.Event()
-    with ThreadPoolExecutor(1) as beside:
-        body = beside.submit(BodyThickness.of, *_enclosing(character), lambda _done: not ended.is_set())
-        try:
-            meshes = mesh_all()
-        except BaseException:
-            ended.set()
-            raise
-    return meshes, body.result()
+    by_thickness = character.settings.hold != "BONES"
+    turns = iter(_turns(by_thickness + len(contents), report))
+    meshes: list[dynamorph.TetMesh] = []
+    body = None
+    for each in contents.values():
+        with _begun(each, surface) as meshing:
+            if by_thickness and not meshes:
+                body = BodyThickness.of(*_enclosing(character), next(turns))
+            meshes.append(_tetrahedra(each, surface, meshing, next(turns)))
+    return meshes, body
 
 
-def _tetrahedra(character: Character, surface: np.ndarray, report: Report) -> dynamorph.TetMesh:
+def _begun(character: Character, surface: np.ndarray) -> dynamorph.Meshing:
+    """The mesher of a cage, at work."""
     settings, cage = character.settings, character.cage
-    grid = GRID * 2.0 ** np.floor(np.log2(diagonal(surface[np.unique(character.triangles)])))
-    skin, bones = (np.round(points / grid) * grid for points in (surface, character.bone_segments))
-    try:
-        _, _, mesh = dynamorph.mesh_body(
-            skin,
+    with _named(cage):
+        return dynamorph.Meshing(
+            _snapped(surface, character, surface),
             character.triangles,
             settings.cage_nodes,
             cage=cage and cage[1:],
-            bones=bones if settings.hold == "BONES" else None,
+            bones=_snapped(character.bone_segments, character, surface) if settings.hold == "BONES" else None,
             pin_radius=settings.pin_radius,
-            progress=report,
         )
+
+
+def _tetrahedra(
+    character: Character, surface: np.ndarray, meshing: dynamorph.Meshing, report: Report
+) -> dynamorph.TetMesh:
+    """What that mesher makes."""
+    cage = character.cage
+    with _named(cage):
+        mesh = meshing.result(report)[2]
+    if character.settings.hold == "BONES":  # for whose lines nodes were placed
+        return mesh
+    skin = _snapped(surface, character, surface)
+    return dynamorph.symmetric_like(mesh, *(cage[1:] if cage else (skin, character.triangles)))
+
+
+def _snapped(points: np.ndarray, character: Character, surface: np.ndarray) -> np.ndarray:
+    """The points on the grid of the character's skin."""
+    grid = GRID * 2.0 ** np.floor(np.log2(diagonal(surface[np.unique(character.triangles)])))
+    return np.round(points / grid) * grid
+
+
+@contextmanager
+def _named(cage: OwnCage | None) -> Iterator[None]:
+    """Errors name the artist's own cage, if that is what is filled."""
+    try:
+        yield
     except dynamorph.Error as error:
         raise dynamorph.Error(f"Cage Object '{cage.name}': {error}") if cage else error from None
-    if settings.hold == "BONES":  # for whose lines nodes were placed
-        return mesh
-    return dynamorph.symmetric_like(mesh, *(cage[1:] if cage else (skin, character.triangles)))
 
 
 def _outside(character: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> list[str]:
