@@ -22,8 +22,8 @@ define configure
 endef
 compile = $(python) tools/compile.py $(jobs) "$(filter-out build modules module,$(MAKECMDGOALS))"
 # numpy.bool: the same stub with NumPy 1, which has no such name.
-stubgen = $(python) -W ignore -m pybind11_stubgen dynamorph._core --exit-code \
-	--enum-class-locations '.*:dynamorph._core' --ignore-unresolved-names 'numpy\.bool'
+stubgen = for module in _core _mesher; do $(python) -W ignore -m pybind11_stubgen dynamorph.$$module --exit-code \
+	--enum-class-locations '.*:dynamorph._core' --ignore-unresolved-names 'numpy\.bool' -o $(1) || exit 1; done
 
 # What can be made; `make -C evidence help` lists what makes the pages.
 help:
@@ -33,7 +33,7 @@ help:
 setup:
 	@tools/setup.sh
 
-# The engine, its C++ tests, and its module for each Python in .venv.
+# The engine, its C++ tests, and its modules for each Python in .venv.
 build: setup
 	$(configure)
 	@$(compile)
@@ -71,7 +71,7 @@ format: setup
 	@$(tools)clang-format -i $(c_sources)
 
 # Style, formatting, types, workflows, subjects of commits, and whether
-# the stubs fit the compiled module.
+# the stubs fit the compiled modules.
 lint: build
 	@git log --since=2026-11-29T07:00Z --format=%s 2>/dev/null | awk 'length > 72 { bad = 1; \
 		print "lint: the subject of a commit has more than 72 characters: " $$0 } END { exit bad }'
@@ -84,12 +84,13 @@ lint: build
 	@$(tools)check-jsonschema --quiet --builtin-schema vendor.github-issue-forms .github/ISSUE_TEMPLATE/*_*.yml
 	@$(tools)check-jsonschema --quiet --builtin-schema vendor.github-issue-config .github/ISSUE_TEMPLATE/config.yml
 	@$(tools)zizmor --quiet --no-progress --offline $(workflows) >build/zizmor.log || { cat build/zizmor.log; exit 1; }
-	@$(stubgen) -o build/stubs
-	@diff -u cpp/bindings/dynamorph/_core.pyi build/stubs/dynamorph/_core.pyi || { echo 'Run make stubs.'; exit 1; }
+	@$(call stubgen,build/stubs)
+	@for stub in _core.pyi _mesher.pyi; do diff -u cpp/bindings/dynamorph/$$stub build/stubs/dynamorph/$$stub || \
+		{ echo 'Run make stubs.'; exit 1; }; done
 
-# The stubs of the engine's module, as it is compiled now.
+# The stubs of the engine's modules, as they are compiled now.
 stubs: build
-	@$(stubgen) -o cpp/bindings
+	@$(call stubgen,cpp/bindings)
 
 # After a change of the motion that is meant: the bytes that the engine
 # computes, of every compiler and instruction set that runs here, in

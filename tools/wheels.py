@@ -38,24 +38,28 @@ class Platform:
     system: str  # CMake's
     processor: str  # CMake's
     tag: str  # of the wheel
-    module: str  # the file name of the module, with {} for 311
+    suffix: str  # of the modules' names, with {} for 311
     debian: str  # the processor whose pyconfig.h fits
+
+    def modules(self, python: str) -> list[str]:
+        """The file names of a wheel's modules."""
+        return [name + self.suffix.format(python.replace(".", "")) for name in ("_core", "_mesher")]
 
 
 # By Blender's names. macOS has Linux's sizes of all types, and its headers ask pyconfig.h for little else.
 PLATFORMS = {
     "linux-x64": Platform("x86_64-linux-gnu.2.28", "Linux", "x86_64", "manylinux_2_28_x86_64",
-                          "_core.cpython-{}-x86_64-linux-gnu.so", "amd64"),
+                          ".cpython-{}-x86_64-linux-gnu.so", "amd64"),
     "linux-arm64": Platform("aarch64-linux-gnu.2.28", "Linux", "aarch64", "manylinux_2_28_aarch64",
-                            "_core.cpython-{}-aarch64-linux-gnu.so", "arm64"),
+                            ".cpython-{}-aarch64-linux-gnu.so", "arm64"),
     "windows-x64": Platform("x86_64-windows-gnu", "Windows", "AMD64", "win_amd64",
-                            "_core.cp{}-win_amd64.pyd", "windows"),
+                            ".cp{}-win_amd64.pyd", "windows"),
     "windows-arm64": Platform("aarch64-windows-gnu", "Windows", "ARM64", "win_arm64",
-                              "_core.cp{}-win_arm64.pyd", "windows"),
+                              ".cp{}-win_arm64.pyd", "windows"),
     "macos-arm64": Platform("aarch64-macos.11.0", "Darwin", "arm64", "macosx_11_0_arm64",
-                            "_core.cpython-{}-darwin.so", "arm64"),
+                            ".cpython-{}-darwin.so", "arm64"),
     "macos-x64": Platform("x86_64-macos.11.0", "Darwin", "x86_64", "macosx_11_0_x86_64",
-                          "_core.cpython-{}-darwin.so", "amd64"),
+                          ".cpython-{}-darwin.so", "amd64"),
 }  # fmt: skip
 SUITES = {"3.11": "bookworm", "3.13": "trixie", "3.14": "sid"}  # the Debian release that has each Python
 # Blender 5.2, with Python 3.13, is not made for Intel's Macs; Python 3.14 is that of Debian's own Blender.
@@ -208,8 +212,8 @@ def compile_modules(name: str, pythons: list[str], tests: bool) -> Path:
         headers = python_headers(python)
         if platform.system == "Windows":
             import_library(python, headers / platform.debian, platform, folder)
-        module = platform.module.format(python.replace(".", "")).removeprefix("_core")
-        modules.append(f"{python}|{headers / platform.debian}|{module}")
+        suffix = platform.suffix.format(python.replace(".", ""))
+        modules.append(f"{python}|{headers / platform.debian}|{suffix}")
     include = library_headers()
     # No path of this machine in the files, and no undefined behavior checks, which are zig's default.
     flags = f"-isystem {include} -fno-sanitize=undefined -ffile-prefix-map={ROOT}=. -ffile-prefix-map={WORK}=build"
@@ -239,7 +243,7 @@ def compile_modules(name: str, pythons: list[str], tests: bool) -> Path:
 
 
 def template() -> Path:
-    """The wheel without a module, unpacked: what does not depend on the system."""
+    """The wheel without its modules, unpacked: what does not depend on the system."""
     folder = WORK / "template"
     shutil.rmtree(folder, ignore_errors=True)
     pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation")
@@ -252,12 +256,11 @@ def pack(source: Path, build: Path, name: str, python: str) -> Path:
     """The wheel of a platform and a Python, with its list of components."""
     import sbom  # needs packages that tests of this module do without
 
-    platform, number = PLATFORMS[name], python.replace(".", "")
     stage = WORK / "stage" / source.name
     shutil.rmtree(stage, ignore_errors=True)
     shutil.copytree(source, stage)
-    module = platform.module.format(number)
-    shutil.copy2(build / "python/dynamorph" / module, stage / "dynamorph")
+    for module in PLATFORMS[name].modules(python):
+        shutil.copy2(build / "python/dynamorph" / module, stage / "dynamorph")
     information = stage / f"dynamorph-{version()}.dist-info"
     tag = wheel_path(name, python).stem.removeprefix(f"dynamorph-{version()}-")
     wheel = (information / "WHEEL").read_text(encoding="utf-8")
@@ -293,29 +296,16 @@ def add_on() -> Path:
 SYSTEM_LIBRARIES = {
     "Linux": r"lib(c|m|dl|pthread|rt)\.so\.\d+|ld-linux-(x86-64|aarch64)\.so\.\d",
     "Windows": r"(?i)(kernel32|ntdll|ucrtbase|bcrypt|python3\d+|api-ms-win-crt-[\w-]+)\.dll",
-    "Darwin": r"/usr/lib/libSystem\.B\.dylib|@rpath/_core\..*",  # the latter is its own name
+    "Darwin": r"/usr/lib/libSystem\.B\.dylib|@rpath/_(core|mesher)\..*",  # the latter is its own name
 }
 
 
 def check(wheel: Path, name: str, python: str) -> str:
-    """What a wheel's module is and loads, in one line. Ends the program if it would load what not everybody has."""
-    import lief
-
-    lief.logging.disable()  # it complains of details that no loader reads
+    """What a wheel's modules are and load, in one line. Ends the program if they would load what not everybody has."""
     platform = PLATFORMS[name]
-    module = platform.module.format(python.replace(".", ""))
     with zipfile.ZipFile(wheel) as archive:
-        data, names = archive.read(f"dynamorph/{module}"), set(archive.namelist())
-    binary = lief.parse(data)
-    libraries = sorted(str(getattr(each, "name", each)) for each in binary.libraries)
-    foreign = [each for each in libraries if not re.fullmatch(SYSTEM_LIBRARIES[platform.system], each)]
-    exported = sorted({each.name.lstrip("_") for each in binary.exported_functions if "PyInit" in each.name})
-    if foreign or exported != ["PyInit__core"]:
-        sys.exit(f"wheels: {wheel.name} loads {foreign} and exports {exported}")
-    if name == "macos-arm64" and not binary.has_code_signature:
-        sys.exit(f"wheels: {wheel.name} has no signature, without which macOS does not load it")
-    if str(ROOT).encode() in data:
-        sys.exit(f"wheels: {wheel.name} names folders of this machine")
+        names = set(archive.namelist())
+        loaded = {each for module in platform.modules(python) for each in check_module(archive, module, name)}
     if platform.system == "Linux":
         shown = run(TOOLS / "auditwheel", "show", wheel, env=os.environ | {"PATH": f"{TOOLS}:{os.environ['PATH']}"})
         policy = platform.tag.removesuffix(f"_{platform.processor}")
@@ -329,7 +319,26 @@ def check(wheel: Path, name: str, python: str) -> str:
         with zipfile.ZipFile(next(Path(folder).glob("*.whl"))) as archive:
             if added := {each for each in archive.namelist() if not each.endswith("/")} - names:
                 sys.exit(f"wheels: {wheel.name} is not whole: repairwheel adds {sorted(added)}")
-    return ", ".join(libraries)
+    return ", ".join(sorted(loaded))
+
+
+def check_module(archive: zipfile.ZipFile, module: str, platform: str) -> list[str]:
+    """The libraries that a module of a wheel loads, after the checks of that module alone."""
+    import lief
+
+    lief.logging.disable()  # it complains of details that no loader reads
+    data, where = archive.read(f"dynamorph/{module}"), f"{module} for {platform}"
+    binary = lief.parse(data)
+    libraries = [str(getattr(each, "name", each)) for each in binary.libraries]
+    foreign = [each for each in libraries if not re.fullmatch(SYSTEM_LIBRARIES[PLATFORMS[platform].system], each)]
+    exported = {each.name.lstrip("_") for each in binary.exported_functions if "PyInit" in each.name}
+    if foreign or exported != {f"PyInit_{module.partition('.')[0]}"}:
+        sys.exit(f"wheels: {where} loads {foreign} and exports {sorted(exported)}")
+    if platform == "macos-arm64" and not binary.has_code_signature:
+        sys.exit(f"wheels: {where} has no signature, without which macOS does not load it")
+    if str(ROOT).encode() in data:
+        sys.exit(f"wheels: {where} names folders of this machine")
+    return libraries
 
 
 # ---------------------------------------------------------------------------------------------------------------------

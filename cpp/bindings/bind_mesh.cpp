@@ -11,7 +11,6 @@
 #include "dynamorph/mesh/pins.hpp"
 #include "dynamorph/mesh/symmetry.hpp"
 #include "dynamorph/mesh/tet_mesh.hpp"
-#include "dynamorph/mesh/tetrahedralize.hpp"
 #include "dynamorph/mesh/thickness.hpp"
 
 using namespace dynamorph;
@@ -113,19 +112,6 @@ last, and the counts of defects by name. Raises Error when the input is empty, f
 vertices (V, 3): meters. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel. Returns
 vertices (C, 3) and outward triangles (D, 3). Raises Error when the input is empty, flat, not finite, or not between 1e-6
 and 1e6 m across.)");
-  m.def(
-      "tetrahedralize",
-      [](const FloatArray& vertices, const IndexArray& faces, int target_nodes, const FloatArray& inner) {
-        const Points v = points(vertices, "vertices"), more = points(inner, "inner");
-        const Triangles f = triangles(faces);
-        return without_gil([&] { return tetrahedralize(v, f, target_nodes, more); });
-      },
-      "vertices"_a, "triangles"_a, "target_nodes"_a, "inner"_a = Points(0, 3),
-      R"(Fills a closed surface that does not intersect itself with about `target_nodes` nodes.
-
-vertices (V, 3): meters; they become the first nodes. triangles (T, 3): vertex indices. inner (k, 3): points inside that
-become nodes too. Raises Error when the surface cannot be filled. On some input this crashes or hangs; `mesh_body` runs
-it in a child process.)");
 }
 
 void bind_body_in_mesh(py::module_& m) {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-# find_package(dynamorph) -> target dynamorph::dynamorph
+# find_package(dynamorph) -> targets dynamorph::dynamorph, and dynamorph::mesher, which has TetGen
 include(CMakeFindDependencyMacro)
 find_dependency(Threads)
 find_path(DYNAMORPH_EIGEN_INCLUDE Eigen/Dense PATH_SUFFIXES eigen3)

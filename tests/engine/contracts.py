@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Calls of the binding with bad input, made from the types in its stub, for test_contracts.py.
+"""Calls of the binding with bad input, made from the types in its stubs, for test_contracts.py.
 
 For each function, method, setter and constructor CALLS has one good call. Each of its parameters is then replaced by
 what its type invites: numbers that are none, integers out of range, arrays of another shape or type, None.
@@ -20,9 +20,10 @@ from types import SimpleNamespace
 
 import dynamorph
 import numpy as np
+from dynamorph import _mesher
 from scenes import bar, tube
 
-STUB = Path(dynamorph.__file__).with_name("_core.pyi")
+STUBS = [Path(dynamorph.__file__).with_name(name) for name in ("_core.pyi", "_mesher.pyi")]
 EXPECTED = (ValueError, TypeError, OverflowError, dynamorph.Error, dynamorph.Cancelled)
 
 
@@ -52,7 +53,7 @@ def scene() -> SimpleNamespace:
     vertices, faces = tube(6, 8)
     s.vertices = vertices
     s.triangles = np.array([[f[0], f[k], f[k + 1]] for f in faces for k in range(1, len(f) - 1)], np.int32)
-    s.tube = dynamorph.tetrahedralize(vertices, s.triangles, 120)
+    s.tube = dynamorph.TetMesh(*_mesher.tetrahedralize(vertices, s.triangles, 120))
     s.embedding = dynamorph.embed(s.mesh, 0.9 * s.nodes[::2])
     s.points = 0.9 * s.nodes[::2]
     skin = {"rest": s.points, "embedding": s.embedding, "weights": np.ones((len(s.points), 1))}
@@ -177,7 +178,7 @@ def going(_fraction: float) -> bool:
 
 @cache
 def calls() -> dict[str, tuple[object, dict]]:
-    """For each callable of the stub, by name: what has it, and the arguments of a good call."""
+    """For each callable of the stubs, by name: what has it, and the arguments of a good call."""
     s = scene()
     lib, material = dynamorph, s.material
     q, r = np.zeros(s.full.dofs), np.zeros(s.reduced.dofs)
@@ -266,7 +267,7 @@ def calls() -> dict[str, tuple[object, dict]]:
         "reduce": (lib, {"model": s.full, "U": s.basis.U, "progress": going}),
         "symmetric_like": (lib, {"mesh": s.tube, **skin}),
         "set_threads": (lib, {"limit": 2}),
-        "tetrahedralize": (lib, {**skin, "target_nodes": 120, "inner": np.array([[0.0, 0.0, 1.0]])}),
+        "tetrahedralize": (_mesher, {**skin, "target_nodes": 120, "inner": np.array([[0.0, 0.0, 1.0]])}),
         "unpack_model": (lib, {"buffer": b"\0" * 16}),
     }  # fmt: skip
     for kind, model, zero in (("FullModel", s.full, q), ("ReducedModel", s.reduced, r)):
@@ -280,16 +281,16 @@ def calls() -> dict[str, tuple[object, dict]]:
     return found
 
 
-# What the stub says --------------------------------------------------------------------------------------------------
+# What the stubs say --------------------------------------------------------------------------------------------------
 
 
 @cache
 def declared() -> dict[str, dict[str, str]]:
-    """The types of the parameters of each callable in the stub, by name; of overloads the first. Enumerations and
+    """The types of the parameters of each callable in the stubs, by name; of overloads the first. Enumerations and
     exceptions are left out: pybind11 makes them.
     """
     found: dict[str, dict[str, str]] = {}
-    for node in ast.parse(STUB.read_text(encoding="utf-8")).body:
+    for node in (each for stub in STUBS for each in ast.parse(stub.read_text(encoding="utf-8")).body):
         if isinstance(node, ast.FunctionDef):
             found.setdefault(node.name, types_of(node))
         elif isinstance(node, ast.ClassDef) and not node.bases and not is_enumeration(node):

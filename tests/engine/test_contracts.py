@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Every callable of the binding refuses bad input with an error that says so, or gives numbers: it never crashes or
-hangs, and no NaN comes out. The calls are made from the types in the stub (contracts.py), in a process of their own.
+hangs, and no NaN comes out. The calls are made from the types in the stubs (contracts.py), in a process of their own.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def test_the_good_calls_are_good():
             assert not contracts.has_nan(contracts.call(name, arguments)), name
 
 
-def test_each_callable_of_the_stub_has_one():
+def test_each_callable_of_the_stubs_has_one():
     assert contracts.declared().keys() == contracts.calls().keys()
     for name, types in contracts.declared().items():
         assert types.keys() == contracts.calls()[name][1].keys(), name

@@ -10,6 +10,7 @@ import scenes
 from dynamic_morph_targets.core.errors import FitError, ModelFileError
 from dynamic_morph_targets.core.material import oscillation
 from dynamic_morph_targets.io import model_file
+from dynamorph import _mesher
 from fuzzing import EDIT, corpus, edited, target
 from hypothesis import example
 from hypothesis import strategies as st
@@ -131,7 +132,7 @@ class Prepared:
         poses[1, 1:3, 1:3] = [[0.6, -0.8], [0.8, 0.6]]
         skin, polygons = scenes.tube(5, 6)
         triangles = np.array([[f[0], f[k], f[k + 1]] for f in polygons for k in range(1, len(f) - 1)], np.int32)
-        cage = dm.tetrahedralize(skin, triangles, 60)
+        cage = dm.TetMesh(*_mesher.tetrahedralize(skin, triangles, 60))
         heads, tails = np.array([[0.0, 0.0, 0.2]]), np.array([[0.0, 0.0, 1.8]])
         embedding = dm.embed(mesh, 0.9 * nodes)
         space = dm.PoseSpace([dm.TargetSet([1], ["a", "b"], [np.repeat(np.eye(4)[None], 2, 0), poses])])

@@ -15,7 +15,7 @@ from unittest import mock
 import dynamorph
 import numpy as np
 import pytest
-from dynamorph import meshing
+from dynamorph import _mesher, meshing
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 BOX_TRIANGLES = np.array([*map(int, "021123456576014154263367042246135375")]).reshape(-1, 3)
@@ -243,16 +243,34 @@ def test_callers_mistakes_name_the_parameter(call, message):
 def test_self_intersecting_cage_is_refused_with_advice(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(dynamorph.Error, match="intersects itself.*Remove"):
-        dynamorph.tetrahedralize(*join(box(), box(center=(0.4, 0.3, 0.2))), 300)
+        _mesher.tetrahedralize(*join(box(), box(center=(0.4, 0.3, 0.2))), 300)
     assert not list(tmp_path.iterdir())  # TetGen likes to leave files
 
 
 def test_open_cage_is_refused_with_advice():
     with pytest.raises(dynamorph.Error, match="closed"):
-        dynamorph.tetrahedralize(box()[0], BOX_TRIANGLES[:-2], 300)
+        _mesher.tetrahedralize(box()[0], BOX_TRIANGLES[:-2], 300)
 
 
 # --- The child process -----------------------------------------------------------------------------------------------
+
+
+def test_only_the_mesher_has_tetgen():
+    """Whose license is not that of the module that Blender loads."""
+    core, mesher = (Path(module.__file__).read_bytes().lower() for module in (dynamorph._core, _mesher))
+    assert b"tetgen" in mesher and b"tetgen" not in core
+
+
+MESHES_A_TET = """
+import sys, dynamorph, numpy as np
+dynamorph.mesh_body(np.vstack([np.zeros(3), np.eye(3)]), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], 300)
+print(sorted(name for name in sys.modules if name.startswith("dynamorph._")))
+"""
+
+
+def test_only_the_child_loads_tetgen():
+    run = subprocess.run([sys.executable, "-c", MESHES_A_TET], stdout=subprocess.PIPE, text=True, check=True)
+    assert run.stdout == "['dynamorph._core']\n"
 
 
 @pytest.mark.fault("C03", "C07", "C08")

@@ -4,6 +4,7 @@ platforms`."""
 
 import importlib.util
 import re
+import sys
 import sysconfig
 from pathlib import Path
 
@@ -36,6 +37,14 @@ def test_names_of_wheels_are_what_installers_ask_for():
     assert wheels.wheel_path("windows-x64", "3.13").name == f"dynamorph-{wheels.version()}-cp313-cp313-win_amd64.whl"
     for name, platform in wheels.PLATFORMS.items():
         assert wheels.wheel_path(name, "3.11").stem.endswith(platform.tag)
+
+
+def test_names_of_modules_are_what_python_imports():
+    here = sysconfig.get_config_var("EXT_SUFFIX")
+    python = f"{sys.version_info.major}.{sys.version_info.minor}"
+    suffixes = {platform.suffix.format(python.replace(".", "")) for platform in wheels.PLATFORMS.values()}
+    assert here in suffixes
+    assert wheels.PLATFORMS["windows-x64"].modules("3.13")[1] == "_mesher.cp313-win_amd64.pyd"
 
 
 def test_exported_names_are_those_of_pythons_headers():

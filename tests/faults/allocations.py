@@ -23,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import dynamorph as dm
 import scenes
+from dynamorph import _mesher
 
 fail_malloc = ctypes.CDLL(os.environ["LD_PRELOAD"]).fail_malloc
 fail_malloc.argtypes, fail_malloc.restype = [ctypes.c_long], ctypes.c_long
@@ -52,7 +53,7 @@ class Scene:
         self.skin, faces = scenes.tube(5, 6)
         fans = [[f[0], f[k], f[k + 1]] for f in faces for k in range(1, len(f) - 1)]
         self.triangles = np.array(fans, np.int32)
-        self.cage = dm.tetrahedralize(self.skin, self.triangles, 60)
+        self.cage = dm.TetMesh(*_mesher.tetrahedralize(self.skin, self.triangles, 60))
         self.bones = np.hstack([np.eye(3), np.zeros((3, 1))])[None]
         self.moved = self.bones + 0.01 * np.eye(3, 4)[None]
         self.weights = np.array([0.5, 0.5])

@@ -8,7 +8,7 @@ import numpy.typing
 import scipy.sparse
 import typing
 import typing_extensions
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Contact', 'Coupling', 'Deformation', 'Embedding', 'Error', 'FullModel', 'Grabs', 'Integrator', 'LocalResponses', 'MaterialModel', 'MeshCut', 'MorphTarget', 'MotionLimit', 'PoseSpace', 'ReducedModel', 'ReducedTables', 'ResponseBasis', 'SelfContact', 'Simulation', 'Skin', 'SoftBody', 'State', 'StepReport', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'measure_deformation', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'tetrahedralize', 'unpack_model']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Contact', 'Coupling', 'Deformation', 'Embedding', 'Error', 'FullModel', 'Grabs', 'Integrator', 'LocalResponses', 'MaterialModel', 'MeshCut', 'MorphTarget', 'MotionLimit', 'PoseSpace', 'ReducedModel', 'ReducedTables', 'ResponseBasis', 'SelfContact', 'Simulation', 'Skin', 'SoftBody', 'State', 'StepReport', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'measure_deformation', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'unpack_model']
 class Error(RuntimeError):
     """
     A body that cannot be simulated. The message says what to do.
@@ -980,14 +980,6 @@ def symmetric_like(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayL
     Half of the mesh and its mirror image, whose nodes and tets come last, if the mirror image of the skin about the middle
     of one of its axes, X first, is nowhere farther from it than 1/500 of its diagonal. The same mesh otherwise. vertices
     (V, 3): meters. triangles (T, 3): vertex indices.
-    """
-def tetrahedralize(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], target_nodes: typing.SupportsInt | typing.SupportsIndex, inner: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] = ...) -> TetMesh:
-    """
-    Fills a closed surface that does not intersect itself with about `target_nodes` nodes.
-    
-    vertices (V, 3): meters; they become the first nodes. triangles (T, 3): vertex indices. inner (k, 3): points inside that
-    become nodes too. Raises Error when the surface cannot be filled. On some input this crashes or hangs; `mesh_body` runs
-    it in a child process.
     """
 def unpack_model(buffer: typing_extensions.Buffer) -> tuple[dict, str]:
     """

@@ -32,7 +32,6 @@ from dynamorph._core import (
     closed_surface,
     make_cage_surface,
     points_on_bones,
-    tetrahedralize,
 )
 
 TRY_THIS = "Change the cage resolution a little, or merge vertices that are close together."
@@ -381,14 +380,14 @@ def _child() -> None:
     try:
         code = _worked(io.BytesIO(work.get(timeout=IDLE)))
     except queue.Empty:
-        code = EXIT_IDLE
+        os._exit(EXIT_IDLE)  # Python's own end would want standard input, from which the other thread still reads
     except MemoryError:
         code = EXIT_MEMORY
     except OSError as error:
-        code = EXIT_DISK
         with suppress(OSError):  # what it reports may be on the same disk
             _say(errno.errorcode.get(error.errno or 0, "EIO"))
-    os._exit(code)  # not by Python's own end, which would report a full disk once more
+        os._exit(EXIT_DISK)  # Python would try to write the report again, and end with another code
+    sys.exit(code)
 
 
 def _listen(work: queue.SimpleQueue[bytes]) -> None:
@@ -542,12 +541,13 @@ def _filled(
     cage: Surface, body: Surface, bones: np.ndarray, pin_radius: float, target_nodes: int
 ) -> tuple[np.ndarray, ...]:
     """The cage, and the nodes and tets that fill it. Raises _MesherFailed."""
+    from dynamorph._mesher import tetrahedralize  # in the child alone
+
     try:
         inner = points_on_bones(*cage, *body, bones[:, 0], bones[:, 1], pin_radius)
-        mesh = tetrahedralize(*cage, target_nodes, inner)
+        return *cage, *tetrahedralize(*cage, target_nodes, inner)
     except Error as error:
         raise _MesherFailed(str(error)) from error
-    return *cage, mesh.nodes, mesh.tets
 
 
 def _report(attempt: int, done: float) -> bool:

@@ -64,8 +64,9 @@ def test_pip_takes_the_wheels_for_its_python(project, tmp_path):
         run = subprocess.run(command, cwd=project, env={}, capture_output=True, text=True, check=False)
         assert run.returncode == 0, run.stdout + run.stderr
     assert "bake" in run.stdout
-    (engine,) = environment.glob("lib/python*/site-packages/dynamorph/_core*.so")
-    assert MINOR.replace(".", "") in engine.name
+    modules = sorted(environment.glob("lib/python*/site-packages/dynamorph/*.so"))
+    assert [module.name.split(".")[0] for module in modules] == ["_core", "_mesher"]
+    assert all(MINOR.replace(".", "") in module.name for module in modules)
 
 
 def test_the_page_names_the_versions_of_bpy_that_are_tested():
