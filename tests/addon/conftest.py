@@ -16,6 +16,7 @@ from bl_ext.user_default.dynamic_morph_targets.core.model import build  # noqa: 
 from bl_ext.user_default.dynamic_morph_targets.core.motion import simulate  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run import batch  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.scene import model_store  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened  # noqa: E402
 from threaded import Threaded  # noqa: E402
 
 EXIT = pytest.StashKey[int]()
@@ -85,7 +86,7 @@ def stand_in(addon, monkeypatch):
             monkeypatch.setattr(module, name, partial(_call, engine, name))
     monkeypatch.setattr(model_store, "Model", engine.Model)
     monkeypatch.setattr(batch, "Child", Threaded)
-    model_store.forget()
+    opened.models.clear()
     return engine
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import importlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,18 @@ def use_one_thread() -> None:
     """
     if call := _function("set"):
         call(1)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """The same for a while, in a process that is not ours."""
+    before = threads()
+    use_one_thread()
+    try:
+        yield
+    finally:
+        if before and (call := _function("set")):
+            call(before)
 
 
 def threads() -> int:

@@ -123,8 +123,7 @@ class Batch:
                 job.computation = computation
         for number, job in enumerate(self.jobs):
             if job.needs_cage:
-                with job.progress.turn():
-                    job.take_cage((yield from self._asked([job], "make_cage", number)))
+                job.take_cage((yield from self._asked([job], "make_cage", number)))
         for job in self.jobs:
             yield from self._sampled(job, seconds)
 

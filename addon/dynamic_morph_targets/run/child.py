@@ -42,6 +42,16 @@ OFTEN = 0.05  # seconds from one report to the next
 IDLE = 600.0  # seconds after which a process that got no work ends
 KILLED = -9  # on Linux, by the kernel when memory is short
 GENTLE = 10  # how nice a process is that nobody waits for
+# What the artist reads of a process that died twice, and what helps.
+CRASHED = (
+    "'{name}': the process that computes crashed twice. Nothing was changed. {remedy}",
+    "Save the file, start Blender again and try once more. If it stays so, please report it with the messages in the "
+    "console",
+)
+ENDED = (
+    "'{name}': the system ended the process that computes twice. Nothing was changed. {remedy}",
+    "That happens when memory is short: close other programs, or lower Cage Nodes or Modes",
+)
 
 
 class Here:
@@ -53,7 +63,8 @@ class Here:
     def call(self, name: str, *args: Any) -> Answer:
         """What its method `name` returns, or raises."""
         yield
-        return getattr(self.object, name)(*args)
+        with blas.one_thread():
+            return getattr(self.object, name)(*args)
 
     def end(self) -> None:
         """Nothing runs between two calls."""
@@ -134,17 +145,8 @@ class Child:
         self._process.end()
         logger.logger.warning("the process that computes ended with code %s\n%s", code, said)
         if self._died == 2:
-            raise ProcessError(
-                "'{name}': the process that computes {how} twice. Nothing was changed. {remedy}",
-                name=self._name,
-                how=Message("was ended by the system" if code == KILLED else "crashed"),
-                remedy=Message(
-                    "That happens when memory is short: close other programs, or lower Cage Nodes or Modes"
-                    if code == KILLED
-                    else "Save the file, start Blender again and try once more. If it stays so, please report it with "
-                    "the messages in the console"
-                ),
-            )
+            text, remedy = CRASHED if code != KILLED else ENDED
+            raise ProcessError(text, name=self._name, remedy=Message(remedy))
         self._process = take()
         for line in (self.folder, *range(self._calls)):
             self._process.tell(str(line))

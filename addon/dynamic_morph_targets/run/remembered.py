@@ -1,27 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What is remembered of the work that is computed, and of what moves on the screen. Objects by Object.session_uid.
-Never touches bpy.
+
+Never touches bpy, and imports none of the modules whose objects it holds: they import it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..core import states
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from .batch import Work as RunningWork
-    from .child import Child, Process
-    from .expected_error import Measurement
-    from .grabbing import Grabbing
-    from .live_surface import LiveMesh
-    from .preview import Preview
-    from .session import Session
-    from .weight_curves import Reading, RigPoses
 
 
 @dataclass
@@ -31,11 +20,11 @@ class Work:
     first now, in `child`. seconds: of a step in the last bake in Full Quality.
     """
 
-    running: RunningWork | None = None
-    spare: list[Process] = field(default_factory=list)
+    running: Any = None
+    spare: list[Any] = field(default_factory=list)
     errors: dict[str, float] = field(default_factory=dict)
-    measuring: list[Measurement] = field(default_factory=list)
-    child: Child | None = None
+    measuring: list[Any] = field(default_factory=list)
+    child: Any = None
     steps: Iterator[None] = ()  # type: ignore[assignment]
     seconds: dict[int, float] = field(default_factory=dict)
 
@@ -52,20 +41,21 @@ class Live:
     of frame.
     """
 
-    sessions: dict[int, Session] = field(default_factory=dict)
+    sessions: dict[int, Any] = field(default_factory=dict)
     problems: dict[int, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
     suspended: set[int] = field(default_factory=set)
     hidden: list[int] = field(default_factory=list)
     frozen: set[int] = field(default_factory=set)
     any_live: bool | None = None
     asleep: bool = True
-    ahead: dict[int, LiveMesh] = field(default_factory=dict)
-    preview: Preview | None = None
-    hands: Grabbing | None = None
-    colliders: dict[int, tuple[np.ndarray, tuple[int, bool], Any]] = field(default_factory=dict)
-    poses: dict[int, RigPoses] = field(default_factory=dict)
-    reading: Reading | None = None
+    ahead: dict[int, Any] = field(default_factory=dict)
+    preview: Any = None
+    hands: Any = None
+    colliders: dict[int, tuple] = field(default_factory=dict)
+    poses: dict[int, Any] = field(default_factory=dict)
+    reading: Any = None
     bars_drawn: bool = False
 
 
-work, live = states.of(Work), states.of(Live)
+work = states.of(Work)
+live = states.of(Live)

@@ -31,6 +31,7 @@ def _before_load(*_args: object) -> None:
     """load_pre: the job's results would have no place to go, and what is kept in memory belongs to nothing any more."""
     expected_error.cancel()
     batch.stop()
+    child.dismiss()
     heat.forget()
     prepared.forget()
     states.reset()

@@ -5,16 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import Any
 
 import bpy
 
 from ..core import states
-
-if TYPE_CHECKING:
-    from ..core.character import Character
-    from ..core.model.model import Model
-    from .checks import Problem
+from ..core.character import Character
+from ..core.model.model import Model
 
 
 @dataclass
@@ -28,7 +25,7 @@ class OpenFile:
 
     models: dict[tuple[int, str], Model] = field(default_factory=dict)
     drafts: dict[int, tuple[Model, Character]] = field(default_factory=dict)
-    bodies: dict[int, tuple[tuple, list[Problem]]] = field(default_factory=dict)
+    bodies: dict[int, tuple[tuple, list[Any]]] = field(default_factory=dict)
     cuts: dict[int, tuple[tuple, list[str]]] = field(default_factory=dict)
     edits: int = 0
     key_hashes: dict[tuple, tuple] = field(default_factory=dict)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """NumPy's linear algebra has one thread where we compute, and stays as it is in Blender."""
 
-import os
-
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import blas
+from bl_ext.user_default.dynamic_morph_targets.run import batch
 from bl_ext.user_default.dynamic_morph_targets.run.child import Child
 from bl_ext.user_default.dynamic_morph_targets.run.computation import Errand
+from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 
 
 def test_a_process_that_computes_has_one_thread(soft_arm):
@@ -24,4 +24,16 @@ def test_a_process_that_computes_has_one_thread(soft_arm):
         assert end.value == 1
     finally:
         child.end()
-    assert blas.threads() == before == (before if "OPENBLAS_NUM_THREADS" in os.environ else os.cpu_count())
+    assert blas.threads() == before
+
+
+def test_work_in_this_process_has_one_thread_meanwhile(soft_arm, stand_in, monkeypatch):
+    before, seen, build_for = blas.threads(), [], stand_in.build_for
+    monkeypatch.setattr(
+        stand_in, "build_for", lambda *args, **given: seen.append(blas.threads()) or build_for(*args, **given)
+    )
+    batch.run(Job(soft_arm, goal="BAKE"))
+    assert seen == [1] and blas.threads() == before
+    with pytest.raises(KeyError), blas.one_thread():
+        raise KeyError
+    assert blas.threads() == before

@@ -15,6 +15,7 @@ from bl_ext.user_default.dynamic_morph_targets.run import bake_input
 from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
 from bl_ext.user_default.dynamic_morph_targets.run import job as run_job
 from bl_ext.user_default.dynamic_morph_targets.scene import model_store
+from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from builders import rig_of
 
@@ -128,7 +129,7 @@ def test_a_model_that_does_not_fit_is_named(coarse, folder, monkeypatch, beside)
     baked(coarse, goal="BUILD")
     arrays, meta = model_file.unpack(model_store.stored_model(coarse))
     packed = model_file.pack(arrays | {"fill": arrays["fill"][:-1]}, meta)
-    model_store.forget()
+    opened.models.clear()
     file = folder / f"{model_file.content_id(packed)}.dynamorph" if beside else None
     if file:
         disk.save(file, packed)

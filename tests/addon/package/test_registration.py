@@ -5,11 +5,12 @@ import sys
 
 import bpy
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.core import engine
+from bl_ext.user_default.dynamic_morph_targets.run import child, remembered
 from bl_ext.user_default.dynamic_morph_targets.scene import events
 from bl_ext.user_default.dynamic_morph_targets.ui.panels import sections
 from builders import activate, make_arm, make_soft
 from installed import MODULE
+from pressed import in_window
 from test_undo_and_files import handlers
 
 
@@ -68,19 +69,17 @@ def switched_off(addon, scene, timers):
     assert [type(each) for each in left()] == [type(each) for each in installed] and handlers()
 
 
-def test_the_mesher_starts_with_the_click_and_ends_when_disabled(addon, scene, children):
+def test_the_next_process_starts_with_the_click_and_ends_when_disabled(addon, scene, monkeypatch):
     pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
-    engine.dismiss()  # one that a test before has started
+    child.dismiss()  # one that a test before has started
+    in_window(monkeypatch)
     activate(make_arm(scene))
     assert bpy.ops.dynamorph.add_soft_skin() == {"FINISHED"}
-    assert len(children) == 1 and children[0].poll() is None
-    assert bpy.ops.dynamorph.build() == {"FINISHED"}
-    assert len(children) == 1 and children[0].returncode == 0
-    activate(make_arm(scene, "Other"))
-    assert bpy.ops.dynamorph.add_soft_skin() == {"FINISHED"}
+    (spare,) = remembered.work.spare
+    assert spare.waits
     addon.unregister()
     addon.register()
-    assert len(children) == 2 and children[1].returncode is not None
+    assert spare.ended and remembered.work.spare == []
 
 
 def test_each_module_may_fail(switched_off, monkeypatch):

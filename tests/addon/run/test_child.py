@@ -11,6 +11,7 @@ import time
 from functools import partial
 from pathlib import Path
 
+import addon_utils
 import bpy
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from bl_ext.user_default.dynamic_morph_targets.run import batch, child, remember
 from bl_ext.user_default.dynamic_morph_targets.run.child import Child, Here
 from bl_ext.user_default.dynamic_morph_targets.run.computation import Draft, Errand
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from installed import MODULE
 from pressed import Pressed
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
@@ -138,6 +140,7 @@ def test_both_ways_make_the_same_bytes(small, tmp_path, format):
     assert found[0] == found[1] and bool(found[0][4]) == (format == "PC2")
 
 
+@pytest.mark.fault("C10")
 @posix
 @pytest.mark.parametrize("seed", range(KILLS))
 def test_another_process_goes_on_where_one_is_killed(small, tmp_path, seed):
@@ -157,18 +160,22 @@ def test_another_process_goes_on_where_one_is_killed(small, tmp_path, seed):
     assert not [*(tmp_path / "killed").rglob("*.part*")]
 
 
+@pytest.mark.fault("C10")
 @posix
 def test_what_dies_twice_is_not_started_again(small, tmp_path, caplog):
     def kill(work):
         if work.worker and not work.worker.ended and work.fraction > 0.0:
             os.kill(work.worker.pid, signal.SIGKILL)
 
-    with pytest.raises(errors.ProcessError, match="'Arm': the process .* ended by the system twice.*memory is short"):
+    with pytest.raises(
+        errors.ProcessError, match="'Arm': the system ended the process that computes twice.*memory is short"
+    ):
         baked_by(small, Child, tmp_path, kill)
     assert not small.dynamorph.bake.exists and not small.dynamorph.model.content_id
     assert len(caplog.records) == 2 and not [*tmp_path.rglob("*.part*")]
 
 
+@pytest.mark.fault("C10")
 def test_what_crashes_twice_says_where(addon, caplog):
     errand = Child(Errand, heard=lambda _news: None, name="Arm")
     with pytest.raises(errors.ProcessError, match="'Arm': the process that computes crashed twice. Nothing was"):
@@ -191,6 +198,7 @@ for _ in answer:
 """
 
 
+@pytest.mark.fault("C10")
 @posix
 def test_it_ends_when_blender_dies(addon):
     import dynamorph
@@ -207,6 +215,53 @@ def test_it_ends_when_blender_dies(addon):
     while Path(f"/proc/{pid}").exists() and time.monotonic() < ends:
         time.sleep(0.01)
     assert not Path(f"/proc/{pid}").exists() and not Path(folder).exists()
+
+
+def meanwhile(obj, act):
+    """A bake whose button is pressed in a window, with act() once while another process computes; its result."""
+    done = []
+
+    def look(work):
+        if work.fraction > 0.25 and not done:
+            done.append(work.worker)
+            act()
+
+    pressed = Pressed(obj, before_tick=look)
+    assert done[0].ended and not done[0].folder.exists()
+    return pressed
+
+
+@pytest.mark.fault("G01")
+def test_undo_while_another_process_computes(small):
+    for x in (1.0, 2.0):
+        bpy.ops.ed.undo_push(message=f"before {x}")
+        small["moved"] = x
+    bpy.ops.ed.undo_push(message="moved")
+    pressed = meanwhile(small, bpy.ops.ed.undo)
+    assert pressed.result == {"FINISHED"}, pressed.reports
+    assert bpy.data.objects["Arm"].dynamorph.bake.exists
+
+
+@pytest.mark.fault("G02")
+def test_another_file_while_another_process_computes(small):
+    load = partial(bpy.ops.wm.read_homefile, use_factory_startup=True, use_empty=True)
+    assert meanwhile(small, load).result is None and not bpy.data.objects
+
+
+@pytest.mark.fault("G03")
+def test_deleted_while_another_process_computes(small):
+    pressed = meanwhile(small, lambda: bpy.data.objects.remove(bpy.data.objects["Arm"]))
+    assert pressed.result == {"CANCELLED"} and "was deleted" in pressed.reports[0][1]
+
+
+@pytest.mark.fault("G05")
+def test_switched_off_while_another_process_computes(small):
+    def switch_off():
+        addon_utils.disable(MODULE)
+        addon_utils.enable(MODULE)
+
+    assert meanwhile(small, switch_off).result is None
+    assert not bpy.data.objects["Arm"].dynamorph.bake.exists
 
 
 def test_esc_leaves_nothing(small, tmp_path):

@@ -7,6 +7,7 @@ import pytest
 from bl_ext.user_default.dynamic_morph_targets.cli import main
 from bl_ext.user_default.dynamic_morph_targets.core import records
 from bl_ext.user_default.dynamic_morph_targets.core.errors import Cancelled, SceneError
+from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
 from bl_ext.user_default.dynamic_morph_targets.run import batch, remembered
 from bl_ext.user_default.dynamic_morph_targets.run import live as live_module
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
@@ -171,6 +172,12 @@ def test_a_body_that_touches_nothing_is_refused(arms):
     live_module.turn_on(right, bpy.context.scene)
     played(*arms, last=2)
     assert "touches nothing" in live_module.problem(arms[0]) + live_module.problem(right)
+
+
+def test_another_process_simulates_both_to_the_last_byte(arms, monkeypatch):
+    here = [baked.digest(job.outcome.bake) for job in bake_all(*arms)]
+    monkeypatch.setattr(batch, "worker", batch.Child)
+    assert [baked.digest(job.outcome.bake) for job in bake_all(*arms)] == here
 
 
 @pytest.mark.parametrize("fails", [0, 1])

@@ -16,6 +16,7 @@ from bl_ext.user_default.dynamic_morph_targets.core.material import presets
 from bl_ext.user_default.dynamic_morph_targets.run import bake_time, batch, live
 from bl_ext.user_default.dynamic_morph_targets.run.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store, staleness
+from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import jobs
 from bl_ext.user_default.dynamic_morph_targets.write import reconcile, storage
 from bl_ext.user_default.dynamic_morph_targets.write.bake import influence, writer
@@ -179,7 +180,7 @@ def test_a_large_model_stays_behind_and_is_built_again(asset, tmp_path, monkeypa
     assert bake(obj).input.reasons == []
     (tmp_path / "far").mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "far" / "shot.blend"))
-    model_store.forget()
+    opened.models.clear()
     assert "is missing" in bake(obj).input.reasons[0]
 
 

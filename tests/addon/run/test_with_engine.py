@@ -12,6 +12,7 @@ from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
 from bl_ext.user_default.dynamic_morph_targets.run import job as run_job
 from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store
+from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
 from builders import assert_shows, rig_of
 from mathutils import Matrix
 
@@ -80,7 +81,7 @@ def test_a_model_that_was_just_built_is_as_the_stored_one(small_arm, solver):
     job = run(small_arm, goal="BAKE")
     kept = model_store.load_model(small_arm)
     assert kept is job.outcome.stored
-    model_store.forget()
+    opened.models.clear()
     stored = model_store.load_model(small_arm)
     assert stored is not kept and stored.settings == kept.settings and stored.summary.tets == kept.summary.tets
     (arrays, meta), (others, described) = kept.to_arrays(), stored.to_arrays()
@@ -95,7 +96,7 @@ def test_the_models_that_were_used_last_are_kept(addon, monkeypatch):
         SimpleNamespace(session_uid=-number, dynamorph=SimpleNamespace(model=SimpleNamespace(content_id="id")))
         for number in (1, 2, 3)
     )
-    model_store.forget()
+    opened.models.clear()
     model_store.remember(first, "a")
     model_store.remember(second, "b")
     assert model_store.load_model(first) == "a"
@@ -104,7 +105,7 @@ def test_the_models_that_were_used_last_are_kept(addon, monkeypatch):
     assert model_store.load_model(first) == "a"
     with pytest.raises(AssertionError):
         model_store.load_model(second)
-    model_store.forget()
+    opened.models.clear()
 
 
 def stiffer(obj):

@@ -15,6 +15,7 @@ from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
 from bl_ext.user_default.dynamic_morph_targets.run import job as run_job
 from bl_ext.user_default.dynamic_morph_targets.run import remembered
 from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store, rig_motion, run_settings
+from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from builders import StandInShot, activate, fingerprint, hand_made_bake, make_arm, make_soft, refused, rig_of
@@ -136,7 +137,7 @@ def test_a_second_build_replaces_the_first(soft_arm, stand_in):
     for size in (800, 1600):
         stand_in.bytes = size
         bpy.ops.dynamorph.build()
-        model_store.forget()
+        opened.models.clear()
         assert model_store.stale_reasons(soft_arm, extract.character(soft_arm)) == []
 
 
@@ -158,7 +159,7 @@ def test_large_models_go_beside_the_blend(soft_arm, stand_in, tmp_path, monkeypa
     bpy.ops.dynamorph.bake()
     assert stand_in.built == 2
     next((tmp_path / "two" / "dynamorph_models").iterdir()).unlink()
-    model_store.forget()
+    opened.models.clear()
     reasons = model_store.stale_reasons(bpy.data.objects["Arm"], None)
     assert "is missing" in reasons[0]
 
@@ -183,7 +184,7 @@ def test_a_damaged_model_is_built_again(soft_arm, stand_in, damage):
     damaged = damage(list(soft_arm[model_store.PACKED]))
     del soft_arm[model_store.PACKED]
     soft_arm[model_store.PACKED] = damaged
-    model_store.forget()
+    opened.models.clear()
     job = run_job.Job(soft_arm, goal="BAKE")
     batch.run(job)
     assert stand_in.built == 2 and len(job.input.reasons) == 1

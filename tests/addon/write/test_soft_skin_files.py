@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.cli import main
 from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store
+from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from bl_ext.user_default.dynamic_morph_targets.write.export import losses
 from builders import activate, fingerprint, make_arm, rig_of
@@ -84,11 +85,11 @@ def test_a_model_in_a_file_gives_the_same_bytes(skin, tmp_path, monkeypatch):
     monkeypatch.setattr(storage, "PACK_LIMIT", 100)
     OPS.build()
     (file,) = (tmp_path / "dynamorph_models").iterdir()
-    model_store.forget()
+    opened.models.clear()
     assert model_store.PACKED not in skin
     assert exported(tmp_path, "beside").read_bytes() == packed
     file.unlink()
-    model_store.forget()
+    opened.models.clear()
     refused("The model of 'Arm' is missing .* put it back", filepath=str(tmp_path / "none"))
 
 

@@ -57,6 +57,7 @@ def build(
         return _static_model(character, hashes)
     stages = Stages(progress)
     model = _with_tissue(character, hashes, previous, stages)
+    made = model.made
     body = model.soft_body()
     with stages("Target shapes", 0.10):
         _shape_targets(model, body, character.targets)
@@ -76,6 +77,7 @@ def build(
                 basis = _basis(full, len(targets), character.settings, report)
         with stages("Polynomials", 0.20) as report:
             model = _reduced(model, full, basis, report)
+    model.made.update(made)
     fallbacks = _fallbacks(full, character.targets)
     return model.with_summary(
         dofs=full.dofs,
@@ -202,7 +204,7 @@ def repainted(model: Model, character: Character) -> Model:
     """
     mesh = dynamorph.TetMesh(model.nodes, model.tets)
     inherited = cage.inherit(character, mesh, model.embedding)
-    hold = cage.held_by_thickness(character, mesh, inherited, model.fill)
+    hold = cage.held_by_thickness(character, mesh, inherited, model.fill, model.made)
     model = replace(
         model,
         stiffness=hold.stiffness * _factor(inherited.firmness, mesh.tets),
@@ -255,7 +257,7 @@ def _with_tissue(character: Character, hashes: dict[str, str], previous: Model |
         return _with_tissue_of(previous, character, hashes, stages)
     tissue = cage.make_cage(character, previous if _fits(previous, hashes, MESH_DEPENDENCIES) else None, stages)
     hold, painted = tissue.hold, bool((tissue.firmness != firmness.NEUTRAL).any())
-    return _model(
+    model = _model(
         character,
         hashes,
         nodes=tissue.mesh.nodes,
@@ -276,13 +278,15 @@ def _with_tissue(character: Character, hashes: dict[str, str], previous: Model |
         residual_shapes=np.zeros((len(character.targets), len(character.vertices), 3)),
         summary=tissue.summary,
     )
+    model.made.update(tissue.made)
+    return model
 
 
 def _with_tissue_of(previous: Model, character: Character, hashes: dict[str, str], stages: Stages) -> Model:
     """The same of an earlier model that fits. Only the regions may be others."""
     with stages("Embedding", CAGE_SHARE):
         region_weights = cage.region_weights(character, previous)
-    return _model(
+    model = _model(
         character,
         hashes,
         **{name: getattr(previous, name) for name in TISSUE},
@@ -291,6 +295,8 @@ def _with_tissue_of(previous: Model, character: Character, hashes: dict[str, str
         residual_shapes=np.zeros((len(character.targets), len(character.vertices), 3)),
         summary=Summary(**{name: getattr(previous.summary, name) for name in CAGE_FACTS}),
     )
+    model.made.update(cage.kept_depths(previous))
+    return model
 
 
 def _cage_warnings(model: Model) -> list[str]:

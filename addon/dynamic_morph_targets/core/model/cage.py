@@ -27,7 +27,6 @@ GRID = (
     2.0**-13
 )  # body sizes; with a finer grid, the last digits of coordinates, which a scale changes, would change the mesh
 MOSTLY = 0.5  # fraction of the vertices; with more of them outside, a cage does not belong to this body
-KEPT = 2  # bodies whose depths are remembered
 FEWEST_NODES = 50  # of an attachment's own cage
 
 
@@ -37,7 +36,7 @@ class Cage:
 
     embedding: of the V surface vertices; fill (m,) filled fraction; stiffness (m,) factor by thickness; firmness (n,)
     weights of the Firmness map; region_weights (m, S); pinned (n,) bool; node_weights (n, B + 1); hold: by thickness,
-    or None.
+    or None; made: as `Model.made`.
     """
 
     mesh: dynamorph.TetMesh
@@ -50,6 +49,7 @@ class Cage:
     node_weights: np.ndarray
     hold: Hold | None
     summary: Summary
+    made: dict
 
 
 def make_cage(character: Character, previous: Model | None, stages: Stages) -> Cage:
@@ -65,6 +65,7 @@ def make_cage(character: Character, previous: Model | None, stages: Stages) -> C
     else:
         filled, defects, body = _new(character, contents, surface, stages)
     mesh, embedding = filled.mesh, filled.embedding
+    made = kept_depths(previous) if previous else {}
     with stages("Embedding", 0.35 if previous else 0.02):
         inherited = inherit(character, mesh, embedding)
         if character.settings.hold == "BONES":
@@ -74,7 +75,7 @@ def make_cage(character: Character, previous: Model | None, stages: Stages) -> C
             of_thickness = None
         else:
             pinned, warned = filled.pinned, []
-            of_thickness = held_by_thickness(character, mesh, inherited, filled.fill, body)
+            of_thickness = held_by_thickness(character, mesh, inherited, filled.fill, made, body)
     summary = Summary(
         nodes=len(mesh.nodes),
         tets=len(mesh.tets),
@@ -89,11 +90,13 @@ def make_cage(character: Character, previous: Model | None, stages: Stages) -> C
     stiffness = of_thickness.stiffness if of_thickness else np.ones(len(mesh.tets))
     firmness, weights, _, region_weights = inherited
     return Cage(
-        mesh, embedding, filled.fill, stiffness, firmness, region_weights, pinned, weights, of_thickness, summary
+        mesh, embedding, filled.fill, stiffness, firmness, region_weights, pinned, weights, of_thickness, summary, made
     )
 
 
-_depths: dict[bytes, Depths] = {}  # of the last bodies, by what they follow from: neither paint nor weights
+def kept_depths(model: Model) -> dict:
+    """What of `Model.made` another model with the same tetrahedra has, too: stiffness and modes do not count in it."""
+    return {made_from: found for made_from, found in model.made.items() if made_from[0] == "depths"}
 
 
 def held_by_thickness(
@@ -101,16 +104,18 @@ def held_by_thickness(
     mesh: dynamorph.TetMesh,
     inherited: Inherited,
     fill: np.ndarray,
+    made: dict,
     body: BodyThickness | None = None,
 ) -> Hold:
-    """The hold of a character's cage. fill (m,); body: of the character, where it is known."""
+    """The hold of a character's cage. fill (m,); made: keeps the depths in it, which follow from neither paint nor
+    weights; body: of the character, where it is known.
+    """
     made_from = (mesh.nodes, mesh.tets, *_enclosing(character))
     key = b"".join(hashlib.sha256(array.tobytes()).digest() for array in made_from)
-    if key not in _depths:
-        while len(_depths) >= KEPT:
-            del _depths[next(iter(_depths))]
-        _depths[key] = depths(mesh, body or BodyThickness.of(*_enclosing(character)))
-    return hold(mesh, _depths[key].with_lent(mesh, inherited.weights), inherited.rigidity, inherited.firmness, fill)
+    if ("depths", key) not in made:
+        made["depths", key] = depths(mesh, body or BodyThickness.of(*_enclosing(character)))
+    known: Depths = made["depths", key]
+    return hold(mesh, known.with_lent(mesh, inherited.weights), inherited.rigidity, inherited.firmness, fill)
 
 
 def _enclosing(character: Character) -> tuple[np.ndarray, np.ndarray]:

@@ -218,8 +218,7 @@ class Model:
         return self._as_well_made(replace(self, summary=replace(self.summary, **changes)))
 
     def _as_well_made(self, same: Model) -> Model:
-        """The same tissue has the same made of it."""
-        object.__setattr__(same, "made", self.made)
+        object.__setattr__(same, "made", self.made)  # the same tissue has the same made of it
         return same
 
     @property

@@ -57,7 +57,7 @@ def forget() -> None:
 
 
 def _is_model(one: Model, other: Model) -> bool:
-    names = (field.name for field in fields(Model) if field.name != "summary")  # which says how it was built
+    names = [field.name for field in fields(Model) if field.init and field.name != "summary"]  # how it was built
     return all(_same(getattr(one, name), getattr(other, name)) for name in names)
 
 
