@@ -221,7 +221,7 @@ def cost(shot: Shot, model: Model) -> list[str]:
     without = np.min(free, axis=0)
     ratios = np.min(limited, axis=0) / without
     pulled = np.array([each.pulled / each.steps for each in reports])
-    held = np.mean([each.excess > 0.5 for each in reports])
+    held = np.mean([each.excess > 0.4 for each in reports])
     parts = [f"{np.median(ratios[which]):.2f}" if which.any() else "-" for which in (pulled == 0, pulled == 1)]
     return [f"{held:.0%}", f"{pulled.mean():.0%}", f"{np.median(without):.0f} µs", *parts]
 

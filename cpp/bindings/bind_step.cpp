@@ -35,20 +35,20 @@ VectorXd contact_numbers(const State& state) {
 
 VectorXd driven_numbers(const DrivenLoad& driven) {
   const Eigen::Index G = driven.reach.size();
-  VectorXd out(5 * G + driven.mean.size());
+  VectorXd out(5 * G + driven.swing.size());
   if (out.size() > 0)
-    out << driven.excess[0], driven.excess[1], driven.excess[2], driven.reach, driven.held, driven.mean;
+    out << driven.excess[0], driven.excess[1], driven.excess[2], driven.reach, driven.held, driven.swing.reshaped();
   return out;
 }
 
-/// The other way. dofs: of the mean. Throws std::invalid_argument for what that would not give.
+/// The other way. dofs: of the load. Throws std::invalid_argument for what that would not give.
 DrivenLoad read_driven(const VectorXd& numbers, Eigen::Index dofs) {
   if (numbers.size() == 0) return {};
-  if (numbers.size() < dofs || (numbers.size() - dofs) % 5 != 0)
+  if (numbers.size() < 2 * dofs || (numbers.size() - 2 * dofs) % 5 != 0)
     throw std::invalid_argument("state: its limit is not one that a simulation had");
-  const Eigen::Index G = (numbers.size() - dofs) / 5;
+  const Eigen::Index G = (numbers.size() - 2 * dofs) / 5;
   const auto part = [&](Eigen::Index k) { return VectorXd(numbers.segment(k * G, G)); };
-  return {numbers.tail(dofs), part(3), part(4), {part(0), part(1), part(2)}};
+  return {numbers.tail(2 * dofs).reshaped(dofs, 2), part(3), part(4), {part(0), part(1), part(2)}};
 }
 
 /// Throws std::invalid_argument for what `contact_numbers` would not give.

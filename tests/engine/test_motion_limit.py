@@ -130,14 +130,14 @@ def test_small_motion_stays_as_it_is_to_the_last_bit(limited, kind):
     within, free = (made.simulation(distance, gravity=(0, 0, -0.3 * GRAVITY)) for distance in (4.0 * sag, 0.0))
     for simulation in (within, free):
         made.run(simulation, frames)
-    assert 0.0 < within.excess.max() < 0.5
+    assert 0.0 < within.excess.max() < 0.4
     np.testing.assert_array_equal(within.coordinates, free.coordinates)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("share", [0.3, 1.0, 3.0, 20.0])
 def test_a_lasting_load_is_scaled_as_the_formula_says(limited, kind, share):
-    """A linear body under gravity, whose static answer is `share` of what it may be: it moves by s of that answer."""
+    """A linear body under gravity, whose static answer is `share` of its limit: it moves by s of that answer."""
     made, sag = limited[kind]
     still = moving(np.zeros(1))[0]
     unlimited, _ = made.simulation(gravity=(0, 0, -GRAVITY)).solve_static(still, made.neutral)
@@ -145,8 +145,8 @@ def test_a_lasting_load_is_scaled_as_the_formula_says(limited, kind, share):
     simulation.start(still, still, made.neutral)
     excess = simulation.excess
     assert excess[0] == pytest.approx(excess[1], rel=0.05)  # both halves hang alike
-    assert excess.max() == pytest.approx(share / 2.0, rel=0.05)  # the percentile is a little below the largest
-    scale = np.where(excess <= 0.5, 1.0, (0.5 + 0.5 * np.tanh(2.0 * excess - 1.0)) / excess).mean()
+    assert excess.max() == pytest.approx(share / 2.0 / 0.9, rel=0.05)  # the percentile is a little below the largest
+    scale = np.where(excess <= 0.4, 1.0, (0.4 + 0.6 * np.tanh((excess - 0.4) / 0.6)) / excess).mean()
     found, expected = (
         made.model.displacement(simulation.coordinates),
         share * scale * made.model.displacement(unlimited),
@@ -194,6 +194,29 @@ def test_no_blow_no_resonance_moves_it_far_beyond_its_limit(kind, law):
         far = made.run(simulation, moving(z))
         assert 0.3 * distance < far.max() < 2.0 * distance, name
         assert np.isfinite(simulation.coordinates).all()
+
+
+@pytest.mark.parametrize("hz", [2.0, 4.0, 5.0])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_heavy_load_that_oscillates_is_held_back_before_the_skin_is_pulled(kind, hz):
+    """The rig shakes a bar of 1.8 Hz far beyond its limit, unevenly, with a linear key on every frame of 24 a second.
+    What is let through in spite of that is pulled back in nearly every step, and goes to and fro with the rig.
+    """
+    made, distance, rate = Bar(kind, damping=0.018), 0.05 * np.linalg.norm(SIZE), 120
+    keys = np.arange(49) / 24
+    heights = 0.9 / hz * np.sin(2 * np.pi * hz * keys + np.sin(7.0 * keys))
+    frames = moving(np.interp(np.arange(2 * rate + 1) / rate, keys, heights))
+    simulation, pulled, excess, moved = made.simulation(distance, h=1 / rate), 0, [], []
+    simulation.start(frames[0], frames[1], made.neutral)
+    for frame in frames[1:]:
+        pulled += simulation.advance(frame[None], made.neutral[None]).pulled
+        excess.append(simulation.excess.max())
+        moved.append(made.model.displacement(simulation.coordinates))
+    assert np.median(excess) > 10.0
+    assert pulled < 0.5 * len(moved)
+    assert np.linalg.norm(moved, axis=2).max() < 1.2 * distance
+    change = np.diff(moved[4::5], axis=0)  # from frame to frame
+    assert (change[1:] * change[:-1]).sum() > 0.0  # it turns less often than at every other frame
 
 
 @pytest.mark.parametrize("weight", [0.5, 0.25])
@@ -451,10 +474,19 @@ def test_nodes_with_transforms_of_their_own_are_limited_like_their_bones(kind):
     """Skinning that is not linear in the bones' matrices, here with what linear skinning would say."""
     t = np.arange(90) / 120
     frames = moving(0.3 * np.sin(2 * np.pi * 5 * t), 0.1 * np.sin(2 * np.pi * 3 * t))
-    by_bones, by_nodes = (Bar(kind, own_transforms=own) for own in (False, True))
-    far = [made.run(made.simulation(0.03, gravity=(0, 0, -3.0)), frames) for made in (by_bones, by_nodes)]
+    far, excess = [], []
+    for own in (False, True):
+        made, moved = Bar(kind, own_transforms=own), []
+        simulation, bones = made.simulation(0.03, gravity=(0, 0, -3.0)), made.bones(frames)
+        simulation.start(bones[0], bones[1], made.neutral)
+        for frame in bones[1:]:
+            simulation.advance(frame[None], made.neutral[None])
+            moved.append(np.linalg.norm(made.model.displacement(simulation.coordinates), axis=1).max())
+            excess.append(simulation.excess)
+        far.append(np.array(moved))
+    np.testing.assert_allclose(excess[89:], excess[:89], rtol=1e-6 if kind == "full" else 0.005)
     # The inertia of responses with transforms of their own is summed otherwise: without a limit these are 46 % apart.
-    np.testing.assert_allclose(far[1], far[0], atol=(1e-6 if kind == "full" else 0.025) * far[0].max())
+    np.testing.assert_allclose(far[1], far[0], atol=(1e-6 if kind == "full" else 0.15) * far[0].max())
 
 
 def test_forces_on_the_nodes_are_part_of_the_load(limited):

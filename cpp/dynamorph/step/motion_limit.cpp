@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <complex>
 #include <string>
 
 #include "dynamorph/contact/contact_law.hpp"
@@ -207,10 +208,22 @@ void SingleRows::multiply(const VectorXd& x, std::vector<float>& scratch, Vector
   multiply_row_blocks(table_.data(), padded_ / kRowBlock, scratch.data(), x.size(), out.data());
 }
 
-void NodalAnswers::multiply(const VectorXd& load, std::vector<float>& scratch, VectorXd& out) const {
-  VectorXd x;
-  factor_.solve(load, x, scratch);
-  dynamorph::multiply(rows_, x, out);
+void SingleRows::multiply(const MatrixX2d& x, std::vector<float>& scratch, MatrixX2d& out) const {
+  scratch.resize(std::size_t(x.size()));
+  Eigen::Map<Eigen::Matrix<float, 2, Eigen::Dynamic>>(scratch.data(), 2, x.rows()) = x.transpose().cast<float>();
+  out.resize(padded_, 2);
+  multiply_row_blocks_twice(table_.data(), padded_ / kRowBlock, scratch.data(), x.rows(), out.data());
+}
+
+void NodalAnswers::multiply(const MatrixX2d& loads, std::vector<float>& scratch, MatrixX2d& out) const {
+  VectorXd load, x, answers;
+  out.resize(size(), 2);
+  for (Index k = 0; k < 2; ++k) {
+    load = loads.col(k);
+    factor_.solve(load, x, scratch);
+    dynamorph::multiply(rows_, x, answers);
+    out.col(k) = answers;
+  }
 }
 
 template <class Model>
@@ -251,9 +264,12 @@ MotionLimit<Model>::MotionLimit(std::shared_ptr<const Model> model, const SkinLi
 template <class Model>
 void MotionLimit<Model>::drive(const VectorXd& load, const VectorXd& weights, const Transforms& acceleration, double h,
                                const DrivenLoad& before, Scratch& scratch, DrivenLoad& out) const {
-  const double kept = std::exp(-h * frequency_);
-  out.mean = kept * before.mean + (1 - kept) * load;
-  reach(out.mean, weights, scratch, out.reach);
+  const std::complex<double> k = std::exp(std::complex(-kLoadDamping, 1.0) * h * frequency_);
+  const double kept = std::abs(k), turn = k.imag();
+  out.swing.resize(load.size(), 2);
+  out.swing.col(0) = k.real() * before.swing.col(0) - turn * before.swing.col(1) + (1 - k.real()) * load;
+  out.swing.col(1) = turn * before.swing.col(0) + k.real() * before.swing.col(1) - turn * load;
+  reach(out.swing, weights, scratch, out.reach);
   VectorXd &held = scratch.held, &jump = scratch.jump;
   held = (out.reach / kept).cwiseMin(before.reach).cwiseMax(kept * before.held);
   jumped(acceleration, out.reach.cwiseMin(held), scratch, jump);
@@ -267,8 +283,9 @@ void MotionLimit<Model>::drive(const VectorXd& load, const VectorXd& weights, co
 template <class Model>
 void MotionLimit<Model>::drive_long(const VectorXd& load, const VectorXd& weights, Scratch& scratch,
                                     DrivenLoad& out) const {
-  out.mean = load;
-  reach(load, weights, scratch, out.reach);
+  out.swing.resize(load.size(), 2);
+  out.swing << load, VectorXd::Zero(load.size());
+  reach(out.swing, weights, scratch, out.reach);
   out.held = out.reach;
   out.excess.fill(out.reach);
 }
@@ -294,9 +311,10 @@ void MotionLimit<Model>::jumped(const Transforms& acceleration, const VectorXd& 
 }
 
 template <class Model>
-void MotionLimit<Model>::reach(const VectorXd& load, const VectorXd& weights, Scratch& scratch, VectorXd& out) const {
+void MotionLimit<Model>::reach(const MatrixX2d& swing, const VectorXd& weights, Scratch& scratch, VectorXd& out) const {
   VectorXd &answers = scratch.answers, &stiffness = scratch.stiffness;
-  answers_->multiply(load, scratch.single, answers);
+  answers_->multiply(swing, scratch.single, scratch.swings);
+  answers = (scratch.swings.col(0).array().square() + scratch.swings.col(1).array().square()).sqrt();
   if (!answers.allFinite())
     throw Error("A step failed because a force is not finite. Check the rig and the materials at this frame.");
   stiffness.setZero(neutral_stiffness_.size());
@@ -308,8 +326,8 @@ void MotionLimit<Model>::reach(const VectorXd& load, const VectorXd& weights, Sc
   for (Index b = 0; b < bones(); ++b) {
     const LimitedBone& bone = bones_[std::size_t(b)];
     double largest = percentile(bone, scratch);
-    for (int e = bone.first_edge; e < bone.last_edge; ++e) largest = std::max(largest, std::abs(answers(e)));
-    out(b) = largest / std::max(bone.share.dot(stiffness), 1e-300);
+    for (int e = bone.first_edge; e < bone.last_edge; ++e) largest = std::max(largest, answers(e));
+    out(b) = largest / std::max(kLoadSwing * bone.share.dot(stiffness), 1e-300);
   }
 }
 

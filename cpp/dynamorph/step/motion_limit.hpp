@@ -2,25 +2,27 @@
 // How far a moving rig may drive the tissue. Two limits, both local and both smooth:
 //
 // 1. On the load. The load f of a step is what the rig's acceleration, gravity's difference from the targets' own poses
-//    and force fields do to tissue at rest in bind space. m is its mean over the time 1 / w of a swing, w the tissue's
-//    own angular frequency, and y = K^-1 m (K: the neutral stiffness) says how far it carries the skin. For each bone
-//    b, with k = exp(-h w) and ' for the step before,
+//    and force fields do to tissue at rest in bind space. It drives a complex oscillator m with the tissue's own
+//    angular frequency w, and y = K^-1 m (K: the neutral stiffness) says how far the load lets the skin swing. For each
+//    bone b, with k = exp((i - 0.3) h w) and ' for the step before,
 //
 //      m   = k m' + (1 - k) f
 //      p_b = 97th percentile of |a_b (X_i, 1)| / L_i over its skin                          a_b = B_b - 2 B_b' + B_b''
-//      q_b = max(97th percentile of |y_i| / L_i over its skin,  largest |e . dy| / (0.4 l) over its edges)
-//      H_b = max(min(max(q_b / k, p_b), max(q_b', p_b')), k H_b')
+//      q_b = max(97th percentile of |y_i| / L_i over its skin,  largest |e . dy| / (0.4 l) over its edges) / 0.9
+//      H_b = max(min(max(q_b / |k|, p_b), max(q_b', p_b')), |k| H_b')
 //      x_b = max(H_b, p_b)
-//      s_b = 1 where x_b <= 1/2,  otherwise (1/2 + 1/2 tanh(2 x_b - 1)) / x_b
+//      s_b = 1 where x_b <= 0.4,  otherwise (0.4 + 0.6 tanh((x_b - 0.4) / 0.6)) / x_b
 //
 //    with L_i the largest distance of a point from its targets' shape, l the length of an edge, and B_b the bone. The
 //    load of bone b is scaled by s_b: the tissue is driven less hard, and swings as it would.
 //
-//    The mean is of the load, not of its size: a velocity that jumps at a key counts as much as one that changes
-//    within a swing, and a position that jumps by d, which is an impulse and its opposite, as d, whatever the step. A
-//    step cannot tell the two jumps apart before the next one. So H holds what is still there a step later (q decays
-//    by k until then), and the jump p itself counts at once. What the steps before have let through is corrected when s
-//    changes (`StepLoad::scaled`).
+//    With a real k, m would be a mean of the load over the time 1 / w. Loads that oscillate would cancel in it,
+//    although they drive the tissue most. The amplitude |m| is the load itself where that lasts, it counts a velocity
+//    that jumps at a key as much as one that changes within a fraction of a swing, and a position that jumps by d,
+//    which is an impulse and its opposite, as d, whatever the step. A step cannot tell the two jumps apart before the
+//    next one. So H holds what is still there a step later (q decays by |k| until then), and the jump p itself counts
+//    at once. What the steps before have let through is corrected when s changes (`StepLoad::scaled`). H does not fall
+//    faster than free swing: what brakes a swing is scaled as what has driven it.
 //
 // 2. On the motion itself, for what a bounded load can build up (a landing, resonance). From 0.6 L on a point is pulled
 //    back, and from 0.6 of 0.4 of its length on the change of an edge,
@@ -33,7 +35,7 @@
 //    Where L is painted smaller, m times as large, a point is pulled back from 0.6 m L on, with 30 / m. The load keeps
 //    the unpainted L: a spot that must stay near the bones does not make all tissue of its bone sluggish.
 //
-// Below half of the first limit and 0.6 of the second, neither changes a bit of the motion.
+// Below 0.36 of the first limit and 0.6 of the second, neither changes a bit of the motion.
 #pragma once
 
 #include <array>
@@ -68,12 +70,16 @@ struct SkinLimits {
   LimitConstants constants = {};
 };
 
+using MatrixX2d = Eigen::Matrix<double, Eigen::Dynamic, 2>;
+
 /// Rows (k, dofs) in single precision, which is enough to compare lengths with limits.
 class SingleRows {
  public:
   explicit SingleRows(const Eigen::Ref<const MatrixXd>& rows);
   /// out = rows x (k, and zeros up to whole blocks). scratch: x in single precision.
   void multiply(const VectorXd& x, std::vector<float>& scratch, VectorXd& out) const;
+  /// The same for two columns, in little more time.
+  void multiply(const MatrixX2d& x, std::vector<float>& scratch, MatrixX2d& out) const;
   Eigen::Index size() const { return size_; }
 
  private:
@@ -85,7 +91,7 @@ class SingleRows {
 class NodalAnswers {
  public:
   NodalAnswers(BlockCholesky<float> factor, SparseRows rows) : factor_(std::move(factor)), rows_(std::move(rows)) {}
-  void multiply(const VectorXd& load, std::vector<float>& scratch, VectorXd& out) const;
+  void multiply(const MatrixX2d& loads, std::vector<float>& scratch, MatrixX2d& out) const;
   Eigen::Index size() const { return rows_.rows(); }
 
  private:
@@ -112,7 +118,7 @@ struct Pull {
 
 /// What the limit on the load remembers. Empty where it has not acted yet.
 struct DrivenLoad {
-  VectorXd mean;                   ///< m (dofs)
+  MatrixX2d swing;                 ///< m (dofs): its real and its imaginary part
   VectorXd reach, held;            ///< max(q, p) and H (G)
   std::array<VectorXd, 3> excess;  ///< x (G), at the last step and the two before
 };
@@ -133,7 +139,8 @@ class MotionLimit {
   /// Nothing is allocated after the first time.
   struct Scratch {
     std::vector<float> single;
-    VectorXd answers, stiffness;                  ///< of each target set, relative to its neutral target
+    MatrixX2d swings;                             ///< y
+    VectorXd answers, stiffness;                  ///< |y|; of each target set, relative to its neutral target
     std::vector<std::pair<double, double>> heap;  ///< values of a bone's points, and weights
     VectorXd held, jump;                          ///< H as it would be without a jump, and p (G)
     MatrixXd moved;                               ///< the bones' second difference (G, 12)
@@ -159,8 +166,8 @@ class MotionLimit {
   static constexpr bool kNodal = std::is_same_v<typename Model::Matrix, SparseMatrix>;
   using Answers = std::conditional_t<kNodal, NodalAnswers, SingleRows>;
 
-  /// q (G) of a mean load: 1 where it carries a bone's skin as far as it may go.
-  void reach(const VectorXd& load, const VectorXd& weights, Scratch& scratch, VectorXd& out) const;
+  /// q (G) of m: 1 where it lets a bone's skin swing as far as a load may.
+  void reach(const MatrixX2d& swing, const VectorXd& weights, Scratch& scratch, VectorXd& out) const;
   /// p (G), or 0 where that is at most `least` (G).
   void jumped(const Transforms& acceleration, const VectorXd& least, Scratch& scratch, VectorXd& out) const;
   /// Of the lengths of the answers at a bone's points.

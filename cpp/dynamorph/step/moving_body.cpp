@@ -42,13 +42,13 @@ void check_contacts(const State& state, Eigen::Index samples) {
 /// Of a limit that has not acted; `bones`: 0 without a limit.
 DrivenLoad not_driven(Eigen::Index bones, Eigen::Index dofs) {
   const VectorXd none = VectorXd::Zero(bones);
-  return {VectorXd::Zero(bones > 0 ? dofs : 0), none, none, {none, none, none}};
+  return {MatrixX2d::Zero(bones > 0 ? dofs : 0, 2), none, none, {none, none, none}};
 }
 
 /// Throws std::invalid_argument unless the load is empty or fits, and Error for what is not finite.
 void check_driven(const DrivenLoad& driven, Eigen::Index bones, Eigen::Index dofs) {
-  if (driven.mean.size() == 0) return;
-  bool fits = driven.mean.size() == dofs, finite = driven.mean.allFinite();
+  if (driven.swing.size() == 0) return;
+  bool fits = driven.swing.rows() == dofs, finite = driven.swing.allFinite();
   for (const VectorXd* x : {&driven.reach, &driven.held, &driven.excess[0], &driven.excess[1], &driven.excess[2]}) {
     fits = fits && x->size() == bones;
     finite = finite && x->allFinite() && (x->array() >= 0).all();
@@ -257,7 +257,7 @@ void MovingBody<Model>::set_state(const State& state) {
     state_.contact.clear();
     state_.pressures.clear();
   }
-  if (!parts_.limit || state_.driven.mean.size() == 0) state_.driven = not_driven(limited, model_->dofs());
+  if (!parts_.limit || state_.driven.swing.size() == 0) state_.driven = not_driven(limited, model_->dofs());
 }
 
 template <class Model>

@@ -147,6 +147,26 @@ void multiply_row_blocks(const float* __restrict A, Index blocks, const float* _
   }
 }
 
+void multiply_row_blocks_twice(const float* __restrict A, Index blocks, const float* __restrict x, Index columns,
+                               double* __restrict y) {
+  for (Index block = 0; block < blocks; ++block, y += kRowBlock) {
+    Float8 first[4] = {}, second[4] = {};
+    for (Index c = 0; c < columns; ++c, A += kRowBlock)
+      for (int i = 0; i < 4; ++i) {
+        const Float8 rows = load(A + kChunk * i);
+        first[i] = mul_add(first[i], x[2 * c], rows);
+        second[i] = mul_add(second[i], x[2 * c + 1], rows);
+      }
+    for (int i = 0; i < 4; ++i) {
+      const DoubleW one = to_double(first[i]), two = to_double(second[i]);
+      store(one.low, y + kChunk * i);
+      store(one.high, y + kChunk * i + 4);
+      store(two.low, y + kRowBlock * blocks + kChunk * i);
+      store(two.high, y + kRowBlock * blocks + kChunk * i + 4);
+    }
+  }
+}
+
 void add_short_symmetric_product(const float* __restrict A, Index size, const float* __restrict x,
                                  double* __restrict y) {
   const Index chunks = size / kChunk;

@@ -23,6 +23,9 @@ DYNAMORPH_KERNEL(void, add_short_symmetric_product, const float* A, Index size, 
 /// y = A x in single precision. A: blocks of kRowBlock rows, each (kRowBlock, columns) column-major.
 constexpr Index kRowBlock = 32;
 DYNAMORPH_KERNEL(void, multiply_row_blocks, const float* A, Index blocks, const float* x, Index columns, double* y);
+/// The same for two right-hand sides x (2, columns), to y (rows, 2).
+DYNAMORPH_KERNEL(void, multiply_row_blocks_twice, const float* A, Index blocks, const float* x, Index columns,
+                 double* y);
 
 /// y += A^T x, with A (rows, columns) column-major.
 DYNAMORPH_KERNEL(void, add_dots, const double* A, Index rows, Index columns, const double* x, double* y);
