@@ -133,7 +133,8 @@ void bind_local_responses(py::module_& m) {
       .def_property_readonly(
           "stiffness", [](const LocalResponses& r) { return MatrixXd(r.stiffness()); },
           "C (P, P) of the energy a^T C a / 2, at the neutral targets.")
-      .def(py::pickle(&pickled, [](const py::tuple& state) { return std::make_shared<LocalResponses>(parts_of(state)); }));
+      .def(py::pickle(&pickled,
+                      [](const py::tuple& state) { return std::make_shared<LocalResponses>(parts_of(state)); }));
 }
 
 void bind_samples(py::module_& m) {

@@ -554,10 +554,14 @@ class LocalResponses:
     """
     How patches of a skin give way where something presses, which a reduced model's coordinates cannot do. Simulations may share it.
     """
+    def __getstate__(self) -> tuple:
+        ...
     def __init__(self, model: FullModel, basis: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, centers: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], corners: typing.Annotated[numpy.typing.ArrayLike, numpy.int32] | None = None, corner_weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 3]"] | None = None) -> None:
         """
         model: the unreduced one. basis (3 free, dofs): the reduced model's. rest (L, 3): places that are spread evenly over the soft skin, meters, bind space; normals (L, 3): outward, any length; embedding: of the skin's V vertices. centers (P): those in the middle of a patch. corners (L, 3), corner_weights (L, 3): the places are means of these vertices; by default they are the vertices.
         """
+    def __setstate__(self, arg0: tuple) -> None:
+        ...
     @property
     def shapes(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
