@@ -81,7 +81,7 @@ motion that is kept (the projection of the limited motion onto it), the 99.9th p
 worst frame in percent of size, and the 0.1th percentile of the edges' lengths over those at rest in the bind pose, in
 the worst frame. Motion capture should be kept, and displacements should stay below 5 %, edges above 0.6. A smaller
 *stretch* takes most from gallops and jumps; a larger one keeps a little more, but lets edges be squeezed more. Fewer
-*edges between*, or more, change a point or two.
+*edges between* show on the anglerfish, whose skin gives way between few edges; more of them change a point or two.
 
 {constants}
 ## The step

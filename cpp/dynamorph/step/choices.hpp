@@ -13,9 +13,8 @@ constexpr double kLoadBegins = 0.4;  ///< of that: beyond, a load is scaled down
 /// Of the critical damping, of the oscillator that a load drives. With 0.5, loads that oscillate cancel in it as in a
 /// mean; with 0.25, it remembers a bad frame of the rig for longer than two swings.
 constexpr double kLoadDamping = 0.3;
-/// m w^2, the stiffness that gives a point its tissue's frequency, by which it is pulled back. With 20, a bar with
-/// hardly any damping that is shaken by ten times its limit goes to 2.3 of it, with 30 to 1.8, with 40 to 1.5;
-/// characters keep the motion that they kept.
+/// m w^2, the stiffness that gives a point its tissue's frequency, by which it is pulled back. With 10, a bar with
+/// hardly any damping that is shaken at its own frequency goes to 1.5 of its limit, with 20 to 1.3, with 30 to 1.2.
 constexpr double kPull = 30;
 constexpr double kRampBegins = 0.6;   ///< of a limit: from there on something is pulled back
 constexpr double kWatched = 0.45;     ///< of a limit: what is nearer at first is not pulled in this step
