@@ -245,6 +245,7 @@ class Computation:
             yield  # the next chunk is read now
         with self.progress.stage("simulate"):
             outcome.bake, outcome.report = shot.bake(exact=given.output is None or given.output.format != "MODES")
+        check_finite(given.name, outcome.bake)
         with self.progress.stage("judge"):
             found = shot.held, shot.touched
             outcome.verdict = judge.judge(outcome.model, outcome.character, outcome.bake, given.settings, *found)
@@ -269,6 +270,15 @@ def checked(
     return rig_samples.keep_collapsed(samples, character.skeleton, before) if len(samples) else (samples, [])
 
 
+def check_finite(name: str, bake: Bake) -> None:
+    """Raises SelfCheckError for a bake of the object `name` that has values that are no numbers."""
+    for result in ("coordinates", "weights", "modes", "residual_shapes", "static"):
+        if not np.isfinite(getattr(bake, result)).all():
+            raise SelfCheckError(
+                "'{name}': the engine's {result} are not numbers: nothing was written", name=name, result=result
+            )
+
+
 def adopt(outcome: Outcome, character: Character) -> None:
     """Continue with other materials, which are stored when the job is written."""
     outcome.character = character
@@ -281,14 +291,7 @@ def adopt(outcome: Outcome, character: Character) -> None:
 
 
 def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
-    """Make the result from the simulated shot, and the messages about it. Raises SceneError, SelfCheckError,
-    OSError.
-    """
-    for name in ("coordinates", "weights", "modes", "residual_shapes", "static"):
-        if not np.isfinite(getattr(outcome.bake, name)).all():
-            raise SelfCheckError(
-                "'{name}': the engine's {result} are not numbers: nothing was written", name=given.name, result=name
-            )
+    """Make the result from the simulated shot, and the messages about it. Raises SceneError, OSError."""
     progress.message = "Making keys"
     with progress.stage("make keys"):
         if given.before:
