@@ -157,13 +157,10 @@ def test_chunks_and_another_process_give_the_same_bake(arm, monkeypatch, tmp_pat
     monkeypatch.setattr(bake_input, "SHORT_CHUNK_FRAMES", 5)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
     killed = Job(arm, goal="BAKE", cache_dir=CacheDir(tmp_path))
-    killed.read()
-    for _ in range(2):
-        assert killed.sample()
-        killed.start()
-        while not killed.wait(1.0):
-            pass
-        assert killed.next_chunk()
+    steps = batch.Batch([killed], "BAKE").steps()
+    next(steps)
+    while not (hasattr(killed, "computation") and killed.computation.shot and killed.computation.shot.done > 5):
+        next(steps)
     resumed = bake(arm, cache_dir=CacheDir(tmp_path))
     assert len(resumed.input.resumed["coordinates"]) > 5
     assert baked.digest(resumed.outcome.bake) == whole
