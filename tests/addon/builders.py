@@ -244,7 +244,7 @@ class StandIn:
         tets, thickness, modes, only_cage = (), np.zeros(0), (), False
 
         def __init__(self, arrays, dependencies, summary):
-            self.arrays, self.dependencies, self.summary = arrays, dependencies, summary
+            self.arrays, self.dependencies, self.summary, self.made = arrays, dependencies, summary, {}
 
         @classmethod
         def from_arrays(cls, arrays, meta):

@@ -11,7 +11,7 @@ _all: list[Any] = []
 
 
 def of(kind: type[T]) -> T:
-    """The state of an owner: kind(), which is made anew by `reset`."""
+    """The state of an owner: kind(), which `reset` makes again."""
     state = kind()
     _all.append(state)
     return state

@@ -297,7 +297,7 @@ def _without_sigpipe() -> Generator[None, None, None]:
 
 
 def _program() -> str:
-    """What the process runs: `main`, in the same package as here, of which only what has no bpy is imported."""
+    """What the process runs: `main`, in the same package as here. Only modules without bpy are imported."""
     package, folder = __package__.rpartition(".")[0], Path(__file__).absolute().parents[1]
     *parents, _ = package.split(".")
     outer = [".".join(parents[: k + 1]) for k in range(len(parents))]

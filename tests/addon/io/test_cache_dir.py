@@ -199,13 +199,13 @@ def test_an_undo_between_two_chunks_stops_a_bake(coarse, folder, monkeypatch):
     monkeypatch.setattr(bake_input, "CHUNK_FRAMES", 5)
     job = run_job.Job(coarse, "BAKE")
     batch = run_batch.Batch([job], "BAKE")
-    next_chunk = run_job.Job.next_chunk
+    begin_chunk = run_job.Job.begin_chunk
 
-    def undone(self):
-        batch.undone = True
-        return next_chunk(self)
+    def undone(self, done):
+        batch.undone = done > 0
+        return begin_chunk(self, done)
 
-    monkeypatch.setattr(run_job.Job, "next_chunk", undone)
+    monkeypatch.setattr(run_job.Job, "begin_chunk", undone)
     with pytest.raises(errors.SceneError, match="was undone"):
         run_batch.run_all(batch)
     assert not coarse.dynamorph.bake.keys

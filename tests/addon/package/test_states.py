@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the extension remembers from one call to the next is in few places, and begins anew with each file."""
+"""What the extension remembers from one call to the next is in few places, and begins again with each file."""
 
 import ast
 
