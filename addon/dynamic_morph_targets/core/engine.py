@@ -49,7 +49,8 @@ def load() -> ModuleType:
             remedy=_remedy(str(error)),
         ) from error
     _check_version()
-    dynamorph.set_threads(_threads)
+    if _threads:
+        _tell_threads(id(dynamorph), _threads)
     return dynamorph
 
 
@@ -136,8 +137,14 @@ def use_threads(count: int) -> None:
     """How many threads the engine takes, from now on or from when it is loaded; 0: as many as there are cores."""
     global _threads
     _threads = count
-    if sys.modules.get("dynamorph"):  # None where it is known to be missing
-        load()
+    if loaded := sys.modules.get("dynamorph"):  # None where it is known to be missing
+        _tell_threads(id(loaded), count)
+
+
+@lru_cache(maxsize=1)
+def _tell_threads(_engine: int, count: int) -> None:
+    """Once: a script may want another number afterward. _engine: the id of its module."""
+    sys.modules["dynamorph"].set_threads(count)
 
 
 def threads() -> int:
