@@ -17,9 +17,9 @@ def of(kind: type[T]) -> T:
     return state
 
 
-def reset() -> None:
-    """All states are what they were at first: the file is closed, or the add-on is switched off."""
-    for state in _all:
+def reset(*states: Any) -> None:
+    """These states, or all, are what they were at first: the file is closed, or the add-on is switched off."""
+    for state in states or _all:
         vars(state).update(vars(type(state)()))
 
 

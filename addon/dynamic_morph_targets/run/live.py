@@ -12,7 +12,7 @@ from contextlib import suppress
 import bpy
 from bpy.app.handlers import persistent
 
-from ..core import engine, errors, logger
+from ..core import engine, errors, logger, states
 from ..core.message import Message, joined
 from ..core.motion.coupling import refusal
 from ..core.settings import SimulationSettings
@@ -389,4 +389,5 @@ def unregister() -> None:
     live_surface.catch_up()
     for look in (_show_present, _after_stroke, _wake_late):
         events.forget(look)
+    states.reset(remembered.live)
     _hide()

@@ -164,7 +164,9 @@ def end_preview() -> None:
     remembered.live.preview = None
 
 
-def shaken(obj: bpy.types.Object, tissue: Tissue, kind: str, seconds: float) -> tuple[RigSamples, np.ndarray]:
+def shaken(
+    obj: bpy.types.Object, tissue: Tissue, kind: str, seconds: float = shake.SECONDS
+) -> tuple[RigSamples, np.ndarray]:
     """The rig in its present pose, shaken: samples at substeps, and the transforms (S, 4, 4) that move it in Blender's
     world, Blender units."""
     still = rig_motion.sample_present(obj, tissue.probe)
