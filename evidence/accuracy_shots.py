@@ -36,8 +36,8 @@ from dynamic_morph_targets.core.motion.player import TELEPORT, Frame, Player
 from dynamic_morph_targets.core.motion.rig_samples import RigSamples
 from dynamic_morph_targets.core.result import compare
 from dynamic_morph_targets.core.settings import ModelSettings, SimulationSettings
-from dynamic_morph_targets.run import batch
-from dynamic_morph_targets.run.job import Job
+from dynamic_morph_targets.run.bake import batch
+from dynamic_morph_targets.run.bake.job import Job
 
 ROUNDS = 7  # in which the time of every reduced model is measured, one after the other
 SLOW = 5000.0  # microseconds a step: what takes longer is measured once

@@ -32,8 +32,8 @@ from builders import make_arm, make_soft
 from contact_sheet import quiet
 from dynamic_morph_targets.core.result import slider_keys
 from dynamic_morph_targets.io import model_file, paths
-from dynamic_morph_targets.run import bake_input, batch
-from dynamic_morph_targets.run.job import Job
+from dynamic_morph_targets.run.bake import bake_input, batch
+from dynamic_morph_targets.run.bake.job import Job
 
 
 def main() -> int:

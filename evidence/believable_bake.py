@@ -29,7 +29,7 @@ from believable_measure import NATURAL, baked_keys, positions, rest, show, world
 from contact_sheet import quiet, render
 from dynamic_morph_targets.core.geometry import diagonal
 from dynamic_morph_targets.core.motion import shake
-from dynamic_morph_targets.run import job
+from dynamic_morph_targets.run.bake import job
 from dynamic_morph_targets.ui.operators import jobs
 from heat import paint
 from mathutils import Matrix, Vector

@@ -27,12 +27,13 @@ from dynamic_morph_targets.core.engine import dynamorph
 from dynamic_morph_targets.core.motion.contact_points import contact_points
 from dynamic_morph_targets.core.motion.player import Player
 from dynamic_morph_targets.core.settings import SimulationSettings
-from dynamic_morph_targets.run import batch
-from dynamic_morph_targets.run.job import Job
-from dynamic_morph_targets.scene import extract, rig_motion
-from dynamic_morph_targets.scene.model_store import load_model
+from dynamic_morph_targets.run.bake import batch
+from dynamic_morph_targets.run.bake.job import Job
+from dynamic_morph_targets.scene.character import extract
+from dynamic_morph_targets.scene.motion import rig_motion
+from dynamic_morph_targets.scene.read.source import Source
 from dynamic_morph_targets.scene.skinning import Skinning
-from dynamic_morph_targets.scene.source import Source
+from dynamic_morph_targets.scene.store.model_store import load_model
 from mathutils import Matrix, Vector
 from portrait import aim
 

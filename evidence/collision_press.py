@@ -24,8 +24,8 @@ import dynamic_morph_targets
 import numpy as np
 from contact_sheet import quiet, render
 from dynamic_morph_targets.core.geometry import diagonal, signed_volume, vertex_normals
-from dynamic_morph_targets.run import batch
-from dynamic_morph_targets.run.job import Job
+from dynamic_morph_targets.run.bake import batch
+from dynamic_morph_targets.run.bake.job import Job
 from mathutils import Vector
 from portrait import aim
 

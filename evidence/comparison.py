@@ -32,8 +32,8 @@ from bench import machine
 from claims import FLEXED, SHAKEN, STRAIGHT
 from collision_press import HELD, dynamics_assets, set_socket
 from contact_sheet import quiet
-from dynamic_morph_targets.run import batch
-from dynamic_morph_targets.run.job import Job
+from dynamic_morph_targets.run.bake import batch
+from dynamic_morph_targets.run.bake.job import Job
 from how_long import busy
 from measured import measured_at, write_between
 from measures import volume

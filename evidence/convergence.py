@@ -30,8 +30,8 @@ from dynamic_morph_targets.core.character import Target
 from dynamic_morph_targets.core.material import calibration
 from dynamic_morph_targets.core.motion import simulate
 from dynamic_morph_targets.core.motion.rig_samples import RigSamples
-from dynamic_morph_targets.run import batch
-from dynamic_morph_targets.run.job import Job
+from dynamic_morph_targets.run.bake import batch
+from dynamic_morph_targets.run.bake.job import Job
 from measured import measured_at
 
 CACHE = ROOT / "build" / "convergence"

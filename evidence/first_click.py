@@ -29,9 +29,11 @@ import numpy as np  # noqa: E402
 import rig_families  # noqa: E402
 import table  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.core import engine  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.run import batch, live  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.run.first_look import FirstLook  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.run.live import live  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.run.work.child import Child  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.run.tools.first_look import FirstLook  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job  # noqa: E402
 
 try:
     from bl_ext.user_default.dynamic_morph_targets.run import remembered
@@ -43,10 +45,7 @@ FRAMES = 250  # of the bake
 
 def _steps(work: FirstLook) -> Iterator[None]:
     """Of the work as in a window, which looks now and then."""
-    if not hasattr(batch, "Child"):  # a checkout of before
-        yield from work.steps(pause=0.005)
-        return
-    batch.worker = batch.Child
+    batch.worker_for = Child
     for _ in work.steps():
         yield
         time.sleep(0.005)

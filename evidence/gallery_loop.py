@@ -26,8 +26,8 @@ import dynamic_morph_targets
 import numpy as np
 from contact_sheet import quiet, render
 from dynamic_morph_targets.core.geometry import diagonal
-from dynamic_morph_targets.run import batch
-from dynamic_morph_targets.run.job import Job
+from dynamic_morph_targets.run.bake import batch
+from dynamic_morph_targets.run.bake.job import Job
 from gallery import COLLISION, LOOPS, QUALITY, SELF_COLLISION, TARGETS, Loop
 from heat import beside, paint, save_loop
 from measures import own_motion

@@ -29,10 +29,11 @@ import bpy
 import dynamic_morph_targets
 from bench import machine
 from contact_sheet import quiet
-from dynamic_morph_targets.run import batch, live
-from dynamic_morph_targets.run.child import Child
-from dynamic_morph_targets.run.first_look import FirstLook
-from dynamic_morph_targets.run.job import Job
+from dynamic_morph_targets.run.bake import batch
+from dynamic_morph_targets.run.bake.job import Job
+from dynamic_morph_targets.run.live import live
+from dynamic_morph_targets.run.tools.first_look import FirstLook
+from dynamic_morph_targets.run.work.child import Child
 from mathutils import Vector
 from measured import measured_at
 from performance_page import grid
@@ -166,7 +167,7 @@ def measure(vertices: int, setting: str) -> int:
         bpy.ops.dynamorph.add_soft_skin()
         SETTINGS[setting](body)
         work = FirstLook(body)
-        batch.worker = Child  # as in a window
+        batch.worker_for = Child  # as in a window
         steps = paced(work.steps())
         any(work.shows for _ in steps)  # until there is a draft
         if not work.shows:  # Full Quality has none

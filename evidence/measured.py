@@ -17,7 +17,7 @@ from project import ROOT
 DOCS = ROOT / "docs"
 LINE = re.compile(r"Measured at commit `?([0-9a-f]{7,40})`? \((\d{4}-\d\d-\d\d)\)( \+ changes)?")
 
-INTERFACE = ("ui/*", "cli/*", "preferences.py", "scene/events.py", "run/watch.py")
+INTERFACE = ("ui/*", "cli/*", "preferences.py", "scene/events.py", "run/tools/watch.py")
 ENGINE = ("cpp/dynamorph", "cpp/bindings")
 ADDON = ("addon/dynamic_morph_targets", *(f":!addon/dynamic_morph_targets/{name}" for name in INTERFACE))
 # What each generated page is made from, as git's path specifications.

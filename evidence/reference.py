@@ -171,7 +171,7 @@ def _rules(parser: argparse.ArgumentParser) -> Iterator[str]:
 
 def _setting_groups() -> dict[str, tuple[str, ...]]:
     """The settings that are options, by the group of properties."""
-    return {**part("cli.commands").SETTINGS, "collision": part("cli.collision").SETTINGS}
+    return part("cli.commands").SETTINGS
 
 
 def _part_of(option: argparse.Action) -> str:
@@ -345,7 +345,9 @@ def _default(prop: bpy.types.Property) -> str:
 
 def _property_group(name: str) -> type:
     """A class of the extension."""
-    return getattr(part("preferences" if name == "DynamorphPreferences" else "scene.properties"), name)
+    return getattr(
+        part("preferences" if name == "DynamorphPreferences" else "scene.properties.object_properties"), name
+    )
 
 
 def _properties(group: type, settings: bool) -> list[bpy.types.Property]:

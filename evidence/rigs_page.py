@@ -24,7 +24,7 @@ import numpy as np
 import rig_families
 from assets import require
 from bench import machine
-from bl_ext.user_default.dynamic_morph_targets.scene import body_checks
+from bl_ext.user_default.dynamic_morph_targets.scene.check import body_checks
 from bl_ext.user_default.dynamic_morph_targets.scene.skinning import Skinning
 from bl_ext.user_default.dynamic_morph_targets.ui import messages
 from builders import evaluated_points

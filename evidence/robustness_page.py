@@ -25,8 +25,8 @@ from assets import attribution, require
 from contact_sheet import Row, compose, quiet, render, save
 from dynamic_morph_targets.core.geometry import diagonal
 from dynamic_morph_targets.core.material.feel import FEELS
-from dynamic_morph_targets.run import batch
-from dynamic_morph_targets.scene import mesh_data
+from dynamic_morph_targets.run.bake import batch
+from dynamic_morph_targets.scene.read import mesh_data
 from mathutils import Vector
 from measured import measured_at
 from performance_page import grid

@@ -18,8 +18,9 @@ import dynamic_morph_targets
 import numpy as np
 from dynamic_morph_targets.core.material import fit
 from dynamic_morph_targets.core.model import build
-from dynamic_morph_targets.run import session
-from dynamic_morph_targets.scene import extract, model_store
+from dynamic_morph_targets.run.live import session
+from dynamic_morph_targets.scene.character import extract
+from dynamic_morph_targets.scene.store import model_store
 
 VERTICES = 10_000
 COMPARED = 6  # of the slowest modes

@@ -16,7 +16,8 @@ from dynamic_morph_targets.core.character import Character
 from dynamic_morph_targets.core.motion.rig_samples import RigSamples
 from dynamic_morph_targets.core.result import compare
 from dynamic_morph_targets.core.settings import SimulationSettings
-from dynamic_morph_targets.scene import extract, rig_motion, run_settings
+from dynamic_morph_targets.scene.character import extract
+from dynamic_morph_targets.scene.motion import rig_motion, run_settings
 
 FOLDER = Path(__file__).resolve().parents[1] / "sample_blends"
 SHAPE, SWING = "SHAPE", "SWING"  # what the colors of a sheet tell

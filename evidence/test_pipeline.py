@@ -17,9 +17,12 @@ import dynamic_morph_targets
 import dynamorph
 import pytest
 import real_character
-from dynamic_morph_targets.run import batch, job, live
-from dynamic_morph_targets.run.job import Job
-from dynamic_morph_targets.scene import events, extract, sampling_scene
+from dynamic_morph_targets.run.bake import batch, job
+from dynamic_morph_targets.run.bake.job import Job
+from dynamic_morph_targets.run.live import live
+from dynamic_morph_targets.scene import events
+from dynamic_morph_targets.scene.character import extract
+from dynamic_morph_targets.scene.read import sampling_scene
 
 SUBSTEPS = 4
 ROUNDS = 7

@@ -17,8 +17,8 @@ from contact_sheet import Row, compose, quiet, render, save
 from dynamic_morph_targets.core.geometry import diagonal
 from dynamic_morph_targets.core.motion import loops, player
 from dynamic_morph_targets.core.motion.player import Player
-from dynamic_morph_targets.run import batch, job
-from dynamic_morph_targets.run.job import Job
+from dynamic_morph_targets.run.bake import batch, job
+from dynamic_morph_targets.run.bake.job import Job
 from mathutils import Matrix, Vector
 from PIL import Image
 

@@ -21,8 +21,8 @@ try:
     from contact_sheet import MARGIN, Row, caption, compose, only_python, quiet, render, save
     from dynamic_morph_targets.cli import record
     from dynamic_morph_targets.core import engine
-    from dynamic_morph_targets.run import batch
-    from dynamic_morph_targets.run.job import Job
+    from dynamic_morph_targets.run.bake import batch
+    from dynamic_morph_targets.run.bake.job import Job
     from dynamic_morph_targets.write.bake.writer import free
     from heat import beside, draw_legend, paint, save_loop
     from measures import own_motion

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 import rolling_ball
 from dynamic_morph_targets.core.motion.grab import FIRM, Grab, as_text, pinch
-from dynamic_morph_targets.scene import extract
+from dynamic_morph_targets.scene.character import extract
 from stage import (
     add_ball,
     add_camera,

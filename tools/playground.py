@@ -66,7 +66,7 @@ def export(scene: str, name: str, path: str) -> None:
     """Build the model of an object of a sample scene, and write it as the format Soft Skin. In a process of its own."""
     import bpy
     import dynamic_morph_targets
-    from dynamic_morph_targets.run import batch, export_actions, job
+    from dynamic_morph_targets.run.bake import batch, export_actions, job
 
     dynamic_morph_targets.register()
     bpy.ops.wm.open_mainfile(filepath=str(SCENES / scene))

@@ -6,12 +6,14 @@ compiled engine is imported when it is first used (see core.engine), so that the
 """
 
 from functools import partial
+from types import ModuleType
 
 
-def _modules():
+def _modules() -> tuple[ModuleType, ...]:
     from . import preferences
-    from .run import live, watch, weight_curves
-    from .scene import properties
+    from .run.live import live
+    from .run.tools import watch, weight_curves
+    from .scene.properties import object_properties as properties
     from .ui import languages
     from .ui.operators import (
         attachments,
@@ -69,14 +71,14 @@ def _modules():
     )
 
 
-def register():
+def register() -> None:
     import bpy
 
     from .cli import main
     from .core import blas
     from .scene import registration
 
-    def run_command(arguments):
+    def run_command(arguments: list[str]) -> int:
         blas.use_one_thread()  # not where the artist and other add-ons work
         return main.main(arguments)
 
@@ -92,7 +94,7 @@ def register():
         raise
 
 
-def unregister():
+def unregister() -> None:
     """Takes back what `register` has done, however far it came; a second time there is nothing left to do.
 
     Each module's own `unregister` takes back what there is of it, for the same reason.
@@ -102,7 +104,7 @@ def unregister():
     registration.take_back(__name__)
 
 
-def _unregister(module):
+def _unregister(module: ModuleType) -> None:
     from .core import logger
 
     try:

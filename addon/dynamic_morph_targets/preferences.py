@@ -15,7 +15,7 @@ from .core.engine import installed_version, use_threads
 MODEL_FOLDER = "//dynamorph_models"  # beside the .blend
 
 
-def _threads_changed(chosen, _context):
+def _threads_changed(chosen: DynamorphPreferences, _context: bpy.types.Context) -> None:
     use_threads(chosen.threads)
 
 
@@ -34,7 +34,7 @@ class DynamorphPreferences(AddonPreferences):
         default=0, min=0, max=1024, soft_max=64, update=_threads_changed,
     )  # fmt: skip
 
-    def draw(self, _context):
+    def draw(self, _context: bpy.types.Context) -> None:
         from .core import engine
 
         layout = self.layout
@@ -69,12 +69,12 @@ def model_folders(blend_folder: Path | None) -> list[Path]:
     ]
 
 
-def register():
+def register() -> None:
     bpy.utils.register_class(DynamorphPreferences)
     chosen = _chosen()
     use_threads(chosen.threads if chosen else 0)
 
 
-def unregister():
+def unregister() -> None:
     if DynamorphPreferences.is_registered:
         bpy.utils.unregister_class(DynamorphPreferences)

@@ -90,17 +90,27 @@ py::tuple pickled(const LocalResponses& responses) {
                         MatrixXd(parts.shapes), parts.stiffness, parts.farthest, parts.shear, parts.farthest_node);
 }
 
-ResponseParts parts_of(const py::tuple& state) {
+/// Throws std::invalid_argument for a state that `pickled` did not make.
+std::shared_ptr<LocalResponses> unpickled(const py::tuple& state) {
   ResponseParts parts;
-  parts.centers = {state[0].cast<MatrixXd>(), state[1].cast<MatrixXd>(), {}};
-  parts.size = state[2].cast<double>();
-  parts.reach = state[3].cast<double>();
-  parts.shapes = state[4].cast<MatrixXd>();
-  parts.stiffness = state[5].cast<MatrixXd>();
-  parts.farthest = state[6].cast<VectorXd>();
-  parts.shear = state[7].cast<VectorXd>();
-  parts.farthest_node = state[8].cast<std::vector<int>>();
-  return parts;
+  try {
+    const auto read = [&](std::size_t k, auto& part) {
+      part = state[k].cast<std::decay_t<decltype(part)>>();
+      check_finite("state", part);
+    };
+    read(0, parts.centers.rest);
+    read(1, parts.centers.normals);
+    parts.size = state[2].cast<double>();
+    parts.reach = state[3].cast<double>();
+    read(4, parts.shapes);
+    read(5, parts.stiffness);
+    read(6, parts.farthest);
+    read(7, parts.shear);
+    parts.farthest_node = state[8].cast<std::vector<int>>();
+  } catch (const std::exception&) {  // those of pybind11 have no class in common
+    throw std::invalid_argument("state: it is none of local responses");
+  }
+  return std::make_shared<LocalResponses>(std::move(parts));
 }
 
 void bind_local_responses(py::module_& m) {
@@ -133,8 +143,7 @@ void bind_local_responses(py::module_& m) {
       .def_property_readonly(
           "stiffness", [](const LocalResponses& r) { return MatrixXd(r.stiffness()); },
           "C (P, P) of the energy a^T C a / 2, at the neutral targets.")
-      .def(py::pickle(&pickled,
-                      [](const py::tuple& state) { return std::make_shared<LocalResponses>(parts_of(state)); }));
+      .def(py::pickle(&pickled, &unpickled));
 }
 
 void bind_samples(py::module_& m) {

@@ -46,7 +46,7 @@ def problem():
     yield from driver.keep("problem", sidebar)
     yield from sidebar.press(fix)
     yield from until(lambda: not modifier.use_bone_envelopes, "the problem to be fixed")
-    assert not list(addon("scene.checks").problems(addon("scene.skinning").Skinning.of(skin())))
+    assert not list(addon("scene.check.checks").problems(addon("scene.skinning").Skinning.of(skin())))
 
 
 # The cage ------------------------------------------------------------------------------------------------------------
@@ -90,7 +90,7 @@ def paint():
 
 
 def firmness() -> np.ndarray:
-    return addon("scene.mesh_data").group_weights(skin(), [settings().firmness_group])[:, 0]
+    return addon("scene.read.mesh_data").group_weights(skin(), [settings().firmness_group])[:, 0]
 
 
 def stroke(weight: float, start: float, end: float):
@@ -104,7 +104,7 @@ def stroke(weight: float, start: float, end: float):
 
 @step("Hold Selected Bones, and blur the border")
 def hold_bones():
-    painted, forearm = firmness(), addon("scene.mesh_data").group_weights(skin(), [limb.BONES[1]])[:, 0]
+    painted, forearm = firmness(), addon("scene.read.mesh_data").group_weights(skin(), [limb.BONES[1]])[:, 0]
     for bone in rig().pose.bones:
         bone.select = bone.name == limb.BONES[1]  # not by hand
     yield from sidebar.press("dynamorph.hold_bones")
@@ -144,7 +144,7 @@ def max_distance():
     yield from until(lambda: skin().mode == "WEIGHT_PAINT", "Weight Paint")
     yield from stroke(0.0, 0.56, 0.58)
     group = settings().max_distance_group
-    painted = addon("scene.mesh_data").group_weights(skin(), [group])[:, 0]
+    painted = addon("scene.read.mesh_data").group_weights(skin(), [group])[:, 0]
     assert painted.min() < 0.5 and painted.max() == 1.0, "the stroke painted nothing"
     yield from sidebar.press("dynamorph.paint_max_distance")
     yield from until(lambda: skin().mode == "OBJECT", "Object Mode")
@@ -200,8 +200,8 @@ def add_a_cuff():
 def target_weights():
     yield from sidebar.unfold("DYNAMORPH_PT_target_weights")
     yield from sidebar.press("dynamorph.target_weights")
-    yield from until(lambda: addon("run.weight_curves").drawn(skin()), "the graph")
-    known, graph = addon("run.weight_curves").drawn(skin())
+    yield from until(lambda: addon("run.tools.weight_curves").drawn(skin()), "the graph")
+    known, graph = addon("run.tools.weight_curves").drawn(skin())
     assert (known.start, known.end) == (1, limb.LAST)
     # The flexed target is the last: its region forms a set of its own, after the body's.
     assert graph.weights[limb.FLEXED - 1, -1] > 0.99 and graph.outside[limb.TURNED - 1].any()
@@ -299,11 +299,11 @@ def finish_sculpting():
     sculpt = skin().active_shape_key
     assert sculpt.value == 1.0, "the sculpt does not show in its pose"
     yield from sidebar.press("dynamorph.live")  # which builds first
-    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on", 60.0)
+    yield from until(lambda: addon("run.live.live").is_on(skin()), "Live to be on", 60.0)
     task.done()
-    assert not addon("scene.staleness").model_age(skin()) and sculpt.value == 0.0 and sculpt.mute
+    assert not addon("scene.store.staleness").model_age(skin()) and sculpt.value == 0.0 and sculpt.mute
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
+    yield from until(lambda: not addon("run.live.live").is_on(skin()), "Live to be off")
     yield from sidebar.press("dynamorph.go_to_pose")
     yield from until(lambda: sculpt.value == 1.0, "the sculpt in its pose")
     yield from frames.click(limb.FLEXED)

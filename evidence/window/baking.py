@@ -101,7 +101,7 @@ def out_of_date():
     yield from sidebar.fold("DYNAMORPH_PT_targets")
     yield from sidebar.unfold("DYNAMORPH_PT_material")
     yield from sidebar.enter("targets[1].stiffness", str(round(2.0 * settings().targets[1].stiffness)))
-    assert addon("scene.staleness").outdated(skin()) == ['Stiffness of "flexed" changed']
+    assert addon("scene.store.staleness").outdated(skin()) == ['Stiffness of "flexed" changed']
     yield from sidebar.fold("DYNAMORPH_PT_material")
     yield from sidebar.fold("DYNAMORPH_PT_details")  # which would leave no room for the message
 
@@ -113,7 +113,7 @@ def bake_all():
     yield from job_done()
     yield from close("bake")
     assert settings().model.content_id == model, "a new stiffness rebuilt the model"
-    assert not addon("scene.staleness").outdated(skin())
+    assert not addon("scene.store.staleness").outdated(skin())
     assert abs(wobble() - before) > 0.1 * before
 
 
@@ -148,10 +148,10 @@ def live_over_the_bake():
     bpy.context.scene.frame_set(limb.FLEXED + 1)
     before, shown = keys(), shown_at(limb.FLEXED + 1)
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on")
+    yield from until(lambda: addon("run.live.live").is_on(skin()), "Live to be on")
     assert baked() and np.abs(shown_at(limb.FLEXED + 1) - shown).max() > 1e-5
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
+    yield from until(lambda: not addon("run.live.live").is_on(skin()), "Live to be off")
     assert keys() == before and np.array_equal(shown_at(limb.FLEXED + 1), shown)
 
 

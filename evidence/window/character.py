@@ -74,7 +74,7 @@ def build():
     yield from sidebar.press("dynamorph.build")
     yield from job_done()
     measure("Its model", settings().model.summary)
-    expected = addon("run.expected_error")
+    expected = addon("run.bake.expected_error")
     begin = time.monotonic()
     yield from until(lambda: expected.known(skin()) is not None, "the expected error", 60.0)
     measure("Its expected error", f"{100 * expected.known(skin()):.0f} %, found in {time.monotonic() - begin:.1f} s")
@@ -84,15 +84,15 @@ def build():
 @step("Play it live")
 def live():
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on")
-    with frames.timed(addon("run.live"), "follow") as follow:
+    yield from until(lambda: addon("run.live.live").is_on(skin()), "Live to be on")
+    with frames.timed(addon("run.live.live"), "follow") as follow:
         yield from measured("Live")
     measure("Live's own share of a frame", f"{np.median(follow):.1f} ms, mean {np.mean(follow):.1f} ms")
     seconds, problem = yield from frames.latency(skin(), settings().targets[0], 2.0 * settings().targets[0].stiffness)
     assert not problem
     measure("Stiffness to the next picture", f"{seconds:.2f} s")
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
+    yield from until(lambda: not addon("run.live.live").is_on(skin()), "Live to be off")
 
 
 @step("Bake it")

@@ -51,7 +51,7 @@ def baked() -> list[str]:
 
 def job():
     """What is being built or baked, or None."""
-    return addon("run.batch").running
+    return addon("run.remembered").work.running
 
 
 def job_done(limit=120.0):

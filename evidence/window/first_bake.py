@@ -108,11 +108,11 @@ def add_soft_skin():
     yield from until(lambda: settings().targets, "a neutral target")
     seen = time.monotonic()
     yield from until(lambda: settings().live.key.name, "Live to be on", 60.0)  # and lent to the hop at once
-    shown, modes = time.monotonic(), addon("run.live").sessions[skin().session_uid].tissue.modes
-    yield from until(lambda: addon("run.preview").preview is None, "the end of the hop")
+    shown, modes = time.monotonic(), addon("run.remembered").live.sessions[skin().session_uid].tissue.modes
+    yield from until(lambda: addon("run.remembered").live.preview is None, "the end of the hop")
     yield from until(frames.is_playing, "the animation to play")
     yield from until(lambda: job() is None, "all of its modes")
-    whole = addon("run.live").sessions[skin().session_uid].tissue.modes
+    whole = addon("run.remembered").live.sessions[skin().session_uid].tissue.modes
     assert modes < whole and frames.is_playing(), (modes, whole, frames.is_playing())
     measure("From Add Soft Skin to its progress, to Live", f"{seen - clicked:.1f} s, {shown - clicked:.1f} s")
     task.done()

@@ -31,7 +31,7 @@ from editors import (
 @step("Scrub while the rig is read")
 def read_while_scrubbing():
     """As when the mesh is compared with its model, a second after an edit."""
-    read = lambda: addon("scene.rig_motion").worlds_at_start(skin(), rig())  # noqa: E731
+    read = lambda: addon("scene.read.worlds").worlds_at_start(skin(), rig())  # noqa: E731
     yield from frames.scrub(limb.FIRST, limb.FLEXED, read)
     yield from frames.click(limb.FIRST)
 
@@ -43,7 +43,7 @@ def read_while_scrubbing():
 def build():
     yield from sidebar.press("dynamorph.build")
     yield from job_done()
-    assert settings().model.summary and not addon("scene.staleness").model_age(skin())
+    assert settings().model.summary and not addon("scene.store.staleness").model_age(skin())
     measure("Model of the arm", settings().model.summary)
 
 
@@ -56,7 +56,7 @@ def bounce():
     yield from sidebar.enter("targets[2].bounce", str(wanted))
     found = f"{target.bounce} Hz of {wanted} at {target.stiffness} Pa, before {before}"
     assert abs(target.bounce - wanted) < 0.02 and target.stiffness < 0.5 * before, found
-    assert not addon("scene.staleness").model_age(skin()), "a new stiffness needs no new model"
+    assert not addon("scene.store.staleness").model_age(skin()), "a new stiffness needs no new model"
 
 
 @step("The model's settings")
@@ -64,7 +64,7 @@ def model():
     yield from sidebar.fold("DYNAMORPH_PT_targets")
     yield from physics("advanced", "detail")
     yield from properties.choose_other("model.method")
-    assert not addon("scene.staleness").model_age(skin())
+    assert not addon("scene.store.staleness").model_age(skin())
 
 
 @step("Modes and Check Targets")
@@ -76,7 +76,7 @@ def modes():
     yield from close("detail")
     yield from physics("modes")
     yield from properties.press("dynamorph.play_mode")
-    yield from until(lambda: addon("run.preview").is_running("dynamorph.play_mode"), "the mode to play")
+    yield from until(lambda: addon("run.live.preview").is_running("dynamorph.play_mode"), "the mode to play")
     yield from until(lambda: np.abs(shown() - still).max() > 5e-3, "the mode to swing")
     yield from viewport.key("ESC")
     yield from until(lambda: keys() == before, "the preview to end")
@@ -93,20 +93,20 @@ def live():
     yield from frames.click(limb.FIRST)
     begin = time.perf_counter()
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on")
+    yield from until(lambda: addon("run.live.live").is_on(skin()), "Live to be on")
     measure("Live, turned on after", f"{time.perf_counter() - begin:.2f} s")
     assert keys()[-1] == "Dynamorph Live"
 
 
 @step("Play it live")
 def play_live():
-    with frames.timed(addon("run.live"), "follow") as follow:
+    with frames.timed(addon("run.live.live"), "follow") as follow:
         played = yield from frames.play(limb.FLEXED - limb.FIRST + 5)
     assert len(follow) >= len(played.evaluated)
     measure("Playback with Live", f"{played.fps:.0f} of {bpy.context.scene.render.fps} frames/s")
     measure("Live, a frame of the arm", f"{np.mean(follow):.1f} ms, at most {max(follow):.0f} ms")
     assert moved(limb.FLEXED + 1, limb.FLEXED + 4) > 1e-4, "the skin does not swing"
-    assert not addon("run.live").problem(skin())
+    assert not addon("run.live.live").problem(skin())
 
 
 @step("Change the stiffness while it plays")
@@ -139,7 +139,7 @@ def shown_by_click(frame: int):
 def shake():
     yield from sidebar.unfold("DYNAMORPH_PT_shake_test")
     rested, stood = shown(), rig().matrix_world.copy()
-    running = lambda: addon("run.preview").is_running("dynamorph.shake_test")  # noqa: E731
+    running = lambda: addon("run.live.preview").is_running("dynamorph.shake_test")  # noqa: E731
     hop = "dynamorph.shake_test(kind='HOP')"
     yield from sidebar.press(hop)
     yield from until(running, "the shake test")
@@ -174,7 +174,7 @@ def slots():
 @step("Live off")
 def live_off():
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
+    yield from until(lambda: not addon("run.live.live").is_on(skin()), "Live to be off")
     assert keys() == ["Basis", "flexed", "Pose 1"]
     assert not any(block.mute for block in skin().data.shape_keys.key_blocks)
     assert moved(limb.FLEXED + 1, limb.FLEXED + 4) == 0.0

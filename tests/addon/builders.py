@@ -145,7 +145,8 @@ def skinning_of(obj):
 
 def warnings_of(obj):
     """What a build would warn about before it begins."""
-    from bl_ext.user_default.dynamic_morph_targets.scene import extract, source
+    from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+    from bl_ext.user_default.dynamic_morph_targets.scene.read import source
 
     return extract.warnings(source.Source.of(skinning_of(obj)))
 
@@ -194,7 +195,8 @@ def skinned(character, samples, displacement=0.0):
 
 def assert_shows(obj, bake, extra=0.0):
     """Blender's mesh at every frame is vertices + Bake.displacement, skinned. bake: of the whole body."""
-    from bl_ext.user_default.dynamic_morph_targets.scene import extract, rig_motion
+    from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+    from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
 
     character = extract.character(obj)
     samples = rig_motion.sample_rig(obj, int(bake.frames[0]), int(bake.frames[-1]), 1)

@@ -14,9 +14,9 @@ import addon_utils  # noqa: E402
 import bpy  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.core.model import build  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.core.motion import simulate  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.run import batch  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.scene import model_store  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store  # noqa: E402
 from threaded import Threaded  # noqa: E402
 
 EXIT = pytest.StashKey[int]()

@@ -8,9 +8,11 @@ import bpy
 import numpy as np
 from bl_ext.user_default.dynamic_morph_targets.core.motion.grab import Grab, as_text
 from bl_ext.user_default.dynamic_morph_targets.core.result.judge import Limits, Verdict
-from bl_ext.user_default.dynamic_morph_targets.run import batch, remembered
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import model_store, target_properties
+from bl_ext.user_default.dynamic_morph_targets.run import remembered
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene.properties import target_properties
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
 from builders import activate, evaluated_points, fingerprint, keys_of, make_box, rig_of
 from test_targets import drive
 

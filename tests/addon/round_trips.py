@@ -307,7 +307,7 @@ FORMS = (
 
 def module_of(obj, name: str):
     """A module of the add-on, such as run.job, under the name by which it was loaded."""
-    package = type(obj.dynamorph).__module__.removesuffix(".scene.properties")
+    package = type(obj.dynamorph).__module__.removesuffix(".scene.properties.object_properties")
     return importlib.import_module(f"{package}.{name}")
 
 
@@ -343,8 +343,8 @@ def measure(obj, folder: Path, forms=FORMS, frames: tuple[int, int] | None = Non
     Returns for each form: form, reader; error, the largest distance from the engine's surface over all frames and
     vertices, in sizes of the body; bytes of keys or of the file; seconds to write it, without the simulation.
     """
-    jobs, batch = module_of(obj, "run.job"), module_of(obj, "run.batch")
-    exports, actions = module_of(obj, "write.export.exports"), module_of(obj, "run.export_actions")
+    jobs, batch = module_of(obj, "run.bake.job"), module_of(obj, "run.bake.batch")
+    exports, actions = module_of(obj, "write.export.exports"), module_of(obj, "run.bake.export_actions")
     name, found, unread = obj.name, [], []
     for k, form in enumerate(forms):
         obj.dynamorph.output.format, obj.dynamorph.output.keys = form.format, form.keys

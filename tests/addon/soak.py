@@ -37,7 +37,7 @@ import bpy  # noqa: E402
 import long_runs  # noqa: E402
 import numpy as np  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.cli import commands  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.run import child  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.run.work import child  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.write.export import exports  # noqa: E402
 from builders import activate, make_arm, make_soft, soon  # noqa: E402
 from pressed import Pressed  # noqa: E402

@@ -287,7 +287,7 @@ def calls() -> dict[str, tuple[object, dict]]:
 @cache
 def declared() -> dict[str, dict[str, str]]:
     """The types of the parameters of each callable in the stubs, by name; of overloads the first. Enumerations and
-    exceptions are left out: pybind11 makes them.
+    exceptions are left out: pybind11 makes them. So are the two that pickle calls, see test_contact.py.
     """
     found: dict[str, dict[str, str]] = {}
     for node in (each for stub in STUBS for each in ast.parse(stub.read_text(encoding="utf-8")).body):
@@ -296,7 +296,7 @@ def declared() -> dict[str, dict[str, str]]:
         elif isinstance(node, ast.ClassDef) and not node.bases and not is_enumeration(node):
             for method in (each for each in node.body if isinstance(each, ast.FunctionDef)):
                 decorators = {ast.unparse(each) for each in method.decorator_list}
-                if "property" not in decorators:
+                if "property" not in decorators and method.name not in ("__getstate__", "__setstate__"):
                     name = node.name if method.name == "__init__" else f"{node.name}.{method.name}"
                     found.setdefault(name, types_of(method))
     return found

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import itertools
+import pickle
 from types import SimpleNamespace
 
 import dynamorph
@@ -424,6 +425,33 @@ def test_patches_are_the_same_at_any_size(belly, few):
             both.append((local.stiffness, scale**1.5 * local.shapes))
         for whole, small in zip(*both, strict=True):
             np.testing.assert_allclose(small, whole, rtol=0, atol=1e-6 * np.abs(whole).max())
+
+
+def test_patches_go_to_another_process(few):
+    there = pickle.loads(pickle.dumps(few.local))
+    np.testing.assert_array_equal(there.shapes, few.local.shapes)
+    np.testing.assert_array_equal(there.stiffness, few.local.stiffness)
+    good = few.local.__getstate__()
+    assert all(np.array_equal(*both) for both in zip(there.__getstate__(), good, strict=True))
+    for bad in bad_states(good):
+        with pytest.raises(ValueError, match=r"state: |centers: |normals: |stiffness: |farthest|such node"):
+            dynamorph.LocalResponses.__new__(dynamorph.LocalResponses).__setstate__(bad)
+
+
+def bad_states(good):
+    """States of patches that are no such state: cut off, and each part of another kind, size or value."""
+    yield ()
+    yield good[:5]
+    for k, part in enumerate(good):
+        wrong = ["text", None]
+        if isinstance(part, np.ndarray):
+            wrong += [part[:-1], np.full(part.shape, np.nan)]
+        elif isinstance(part, list):
+            wrong += [part[:-1], [-1, *part[1:]], [2**30, *part[1:]]]
+        for each in wrong:
+            # How many rows of shapes and shear there are, the model knows: Contact compares them.
+            if not (isinstance(each, np.ndarray) and k in (4, 7) and len(each) < len(part)):
+                yield (*good[:k], each, *good[k + 1 :])
 
 
 def test_a_state_with_dents_resumes_to_the_last_bit(belly, few):

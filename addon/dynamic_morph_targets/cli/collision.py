@@ -8,16 +8,14 @@ import argparse
 import bpy
 
 from ..core.errors import InputError
-from ..run import bake_time
-from ..scene import run_settings
+from ..run.bake import bake_time
+from ..scene.motion import run_settings
 from . import names
 from .parsers import name_of
 
-SETTINGS = ("distance", "friction", "bake_full")  # properties that are options of the same name
-
 
 def add_options(bake: argparse.ArgumentParser) -> None:
-    """All but SETTINGS."""
+    """Those that are not named after their property."""
     bake.add_argument("--collision", action=argparse.BooleanOptionalAction,
                       help="let the objects that have Blender's Collision stop the skin")  # fmt: skip
     bake.add_argument("--self-collision", action=argparse.BooleanOptionalAction,
@@ -50,9 +48,6 @@ def apply(args: argparse.Namespace, obj: bpy.types.Object, simulates: bool) -> N
     if group is not None:
         names.check_group(obj, group, "--exclude")
         obj.dynamorph.excluded_group = group
-    for setting in SETTINGS:
-        if chosen.get(setting) is not None:
-            setattr(settings, setting, chosen[setting])
     settings.use_friction |= chosen.get("friction") is not None
     if chosen.get("solver") == "reduced" and chosen.get("bake_full") is None:
         settings.bake_full = False

@@ -23,11 +23,17 @@ from ..core.material import fit, oscillation
 from ..core.result import compare
 from ..core.settings import MOST_SUBSTEPS, VARIANTS, Material, ModelSettings
 from ..io import cache_dir, disk, outputs, paths, report_page
-from ..run import bake_input, batch, export_actions, full_comparison
-from ..run.job import Job
-from ..scene import checks, colliders, extract, mesh_data, model_store, run_settings, skin
+from ..run.bake import bake_input, batch, export_actions, full_comparison
+from ..run.bake.job import Job
+from ..scene import skin
+from ..scene.character import extract
+from ..scene.check import checks
+from ..scene.motion import colliders, run_settings
+from ..scene.properties.bake_properties import DynamorphCollision, DynamorphOutput, DynamorphSimulation
+from ..scene.read import mesh_data
+from ..scene.read.source import Source
 from ..scene.skinning import Skinning
-from ..scene.source import Source
+from ..scene.store import model_store
 from ..write.bake import writer
 from ..write.export import blend_file, exports, losses, process
 from . import collision, names, signals
@@ -35,10 +41,23 @@ from .parsers import number
 from .record import Done, ProgressPrinter, print_table
 
 SETTABLE = (*(field.name for field in fields(Material)), "fade_out_angle", "amount")  # properties of a target
-MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
-SIMULATION_SETTINGS = ("speed", "samples", "integrator", "gravity", "fields", "initial_state", "loop", "keep_outside")
-OUTPUT_SETTINGS = ("keys", "frame_step", "tolerance", "bake_to_action")
-SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output": OUTPUT_SETTINGS}
+# Properties with an option that does more than to set them, or that no number or word can set.
+NOT_ALIKE = {
+    "use_scene_range", "frame_start", "frame_end", "substeps", "drags", "format", "use", "collection", "use_self",
+    "use_friction",
+}  # fmt: skip
+# All other properties of the panels are options of the same name. Of the model's, those that the engine knows.
+SETTINGS = {
+    "model": tuple(field.name for field in fields(ModelSettings)),
+    **{
+        part: tuple(name for name in group.__annotations__ if name not in NOT_ALIKE)
+        for part, group in (
+            ("simulation", DynamorphSimulation),
+            ("collision", DynamorphCollision),
+            ("output", DynamorphOutput),
+        )
+    },
+}
 
 
 def check_substeps(args: argparse.Namespace) -> None:

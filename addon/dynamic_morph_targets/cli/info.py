@@ -8,8 +8,10 @@ import argparse
 import bpy
 
 from ..core import engine, errors
-from ..run import expected_error
-from ..scene import extract, model_store, skin, staleness
+from ..run.bake import expected_error
+from ..scene import skin
+from ..scene.character import extract
+from ..scene.store import model_store, staleness
 from . import names
 
 

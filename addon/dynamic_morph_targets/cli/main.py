@@ -34,9 +34,7 @@ from ..io import disk, outputs, paths
 from ..write.export import exports
 from . import collision, names, signals
 from .commands import (
-    MODEL_SETTINGS,
-    OUTPUT_SETTINGS,
-    SIMULATION_SETTINGS,
+    SETTINGS,
     bake_formats,
     check_folder,
     file_state,
@@ -208,9 +206,9 @@ def add_bake(command: Callable[..., argparse.ArgumentParser]) -> None:
     bake = command("bake", run_job, "simulate, and write shape keys or files; outdated models are built first")
     bake.set_defaults(goal="BAKE")
     add_shot(bake)
-    add_settings(bake, "simulation", SIMULATION_SETTINGS)
+    add_settings(bake, "simulation")
     collision.add_options(bake)
-    add_settings(bake, "collision", collision.SETTINGS)
+    add_settings(bake, "collision")
     bake.add_argument("--format", choices=[name.lower() for name in (*bake_formats(), *exports.FORMATS)],
                       help="the form of the bake: Blender plays modes, frames and pc2, the others are files for "
                       "other programs; default: the object's own setting")  # fmt: skip
@@ -220,7 +218,7 @@ def add_bake(command: Callable[..., argparse.ArgumentParser]) -> None:
     bake.add_argument("--clips", choices=("scene", "actions"), default="scene",
                       help="which animations a gltf or fbx has: that of the scene's frames, or one per Action of the "
                       "armature, each simulated on its own; default: %(default)s")  # fmt: skip
-    add_settings(bake, "output", OUTPUT_SETTINGS)
+    add_settings(bake, "output")
     bake.add_argument("--compare-full", action="store_true",
                       help="also say how far the reduced motion is from that of --solver full")  # fmt: skip
     add_model(bake)
@@ -266,7 +264,7 @@ def add_collect(commands: argparse._SubParsersAction, opens_file: bool) -> None:
 
 def add_model(sub: argparse.ArgumentParser) -> None:
     """Options of the commands that build models."""
-    add_settings(sub, "model", MODEL_SETTINGS)
+    add_settings(sub, "model")
     sub.add_argument("--set", action="append", default=[], type=name_of, metavar="TARGET.PROPERTY=VALUE",
                      dest="changes", help="set a target's property first, for example Flexed.stiffness=5e4; may be "
                      "repeated")  # fmt: skip
@@ -295,10 +293,10 @@ def add_shot(sub: argparse.ArgumentParser) -> None:
     )
 
 
-def add_settings(sub: argparse.ArgumentParser, part: str, names: Sequence[str]) -> None:
+def add_settings(sub: argparse.ArgumentParser, part: str) -> None:
     """Options for the settings of a panel. The values that are given are set on the object first."""
     settings = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties[part].fixed_type.properties
-    for name in names:
+    for name in SETTINGS[part]:
         setting = settings[name]
         option = f"--{name.replace('_', '-')}"
         text = f"{setting.name}. {setting.description}".replace("%", "%%")

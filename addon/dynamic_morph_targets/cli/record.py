@@ -15,8 +15,8 @@ import bpy
 from ..core import engine
 from ..core.motion import baked
 from ..core.time_left import TimeLeft, clock
-from ..run.batch import Work
-from ..run.job import Job
+from ..run.bake.job import Job
+from ..run.work.task import Work
 from . import signals
 
 FORMAT = 1  # of a report

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Callable, Collection, Iterable
 from functools import partial
 from pathlib import Path
 
@@ -18,23 +19,23 @@ from .skinning import Skinning
 GROUP = "Dynamorph"  # of the curves of baked keys, which tells them from the artist's in the same Action
 
 
-def is_baked(curve) -> bool:
+def is_baked(curve: bpy.types.FCurve) -> bool:
     """Whether a bake has made a curve."""
     return bool(curve.group) and curve.group.name == GROUP and curve.data_path.startswith("key_blocks[")
 
 
-def curves(action, slot) -> list:
+def curves(action: bpy.types.Action | None, slot: bpy.types.ActionSlot | None) -> list:
     """The F-curves of one slot of an Action; either may be None."""
     channels = anim_utils.action_get_channelbag_for_slot(action, slot)
     return list(channels.fcurves) if channels else []
 
 
-def remove_curve(action, slot, curve):
+def remove_curve(action: bpy.types.Action, slot: bpy.types.ActionSlot, curve: bpy.types.FCurve) -> None:
     """Remove one of `curves`."""
     anim_utils.action_get_channelbag_for_slot(action, slot).fcurves.remove(curve)
 
 
-def follow_list(obj, path: str, before: list[int]):
+def follow_list(obj: bpy.types.Object, path: str, before: list[int]) -> None:
     """Let the curves and drivers of a list's elements follow them: Blender tells the elements apart by their place.
 
     before: where each element was. What animates an element that is gone is removed.
@@ -42,7 +43,7 @@ def follow_list(obj, path: str, before: list[int]):
     data = obj.animation_data
     now, element = {old: new for new, old in enumerate(before)}, re.compile(rf"{re.escape(path)}\[(\d+)\]")
 
-    def follow(curves, remove):
+    def follow(curves: list[bpy.types.FCurve], remove: Callable[[bpy.types.FCurve], object]) -> None:
         for curve in curves:
             found = element.match(curve.data_path)
             place = now.get(int(found[1]), -1) if found else None
@@ -58,7 +59,7 @@ def follow_list(obj, path: str, before: list[int]):
         follow(list(data.drivers), data.drivers.remove)
 
 
-def strips(tracks, muted=True) -> list:
+def strips(tracks: Iterable[bpy.types.NlaTrack | bpy.types.NlaStrip], muted: bool = True) -> list:
     """The strips of NLA tracks, followed by those in Meta strips; muted: also those that do not play."""
     found = []
     for group in (track for track in tracks if muted or not track.mute):
@@ -67,33 +68,33 @@ def strips(tracks, muted=True) -> list:
     return found
 
 
-def played(data) -> list:
+def played(data: bpy.types.AnimData) -> list:
     """The F-curves that animation data play: of their Action and of their strips."""
     players = data, *strips(data.nla_tracks, muted=False)
     return [curve for player in players for curve in curves(player.action, player.action_slot)]
 
 
-def keys_of(obj):
+def keys_of(obj: bpy.types.Object) -> bpy.types.bpy_prop_collection:
     """The shape keys of `obj` by name; empty when the artist has removed all of them."""
     return obj.data.shape_keys.key_blocks if obj.data.shape_keys else {}
 
 
-def baked_keys(obj) -> set[str]:
+def baked_keys(obj: bpy.types.Object) -> set[str]:
     return {key.name for key in obj.dynamorph.bake.keys}
 
 
-def moving_keys(obj) -> list[str]:
+def moving_keys(obj: bpy.types.Object) -> list[str]:
     """The keys with an effect: not muted, and with a curve, a driver or a value."""
     animated = baked_keys(obj) | driven_keys(obj) | played_keys(obj)
     return [name for name, key in list(keys_of(obj).items())[1:] if not key.mute and (key.value or name in animated)]
 
 
-def driven_keys(obj) -> set[str]:
+def driven_keys(obj: bpy.types.Object) -> set[str]:
     animation = obj.data.shape_keys and obj.data.shape_keys.animation_data
     return _keys_at(obj, {driver.data_path for driver in animation.drivers} if animation else ())
 
 
-def played_keys(obj) -> set[str]:
+def played_keys(obj: bpy.types.Object) -> set[str]:
     """The keys that Actions of the artist move, by the NLA too."""
     animation = obj.data.shape_keys and obj.data.shape_keys.animation_data
     if not animation:
@@ -101,7 +102,7 @@ def played_keys(obj) -> set[str]:
     return _keys_at(obj, {curve.data_path for curve in played(animation)})
 
 
-def _keys_at(obj, paths) -> set[str]:
+def _keys_at(obj: bpy.types.Object, paths: Collection[str]) -> set[str]:
     return {name for name, key in keys_of(obj).items() if f"{key.path_from_id()}.value" in paths}
 
 
@@ -149,14 +150,14 @@ def rigid_bodies(skinning: Skinning) -> list[str]:
     return [name for name, body in bodies if body and body.type == "ACTIVE" and not body.kinematic]
 
 
-def _add_with_parents(movers, moving: list):
+def _add_with_parents(movers: Iterable[bpy.types.Object | None], moving: list) -> None:
     for mover in movers:
         while mover is not None and mover not in moving:
             moving.append(mover)
             mover = mover.parent
 
 
-def _followed(mover) -> list:
+def _followed(mover: bpy.types.Object) -> list:
     """The objects that the constraints and drivers of an object, and of its bones, follow."""
     bones = mover.pose.bones if mover.pose else ()
     constraints = [*mover.constraints, *(constraint for bone in bones for constraint in bone.constraints)]
@@ -167,7 +168,7 @@ def _followed(mover) -> list:
     return [other for other in found if isinstance(other, bpy.types.Object)]
 
 
-def animation_hash(data) -> str:
+def animation_hash(data: bpy.types.AnimData | None) -> str:
     """Of the F-curves and NLA strips that animation data, or None, play."""
     if data is None:
         return ""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import Enum
 
@@ -29,30 +29,30 @@ class Event(Enum):
 _listeners: dict[Event, list[Callable]] = {event: [] for event in Event}
 
 
-def subscribe(listeners: dict[Event, Callable]):
+def subscribe(listeners: dict[Event, Callable]) -> None:
     for event, listener in listeners.items():
         _listeners[event].append(listener)
 
 
-def unsubscribe(listeners: dict[Event, Callable]):
+def unsubscribe(listeners: dict[Event, Callable]) -> None:
     """Those of them that have subscribed."""
     for event, listener in listeners.items():
         if listener in _listeners[event]:
             _listeners[event].remove(listener)
 
 
-def emit(event: Event, *args):
+def emit(event: Event, *args: object) -> None:
     for listener in _listeners[event]:
         listener(*args)
 
 
-def add(handlers: dict[str, Callable]):
+def add(handlers: dict[str, Callable]) -> None:
     """handlers: functions by the name of their list in bpy.app.handlers."""
     for name, handler in handlers.items():
         getattr(bpy.app.handlers, name).append(handler)
 
 
-def remove(handlers: dict[str, Callable]):
+def remove(handlers: dict[str, Callable]) -> None:
     """Those of them that were added."""
     for name, handler in handlers.items():
         if handler in getattr(bpy.app.handlers, name):
@@ -60,7 +60,7 @@ def remove(handlers: dict[str, Callable]):
 
 
 @contextmanager
-def without_handlers():
+def without_handlers() -> Iterator[None]:
     """No handler is called for what Blender evaluates in the block, in a scene of ours: other add-ons' handlers would
     take its frames for the artist's, and ours do not need them. What is added in the block stays, after the others.
     See docs/decisions/0011.
@@ -76,13 +76,13 @@ def without_handlers():
             handlers[:0] = before
 
 
-def soon(look: Callable, seconds: float):
+def soon(look: Callable, seconds: float) -> None:
     """Call `look` by a timer once it has not been asked for during so many seconds."""
     forget(look)
     bpy.app.timers.register(look, first_interval=seconds)
 
 
-def forget(look: Callable):
+def forget(look: Callable) -> None:
     if bpy.app.timers.is_registered(look):
         bpy.app.timers.unregister(look)
 
@@ -105,13 +105,13 @@ def render_runs() -> bool:
     return threading.current_thread() is threading.main_thread() and bpy.app.is_job_running("RENDER")
 
 
-def check_not_rendering():
+def check_not_rendering() -> None:
     """Raises SceneError while `render_runs`."""
     if render_runs():
         raise SceneError("Blender is rendering: wait until it is done")
 
 
-def redraw(regions: set[tuple[str, str]]):
+def redraw(regions: set[tuple[str, str]]) -> None:
     """Let these kinds of regions draw again, and no others: a 3D view may take longer than what the panels show."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
@@ -120,11 +120,11 @@ def redraw(regions: set[tuple[str, str]]):
                     region.tag_redraw()
 
 
-def redraw_status(context):
+def redraw_status(context: bpy.types.Context) -> None:
     """Let the status bar of a window draw again, where `ui/panels/sections` says what runs."""
     context.workspace.status_text_set(None)
 
 
-def shown_changed(group, _context):
+def shown_changed(group: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
     """update: of a property that changes what Live shows."""
     emit(Event.SHOWN_CHANGED, group.id_data)

@@ -3,8 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Any
 
-def plain(group, skip=()) -> dict:
+import bpy
+
+
+def plain(group: bpy.types.bpy_struct, skip: Iterable[str] = ()) -> dict:
     """The simple settings of a property group by name, as JSON data: numbers, texts, enums and arrays of numbers.
 
     Groups and lists within it, values that follow from a built model, and what `skip` names are left out.
@@ -19,12 +24,12 @@ def plain(group, skip=()) -> dict:
     return out
 
 
-def length(prop) -> int:
+def length(prop: bpy.types.Property) -> int:
     """Of a property that is an array, otherwise 0."""
     return getattr(prop, "array_length", 0)
 
 
-def fits(prop, value) -> bool:
+def fits(prop: bpy.types.Property, value: Any) -> bool:
     """Whether a property of a group takes the value unchanged; an array takes a list of as many."""
     kind, count = prop.type, length(prop)
     if count and not (isinstance(value, list) and len(value) == count):
@@ -41,7 +46,7 @@ def fits(prop, value) -> bool:
     return all(type(value) in numbers and low <= value <= high for value in values)
 
 
-def is_text(value) -> bool:
+def is_text(value: object) -> bool:
     """Whether Blender can store it: text without lone surrogates and zeros."""
     try:
         return isinstance(value, str) and b"\0" not in value.encode()
@@ -49,7 +54,7 @@ def is_text(value) -> bool:
         return False
 
 
-def wanted(prop) -> str:
+def wanted(prop: bpy.types.Property) -> str:
     """What `fits` accepts, in words."""
     if prop.type in ("BOOLEAN", "STRING"):
         return {"BOOLEAN": "true or false", "STRING": "a text"}[prop.type]

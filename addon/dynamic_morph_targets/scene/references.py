@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
+import bpy
 import numpy as np
 from bpy.props import IntProperty, StringProperty
 
@@ -17,7 +20,7 @@ OVERRIDE = {"LIBRARY_OVERRIDABLE"}
 OVERRIDE_LIST = {"LIBRARY_OVERRIDABLE", "USE_INSERTION"}
 
 
-def rig_of(obj):
+def rig_of(obj: bpy.types.Object) -> Any:
     """The armature object that places the targets of `obj`, or None: of the first Armature modifier that skins it.
 
     That has a deforming bone with a vertex group; if none has, the first that has an armature.
@@ -25,7 +28,7 @@ def rig_of(obj):
     return rig_among(obj, armature_modifiers(obj))
 
 
-def rig_among(obj, modifiers):
+def rig_among(obj: bpy.types.Object, modifiers: Sequence[bpy.types.Modifier]) -> bpy.types.Object | None:
     """`rig_of` with the `armature_modifiers` of `obj`."""
     rigs = [modifier.object for modifier in modifiers]
     if len(rigs) < 2:
@@ -35,7 +38,7 @@ def rig_among(obj, modifiers):
     return next(skins, rigs[0])
 
 
-def armature_modifiers(obj) -> list:
+def armature_modifiers(obj: bpy.types.Object) -> list:
     """The Armature modifiers of `obj` that have an armature and are on in the viewport or in renders; if all are off,
     these.
     """
@@ -43,12 +46,12 @@ def armature_modifiers(obj) -> list:
     return [modifier for modifier in found if modifier.show_viewport or modifier.show_render] or found
 
 
-def is_armature(obj) -> bool:
+def is_armature(obj: bpy.types.Object | None) -> bool:
     """Whether it is an armature object; one whose library is missing is an empty."""
     return obj is not None and obj.type == "ARMATURE"
 
 
-def as_moved(skeleton: Skeleton, rig) -> Skeleton:
+def as_moved(skeleton: Skeleton, rig: bpy.types.Object) -> Skeleton:
     """The skeleton, where a bone that copies the transforms of another one hangs on that: in rigs such as Rigify's the
     deforming bones follow mechanisms, and these the bones that the artist moves.
     """
@@ -60,7 +63,7 @@ def as_moved(skeleton: Skeleton, rig) -> Skeleton:
     return replace(skeleton, parents=parents)
 
 
-def rest_skeleton(armature) -> Skeleton:
+def rest_skeleton(armature: bpy.types.Armature) -> Skeleton:
     """The armature's bones at rest, parents before children."""
     names, rest = bones_key(armature)
     places = {name: place for place, name in enumerate(names)}
@@ -86,31 +89,31 @@ def _skeleton(names: tuple[str, ...], rest: bytes, parents: tuple[int, ...]) -> 
     )
 
 
-def bones_key(armature) -> tuple:
+def bones_key(armature: bpy.types.Armature) -> tuple:
     """The bones' names and rest places, for comparison."""
     rest = np.empty(16 * len(armature.bones), np.float32)
     armature.bones.foreach_get("matrix_local", rest)
     return tuple(armature.bones.keys()), rest.tobytes()
 
 
-def key_points(block) -> np.ndarray:
+def key_points(block: bpy.types.ShapeKey) -> np.ndarray:
     """The points of a shape key, (V, 3) float32, local space. float32 because Blender then copies in one piece."""
     points = np.empty((len(block.points), 3), np.float32)
     block.points.foreach_get("co", points.ravel())
     return points
 
 
-def key_hash(block) -> str:
+def key_hash(block: bpy.types.ShapeKey) -> str:
     """Identifies a shape key by its shape, whatever its name or place in the list."""
     return _hash("shape", block, _key_shape(block))
 
 
-def basis_hash(blocks) -> str:
+def basis_hash(blocks: bpy.types.bpy_prop_collection) -> str:
     """Detects edits of the mesh itself, which change all its shape keys."""
     return _hash("points", blocks[0], key_points(blocks[0]))
 
 
-def _hash(what: str, block, points: np.ndarray) -> str:
+def _hash(what: str, block: bpy.types.ShapeKey, points: np.ndarray) -> str:
     """The hash of points (V, 3) float32 of a shape key. Blender does not say which keys an edit has changed, so
     all are compared after each step of a slider; hashing takes five times as long as comparing.
     """
@@ -133,12 +136,12 @@ def _factors(count: int) -> np.ndarray:
     return np.random.default_rng(1).integers(2**63, size=count, dtype=np.uint64) * np.uint64(2) + np.uint64(1)
 
 
-def key_displacement(block) -> float:
+def key_displacement(block: bpy.types.ShapeKey) -> float:
     """The largest displacement by a shape key. Unlike the hash it survives an edit of the Basis."""
     return float(np.abs(_key_shape(block)).max(initial=0.0))
 
 
-def _key_shape(block) -> np.ndarray:
+def _key_shape(block: bpy.types.ShapeKey) -> np.ndarray:
     return key_points(block) - key_points(block.relative_key)
 
 
@@ -149,7 +152,7 @@ class KeyReference:
     key_count: IntProperty(name="Key Count", description="Number of shape keys in the list", override=OVERRIDE)
     key_hash: StringProperty(name="Key Hash", description="Identifies the sculpted shape", override=OVERRIDE)
 
-    def refer_to(self, blocks, index: int):
+    def refer_to(self, blocks: bpy.types.bpy_prop_collection, index: int) -> None:
         """Point at `blocks[index]`. Writes only what changed, because writing tags the object for evaluation."""
         block = blocks[index]
         values = {"name": block.name, "key_index": index, "key_count": len(blocks), "key_hash": key_hash(block)}

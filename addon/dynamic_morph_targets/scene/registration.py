@@ -3,22 +3,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import bpy
 
 _taken_back: dict[str, list[Callable[[], object]]] = {}  # by module
 
 
-def of_classes(classes) -> tuple[Callable[[], None], Callable[[], None]]:
+def of_classes(classes: Sequence[Any]) -> tuple[Callable[[], None], Callable[[], None]]:
     """(register, unregister) of a module that has classes."""
 
-    def register():
+    def register() -> None:
         for each in classes:
             bpy.utils.register_class(each)
 
-    def unregister():
+    def unregister() -> None:
         for each in reversed(classes):
             if each.is_registered:
                 bpy.utils.unregister_class(each)

@@ -27,23 +27,23 @@ class Skinning:
     _bones: dict = field(default_factory=dict)  # by armature object
 
     @classmethod
-    def of(cls, obj) -> Skinning:
+    def of(cls, obj: bpy.types.Object | Skinning) -> Skinning:
         """obj: the mesh object, or what has been read of it already."""
         if isinstance(obj, Skinning):
             return obj
-        modifiers = tuple(armature_modifiers(obj))
+        modifiers = tuple(armature_modifiers(obj)) if obj else ()
         return cls(obj, modifiers, rig_among(obj, modifiers))
 
     @property
-    def modifier(self):
+    def modifier(self) -> bpy.types.Modifier | None:
         """The Armature modifier of `rig`, or None."""
         return self.modifier_of(self.rig)
 
-    def modifier_of(self, rig):
+    def modifier_of(self, rig: bpy.types.Object | None) -> bpy.types.Modifier | None:
         """The first Armature modifier with this armature object, or None."""
         return next((modifier for modifier in self.modifiers if modifier.object == rig), None)
 
-    def bones(self, armature) -> list:
+    def bones(self, armature: bpy.types.Object) -> list:
         """`deforming_bones` of one of the armature objects."""
         if armature not in self._bones:
             self._bones[armature] = deforming_bones(self.obj, armature)
@@ -68,13 +68,13 @@ class Skinning:
         return found
 
 
-def deforming_bones(obj, armature) -> list:
+def deforming_bones(obj: bpy.types.Object, armature: bpy.types.Object) -> list:
     """The bones of the armature object that skin `obj`."""
     groups = set(obj.vertex_groups.keys())
     return [bone for bone in armature.data.bones if bone.use_deform and bone.name in groups]
 
 
-def armature_for(obj):
+def armature_for(obj: bpy.types.Object) -> bpy.types.Object | None:
     """The armature for which `obj` was most likely weighted: its parent, or the only one of the scene whose bones are
     named like its vertex groups; or None.
     """
@@ -87,7 +87,7 @@ def armature_for(obj):
     return fitting[0] if len(fitting) == 1 else None
 
 
-def meshes_on(rig) -> list:
+def meshes_on(rig: bpy.types.Object) -> list:
     """The mesh objects of the scene that an armature moves: those that it skins, and those parented to it or its
     bones.
     """

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
+import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.app.translations import pgettext_rpt as rpt_
 
@@ -15,7 +17,7 @@ from ..scene import events, skin
 from ..write.reconcile import reconcile
 
 
-def report_errors(operator, action, *args) -> set[str]:
+def report_errors(operator: bpy.types.Operator, action: Callable[..., set[str] | None], *args: Any) -> set[str]:
     """Call `action`. An error becomes a report, a bug is also logged, and the operator is canceled."""
     try:
         return action(*args) or {"FINISHED"}
@@ -48,14 +50,14 @@ class SoftSkinOperator:
     on_linked_mesh = False  # whether a local object with a linked mesh does
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: bpy.types.Context) -> bool:
         disabled_reason = cls.disabled_reason(context)
         if disabled_reason:
             cls.poll_message_set(translated(disabled_reason, iface_))
         return not disabled_reason
 
     @classmethod
-    def disabled_reason(cls, context) -> str:
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         """Why the button is grayed out, or ''."""
         obj = skin.mesh_in(context)
         if obj is None:
@@ -78,21 +80,21 @@ class SoftSkinOperator:
             return "Press Add Soft Skin first"
         return at_work()
 
-    def execute(self, context):
+    def execute(self, context: bpy.types.Context) -> set[str]:
         result = report_errors(self, self._apply_reconciled, skin.mesh_in(context))
         events.redraw(events.PANELS)  # Blender draws the one again in which the button is
         return result
 
-    def _apply_reconciled(self, obj):
+    def _apply_reconciled(self, obj: bpy.types.Object) -> set[str] | None:
         return self.apply(reconciled(obj))
 
-    def warn(self, texts):
+    def warn(self, texts: Iterable[str]) -> None:
         """Report sentences that do not prevent what the button does."""
         for text in texts:
             self.report({"WARNING"}, translated(text, rpt_))
 
 
-def reconciled(obj):
+def reconciled(obj: bpy.types.Object | None) -> bpy.types.Object | None:
     """The object, once its references follow what a script may have renamed just now."""
     if obj and obj.dynamorph.targets:
         reconcile(obj)
@@ -106,7 +108,7 @@ def at_work() -> str:
     return Message("Wait until '{name}' is done, or cancel it", name=remembered.work.running.name)
 
 
-def listed(names: list[str]) -> str:
+def listed(names: Sequence[str]) -> str:
     """`message.listed` in the interface's language."""
     return translated(message.listed(names), rpt_)
 
@@ -117,7 +119,7 @@ class TargetOperator(SoftSkinOperator):
     neutral_too = False
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         disabled_reason = super().disabled_reason(context)
         settings = not disabled_reason and skin.mesh_in(context).dynamorph
         if settings and settings.active_target is None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import bpy
 
-from ..scene import model_properties
+from ..scene.properties import model_properties
 
 FOLDER = Path(__file__).parents[1] / "translations"
 # Of Blender's translations: the labels of buttons have one of their own.
@@ -23,7 +23,7 @@ def read(path: Path) -> dict[str, str]:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-def register():
+def register() -> None:
     bpy.app.translations.register(
         __package__,
         {
@@ -33,5 +33,5 @@ def register():
     )
 
 
-def unregister():
+def unregister() -> None:
     bpy.app.translations.unregister(__package__)

@@ -12,10 +12,14 @@ from ..core.errors import RecordError
 from ..core.message import Message, joined
 from ..core.model.model import CAGE, HOLD, MODES
 from ..core.result import judge
-from ..run import bake_time, live, remembered
-from ..scene import body_checks, checks, colliders, cuts, run_settings, staleness
-from ..scene.checks import Problem
+from ..run import remembered
+from ..run.bake import bake_time
+from ..run.live import live
+from ..scene.check import body_checks, checks
+from ..scene.check.problem import Problem
+from ..scene.motion import colliders, cuts, run_settings
 from ..scene.skinning import Skinning
+from ..scene.store import staleness
 from ..write.display import comparison
 
 MOST_REASONS = 3  # of those for which something is out of date
@@ -27,7 +31,7 @@ REBUILT = {
 CHARACTER = 15  # deforming bones, from which a body may be expected to have a head
 
 
-def messages(obj) -> Iterator[tuple[Problem, str]]:
+def messages(obj: bpy.types.Object) -> Iterator[tuple[Problem, str]]:
     """Each with its icon, the worst first, and none twice."""
     said = set()
     for problem, icon in _all_messages(obj):
@@ -36,7 +40,7 @@ def messages(obj) -> Iterator[tuple[Problem, str]]:
             yield problem, icon
 
 
-def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
+def _all_messages(obj: bpy.types.Object) -> Iterator[tuple[Problem, str]]:
     settings, skinning = obj.dynamorph, Skinning.of(obj)
     if engine.engine_problem():
         yield Problem(engine.engine_problem()), "ERROR"
@@ -68,7 +72,7 @@ def _all_messages(obj) -> Iterator[tuple[Problem, str]]:
             yield Problem("To render Live, turn on Lock Interface", "LOCK_INTERFACE"), "INFO"
 
 
-def _quality(obj) -> Iterator[Problem]:
+def _quality(obj: bpy.types.Object) -> Iterator[Problem]:
     """That what collides is baked in another quality than Live has, or without dents."""
     settings = obj.dynamorph
     quality = settings.model.quality
@@ -106,12 +110,12 @@ def _head(skinning: Skinning) -> Iterator[Problem]:
         )
 
 
-def rebuilt(obj) -> str:
+def rebuilt(obj: bpy.types.Object) -> str:
     """Which parts of the model of `obj` the next build makes again, where that is out of date; otherwise ''."""
     return REBUILT.get(staleness.part_to_build(obj), "") if staleness.model_age(obj) else ""
 
 
-def verdict(obj) -> judge.Verdict | None:
+def verdict(obj: bpy.types.Object) -> judge.Verdict | None:
     """That on the bake; None without one that can be read."""
     try:
         return judge.parsed(obj.dynamorph.bake.verdict)
@@ -119,7 +123,7 @@ def verdict(obj) -> judge.Verdict | None:
         return None
 
 
-def texts(obj, said: Set[str]) -> Iterator[str]:
+def texts(obj: bpy.types.Object, said: Set[str]) -> Iterator[str]:
     """What is out of date, what stopped Live, and the warnings of the last build and bake.
 
     said: the problems. What could not be compared because of one is not also out of date because of it.

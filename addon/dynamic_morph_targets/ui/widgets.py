@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import textwrap
+from typing import Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.message import translated
 from ..core.time_left import clock
-from ..run import batch, grabbing
+from ..run.live import grabbing
+from ..run.work.task import Work
+from ..scene.check.problem import Problem
 
 FRAME = 76  # pixels at a UI scale of 1 beside a text: the sidebar's tabs, margins and an icon
 CHARACTER = 6.2  # such pixels that a character takes in a line of many wide ones
@@ -22,14 +25,16 @@ NONE = 2.5  # of Blender's units of width, for a word beside a field
 BUTTON = 10  # characters that make room for a button
 
 
-def draw_problem(layout, problem, icon: str):
+def draw_problem(layout: bpy.types.UILayout, problem: Problem, icon: str) -> None:
     if problem.fix:
         draw_with_button(layout, problem.text, icon, "dynamorph.fix").problem = problem.fix
     else:
         draw_message(layout, problem.text, icon=icon)
 
 
-def draw_with_button(layout, said: str, icon: str, operator: str, **options):
+def draw_with_button(
+    layout: bpy.types.UILayout, said: str, icon: str, operator: str, **options: Any
+) -> bpy.types.OperatorProperties:
     """A message, and beside it the button that changes what it says; returns what takes the operator's settings."""
     row = layout.row()
     draw_message(row, said, icon=icon, width=line_length() - BUTTON)
@@ -38,14 +43,14 @@ def draw_with_button(layout, said: str, icon: str, operator: str, **options):
     return button.operator(operator, **options)
 
 
-def progress_text(work: batch.Work) -> str:
+def progress_text(work: Work) -> str:
     """How much is done, the time left once it can be estimated, and the present step."""
     seconds = work.time_left.seconds
     text = iface_("{done:.0%}  {message}" if seconds is None else "{done:.0%}  {time} left  {message}")
     return text.format(done=work.fraction, time=clock(seconds or 0.0), message=translated(work.message, iface_))
 
 
-def draw_message(layout, text: str, icon="ERROR", width: int | None = None):
+def draw_message(layout: bpy.types.UILayout, text: str, icon: str = "ERROR", width: int | None = None) -> None:
     """Text, translated, and broken into lines, because labels do not wrap. width: characters, if not what fits."""
     column = layout.column(align=True)
     for i, line in enumerate(textwrap.wrap(translated(text, iface_), width or line_length())):
@@ -57,12 +62,12 @@ def is_narrow() -> bool:
     return line_length() < ROOM
 
 
-def pair(layout):
+def pair(layout: bpy.types.UILayout) -> bpy.types.UILayout:
     """Where to put two buttons: beside each other, if there is room."""
     return layout.column(align=True) if is_narrow() else layout.row(align=True)
 
 
-def draw_setting(layout, owner, name: str):
+def draw_setting(layout: bpy.types.UILayout, owner: bpy.types.bpy_struct, name: str) -> None:
     """A property. Where there is little room, Blender cuts off the names of lists and long ones: these are above."""
     prop = owner.bl_rna.properties[name]
     label = iface_(prop.name, prop.translation_context)
@@ -73,7 +78,7 @@ def draw_setting(layout, owner, name: str):
         layout.prop(owner, name)
 
 
-def draw_limit(layout, owner, name: str):
+def draw_limit(layout: bpy.types.UILayout, owner: bpy.types.bpy_struct, name: str) -> None:
     """A limit. The field of a number cannot say that 0 is none."""
     row = layout.row()
     draw_setting(row.column(), owner, name)
@@ -96,7 +101,7 @@ def characters(width: float, scale: float) -> int:
     return max(int((width / scale - FRAME) / CHARACTER), SHORTEST)
 
 
-def draw_drags(layout, obj):
+def draw_drags(layout: bpy.types.UILayout, obj: bpy.types.Object) -> None:
     """What records drags of the skin, and plays them."""
     simulation, row = obj.dynamorph.simulation, layout.row(align=True)
     row.operator("dynamorph.record_drags", icon="REC", depress=grabbing.is_recording(obj))

@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 
@@ -39,7 +40,7 @@ class Clip:
         return self.begin + self.last - self.first
 
 
-def clips_of(obj) -> list[Clip]:
+def clips_of(obj: bpy.types.Object) -> list[Clip]:
     """Every Action that moves bones that skin `obj`, over its own range. Actions of a single frame are poses, and left
     out. Raises SceneError.
     """
@@ -71,7 +72,7 @@ def clips_of(obj) -> list[Clip]:
 
 
 @contextmanager
-def laid_out(rig, clips: Sequence[Clip]) -> Iterator[None]:
+def laid_out(rig: bpy.types.Object, clips: Sequence[Clip]) -> Iterator[None]:
     """`lay_out` for the duration of a `with` block, on an armature object that is restored afterward."""
     had = rig.animation_data is not None
     animation = rig.animation_data or rig.animation_data_create()
@@ -101,7 +102,7 @@ def laid_out(rig, clips: Sequence[Clip]) -> Iterator[None]:
             _set(rig, path, value)
 
 
-def lay_out(owner, clips: Sequence[Clip], original=None):
+def lay_out(owner: bpy.types.ID, clips: Sequence[Clip], original: bpy.types.ID | None = None) -> None:
     """Make the clips strips of `owner`, an armature object or shape keys, on which nothing else then plays. original:
     what `owner` is a copy of, if it is one; its slots are those that count.
     """
@@ -119,14 +120,14 @@ def lay_out(owner, clips: Sequence[Clip], original=None):
             _fill(animation.nla_tracks.new(), clip, _action(clip), slot)
 
 
-def _action(clip: Clip):
+def _action(clip: Clip) -> bpy.types.Action:
     action = bpy.data.actions.get(clip.name)
     if action is None:
         raise SceneError("Action '{name}' was removed or renamed meanwhile: start again", name=clip.name)
     return action
 
 
-def _fill(track, clip: Clip, action, slot):
+def _fill(track: bpy.types.NlaTrack, clip: Clip, action: bpy.types.Action, slot: bpy.types.ActionSlot) -> None:
     track.name = clip.name
     strip = track.strips.new(clip.name, clip.first, action)
     strip.name = clip.name
@@ -136,7 +137,7 @@ def _fill(track, clip: Clip, action, slot):
     strip.extrapolation, strip.blend_type = "NOTHING", "REPLACE"
 
 
-def _frames(action) -> tuple[int, int]:
+def _frames(action: bpy.types.Action) -> tuple[int, int]:
     """Its first frame and its last. Those of a bake that is in slots of the Action do not count."""
     found = [curve for slot in action.slots for curve in animation.curves(action, slot)]
     own = [curve.range() for curve in found if not animation.is_baked(curve)]
@@ -146,7 +147,7 @@ def _frames(action) -> tuple[int, int]:
     return math.floor(ends[0]), math.ceil(ends[1])
 
 
-def _slot(action, owner):
+def _slot(action: bpy.types.Action, owner: bpy.types.ID) -> bpy.types.ActionSlot | None:
     """The slot of an Action that moves `owner`, for an armature object its bones; preferably the one that it plays,
     or one with its name. Or None. What another one plays, or is named after another one, belongs to that.
     """
@@ -159,7 +160,7 @@ def _slot(action, owner):
     return None
 
 
-def _namesake(slot, owner):
+def _namesake(slot: bpy.types.ActionSlot, owner: bpy.types.ID) -> bpy.types.ID:
     """The armature object that is named as a slot and has its bones; else `owner`. Shape keys have no names that an
     artist gives.
     """
@@ -170,7 +171,7 @@ def _namesake(slot, owner):
     return named if any(_has(named, path) for path in paths if path.startswith(POSE)) else owner
 
 
-def _has(owner, path: str) -> bool:
+def _has(owner: bpy.types.ID, path: str) -> bool:
     try:
         owner.path_resolve(path)
     except ValueError:
@@ -178,7 +179,7 @@ def _has(owner, path: str) -> bool:
     return True
 
 
-def _values(owner, clips) -> dict:
+def _values(owner: bpy.types.ID, clips: Sequence[Clip]) -> dict:
     """The values that the clips would change, by path: Blender leaves the last evaluated values in place."""
     actions = [_action(clip) for clip in clips]
     paths = {curve.data_path for action in actions for curve in animation.curves(action, _slot(action, owner))}
@@ -186,7 +187,7 @@ def _values(owner, clips) -> dict:
     return {path: value if isinstance(value, str | int | float) else tuple(value) for path, value in found.items()}
 
 
-def _set(owner, path: str, value):
+def _set(owner: bpy.types.ID, path: str, value: Any) -> None:
     """The inverse of `path_resolve`; a path ends with .name or, of a custom property, with ["name"]."""
     if path.endswith('"]'):
         where, _, name = path[:-2].rpartition('["')

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import bpy
+
 from ..scene.plain import plain
-from ..scene.target_properties import as_computed
+from ..scene.properties.target_properties import as_computed
 
 
-def assign(group, values: dict):
+def assign(group: bpy.types.PropertyGroup, values: dict) -> None:
     """The inverse of `plain`. Writes only what differs; names that the group does not have are skipped."""
     with as_computed():  # whether a stiffness was set by hand is one of the values
         for name, value in values.items():

@@ -3,15 +3,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
+
+import bpy
 import numpy as np
 
 from ..core.character import Skeleton
 from ..core.painted_map import MAPS
+from ..scene.properties.bake_properties import DynamorphBake, DynamorphLive
+from ..scene.properties.target_properties import DynamorphKey, DynamorphTarget
 from ..scene.references import basis_hash, key_hash, rest_skeleton, rig_of
 from ..scene.skin import own_attachments
 
 
-def reconcile(obj):
+def reconcile(obj: bpy.types.Object) -> None:
     """Make the references of `obj` follow renamed or moved shape keys and renamed bones.
 
     A reference whose key or bone is really gone stays as it is; whoever uses it reports that.
@@ -35,7 +40,7 @@ def reconcile(obj):
             _follow_bones(skeleton, target)
 
 
-def _follow_baked_keys(blocks, bake):
+def _follow_baked_keys(blocks: bpy.types.bpy_prop_collection, bake: DynamorphBake) -> None:
     """Delete Bake deletes these keys: a key that only has the name of a baked key is the artist's.
 
     Unless the mesh itself was edited, or its scale applied: then none looks as it did, and the name has to do.
@@ -52,14 +57,14 @@ def _follow_baked_keys(blocks, bake):
         reference.name = ""
 
 
-def _follow_live_key(blocks, live):
+def _follow_live_key(blocks: bpy.types.bpy_prop_collection, live: DynamorphLive) -> None:
     """Live writes to its key and removes it: one that was there beside it, or has no shape, may be the artist's."""
     if live.key.name in blocks or (live.key.name and live.key.key_hash != key_hash(blocks[0])):
         _follow_keys(blocks, [live.key], live.others.split("\n"))
         note_others(blocks, live)
 
 
-def note_others(blocks, live):
+def note_others(blocks: bpy.types.bpy_prop_collection, live: DynamorphLive) -> None:
     """Note the names of the keys beside the one of Live, if that is there under its name."""
     names = blocks.keys()
     others = "\n".join(name for name in names if name != live.key.name)
@@ -67,7 +72,11 @@ def note_others(blocks, live):
         live.others = others
 
 
-def _follow_keys(blocks, references, others=()) -> list:
+def _follow_keys(
+    blocks: bpy.types.bpy_prop_collection,
+    references: Iterable[DynamorphKey | DynamorphTarget],
+    others: Collection[str] = (),
+) -> list:
     """Returns the references whose key is gone. others: names of keys that none of them has become."""
     lost, taken = [], {0}
     for reference in references:
@@ -96,7 +105,7 @@ def _follow_keys(blocks, references, others=()) -> list:
     return gone
 
 
-def _follow_groups(obj):
+def _follow_groups(obj: bpy.types.Object) -> None:
     """Vertex groups have no other identity than their place among the others."""
     settings = obj.dynamorph
     now, then = obj.vertex_groups.keys(), settings.groups.split("\n")
@@ -115,7 +124,7 @@ def _follow_groups(obj):
             target.set_region(renamed[target.region], target.auto_region)
 
 
-def _follow_bones(skeleton: Skeleton, target):
+def _follow_bones(skeleton: Skeleton, target: DynamorphTarget) -> None:
     index = {name: b for b, name in enumerate(skeleton.names)}
     rest = np.empty((len(target.pose), 4, 4), np.float32)
     target.pose.foreach_get("rest", rest.ravel())
@@ -139,7 +148,7 @@ def _follow_bones(skeleton: Skeleton, target):
     _keep_tilt(target, np.array(before), np.array(after))
 
 
-def _keep_tilt(target, before: np.ndarray, after: np.ndarray):
+def _keep_tilt(target: DynamorphTarget, before: np.ndarray, after: np.ndarray) -> None:
     """Bones (B, 3, 3) that at rest were all turned alike, as a rotation that is applied to the armature turns them,
     still stood in the world as they stood when the pose was captured."""
     if len(before) < 2:  # of a single bone it may be the roll

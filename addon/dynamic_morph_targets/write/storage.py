@@ -6,13 +6,16 @@ from __future__ import annotations
 from array import array
 from pathlib import Path
 
+import bpy
+
 from .. import preferences
 from ..core import engine, errors
 from ..core.errors import SceneError
 from ..io import model_file
-from ..scene import extract, staleness
-from ..scene.model_store import PACKED, blend_folder, stale_part, stale_reasons
+from ..scene.character import extract
 from ..scene.skin import attached_meshes
+from ..scene.store import staleness
+from ..scene.store.model_store import PACKED, blend_folder, stale_part, stale_reasons
 from .reconcile import reconcile
 
 PACK_LIMIT = 32 * 2**20  # larger models go into a file
@@ -38,7 +41,7 @@ def model_path(name: str, packed: bytes, folder: Path | None = None) -> Path | N
     return folders[0] / f"{model_file.content_id(packed)}.dynamorph"
 
 
-def keep_model(obj, packed: bytes, file: Path | None = None):
+def keep_model(obj: bpy.types.Object, packed: bytes, file: Path | None = None) -> None:
     """Note a packed model with `obj`: in the .blend, or that it is in a file, which must be there already."""
     obj.pop(PACKED, None)
     if file is None:
@@ -54,7 +57,7 @@ def _as_numbers(packed: bytes) -> array:
     return numbers
 
 
-def fit_modes(obj, count: int):
+def fit_modes(obj: bpy.types.Object, count: int) -> None:
     """List the modes of a new model; modes that existed before keep their gain."""
     modes = obj.dynamorph.modes
     while len(modes) > count:
@@ -64,14 +67,14 @@ def fit_modes(obj, count: int):
     obj.dynamorph.active_mode_index = min(obj.dynamorph.active_mode_index, max(count - 1, 0))
 
 
-def forget_model(obj):
+def forget_model(obj: bpy.types.Object) -> None:
     """Delete the model in the .blend. A file stays, because another .blend may use it."""
     obj.pop(PACKED, None)
     record = obj.dynamorph.model
     record.content_id = record.summary = record.cage = record.stale = record.warnings = record.built = ""
 
 
-def show_stale(obj):
+def show_stale(obj: bpy.types.Object) -> None:
     """Examine the mesh, and make the panel say why the model and the bake of `obj` are out of date."""
     reconcile(obj)
     stale, part = "", ""

@@ -239,7 +239,8 @@ template <class Model>
 void ContactSamples<Model>::find_patches() {
   if (!local_) return;
   if (std::is_same_v<Model, FullModel>) throw std::invalid_argument("local: an unreduced model has no local responses");
-  if (local_->shapes().rows() != 3 * Index(model().body().free_nodes.size()))
+  if (local_->shapes().rows() != 3 * Index(model().body().free_nodes.size()) ||
+      local_->shear().size() != model().body().sets())
     throw std::invalid_argument("local: they belong to another mesh");
   patches_.resize(std::size_t(size()));
   std::vector<std::pair<int, double>> found;

@@ -107,6 +107,19 @@ void LocalResponses::patches_at(const Vector3d& rest, const Vector3d& normal,
   for (auto& [patch, weight] : out) weight /= sum;
 }
 
+LocalResponses::LocalResponses(ResponseParts parts) : parts_(std::move(parts)) {
+  const Index patches = size();
+  check_size("centers", parts_.centers.rest.rows(), patches);
+  check_size("normals", parts_.centers.normals.rows(), patches);
+  check_size("stiffness", parts_.stiffness.rows(), patches);
+  check_size("stiffness", parts_.stiffness.cols(), patches);
+  check_size("farthest", parts_.farthest.size(), patches);
+  check_size("farthest_node", Index(parts_.farthest_node.size()), patches);
+  for (const int node : parts_.farthest_node)
+    if (node < 0 || node >= parts_.shapes.rows() / 3)
+      throw std::invalid_argument("farthest_node: there is no such node");
+}
+
 LocalResponses::LocalResponses(const FullModel& model, const MatrixXd& basis, const SkinPlaces& places,
                                const Embedding& embedding, const std::vector<int>& centers) {
   parts_.centers = at(places, centers);

@@ -50,7 +50,8 @@ struct ResponseParts {
 /// Immutable: simulations may share it.
 class LocalResponses {
  public:
-  explicit LocalResponses(ResponseParts parts) : parts_(std::move(parts)) {}
+  /// Throws std::invalid_argument for parts that do not fit each other.
+  explicit LocalResponses(ResponseParts parts);
   /// places (L): spread evenly over the soft skin. embedding: of the skin's vertices in the mesh. Every one of
   /// `centers` is in the middle of a patch; at least one. B (3 free, dofs). Throws std::invalid_argument for arrays
   /// that do not fit each other.

@@ -19,8 +19,8 @@ from bl_ext.user_default.dynamic_morph_targets.cli import main
 from bl_ext.user_default.dynamic_morph_targets.core import errors as core_errors
 from bl_ext.user_default.dynamic_morph_targets.core import memory
 from bl_ext.user_default.dynamic_morph_targets.io import disk, paths, report_page
-from bl_ext.user_default.dynamic_morph_targets.run import batch
-from bl_ext.user_default.dynamic_morph_targets.scene import rig_motion
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from builders import make_arm, make_ball, make_soft
 

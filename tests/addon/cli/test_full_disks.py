@@ -21,8 +21,8 @@ from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.result import keys
 from bl_ext.user_default.dynamic_morph_targets.io import disk as io_disk
 from bl_ext.user_default.dynamic_morph_targets.io import outputs, point_cache, report_page, whole
-from bl_ext.user_default.dynamic_morph_targets.run import export_actions
-from bl_ext.user_default.dynamic_morph_targets.scene import mesh_data
+from bl_ext.user_default.dynamic_morph_targets.run.bake import export_actions
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from bl_ext.user_default.dynamic_morph_targets.write.export import blend_file, exports, losses, process
 from builders import activate, fingerprint, hand_made_bake

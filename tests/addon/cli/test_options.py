@@ -8,11 +8,11 @@ from pathlib import Path
 
 import bpy
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.cli import collision, commands, main, signals
+from bl_ext.user_default.dynamic_morph_targets.cli import commands, main, signals
 from bl_ext.user_default.dynamic_morph_targets.cli.help import EXAMPLES
 from bl_ext.user_default.dynamic_morph_targets.core.motion import simulate
 from bl_ext.user_default.dynamic_morph_targets.io import cache_dir
-from bl_ext.user_default.dynamic_morph_targets.run import bake_input
+from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_input
 from builders import make_arm, make_soft
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
@@ -194,7 +194,7 @@ def test_the_page_has_every_option(run):
 def test_the_page_has_every_setting_with_its_name_in_the_panels_and_its_values():
     groups = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties
     page = text_of("command_line.md")
-    for part, names in (*commands.SETTINGS.items(), ("collision", collision.SETTINGS)):
+    for part, names in commands.SETTINGS.items():
         _, rows = page.split(f"\n## {part.capitalize()} settings\n")
         rows = rows.split("\n## ")[0]
         expected = []

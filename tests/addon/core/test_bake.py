@@ -15,9 +15,10 @@ from bl_ext.user_default.dynamic_morph_targets.core.motion.baked import digest
 from bl_ext.user_default.dynamic_morph_targets.core.motion.player import Frame, Player
 from bl_ext.user_default.dynamic_morph_targets.core.result import keys
 from bl_ext.user_default.dynamic_morph_targets.io import cache_dir
-from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch
-from bl_ext.user_default.dynamic_morph_targets.run import job as run_job
-from bl_ext.user_default.dynamic_morph_targets.scene import checks, staleness
+from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_input, batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake import job as run_job
+from bl_ext.user_default.dynamic_morph_targets.scene.check import checks
+from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from bl_ext.user_default.dynamic_morph_targets.write.bake import influence, reading, writer
 from builders import activate, evaluated_points, fingerprint, rig_of, skinning_of
 

@@ -4,10 +4,10 @@
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import blas
-from bl_ext.user_default.dynamic_morph_targets.run import batch
-from bl_ext.user_default.dynamic_morph_targets.run.child import Child
-from bl_ext.user_default.dynamic_morph_targets.run.computation import Errand
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run.work.child import Child
+from bl_ext.user_default.dynamic_morph_targets.run.work.computation import Errand
 
 
 def test_a_process_that_computes_has_one_thread(soft_arm):

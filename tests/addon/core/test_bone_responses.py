@@ -13,7 +13,7 @@ from bl_ext.user_default.dynamic_morph_targets.core.motion import simulate
 from bl_ext.user_default.dynamic_morph_targets.core.motion.player import Player
 from bl_ext.user_default.dynamic_morph_targets.core.settings import ModelSettings
 from bl_ext.user_default.dynamic_morph_targets.io import model_file
-from bl_ext.user_default.dynamic_morph_targets.run import bake_input
+from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_input
 from builders import assert_shows, evaluated_points, make_arm, rig_of
 from robustness import bake
 

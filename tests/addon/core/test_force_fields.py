@@ -7,8 +7,8 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core.motion import noise
-from bl_ext.user_default.dynamic_morph_targets.run import bake_input
-from bl_ext.user_default.dynamic_morph_targets.scene import rig_motion
+from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_input
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
 from builders import activate, rig_of
 from layout import drawn
 from mathutils import noise as blender

@@ -11,7 +11,7 @@ from bl_ext.user_default.dynamic_morph_targets.core.motion import simulate
 from bl_ext.user_default.dynamic_morph_targets.core.result import judge
 from bl_ext.user_default.dynamic_morph_targets.core.settings import Material
 from bl_ext.user_default.dynamic_morph_targets.io import cache_dir
-from bl_ext.user_default.dynamic_morph_targets.run import bake_input
+from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_input
 from bl_ext.user_default.dynamic_morph_targets.scene.references import key_points
 from builders import activate, rig_of
 from robustness import bake

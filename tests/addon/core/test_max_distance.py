@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors, max_distance
 from bl_ext.user_default.dynamic_morph_targets.core.motion.baked import surfaces
-from bl_ext.user_default.dynamic_morph_targets.run import heat
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, mesh_data, staleness
+from bl_ext.user_default.dynamic_morph_targets.run.tools import heat
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.scene.references import key_points
+from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport
 from bl_ext.user_default.dynamic_morph_targets.write.authoring import setups, transfer
 from builders import activate, refused, rig_of, soon

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core.engine import dynamorph
 from bl_ext.user_default.dynamic_morph_targets.core.model import cage
-from bl_ext.user_default.dynamic_morph_targets.run import batch
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
 from builders import activate, make_mesh
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")

@@ -11,8 +11,8 @@ from bl_ext.user_default.dynamic_morph_targets.core import errors, records
 from bl_ext.user_default.dynamic_morph_targets.core.motion.contact import Touched
 from bl_ext.user_default.dynamic_morph_targets.core.motion.limits import Held
 from bl_ext.user_default.dynamic_morph_targets.core.result.judge import Limits, Verdict, parsed, quantiles
-from bl_ext.user_default.dynamic_morph_targets.run import heat
-from bl_ext.user_default.dynamic_morph_targets.scene import mesh_data
+from bl_ext.user_default.dynamic_morph_targets.run.tools import heat
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import jobs
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer

@@ -11,11 +11,11 @@ from bl_ext.user_default.dynamic_morph_targets.cli import main, record
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.motion import simulate
 from bl_ext.user_default.dynamic_morph_targets.io import cache_dir, disk, model_file
-from bl_ext.user_default.dynamic_morph_targets.run import bake_input
-from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
-from bl_ext.user_default.dynamic_morph_targets.run import job as run_job
-from bl_ext.user_default.dynamic_morph_targets.scene import model_store
+from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_input
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch as run_batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake import job as run_job
 from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from builders import rig_of
 

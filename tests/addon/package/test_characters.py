@@ -9,7 +9,7 @@ import bpy
 import characters
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.run import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from builders import assert_shows, fingerprint, warnings_of
 

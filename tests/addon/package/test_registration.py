@@ -5,7 +5,8 @@ import sys
 
 import bpy
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.run import child, remembered
+from bl_ext.user_default.dynamic_morph_targets.run import remembered
+from bl_ext.user_default.dynamic_morph_targets.run.work import child
 from bl_ext.user_default.dynamic_morph_targets.scene import events
 from bl_ext.user_default.dynamic_morph_targets.ui.panels import sections
 from builders import activate, make_arm, make_soft

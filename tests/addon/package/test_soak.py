@@ -39,7 +39,7 @@ import sys, threading
 sys.path.insert(0, sys.argv.pop())
 import soak, bpy
 from bl_ext.user_default.dynamic_morph_targets.core import logger
-from bl_ext.user_default.dynamic_morph_targets.run import watch
+from bl_ext.user_default.dynamic_morph_targets.run.tools import watch
 
 def handler(walk):
     bpy.app.handlers.load_post.append(watch.HANDLERS["load_post"])

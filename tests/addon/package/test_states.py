@@ -2,6 +2,7 @@
 """What the extension remembers from one call to the next is in few places, and begins again with each file."""
 
 import ast
+from dataclasses import dataclass
 
 import addon_utils
 import bpy
@@ -84,3 +85,38 @@ def test_undo_leaves_no_work(used):
     bpy.ops.ed.undo_push(message="moved")
     bpy.ops.ed.undo()
     assert remembered.work.running is None and remembered.live.preview is None and remembered.live.hands is None
+
+
+@dataclass
+class Owner:
+    """What somebody remembers."""
+
+
+def test_what_is_read_of_blender_goes_with_its_owner():
+    owner, other, calls = states.of(Owner), states.of(Owner), []
+    read = states.cached(owner, 2)(lambda number: calls.append(number) or number)
+    assert [read(1), read(1)] == [1, 1] and calls == [1]
+    states.reset(other)
+    assert read(1) == 1 and calls == [1]
+    states.reset(owner)
+    assert read(1) == 1 and calls == [1, 1]
+
+
+def test_other_caches_are_of_values_alone():
+    """No owner has to empty those."""
+    caching = {
+        module
+        for module, tree in modules(PACKAGE).items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom)
+        and node.module == "functools"
+        and {"cache", "lru_cache"} & {a.name for a in node.names}
+    }
+    assert caching == {
+        "core/engine",
+        "core/logger",
+        "core/records",
+        "core/result/judge",
+        "core/states",
+        "scene/references",
+    }

@@ -10,8 +10,9 @@ import blf
 import bpy
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors, message
-from bl_ext.user_default.dynamic_morph_targets.run import batch, remembered
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run import remembered
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
 from bl_ext.user_default.dynamic_morph_targets.ui import base, languages, widgets
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import transfer
 from bl_ext.user_default.dynamic_morph_targets.ui.panels import sections

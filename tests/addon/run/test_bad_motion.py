@@ -12,8 +12,8 @@ import pytest
 import real_character
 from bl_ext.user_default.dynamic_morph_targets.core.motion import simulate
 from bl_ext.user_default.dynamic_morph_targets.core.result import judge
-from bl_ext.user_default.dynamic_morph_targets.run import batch
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 ASSETS = real_character.CHARACTER.parent

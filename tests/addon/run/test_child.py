@@ -17,10 +17,12 @@ import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
-from bl_ext.user_default.dynamic_morph_targets.run import batch, child, remembered
-from bl_ext.user_default.dynamic_morph_targets.run.child import Child, Here
-from bl_ext.user_default.dynamic_morph_targets.run.computation import Draft, Errand
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run import remembered
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run.work import child
+from bl_ext.user_default.dynamic_morph_targets.run.work.child import Child, Here
+from bl_ext.user_default.dynamic_morph_targets.run.work.computation import Draft, Errand
 from installed import MODULE
 from pressed import Pressed
 
@@ -187,8 +189,8 @@ def test_what_crashes_twice_says_where(addon, caplog):
 PARENT = """
 import sys, time
 sys.path[:0] = {paths!r}
-from dynamic_morph_targets.run.child import Child
-from dynamic_morph_targets.run.computation import Errand
+from dynamic_morph_targets.run.work.child import Child
+from dynamic_morph_targets.run.work.computation import Errand
 child = Child(Errand, heard=print)
 answer = child.call("run", time.sleep, False)
 answer = child.call("run", __import__("functools").partial(time.sleep, 1000.0), False)

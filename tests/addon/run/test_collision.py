@@ -13,11 +13,14 @@ import real_character
 from bl_ext.user_default.dynamic_morph_targets.core.errors import SceneError
 from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
 from bl_ext.user_default.dynamic_morph_targets.io.cache_dir import CacheDir
-from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch, full_comparison, preview, remembered
-from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.run.tissue import Tissue
-from bl_ext.user_default.dynamic_morph_targets.scene import animation, model_store, staleness
+from bl_ext.user_default.dynamic_morph_targets.run import remembered
+from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_input, batch, full_comparison
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run.live import live as run_live
+from bl_ext.user_default.dynamic_morph_targets.run.live import preview
+from bl_ext.user_default.dynamic_morph_targets.run.live.tissue import Tissue
+from bl_ext.user_default.dynamic_morph_targets.scene import animation
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store, staleness
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport as overlays
 from bl_ext.user_default.dynamic_morph_targets.write import reconcile, storage
 from bl_ext.user_default.dynamic_morph_targets.write.authoring import setups

@@ -4,13 +4,16 @@
 import bpy
 import numpy as np
 import pytest
+from bl_ext.user_default.dynamic_morph_targets.core import records
 from bl_ext.user_default.dynamic_morph_targets.core.errors import RecordError
 from bl_ext.user_default.dynamic_morph_targets.core.motion.grab import Grab, as_text, from_text
 from bl_ext.user_default.dynamic_morph_targets.io.cache_dir import CacheDir
-from bl_ext.user_default.dynamic_morph_targets.run import bake_input, batch, grabbing, live
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import mesh_data, staleness
-from builders import activate, evaluated_points, refused
+from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_input, batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run.live import grabbing, live
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
+from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
+from builders import activate, evaluated_points, refused, rig_of
 from built import BuiltOnce
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
@@ -102,6 +105,15 @@ def test_a_bake_is_out_of_date_when_they_change(arm):
     assert not staleness.outdated(arm)
     bpy.ops.dynamorph.clear_drags()
     assert staleness.outdated(arm) == ["Recorded Drags changed"] and not arm.dynamorph.simulation.drags
+
+
+def test_the_armature_may_be_active(arm):
+    """As in Pose Mode, in which the tool can be used."""
+    live.turn_on(arm, bpy.context.scene)
+    activate(rig_of(arm))
+    assert bpy.ops.dynamorph.record_drags.poll() and not bpy.ops.dynamorph.clear_drags.poll()
+    arm.dynamorph.simulation.drags = records.drags_text([])
+    assert bpy.ops.dynamorph.clear_drags.poll()
 
 
 def test_a_second_recording_adds_to_the_first(arm):

@@ -13,9 +13,10 @@ from bl_ext.user_default.dynamic_morph_targets.cli import main
 from bl_ext.user_default.dynamic_morph_targets.core import errors, geometry
 from bl_ext.user_default.dynamic_morph_targets.core.motion import rig_samples, simulate
 from bl_ext.user_default.dynamic_morph_targets.core.settings import SimulationSettings
-from bl_ext.user_default.dynamic_morph_targets.run import batch, expected_error, remembered
-from bl_ext.user_default.dynamic_morph_targets.run.child import GENTLE
-from bl_ext.user_default.dynamic_morph_targets.scene import rig_motion
+from bl_ext.user_default.dynamic_morph_targets.run import remembered
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch, expected_error
+from bl_ext.user_default.dynamic_morph_targets.run.work.child import GENTLE
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from builders import activate
 from layout import drawn

@@ -13,10 +13,11 @@ from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.motion import baked as motion_baked
 from bl_ext.user_default.dynamic_morph_targets.core.motion import loops
 from bl_ext.user_default.dynamic_morph_targets.core.result import keys as result_keys
-from bl_ext.user_default.dynamic_morph_targets.run import computation, export_actions
-from bl_ext.user_default.dynamic_morph_targets.run.batch import run, run_all
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import mesh_data
+from bl_ext.user_default.dynamic_morph_targets.run.bake import export_actions
+from bl_ext.user_default.dynamic_morph_targets.run.bake.batch import run, run_all
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run.work import computation
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.write import actions
 from bl_ext.user_default.dynamic_morph_targets.write.bake import influence
 from bl_ext.user_default.dynamic_morph_targets.write.export import exports, losses

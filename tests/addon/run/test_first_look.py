@@ -8,10 +8,13 @@ from bl_ext.user_default.dynamic_morph_targets.core.errors import Cancelled, Sce
 from bl_ext.user_default.dynamic_morph_targets.core.model import build
 from bl_ext.user_default.dynamic_morph_targets.core.motion import prepared
 from bl_ext.user_default.dynamic_morph_targets.io import model_file
-from bl_ext.user_default.dynamic_morph_targets.run import live, preview, remembered
-from bl_ext.user_default.dynamic_morph_targets.run.first_look import FirstLook
-from bl_ext.user_default.dynamic_morph_targets.scene import events, extract, model_store, references
+from bl_ext.user_default.dynamic_morph_targets.run import remembered
+from bl_ext.user_default.dynamic_morph_targets.run.live import live, preview
+from bl_ext.user_default.dynamic_morph_targets.run.tools.first_look import FirstLook
+from bl_ext.user_default.dynamic_morph_targets.scene import events, references
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
 from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import playback
 from builders import rig_of
 from mathutils import Matrix

@@ -10,8 +10,8 @@ import pytest
 from bl_ext.user_default.dynamic_morph_targets.cli import main
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
-from bl_ext.user_default.dynamic_morph_targets.run import full_comparison
-from bl_ext.user_default.dynamic_morph_targets.scene import staleness
+from bl_ext.user_default.dynamic_morph_targets.run.bake import full_comparison
+from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from builders import hand_made_bake
 from layout import drawn
 from robustness import bake

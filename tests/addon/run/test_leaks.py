@@ -9,8 +9,10 @@ import bpy
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.motion import player
-from bl_ext.user_default.dynamic_morph_targets.run import live
-from bl_ext.user_default.dynamic_morph_targets.scene import events, model_store, rig_motion
+from bl_ext.user_default.dynamic_morph_targets.run.live import live
+from bl_ext.user_default.dynamic_morph_targets.scene import events
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
 from bl_ext.user_default.dynamic_morph_targets.write.authoring import suggest
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from builders import evaluated_points, fingerprint, hand_made_bake, refused

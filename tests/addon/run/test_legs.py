@@ -6,8 +6,8 @@ from math import asin, pi
 import bpy
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.run import batch
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
 from builders import activate, evaluated_points, make_mesh
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree

@@ -8,12 +8,20 @@ import bpy
 import gpu
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.core import engine
+from bl_ext.user_default.dynamic_morph_targets.core import engine, states
 from bl_ext.user_default.dynamic_morph_targets.core.material import fit
 from bl_ext.user_default.dynamic_morph_targets.core.material.feel import FEELS
 from bl_ext.user_default.dynamic_morph_targets.core.motion import posing
-from bl_ext.user_default.dynamic_morph_targets.run import batch, heat, remembered, task, weight_curves
-from bl_ext.user_default.dynamic_morph_targets.scene import events, extract, mesh_data, model_store, plain, rig_motion
+from bl_ext.user_default.dynamic_morph_targets.run import remembered
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.tools import heat, weight_curves
+from bl_ext.user_default.dynamic_morph_targets.run.work import task
+from bl_ext.user_default.dynamic_morph_targets.scene import events, plain
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
+from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import gpu_drawing
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import graph as overlays_graph
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport as overlays_viewport
@@ -442,7 +450,7 @@ def picture(monkeypatch, viewport):
         return np.array(pixels.to_list(), np.uint8).reshape(height, width, 4)
 
     yield picture
-    overlays_viewport.forget()
+    states.reset(opened)
 
 
 def free(viewport):

@@ -4,8 +4,10 @@
 import bpy
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors, message
-from bl_ext.user_default.dynamic_morph_targets.run import batch, remembered, weight_curves
-from bl_ext.user_default.dynamic_morph_targets.run.task import Task, elsewhere
+from bl_ext.user_default.dynamic_morph_targets.run import remembered
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.tools import weight_curves
+from bl_ext.user_default.dynamic_morph_targets.run.work.task import Task, elsewhere
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import jobs
 from builders import rig_of
 from layout import drawn

@@ -10,8 +10,8 @@ import pytest
 import real_character
 from bl_ext.user_default.dynamic_morph_targets.core.model import build
 from bl_ext.user_default.dynamic_morph_targets.core.motion import simulate
-from bl_ext.user_default.dynamic_morph_targets.run import batch
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from builders import evaluated_points
 from mathutils import Vector

@@ -9,10 +9,11 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
-from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
-from bl_ext.user_default.dynamic_morph_targets.run import job as run_job
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch as run_batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake import job as run_job
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
 from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
 from builders import assert_shows, rig_of
 from mathutils import Matrix
 

@@ -9,9 +9,11 @@ import measures
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core.geometry import diagonal
-from bl_ext.user_default.dynamic_morph_targets.run import batch
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import colliders, extract, mesh_data
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import colliders
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from builders import warnings_of
 from mathutils import Vector
 

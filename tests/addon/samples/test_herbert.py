@@ -10,9 +10,10 @@ import herbert_motion as motion
 import herbert_skeleton as kinematics
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.run import batch
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, rig_motion
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
 from builders import warnings_of
 
 SAMPLES = Path(__file__).parents[3] / "sample_blends"

@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 import pytest
 import rig_families
-from bl_ext.user_default.dynamic_morph_targets.scene import body_checks, checks
+from bl_ext.user_default.dynamic_morph_targets.scene.check import body_checks, checks
 from bl_ext.user_default.dynamic_morph_targets.ui import messages
 from builders import activate, evaluated_points, fingerprint
 

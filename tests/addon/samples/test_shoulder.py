@@ -9,9 +9,10 @@ import bpy
 import measures
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.run import batch
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, rig_motion
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
 from builders import warnings_of
 from mathutils.bvhtree import BVHTree
 

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.model import rigid
-from bl_ext.user_default.dynamic_morph_targets.run import export_actions
-from bl_ext.user_default.dynamic_morph_targets.run.batch import Batch
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.run.live import problem
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, mesh_data, model_store, staleness
+from bl_ext.user_default.dynamic_morph_targets.run.bake import export_actions
+from bl_ext.user_default.dynamic_morph_targets.run.bake.batch import Batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run.live.live import problem
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store, staleness
 from bl_ext.user_default.dynamic_morph_targets.ui import messages as ui_messages
 from bl_ext.user_default.dynamic_morph_targets.write.export import exports, losses
 from builders import (

@@ -5,9 +5,10 @@ import json
 
 import bpy
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
-from bl_ext.user_default.dynamic_morph_targets.run import preview
-from bl_ext.user_default.dynamic_morph_targets.scene import animation, events, staleness
+from bl_ext.user_default.dynamic_morph_targets.run.live import live as run_live
+from bl_ext.user_default.dynamic_morph_targets.run.live import preview
+from bl_ext.user_default.dynamic_morph_targets.scene import animation, events
+from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from builders import activate, make_rig, refused, rig_of, soon
 from costs import cost

@@ -6,19 +6,15 @@ import numpy as np
 import pytest
 import scenes
 from bl_ext.user_default.dynamic_morph_targets.core import errors
-from bl_ext.user_default.dynamic_morph_targets.run import batch
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import (
-    body_checks,
-    checks,
-    extract,
-    mesh_data,
-    model_store,
-    references,
-    staleness,
-)
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene import references
 from bl_ext.user_default.dynamic_morph_targets.scene import skinning as scene_skinning
-from bl_ext.user_default.dynamic_morph_targets.scene.source import Source
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.check import body_checks, checks
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
+from bl_ext.user_default.dynamic_morph_targets.scene.read.source import Source
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store, staleness
 from bl_ext.user_default.dynamic_morph_targets.write.authoring.fixes import FIXES
 from builders import activate, make_mesh, make_rig, refused, rig_of, soon, warnings_of
 from layout import drawn

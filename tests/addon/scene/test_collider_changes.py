@@ -4,8 +4,8 @@
 import bpy
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.run import watch
-from bl_ext.user_default.dynamic_morph_targets.scene import staleness
+from bl_ext.user_default.dynamic_morph_targets.run.tools import watch
+from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from builders import BOX, add_key, make_box, soon
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core.errors import SceneError
 from bl_ext.user_default.dynamic_morph_targets.core.motion.colliders import ColliderTrack
-from bl_ext.user_default.dynamic_morph_targets.scene import animation, colliders, rig_motion
+from bl_ext.user_default.dynamic_morph_targets.scene import animation
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import colliders, rig_motion
 from builders import BOX, add_key, make_box, rig_of
 
 

@@ -3,7 +3,7 @@
 
 import bpy
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.scene import colliders, cuts
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import colliders, cuts
 from builders import make_box, rig_of, soon
 from layout import drawn
 from mathutils import Matrix

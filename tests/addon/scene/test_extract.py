@@ -7,7 +7,9 @@ import pytest
 import scenes
 from bl_ext.user_default.dynamic_morph_targets.core import errors, geometry
 from bl_ext.user_default.dynamic_morph_targets.core.motion import rig_samples
-from bl_ext.user_default.dynamic_morph_targets.scene import animation, extract, rig_motion
+from bl_ext.user_default.dynamic_morph_targets.scene import animation
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
 from builders import (
     activate,
     add_key,

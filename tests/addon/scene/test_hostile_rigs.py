@@ -5,7 +5,8 @@ import bpy
 import numpy as np
 import pytest
 import scenes
-from bl_ext.user_default.dynamic_morph_targets.scene import animation, staleness
+from bl_ext.user_default.dynamic_morph_targets.scene import animation
+from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from builders import activate, assert_shows, make_mesh, refused, rig_of
 from mathutils import Quaternion
 from robustness import OPS, bake, coarse, motion

@@ -8,7 +8,9 @@ import inspect
 import bpy
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_properties, model_store
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.properties import model_properties
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
 from builders import make_mesh, refused, rig_of
 from mathutils import Matrix
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Settings follow renames, survive save, load and undo, and stay apart."""
 
+import dataclasses
 import hashlib
 import types
 
@@ -9,12 +10,12 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors, settings
-from bl_ext.user_default.dynamic_morph_targets.scene import (
+from bl_ext.user_default.dynamic_morph_targets.scene import references
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion, run_settings
+from bl_ext.user_default.dynamic_morph_targets.scene.properties import (
     bake_properties,
-    extract,
     model_properties,
-    references,
-    rig_motion,
     target_properties,
 )
 from bl_ext.user_default.dynamic_morph_targets.write import reconcile
@@ -29,6 +30,30 @@ def names(obj):
 def test_a_new_soft_skin_is_built_by_default(arm):
     bpy.ops.dynamorph.add_soft_skin()
     assert vars(arm.dynamorph.model.settings()) == pytest.approx(vars(settings.ModelSettings()))
+
+
+def test_every_setting_of_a_simulation_is_read(soft_arm):
+    """By its name, but for those that the scene or other settings decide."""
+    chosen, scene = soft_arm.dynamorph.simulation, bpy.context.scene
+    decided = {"frame_start", "frame_end", "substeps", "gravity", "drags"}
+    named = {each.name for each in dataclasses.fields(settings.SimulationSettings)} - decided
+    props = [prop for prop in chosen.bl_rna.properties if prop.identifier in named]
+    assert len(props) >= 8
+    chosen.use_scene_range, chosen.frame_end = False, 20
+    for prop in props:
+        value = another_value(prop)
+        setattr(chosen, prop.identifier, value)
+        read = run_settings.simulation_settings(soft_arm, scene)
+        assert getattr(read, prop.identifier) == pytest.approx(value), prop.identifier
+
+
+def another_value(prop):
+    """One that is not the default."""
+    if prop.type == "ENUM":
+        return next(item.identifier for item in prop.enum_items if item.identifier != prop.default)
+    if prop.type == "BOOLEAN":
+        return not prop.default
+    return prop.default + 1 if prop.type == "INT" else 0.5 * (prop.default + prop.soft_max)
 
 
 def test_every_property_has_a_description():

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 
 import bpy
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.run import bake_input, job
-from bl_ext.user_default.dynamic_morph_targets.scene import model_store
+from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_input, job
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
 from bl_ext.user_default.dynamic_morph_targets.ui import messages
 from bl_ext.user_default.dynamic_morph_targets.write.authoring import attachments
 from figures import make_figure

@@ -6,9 +6,10 @@ from math import pi
 import bpy
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.run import batch
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import animation, checks
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene import animation
+from bl_ext.user_default.dynamic_morph_targets.scene.check import checks
 from builders import activate, assert_shows, make_rig, rig_of, skinning_of
 from mathutils import Matrix
 

@@ -12,19 +12,17 @@ from bl_ext.user_default.dynamic_morph_targets.core import settings
 from bl_ext.user_default.dynamic_morph_targets.core.motion import loops, simulate
 from bl_ext.user_default.dynamic_morph_targets.core.motion.player import Player
 from bl_ext.user_default.dynamic_morph_targets.core.result import compare
-from bl_ext.user_default.dynamic_morph_targets.run import bake_input, live, remembered
-from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
-from bl_ext.user_default.dynamic_morph_targets.run import job as run_job
-from bl_ext.user_default.dynamic_morph_targets.scene import (
-    animation,
-    extract,
-    mesh_data,
-    references,
-    rig_motion,
-    skinning,
-    staleness,
-)
-from bl_ext.user_default.dynamic_morph_targets.scene.probe import Probe
+from bl_ext.user_default.dynamic_morph_targets.run import remembered
+from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_input
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch as run_batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake import job as run_job
+from bl_ext.user_default.dynamic_morph_targets.run.live import live
+from bl_ext.user_default.dynamic_morph_targets.scene import animation, references, skinning
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
+from bl_ext.user_default.dynamic_morph_targets.scene.read.probe import Probe
+from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from builders import activate, add_key, evaluated_points, rig_of, skinning_of
 from mathutils import Matrix
 from test_extract import constrained, masked, mirrored, moved_and_scaled, not_deforming, parented_and_animated

@@ -4,7 +4,9 @@
 import bpy
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store, rig_motion, run_settings
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion, run_settings
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from builders import activate, evaluated_points, fingerprint, make_soft, rig_of
 from mathutils import Matrix

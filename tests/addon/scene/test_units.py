@@ -12,16 +12,13 @@ import real_character
 from bl_ext.user_default.dynamic_morph_targets.core.model import build
 from bl_ext.user_default.dynamic_morph_targets.core.model.cage import Stages, make_cage
 from bl_ext.user_default.dynamic_morph_targets.core.motion import simulate
-from bl_ext.user_default.dynamic_morph_targets.run import batch, job, preview
-from bl_ext.user_default.dynamic_morph_targets.run.tissue import Tissue
-from bl_ext.user_default.dynamic_morph_targets.scene import (
-    animation,
-    extract,
-    model_store,
-    rig_motion,
-    run_settings,
-    staleness,
-)
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch, job
+from bl_ext.user_default.dynamic_morph_targets.run.live import preview
+from bl_ext.user_default.dynamic_morph_targets.run.live.tissue import Tissue
+from bl_ext.user_default.dynamic_morph_targets.scene import animation
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion, run_settings
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store, staleness
 from bl_ext.user_default.dynamic_morph_targets.ui.operators.transfer import length
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport
 from bl_ext.user_default.dynamic_morph_targets.write import reconcile

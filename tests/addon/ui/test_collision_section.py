@@ -5,7 +5,7 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.run import remembered
-from bl_ext.user_default.dynamic_morph_targets.scene import colliders, run_settings
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import colliders, run_settings
 from builders import activate, evaluated_points, make_box, make_mesh, refused, rig_of
 from layout import drawn
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core.material import feel as material_feel
 from bl_ext.user_default.dynamic_morph_targets.core.material import oscillation
-from bl_ext.user_default.dynamic_morph_targets.run import batch
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import staleness
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from builders import refused
 from layout import drawn
 

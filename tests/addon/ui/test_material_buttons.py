@@ -7,7 +7,8 @@ import pytest
 from bl_ext.user_default.dynamic_morph_targets.cli import main
 from bl_ext.user_default.dynamic_morph_targets.core.material import fit as fit_module
 from bl_ext.user_default.dynamic_morph_targets.core.material import presets
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
 from builders import refused
 from pressed import invoked
 

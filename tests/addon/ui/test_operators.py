@@ -11,11 +11,13 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import engine, errors
-from bl_ext.user_default.dynamic_morph_targets.run import batch as run_batch
-from bl_ext.user_default.dynamic_morph_targets.run import job as run_job
 from bl_ext.user_default.dynamic_morph_targets.run import remembered
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store, rig_motion, run_settings
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch as run_batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake import job as run_job
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion, run_settings
 from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from builders import StandInShot, activate, fingerprint, hand_made_bake, make_arm, make_soft, refused, rig_of

@@ -10,9 +10,11 @@ import pytest
 import scenes
 from bl_ext.user_default.dynamic_morph_targets.core import errors, geometry
 from bl_ext.user_default.dynamic_morph_targets.core.model import build
-from bl_ext.user_default.dynamic_morph_targets.run.batch import Batch
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, mesh_data, staleness
+from bl_ext.user_default.dynamic_morph_targets.run.bake.batch import Batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
+from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from bl_ext.user_default.dynamic_morph_targets.write import reconcile
 from bl_ext.user_default.dynamic_morph_targets.write.authoring import attachments, setups
 from bl_ext.user_default.dynamic_morph_targets.write.bake import influence, writer

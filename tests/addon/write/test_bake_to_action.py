@@ -5,7 +5,8 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
-from bl_ext.user_default.dynamic_morph_targets.scene import animation, staleness
+from bl_ext.user_default.dynamic_morph_targets.scene import animation
+from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from bl_ext.user_default.dynamic_morph_targets.write import actions, reconcile
 from bl_ext.user_default.dynamic_morph_targets.write.bake import baked_action, influence, reading, writer
 from builders import evaluated_points, fingerprint, hand_made_bake, keys_of, rig_of

@@ -9,7 +9,8 @@ import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
 from bl_ext.user_default.dynamic_morph_targets.scene import animation as scene_animation
-from bl_ext.user_default.dynamic_morph_targets.scene import mesh_data, references
+from bl_ext.user_default.dynamic_morph_targets.scene import references
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.write.bake import influence as influence_module
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from builders import (

@@ -13,8 +13,9 @@ import round_trips
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.result import keys
 from bl_ext.user_default.dynamic_morph_targets.io import disk, point_cache
-from bl_ext.user_default.dynamic_morph_targets.run import export_actions
-from bl_ext.user_default.dynamic_morph_targets.scene import model_store, references
+from bl_ext.user_default.dynamic_morph_targets.run.bake import export_actions
+from bl_ext.user_default.dynamic_morph_targets.scene import references
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import export as operators_export
 from bl_ext.user_default.dynamic_morph_targets.write.bake import influence, writer
 from bl_ext.user_default.dynamic_morph_targets.write.export import exports, losses

@@ -4,8 +4,8 @@
 import bpy
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.run import batch
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
 from bl_ext.user_default.dynamic_morph_targets.scene import animation, references
 from bl_ext.user_default.dynamic_morph_targets.write.bake import influence as bake_influence
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer

@@ -10,7 +10,7 @@ from bl_ext.user_default.dynamic_morph_targets.core import errors, settings
 from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
 from bl_ext.user_default.dynamic_morph_targets.core.result.keys import as_keys
 from bl_ext.user_default.dynamic_morph_targets.io import paths, point_cache
-from bl_ext.user_default.dynamic_morph_targets.scene import mesh_data
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.scene.skin import cache_modifier
 from bl_ext.user_default.dynamic_morph_targets.write.bake import influence as influence_module
 from bl_ext.user_default.dynamic_morph_targets.write.bake import reading, writer

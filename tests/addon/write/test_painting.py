@@ -5,8 +5,9 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
-from bl_ext.user_default.dynamic_morph_targets.run import heat
-from bl_ext.user_default.dynamic_morph_targets.scene import mesh_data, staleness
+from bl_ext.user_default.dynamic_morph_targets.run.tools import heat
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
+from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport
 from builders import activate, make_mesh, refused, rig_of, select_bones
 from layout import drawn

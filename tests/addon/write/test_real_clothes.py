@@ -5,7 +5,7 @@ import bpy
 import numpy as np
 import pytest
 import real_character
-from bl_ext.user_default.dynamic_morph_targets.scene import mesh_data
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from builders import evaluated_points
 from mathutils.bvhtree import BVHTree
 from robustness import OPS, bake

@@ -11,9 +11,15 @@ import pytest
 import scenes
 from bl_ext.user_default.dynamic_morph_targets.cli import main as cli_main
 from bl_ext.user_default.dynamic_morph_targets.core.settings import Material
-from bl_ext.user_default.dynamic_morph_targets.run import batch, live, weight_curves
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import checks, extract, mesh_data, references, rig_motion
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run.live import live
+from bl_ext.user_default.dynamic_morph_targets.run.tools import weight_curves
+from bl_ext.user_default.dynamic_morph_targets.scene import references
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.check import checks
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.write.authoring import mirror
 from bl_ext.user_default.dynamic_morph_targets.write.authoring import regions as authoring_regions
 from bl_ext.user_default.dynamic_morph_targets.write.authoring.targets import blended_shape, set_shape

@@ -9,8 +9,8 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import logger
-from bl_ext.user_default.dynamic_morph_targets.run import bake_result, batch
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
+from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_result, batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
 from bl_ext.user_default.dynamic_morph_targets.write import reconcile, storage
 from bl_ext.user_default.dynamic_morph_targets.write.bake import influence, muting, writer
 from bl_ext.user_default.dynamic_morph_targets.write.display import comparison, live_key

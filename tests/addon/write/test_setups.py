@@ -17,8 +17,11 @@ from bl_ext.user_default.dynamic_morph_targets.core import engine as core_engine
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core import settings as core_settings
 from bl_ext.user_default.dynamic_morph_targets.core.material import presets
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, mesh_data, model_store, references
-from bl_ext.user_default.dynamic_morph_targets.scene import nearest as scene_nearest
+from bl_ext.user_default.dynamic_morph_targets.scene import references
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
+from bl_ext.user_default.dynamic_morph_targets.scene.read import nearest as scene_nearest
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import materials
 from bl_ext.user_default.dynamic_morph_targets.ui.operators.presets import DYNAMORPH_OT_load_preset
 from bl_ext.user_default.dynamic_morph_targets.write import storage

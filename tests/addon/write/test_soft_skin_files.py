@@ -9,8 +9,9 @@ import dynamorph
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.cli import main
-from bl_ext.user_default.dynamic_morph_targets.scene import extract, model_store
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
 from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from bl_ext.user_default.dynamic_morph_targets.write.export import losses
 from builders import activate, fingerprint, make_arm, rig_of

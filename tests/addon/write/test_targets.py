@@ -12,8 +12,12 @@ import pytest
 import real_character
 import scenes
 from bl_ext.user_default.dynamic_morph_targets.core import engine, errors, geometry
-from bl_ext.user_default.dynamic_morph_targets.scene import checks, extract, mesh_data, references, rig_motion
 from bl_ext.user_default.dynamic_morph_targets.scene import plain as scene_plain
+from bl_ext.user_default.dynamic_morph_targets.scene import references
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
+from bl_ext.user_default.dynamic_morph_targets.scene.check import checks
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.ui.panels.targets import draw_target_list
 from bl_ext.user_default.dynamic_morph_targets.write.authoring import controls, mirror
 from bl_ext.user_default.dynamic_morph_targets.write.authoring import targets as authoring_targets

@@ -8,9 +8,10 @@ from functools import partial
 import bpy
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
-from bl_ext.user_default.dynamic_morph_targets.run.batch import Batch, run_all
-from bl_ext.user_default.dynamic_morph_targets.run.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import events, staleness
+from bl_ext.user_default.dynamic_morph_targets.run.bake.batch import Batch, run_all
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene import events
+from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from bl_ext.user_default.dynamic_morph_targets.write.display import live_key

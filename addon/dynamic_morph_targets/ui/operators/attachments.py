@@ -9,7 +9,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
 from ...core.errors import SceneError
-from ...run import live
+from ...run.live import live
 from ...scene import skin
 from ...scene.registration import of_classes
 from ...write.authoring import attachments
@@ -23,7 +23,7 @@ class DYNAMORPH_OT_find_attachments(SoftSkinOperator, Operator):
     bl_idname = "dynamorph.find_attachments"
     bl_label = "Find Attachments"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> set[str]:
         found = attachments.find(obj)
         if not found:
             self.report({"INFO"}, rpt_("'{name}' has no other attachments").format(name=obj.name))
@@ -39,7 +39,7 @@ class DYNAMORPH_OT_add_attachment(SoftSkinOperator, Operator):
     bl_idname = "dynamorph.add_attachment"
     bl_label = "Add Attachment"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         settings = obj.dynamorph
         known = [each.object for each in settings.attachments]
         selected = [other for other in bpy.context.selected_objects if other.type == "MESH" and other != obj]
@@ -53,7 +53,7 @@ class PieceOperator(SoftSkinOperator):
     """Mixin: works on the attachment selected in the list."""
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         disabled_reason = super().disabled_reason(context)
         if not disabled_reason and skin.mesh_in(context).dynamorph.active_attachment is None:
             return "Select an attachment in the list first"
@@ -66,7 +66,7 @@ class DYNAMORPH_OT_remove_attachment(PieceOperator, Operator):
     bl_idname = "dynamorph.remove_attachment"
     bl_label = "Remove Attachment"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         active = obj.dynamorph.active_attachment
         mesh = None if active.group else active.object
         if mesh and mesh.dynamorph.follows == obj:
@@ -81,7 +81,7 @@ class DYNAMORPH_OT_select_attachment(PieceOperator, Operator):
     bl_idname = "dynamorph.select_attachment"
     bl_label = "Select Attachment"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         attachment = obj.dynamorph.active_attachment
         problem = attachments.problem(obj, attachment)
         shown = attachment.object or (obj if attachment.group else None)
@@ -101,7 +101,7 @@ class DYNAMORPH_OT_select_attachment(PieceOperator, Operator):
             _select_vertices(shown, attachments.members(shown, attachment.group))
 
 
-def _select_vertices(obj, members: np.ndarray):
+def _select_vertices(obj: bpy.types.Object, members: np.ndarray) -> None:
     """Show the vertices (V,) bool selected in Edit Mode."""
     mesh = obj.data
     for elements in (mesh.polygons, mesh.edges):

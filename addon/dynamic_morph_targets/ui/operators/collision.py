@@ -20,17 +20,17 @@ class DYNAMORPH_OT_collide(SoftSkinOperator, Operator):
     bl_label = "Collide with Selected"
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         reason = super().disabled_reason(context)
         return reason or ("" if _others(context) else "Select other mesh objects too")
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         names = collision.add_collision(obj, _others(bpy.context))
         text = rpt_("'{name}' collides with {names}").format(name=obj.name, names=listed(names))
         self.report({"INFO"}, text)
 
 
-def _others(context) -> list:
+def _others(context: bpy.types.Context) -> list:
     """The selected meshes beside that of the context."""
     obj = skin.mesh_in(context)
     return [other for other in context.selected_objects if other.type == "MESH" and other != obj]
@@ -42,7 +42,7 @@ class DYNAMORPH_OT_add_floor(SoftSkinOperator, Operator):
     bl_idname = "dynamorph.add_floor"
     bl_label = "Add Floor"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         collision.add_floor(obj)
 
 

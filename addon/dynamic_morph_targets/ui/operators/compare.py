@@ -13,8 +13,8 @@ from mathutils import Quaternion, Vector
 
 from ...core import records
 from ...core.errors import WriteError
-from ...run import live
-from ...run.preview import end_preview
+from ...run.live import live
+from ...run.live.preview import end_preview
 from ...scene import events, skin
 from ...scene.registration import of_classes
 from ...scene.remembered import opened
@@ -30,13 +30,13 @@ class DYNAMORPH_OT_show_plain(SoftSkinOperator, Operator):
     bl_label = "Show Plain Skinning"
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         disabled_reason = super().disabled_reason(context)
         if not disabled_reason and not comparison.can_show(skin.mesh_in(context)):
             return "Turn Live on or bake first: only plain skinning exists so far"
         return disabled_reason
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         end_preview()
         comparison.show(obj, not comparison.is_plain(obj))
 
@@ -47,7 +47,7 @@ class DYNAMORPH_OT_swap_slot(SoftSkinOperator, Operator):
     bl_idname = "dynamorph.swap_slot"
     bl_label = "Compare A and B"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         record = obj.dynamorph.live
         left = slot_settings(obj)
         put_slot(obj, records.slot(record.other) if record.other else left)
@@ -62,7 +62,7 @@ class DYNAMORPH_OT_copy_slot(SoftSkinOperator, Operator):
     bl_idname = "dynamorph.copy_slot"
     bl_label = "Copy to Other Slot"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         obj.dynamorph.live.other = records.text(slot_settings(obj))
 
 
@@ -73,13 +73,13 @@ class DYNAMORPH_OT_compare_beside(SoftSkinOperator, Operator):
     bl_label = "Compare Side by Side"
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         disabled_reason, obj = super().disabled_reason(context), skin.mesh_in(context)
         if not disabled_reason and not (comparison.can_show(obj) or beside.find(obj)):
             return "Turn Live on or bake first: only plain skinning exists so far"
         return disabled_reason
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         shown = beside.find(obj)
         if shown:
             beside.remove(shown)
@@ -87,7 +87,7 @@ class DYNAMORPH_OT_compare_beside(SoftSkinOperator, Operator):
             beside.add(obj, _right_of_view(bpy.context))
 
 
-def _right_of_view(context) -> np.ndarray:
+def _right_of_view(context: bpy.types.Context) -> np.ndarray:
     """The direction (3,) to the right in the viewport of the context, or in the first of the window."""
     views = [area for area in context.screen.areas if area.type == "VIEW_3D"] if context.screen else []
     area = context.area if context.area in views else next(iter(views), None)
@@ -96,7 +96,7 @@ def _right_of_view(context) -> np.ndarray:
 
 
 @persistent
-def _before_save(*_args):
+def _before_save(*_args: object) -> None:
     """save_pre: a saved file shows the soft skin wherever it is opened or rendered."""
     for obj in skin.soft_skins(bpy.data.objects):
         if obj.library is None and comparison.is_plain(obj):
@@ -106,7 +106,7 @@ def _before_save(*_args):
 
 
 @persistent
-def _after_save(*_args):
+def _after_save(*_args: object) -> None:
     """save_post, save_post_fail."""
     for action in opened.left_out:
         action.is_runtime_data = False
@@ -114,7 +114,7 @@ def _after_save(*_args):
 
 
 @persistent
-def _loaded(*_args):
+def _loaded(*_args: object) -> None:
     """load_post."""
     beside.remove_all()
 
@@ -134,11 +134,11 @@ CLASSES = (
 _register_classes, _unregister_classes = of_classes(CLASSES)
 
 
-def register():
+def register() -> None:
     _register_classes()
     events.add(HANDLERS)
 
 
-def unregister():
+def unregister() -> None:
     events.remove(HANDLERS)
     _unregister_classes()

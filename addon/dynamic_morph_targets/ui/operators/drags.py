@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
-from ...run import grabbing, live
+from ...run.live import grabbing, live
+from ...scene import skin
 from ...scene.registration import of_classes
 from ..base import SoftSkinOperator
 
@@ -18,11 +20,11 @@ class DYNAMORPH_OT_record_drags(SoftSkinOperator, Operator):
     bl_label = "Record Drags"
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         reason = super().disabled_reason(context)
-        return reason or ("" if live.is_on(context.object) else "Press Live Soft Skin first")
+        return reason or ("" if live.is_on(skin.mesh_in(context)) else "Press Live Soft Skin first")
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         if not grabbing.is_recording(obj):
             grabbing.record(obj)
             return
@@ -39,11 +41,11 @@ class DYNAMORPH_OT_clear_drags(SoftSkinOperator, Operator):
     bl_label = "Clear Drags"
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         reason = super().disabled_reason(context)
-        return reason or ("" if context.object.dynamorph.simulation.drags else "No drags are recorded")
+        return reason or ("" if skin.mesh_in(context).dynamorph.simulation.drags else "No drags are recorded")
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         obj.dynamorph.simulation.drags = ""
 
 

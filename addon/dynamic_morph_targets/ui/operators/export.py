@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import bpy
@@ -13,12 +13,13 @@ from bpy.props import EnumProperty, StringProperty
 from bpy.types import Operator
 from bpy_extras.io_utils import ExportHelper
 
-from ...core import errors
+from ...core import errors, states
 from ...core.message import translated
 from ...io import paths
-from ...run import export_actions
+from ...run.bake import export_actions
 from ...scene import events, skin
 from ...scene.registration import of_classes
+from ...scene.remembered import opened
 from ...write.display import comparison
 from ...write.export import exports, losses
 from .. import widgets
@@ -39,7 +40,7 @@ def _has_name(filepath: str) -> bool:
     return not filepath.endswith(("/", "\\")) and bool(filepath)
 
 
-def draw_losses(layout, lost, width=None):
+def draw_losses(layout: bpy.types.UILayout, lost: Iterable[str], width: int | None = None) -> None:
     for text in lost:
         widgets.draw_message(layout, text, width=width)
 
@@ -54,14 +55,14 @@ class DYNAMORPH_OT_export_check(SoftSkinOperator, Operator):
     format: EnumProperty(name="Format", description="File format of the export", items=FORMATS)
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         disabled_reason = super().disabled_reason(context)
         if disabled_reason:
             return disabled_reason
         settings = skin.mesh_in(context).dynamorph
         return "" if settings.bake.exists or settings.model.content_id else "Press Bake first"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         exports.check_bake(obj, self.format)
         lost = list(losses.losses(obj, self.format))
         label = exports.FORMATS[self.format].label
@@ -102,16 +103,16 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
     )  # fmt: skip
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         disabled_reason = super().disabled_reason(context)
         if not disabled_reason and comparison.is_plain(skin.mesh_in(context)):
             return "Plain skinning is shown and would be exported: press Show Soft Skin first"
         return disabled_reason
 
-    def invoke(self, context, event):
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         return report_errors(self, self._ask, context, event)
 
-    def _ask(self, context, event):
+    def _ask(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Open the file browser if there is something to write. Raises ExportError."""
         _look_again()
         obj = skin.mesh_in(context)
@@ -125,7 +126,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         self.filepath = str(self.path())
         return super().invoke(context, event)
 
-    def draw(self, context):
+    def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
         layout.prop(self, "format")
         if exports.FORMATS[self.format].skins:
@@ -133,7 +134,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         lost = _shown_losses(skin.mesh_in(context).session_uid, self.format, self.chosen_clips)
         draw_losses(layout, lost)
 
-    def check(self, _context):
+    def check(self, _context: bpy.types.Context) -> bool:
         """The file name follows the format."""
         if not _has_name(self.filepath):
             return False  # the artist is about to type it
@@ -145,7 +146,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
     def chosen_clips(self) -> str:
         return self.clips if exports.FORMATS[self.format].skins else "SCENE"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> set[str]:
         path = self.path()
         if self.chosen_clips == "ACTIONS":  # it takes a while, so it is a job of its own
             return self._start_actions(path)
@@ -161,7 +162,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         absolute = bpy.path.abspath(self.filepath)  # Windows would take // for the name of a server
         return exports.named(Path(absolute), self.format)
 
-    def _start_actions(self, path: Path):
+    def _start_actions(self, path: Path) -> set[str]:
         try:
             bpy.ops.dynamorph.export_actions("INVOKE_DEFAULT", format=self.format, filepath=str(path))
         except RuntimeError as error:  # what it reported
@@ -180,10 +181,10 @@ class DYNAMORPH_OT_export_actions(JobOperator, Operator):
     format: EnumProperty(name="Format", description="File format of the clips", items=SKINS)
     filepath: StringProperty(name="File Path", description="File to which the clips are written", subtype="FILE_PATH")
 
-    def _batch(self, obj):
+    def _batch(self, obj: bpy.types.Object) -> export_actions.ActionsExport:
         return export_actions.ActionsExport(obj, self.format, Path(self.filepath))
 
-    def _done(self, batch):
+    def _done(self, batch: export_actions.ActionsExport) -> set[str]:
         obj = batch.jobs[0].target()
         for warning in batch.warnings:
             self.report({"WARNING"}, translated(warning, rpt_))
@@ -191,14 +192,14 @@ class DYNAMORPH_OT_export_actions(JobOperator, Operator):
         return {"FINISHED"}
 
 
-@lru_cache(maxsize=16)
+@states.cached(opened, 16)
 def _shown_losses(session_uid: int, format: str, clips: str) -> tuple[str, ...]:
     """What the file browser says of an export, whenever it draws: it takes all weights of the meshes to know."""
     return tuple(losses.losses(skin.find(session_uid), format, clips))
 
 
 @persistent
-def _look_again(*_args):
+def _look_again(*_args: object) -> None:
     """depsgraph_update_post and others: something was edited."""
     _shown_losses.cache_clear()
 
@@ -206,7 +207,7 @@ def _look_again(*_args):
 HANDLERS = dict.fromkeys(("depsgraph_update_post", "undo_post", "redo_post", "load_pre"), _look_again)
 
 
-def report_export(operator, obj, path: Path, clips=()):
+def report_export(operator: bpy.types.Operator, obj: bpy.types.Object, path: Path, clips: Sequence[str] = ()) -> None:
     """What was lost, unless the dialog has said it, and where the file is; clips: the names of those of Actions."""
     lost = () if operator.options.is_invoke else losses.losses(obj, operator.format, "ACTIONS" if clips else "SCENE")
     for text in lost:
@@ -215,7 +216,7 @@ def report_export(operator, obj, path: Path, clips=()):
     operator.report({"INFO"}, text.format(name=obj.name, file=path.name, clips=listed(clips)))
 
 
-def draw_in_file_menu(menu, _context):
+def draw_in_file_menu(menu: bpy.types.Menu, _context: bpy.types.Context) -> None:
     """In File > Export, below Blender's own formats."""
     menu.layout.operator_context = "INVOKE_DEFAULT"  # ask for the file also where a shortcut has called the menu
     menu.layout.operator("dynamorph.export", text="Soft Skin")
@@ -224,13 +225,13 @@ def draw_in_file_menu(menu, _context):
 _register, _unregister = of_classes((DYNAMORPH_OT_export_check, DYNAMORPH_OT_export, DYNAMORPH_OT_export_actions))
 
 
-def register():
+def register() -> None:
     _register()
     bpy.types.TOPBAR_MT_file_export.append(draw_in_file_menu)
     events.add(HANDLERS)
 
 
-def unregister():
+def unregister() -> None:
     events.remove(HANDLERS)
     bpy.types.TOPBAR_MT_file_export.remove(draw_in_file_menu)
     _unregister()

@@ -15,13 +15,14 @@ from bpy.types import Operator
 from ...core.errors import SceneError
 from ...core.material.feel import FEELS, Feel
 from ...core.result import judge
-from ...run import live
+from ...run.live import live
+from ...scene.properties.target_properties import DynamorphTarget
 from ...scene.registration import of_classes
 from ..base import SoftSkinOperator
 from .jobs import StartsJob
 
 
-def give_feel(obj, feel: Feel):
+def give_feel(obj: bpy.types.Object, feel: Feel) -> None:
     """Give the neutral target this feel and limit the motion. Every other target that was not set by hand keeps its
     ratio of undamped frequency to the neutral target.
     """
@@ -35,7 +36,7 @@ def give_feel(obj, feel: Feel):
     simulation.max_displacement, simulation.max_thickness = feel.max_displacement, feel.max_thickness
 
 
-def _frequency_ratio(target, neutral) -> float:
+def _frequency_ratio(target: DynamorphTarget, neutral: DynamorphTarget) -> float:
     if target.frequency and neutral.frequency:
         return target.frequency / neutral.frequency
     return sqrt(target.stiffness / target.density * neutral.density / neutral.stiffness)
@@ -56,12 +57,12 @@ class DYNAMORPH_OT_apply_feel(SoftSkinOperator, Operator):
     )
 
     @classmethod
-    def description(cls, _context, given):
+    def description(cls, _context: bpy.types.Context, given: bpy.types.OperatorProperties) -> str:
         feel = FEELS[given.feel]
         text = rpt_("{feel}. It sets Bounce to {frequency:g} Hz and the limits. Targets set by hand are not changed")
         return text.format(feel=rpt_(feel.tooltip), frequency=feel.frequency)
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         give_feel(obj, FEELS[self.feel])
         live.refresh(obj)
 
@@ -69,7 +70,7 @@ class DYNAMORPH_OT_apply_feel(SoftSkinOperator, Operator):
 # What the verdict on a bake asks for -------------------------------------------------------------------------------
 
 
-def _verdict(obj) -> judge.Verdict:
+def _verdict(obj: bpy.types.Object) -> judge.Verdict:
     """Raises SceneError when there is none, and RecordError."""
     found = judge.parsed(obj.dynamorph.bake.verdict)
     if found is None:
@@ -83,7 +84,7 @@ class DYNAMORPH_OT_show_worst(SoftSkinOperator, Operator):
     bl_idname = "dynamorph.show_worst"
     bl_label = "Show Worst Place"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         found = _verdict(obj)
         if obj.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")  # Edit Mode has a selection of its own
@@ -109,7 +110,7 @@ class DYNAMORPH_OT_stiffen(StartsJob, Operator):
     bl_label = "Raise Bounce and Bake"
     job = "dynamorph.bake"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         factor = _verdict(obj).factor
         measured = [target for target in obj.dynamorph.targets if target.is_measured]
         if not measured:

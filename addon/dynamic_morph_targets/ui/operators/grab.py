@@ -13,8 +13,10 @@ from bpy.types import Operator, WorkSpaceTool
 from bpy_extras.view3d_utils import region_2d_to_location_3d, region_2d_to_origin_3d, region_2d_to_vector_3d
 from mathutils import Vector
 
-from ...run import grabbing, remembered
-from ...scene import events, mesh_data, registration, skin
+from ...run import remembered
+from ...run.live import grabbing
+from ...scene import events, registration, skin
+from ...scene.read import mesh_data
 from ...scene.registration import of_classes
 from ..base import report_errors
 from ..widgets import draw_drags
@@ -31,13 +33,13 @@ class DYNAMORPH_OT_grab(Operator):
     bl_options = {"INTERNAL"}  # it leaves nothing that could be undone
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: bpy.types.Context) -> bool:
         return skin.mesh_in(context) is not None and context.region_data is not None
 
-    def invoke(self, context, event):
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         return report_errors(self, self._take, context, event)
 
-    def _take(self, context, event):
+    def _take(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         obj, mouse = skin.mesh_in(context), (event.mouse_region_x, event.mouse_region_y)
         hit, normal = _under(context, obj, mouse)
         if hit is None:
@@ -51,7 +53,7 @@ class DYNAMORPH_OT_grab(Operator):
         context.workspace.status_text_set(iface_("Drag to Pull   |   Wheel: Depth   |   Shift: Hold   |   Esc: Let Go"))
         return {"RUNNING_MODAL"}
 
-    def modal(self, context, event):
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         result = report_errors(self, self._follow, context, event)
         if "CANCELLED" in result:
             self.cancel(context)
@@ -59,16 +61,16 @@ class DYNAMORPH_OT_grab(Operator):
             self._done(context)
         return result
 
-    def cancel(self, context):
+    def cancel(self, context: bpy.types.Context) -> None:
         """Also by Blender, when the window closes."""
         self.grabbing.let_go(self.hold)
         self._done(context)
 
-    def _done(self, context):
+    def _done(self, context: bpy.types.Context) -> None:
         context.workspace.status_text_set(None)
         events.redraw(events.VIEWS)
 
-    def _follow(self, context, event):
+    def _follow(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if remembered.live.hands is not self.grabbing:
             return {"CANCELLED"}
         if event.type in {"ESC", "RIGHTMOUSE"}:
@@ -89,12 +91,12 @@ class DYNAMORPH_OT_grab(Operator):
             return {"PASS_THROUGH"}  # playback goes on
         return {"RUNNING_MODAL"}
 
-    def _lead(self, context):
+    def _lead(self, context: bpy.types.Context) -> None:
         goal = region_2d_to_location_3d(context.region, context.region_data, self.mouse, self.depth)
         self.grabbing.lead(self.hold, np.array(goal))
         events.redraw(events.VIEWS)
 
-    def _release(self, event):
+    def _release(self, event: bpy.types.Event) -> None:
         moved = max(abs(now - then) for now, then in zip(self.mouse, self.first, strict=True))
         if moved < TAP_PIXELS and time.perf_counter() - self.pressed < TAP:
             self.grabbing.slap(self.hold, -np.array(self.normal))
@@ -102,7 +104,7 @@ class DYNAMORPH_OT_grab(Operator):
             self.grabbing.let_go(self.hold)
 
 
-def _under(context, obj, mouse) -> tuple[Vector | None, Vector]:
+def _under(context: bpy.types.Context, obj: bpy.types.Object, mouse: tuple[int, int]) -> tuple[Vector | None, Vector]:
     """The place on the soft skin `obj` under the mouse, and its normal: world space; None where something else is."""
     origin = region_2d_to_origin_3d(context.region, context.region_data, mouse)
     direction = region_2d_to_vector_3d(context.region, context.region_data, mouse)
@@ -124,7 +126,7 @@ class GrabTool(WorkSpaceTool):
     bl_icon = "brush.uv_sculpt.grab"
 
     @staticmethod
-    def draw_settings(context, layout, _tool):
+    def draw_settings(context: bpy.types.Context, layout: bpy.types.UILayout, _tool: bpy.types.WorkSpaceTool) -> None:
         obj = skin.mesh_in(context)
         if obj is not None and obj.dynamorph.targets:
             draw_drags(layout, obj)
@@ -149,14 +151,14 @@ TOOLS = (DYNAMORPH_TOOL_grab_object, DYNAMORPH_TOOL_grab_pose)
 _register, _unregister = of_classes((DYNAMORPH_OT_grab,))
 
 
-def register():
+def register() -> None:
     _register()
     for tool in TOOLS:
         bpy.utils.register_tool(tool, separator=True)
         registration.later(__name__, partial(bpy.utils.unregister_tool, tool))
 
 
-def unregister():
+def unregister() -> None:
     grabbing.end()
     registration.take_back(__name__)
     _unregister()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
@@ -11,12 +12,16 @@ from bpy.app.translations import pgettext_tip as tip_
 from bpy.types import Operator
 
 from ...core.message import Message, joined, translated
-from ...run import batch, child, expected_error, full_comparison, live, remembered
-from ...run.batch import run_all
-from ...run.job import Job
-from ...scene import events, staleness
+from ...run import remembered
+from ...run.bake import batch, expected_error, full_comparison
+from ...run.bake.batch import run_all
+from ...run.bake.job import Job
+from ...run.live import live
+from ...run.work import child
+from ...scene import events
 from ...scene.registration import of_classes
 from ...scene.skin import is_shown_on, mesh_in, soft_skins
+from ...scene.store import staleness
 from ...write.bake import on_override, writer
 from ...write.display import beside, live_key
 from .. import messages
@@ -36,7 +41,7 @@ class DYNAMORPH_OT_delete_bake(SoftSkinOperator, Operator):
     on_override = True
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         reason = super().disabled_reason(context)
         if reason:
             return reason
@@ -47,7 +52,7 @@ class DYNAMORPH_OT_delete_bake(SoftSkinOperator, Operator):
             return "" if obj.dynamorph.bake.exists else "There is no bake yet"
         return "" if is_shown_on(obj) else "Press Add Soft Skin first"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         if not obj.dynamorph.targets:  # an attachment, which may show Live
             live_key.remove(obj)
         writer.check_free(obj)
@@ -63,24 +68,24 @@ class JobOperator(SoftSkinOperator):
 
     goal = "BUILD"
 
-    def _jobs(self, obj) -> list[Job]:
+    def _jobs(self, obj: bpy.types.Object) -> list[Job]:
         """The jobs to run one after the other; obj: the mesh of the context."""
         return [Job(obj, self.goal, rebuild=self.goal == "BUILD")]
 
-    def _batch(self, obj) -> batch.Batch:
+    def _batch(self, obj: bpy.types.Object) -> Any:  # a Batch; in some buttons, other Work
         return batch.Batch(self._jobs(obj), self.goal)
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         batch = self._batch(obj)
         run_all(batch)
         self._done(batch)
 
-    def invoke(self, context, _event):
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         if bpy.app.background:
             return self.execute(context)
         return report_errors(self, self._begin, context)
 
-    def modal(self, context, event):
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type == "ESC" and event.value == "PRESS":  # not passed on: it must not also stop the playback
             self.batch.cancel()
         elif event.type != "TIMER":
@@ -93,11 +98,11 @@ class JobOperator(SoftSkinOperator):
                 self._end(context)
         return result
 
-    def cancel(self, _context):
+    def cancel(self, _context: bpy.types.Context) -> None:
         """Blender itself ends the operator because the window closes or another file is opened."""
         batch.stop()
 
-    def _begin(self, context):
+    def _begin(self, context: bpy.types.Context) -> set[str]:
         expected_error.cancel()  # the job needs the computer, and outdates what is measured
         self.batch = remembered.work.running = self._batch(reconciled(mesh_in(context)))
         self.steps = self.batch.steps(SLICE)
@@ -106,7 +111,7 @@ class JobOperator(SoftSkinOperator):
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
-    def _tick(self, context):
+    def _tick(self, context: bpy.types.Context) -> set[str]:
         batch = self.batch
         try:
             next(self.steps)
@@ -118,7 +123,7 @@ class JobOperator(SoftSkinOperator):
             events.redraw_status(context)
         return {"RUNNING_MODAL"}
 
-    def _end(self, context):
+    def _end(self, context: bpy.types.Context) -> None:
         self.batch.stop()
         remembered.work.running = None
         child.prepare()  # for what comes next
@@ -126,7 +131,7 @@ class JobOperator(SoftSkinOperator):
         events.redraw(events.PANELS)
         events.redraw_status(context)
 
-    def _done(self, batch):
+    def _done(self, batch: Any) -> set[str]:
         expected_error.begin(batch.jobs)
         for job in batch.jobs:
             built_first = job.input.is_bake and job.input.reasons
@@ -145,14 +150,14 @@ class StartsJob(SoftSkinOperator):
 
     job = ""
 
-    def invoke(self, context, _event):
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         result = self.execute(context)
         if result == {"FINISHED"} and not bpy.app.background:
             press(self, self.job)
         return result
 
 
-def press(operator, name: str, **settings):
+def press(operator: bpy.types.Operator, name: str, **settings: Any) -> None:
     """Call another operator where `operator` ends, and report what prevents it."""
     module, function = name.split(".")
     button = getattr(getattr(bpy.ops, module), function)
@@ -170,13 +175,13 @@ class DYNAMORPH_OT_build(JobOperator, Operator):
     bl_label = "Build Model"
 
     @classmethod
-    def description(cls, context, _given):
+    def description(cls, context: bpy.types.Context, _given: bpy.types.OperatorProperties) -> str:
         """The tooltip, with the parts that it would make again now."""
         obj = mesh_in(context)
         texts = [cls.__doc__, messages.rebuilt(obj) if obj and obj.dynamorph.model.content_id else ""]
         return ".\n".join(tip_(text) for text in texts if text)
 
-    def _done(self, batch):
+    def _done(self, batch: batch.Batch) -> set[str]:
         for job in batch.jobs:
             live.refresh(job.target())
         return super()._done(batch)
@@ -191,7 +196,7 @@ class DYNAMORPH_OT_bake(JobOperator, Operator):
     on_override = True
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         reason, obj = super().disabled_reason(context), mesh_in(context)
         return reason or (on_override.refused_format(obj) if obj.override_library else "")
 
@@ -204,16 +209,16 @@ class DYNAMORPH_OT_bake_all(JobOperator, Operator):
     goal = "BAKE_ALL"
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         if not _own_skins(context.scene):
             return "The scene has no soft skin of its own: press Add Soft Skin first, or make a linked one local"
         return at_work()
 
-    def _jobs(self, _obj):
+    def _jobs(self, _obj: bpy.types.Object) -> list[Job]:
         return [Job(skin, "BAKE") for skin in _own_skins(bpy.context.scene)]
 
 
-def _own_skins(scene) -> list:
+def _own_skins(scene: bpy.types.Scene) -> list:
     """The soft skins whose bake would be saved with the file."""
     found = [each for each in soft_skins(scene.objects) if not each.library]
     lost = (on_override.refused_format(each) if each.override_library else each.data.library for each in found)
@@ -228,15 +233,15 @@ class DYNAMORPH_OT_compare_full(JobOperator, Operator):
     goal = "COMPARE_FULL"
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         obj = mesh_in(context)
         reason = super().disabled_reason(context) or full_comparison.disabled_reason(obj)
         return reason or ("The bake is out of date: bake again first" if staleness.outdated(obj) else "")
 
-    def _batch(self, obj):
+    def _batch(self, obj: bpy.types.Object) -> full_comparison.FullComparison:
         return full_comparison.FullComparison(obj)
 
-    def _done(self, batch):
+    def _done(self, batch: full_comparison.FullComparison) -> set[str]:
         obj = batch.jobs[0].target()
         self.report({"INFO"}, translated(joined(": ", [obj.name, full_comparison.summary(obj)]), rpt_))
         return {"FINISHED"}
@@ -248,7 +253,7 @@ class DYNAMORPH_OT_cancel(Operator):
     bl_idname = "dynamorph.cancel"
     bl_label = "Cancel Soft Skin Job"
 
-    def execute(self, _context):
+    def execute(self, _context: bpy.types.Context) -> set[str]:
         if remembered.work.running:
             remembered.work.running.cancel()
         return {"FINISHED"}

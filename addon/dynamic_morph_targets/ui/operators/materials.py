@@ -11,9 +11,10 @@ from bpy.types import Operator
 
 from ...core.material import fit as material_fit
 from ...core.material import oscillation, presets
-from ...run import task
-from ...scene import model_store, skin
+from ...run.work import task
+from ...scene import skin
 from ...scene.registration import of_classes
+from ...scene.store import model_store
 from ..base import TargetOperator, report_errors
 from .jobs import JobOperator, press
 
@@ -33,11 +34,11 @@ class DYNAMORPH_OT_apply_material(TargetOperator, Operator):
     )
 
     @classmethod
-    def description(cls, _context, given):
+    def description(cls, _context: bpy.types.Context, given: bpy.types.OperatorProperties) -> str:
         """The tooltip: Blender does not show the descriptions of items of an operator's menu."""
         return presets.PRESETS[given.preset].source if given.is_property_set("preset") else ""
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         obj.dynamorph.active_target.set_material(presets.PRESETS[self.preset].material, by_hand=True)
 
 
@@ -66,17 +67,17 @@ class FitsBounce(TargetOperator, JobOperator):
     )
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         disabled_reason = super().disabled_reason(context)
         if not disabled_reason and not skin.mesh_in(context).dynamorph.model.content_id:
             return "Press Build Model first: the bounce is measured on its cage"
         return disabled_reason
 
-    def _batch(self, obj):
+    def _batch(self, obj: bpy.types.Object) -> task.Task:
         return task.Task(obj, self.goal, self._fitted(obj, self.frequency, oscillation.decay_of(self.settle_time)))
 
     @staticmethod
-    def _fitted(obj, frequency: float, decay: float) -> task.Chunks[tuple]:
+    def _fitted(obj: bpy.types.Object, frequency: float, decay: float) -> task.Chunks[tuple]:
         """The result: the index of the target in the list, and its material."""
         index = obj.dynamorph.active_target_index
         model, character, target = model_store.fit_input(obj, obj.dynamorph.active_target)
@@ -84,7 +85,7 @@ class FitsBounce(TargetOperator, JobOperator):
         fit = partial(material_fit.fit_oscillation, model, character, target, frequency, decay)
         return index, (yield from task.elsewhere(fit, "Fitting the bounce", obj.name))
 
-    def _done(self, task):
+    def _done(self, task: task.Task) -> set[str]:
         index, fitted = task.result
         task.object.find().dynamorph.targets[index].set_material(fitted, by_hand=True)
         return {"FINISHED"}
@@ -104,16 +105,16 @@ class DYNAMORPH_OT_fit_material(FitsBounce, Operator):
     bl_idname = "dynamorph.fit_material"
     bl_label = "Fit Bounce"
 
-    def invoke(self, context, _event):
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         return report_errors(self, self._ask, context)
 
-    def _ask(self, context):
+    def _ask(self, context: bpy.types.Context) -> set[str]:
         obj = skin.mesh_in(context)
         now = material_fit.bounce(*model_store.fit_input(obj, obj.dynamorph.active_target))
         self.frequency, self.settle_time = now.frequency or self.frequency, now.settle
         return context.window_manager.invoke_props_dialog(self)
 
-    def execute(self, context):
+    def execute(self, context: bpy.types.Context) -> set[str]:
         if bpy.app.background:
             return super().execute(context)
         press(self, "dynamorph.fit_bounce", frequency=self.frequency, settle_time=self.settle_time)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty
 from bpy.types import Operator
@@ -20,7 +21,7 @@ class Paint(SoftSkinOperator):
 
     of: PaintedMap
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         if painting.is_painting(obj, self.of):
             painting.leave(obj)
         else:
@@ -49,7 +50,7 @@ class DYNAMORPH_OT_hold_bones(SoftSkinOperator, Operator):
     bl_idname = "dynamorph.hold_bones"
     bl_label = "Hold Selected Bones"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         painting.hold_selected_bones(obj)
 
 
@@ -67,13 +68,13 @@ class Mirror(SoftSkinOperator):
     )
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         disabled_reason = super().disabled_reason(context)
         if not disabled_reason and not painting.is_painting(skin.mesh_in(context), cls.of):
             return Message("Press Paint beside {map} first", map=Message(cls.of.label))
         return disabled_reason
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         alone = painting.mirror(obj, self.of, self.to)
         if alone:
             text = rpt_("{count} vertices have no mirror image and are unchanged")
@@ -96,7 +97,7 @@ class DYNAMORPH_OT_mirror_max_distance(Mirror, Operator):
     of = MAX_DISTANCE
 
 
-def draw_tools(layout, obj, of: PaintedMap):
+def draw_tools(layout: bpy.types.UILayout, obj: bpy.types.Object, of: PaintedMap) -> None:
     """What helps to paint a map; Blender's own buttons where it has some."""
     column = layout.column(align=True)
     column.use_property_split = False

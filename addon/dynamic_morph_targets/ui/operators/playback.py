@@ -19,15 +19,21 @@ from mathutils import Matrix
 
 from ...core.character import target_labels
 from ...core.errors import SceneError
+from ...core.motion.rig_samples import RigSamples
 from ...core.motion.shake import SECONDS
 from ...core.result import compare
-from ...run import live, preview, remembered, task
-from ...run.first_look import FirstLook
-from ...run.preview import SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
-from ...scene import animation, events, model_store, rig_motion, skin
+from ...run import remembered
+from ...run.live import live, preview
+from ...run.live.preview import SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
+from ...run.live.tissue import Tissue
+from ...run.tools.first_look import FirstLook
+from ...run.work import task
+from ...scene import animation, events, skin
+from ...scene.motion import rig_motion
 from ...scene.registration import of_classes
 from ...scene.remembered import opened
 from ...scene.skinning import Skinning
+from ...scene.store import model_store
 from ..base import SoftSkinOperator, report_errors
 from .jobs import JobOperator, press
 
@@ -42,7 +48,7 @@ class TissueOperator(SoftSkinOperator):
     """Mixin: shows the motion of the built model; nothing else may show it at the same time."""
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         obj = skin.mesh_in(context)
         if obj and obj.session_uid in opened.drafts:  # it can be played while the rest of its model is built
             return ""
@@ -55,14 +61,14 @@ class DYNAMORPH_OT_live(SoftSkinOperator, Operator):
     bl_idname = "dynamorph.live"
     bl_label = "Live Soft Skin"
 
-    def invoke(self, context, _event):
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         obj = skin.mesh_in(context)
         if live.is_on(obj) or not live.disabled_reason(obj) or bpy.app.background:
             return self.execute(context)
         press(self, "dynamorph.build_live")
         return {"CANCELLED"}  # the undo step is that of the build
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         end_preview()
         if live.is_on(obj):
             live.turn_off(obj)
@@ -75,13 +81,13 @@ class DYNAMORPH_OT_live(SoftSkinOperator, Operator):
 class EndsLive(JobOperator):
     """Mixin: builds a model. In a window it then turns Live on."""
 
-    def modal(self, context, event):
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         result = super().modal(context, event)
         if result == {"FINISHED"}:
             report_errors(self, self._look, context)
         return result
 
-    def _look(self, context):
+    def _look(self, context: bpy.types.Context) -> None:
         request = self.batch.jobs[0].request
         if request.scene.find() != context.scene:  # the artist has gone on in another one
             return
@@ -100,21 +106,21 @@ class DYNAMORPH_OT_first_look(EndsLive, Operator):
     bl_label = "Build Soft Skin"
     bl_options = {"REGISTER", "UNDO", "INTERNAL"}
 
-    def _batch(self, obj):
+    def _batch(self, obj: bpy.types.Object) -> FirstLook:
         self.look, self.hopped = FirstLook(obj), False
         return self.look
 
-    def _tick(self, context):
+    def _tick(self, context: bpy.types.Context) -> set[str]:
         result = super()._tick(context)
         if self.look.shows and result == {"RUNNING_MODAL"}:
             self._hop(context)
         return result
 
-    def _look(self, context):
+    def _look(self, context: bpy.types.Context) -> None:
         super()._look(context)
         self._hop(context)
 
-    def _hop(self, context):
+    def _hop(self, context: bpy.types.Context) -> None:
         """Once, as soon as Live shows something."""
         obj = self.look.jobs[0].request.target.find()
         if self.hopped or not live.is_on(obj):
@@ -148,7 +154,7 @@ class PreviewOperator(TissueOperator):
         """Seconds; None: until it is stopped."""
         return None
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         running = Preview(obj, type(self))
         try:
             moved = []
@@ -159,12 +165,12 @@ class PreviewOperator(TissueOperator):
             running.end()
         self._report(max(moved))
 
-    def invoke(self, context, _event):
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         if bpy.app.background:
             return self.execute(context)
         return report_errors(self, self._begin, context)
 
-    def modal(self, context, event):
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.running is not remembered.live.preview:  # its button, undo or anything else has ended it
             return self._end(context)
         if event.type == "ESC" and event.value == "PRESS":
@@ -181,13 +187,13 @@ class PreviewOperator(TissueOperator):
             self.finished(context)
         return {"PASS_THROUGH"} if result == {"RUNNING_MODAL"} else result  # others have timers too
 
-    def cancel(self, context):
+    def cancel(self, context: bpy.types.Context) -> None:
         self._end(context)
 
-    def finished(self, context):
+    def finished(self, context: bpy.types.Context) -> None:
         """What follows a preview that nobody has stopped."""
 
-    def _begin(self, context):
+    def _begin(self, context: bpy.types.Context) -> set[str]:
         stopped = is_running(type(self).bl_idname)
         end_preview()
         if stopped:
@@ -209,7 +215,7 @@ class PreviewOperator(TissueOperator):
         events.redraw_status(context)
         return {"RUNNING_MODAL"}
 
-    def _tick(self, context):
+    def _tick(self, context: bpy.types.Context) -> set[str]:
         """Show the frame that is due now. A slow window drops frames, as playback does."""
         if events.render_runs():  # which reads what would be written
             return {"RUNNING_MODAL"}
@@ -229,14 +235,14 @@ class PreviewOperator(TissueOperator):
         self._report(self.largest)
         return {"FINISHED"}
 
-    def _end(self, context):
+    def _end(self, context: bpy.types.Context) -> set[str]:
         if self.running is remembered.live.preview:
             end_preview()
         context.window_manager.event_timer_remove(self.timer)
         events.redraw_status(context)
         return {"CANCELLED"}
 
-    def _report(self, largest: float):
+    def _report(self, largest: float) -> None:
         text = rpt_("The skin moves by up to {distance:.1f} mm")
         self.report({"INFO"}, text.format(distance=1000 * largest))
 
@@ -270,17 +276,17 @@ class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
     def lasts(self) -> float:
         return self.seconds
 
-    def finished(self, context):
+    def finished(self, context: bpy.types.Context) -> None:
         obj = skin.mesh_in(context)
         moves = self.then_plays and obj and animation.is_animated(Skinning.of(obj))
         if moves and not context.screen.is_animation_playing:
             press(self, "screen.animation_play")
 
-    def passes(self, event) -> bool:
+    def passes(self, event: bpy.types.Event) -> bool:
         """Only navigation: an undo step would store the rig in its shaken position."""
         return event.type in NAVIGATION
 
-    def frames(self, obj, tissue) -> Iterator[tuple[np.ndarray, Matrix]]:
+    def frames(self, obj: bpy.types.Object, tissue: Tissue) -> Iterator[tuple[np.ndarray, Matrix]]:
         for moved in movers(obj):
             if self.kind == "TWIST" and moved.rotation_mode == "AXIS_ANGLE":
                 raise SceneError(
@@ -289,7 +295,7 @@ class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
         return self._played(tissue, *shaken(obj, tissue, self.kind, self.seconds))
 
     @staticmethod
-    def _played(tissue, samples, transforms):
+    def _played(tissue: Tissue, samples: RigSamples, transforms: np.ndarray) -> Iterator[tuple[np.ndarray, Matrix]]:
         player, substeps = tissue.player, tissue.player.settings.substeps
         count = len(samples) // substeps
         yield tissue.values(player.begin(samples[:2])), Matrix(transforms[0])
@@ -303,10 +309,10 @@ class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
     bl_idname = "dynamorph.play_mode"
     bl_label = "Play Mode"
 
-    def passes(self, _event) -> bool:
+    def passes(self, _event: bpy.types.Event) -> bool:
         return True  # to select other modes meanwhile
 
-    def frames(self, obj, tissue) -> Iterator[tuple[np.ndarray, None]]:
+    def frames(self, obj: bpy.types.Object, tissue: Tissue) -> Iterator[tuple[np.ndarray, None]]:
         """One swing per second; in the background, a single swing."""
         if tissue.dofs and not tissue.modes:
             raise SceneError("'{name}' is simulated without modes: set Quality to Reduced", name=obj.name)
@@ -316,7 +322,7 @@ class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
         return self._swinging(obj.session_uid, tissue, weights)
 
     @staticmethod
-    def _swinging(session_uid: int, tissue, weights):
+    def _swinging(session_uid: int, tissue: Tissue, weights: np.ndarray) -> Iterator[tuple[np.ndarray, None]]:
         fps = tissue.player.settings.fps
         static = np.concatenate([tissue.player.static(weights), weights])
         k = 0
@@ -338,7 +344,7 @@ class DYNAMORPH_OT_reset_gains(SoftSkinOperator, Operator):
     bl_idname = "dynamorph.reset_gains"
     bl_label = "Reset Amounts"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         for mode in obj.dynamorph.modes:
             mode.gain, mode.solo = 1.0, False
 
@@ -350,18 +356,18 @@ class DYNAMORPH_OT_check_targets(JobOperator, Operator):
     bl_label = "Check Targets"
     goal = "CHECK_TARGETS"
 
-    def _batch(self, obj):
+    def _batch(self, obj: bpy.types.Object) -> task.Task:
         return task.Task(obj, self.goal, self._misses(obj))
 
     @staticmethod
-    def _misses(obj) -> task.Chunks[list[str]]:
+    def _misses(obj: bpy.types.Object) -> task.Chunks[list[str]]:
         model, character = model_store.current_model(obj)
         check = partial(compare.residuals, model, character)
         misses = yield from task.elsewhere(check, "Checking targets", obj.name, reports=True)
         labels = zip(target_labels(character.authored_sets), character.authored_targets, strict=True)
         return [f"{label}: {1000 * misses[target.name]:.3f} mm" for label, target in labels]
 
-    def _done(self, task):
+    def _done(self, task: task.Task) -> set[str]:
         obj = task.object.find()
         obj.dynamorph.live.checks = "\n".join(task.result)
         self.report({"INFO"}, f"{obj.name}: {', '.join(task.result)}")
@@ -369,13 +375,13 @@ class DYNAMORPH_OT_check_targets(JobOperator, Operator):
 
 
 @persistent
-def _before_change(*_args):
+def _before_change(*_args: object) -> None:
     """What a preview moves must neither be saved nor end up in an undo step."""
     end_preview()
 
 
 @persistent
-def _loaded(*_args):
+def _loaded(*_args: object) -> None:
     """load_post, before Live's own."""
     end_recovered()
 
@@ -399,12 +405,12 @@ CLASSES = (
 _register_classes, _unregister_classes = of_classes(CLASSES)
 
 
-def register():
+def register() -> None:
     _register_classes()
     events.add(HANDLERS)
 
 
-def unregister():
+def unregister() -> None:
     end_preview()
     events.remove(HANDLERS)
     _unregister_classes()

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, StringProperty
 from bpy.types import Operator
 
 from ...core.errors import SceneError
-from ...scene import checks, rig_motion
+from ...scene.check import checks
+from ...scene.motion import rig_motion
 from ...scene.registration import of_classes
 from ...write.authoring import controls, regions, targets
 from ...write.bake import muting
@@ -22,7 +24,7 @@ class DYNAMORPH_OT_capture_pose(TargetOperator, Operator):
     bl_label = "Capture Pose"
     neutral_too = True
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         self.warn(targets.capture(obj, obj.dynamorph.active_target, rig_motion.current_pose(obj)))
         regions.update(obj)
 
@@ -34,11 +36,11 @@ class DYNAMORPH_OT_go_to_pose(TargetOperator, Operator):
     bl_label = "Go to Pose"
     neutral_too = True
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         go_to_pose(self, obj)
 
 
-def go_to_pose(operator, obj):
+def go_to_pose(operator: bpy.types.Operator, obj: bpy.types.Object) -> None:
     skeleton, *_ = rig_motion.current_pose(obj)
     local = obj.dynamorph.active_target.local(skeleton)
     targets.pose_rig(checks.armature_modifier(obj).object, skeleton, local)
@@ -58,7 +60,7 @@ class DYNAMORPH_OT_use_selected_bones(TargetOperator, Operator):
 
     extend: BoolProperty(name="Extend", description="Keep the bones that the target already depends on", default=True)
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         target = obj.dynamorph.active_target
         rig = checks.armature_modifier(obj).object
         chosen = controls.bent_by_selected(obj)
@@ -79,7 +81,7 @@ class DYNAMORPH_OT_remove_bone(TargetOperator, Operator):
 
     bone: StringProperty(name="Bone", description="Bone of the target to remove", options={"SKIP_SAVE"})
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         target = obj.dynamorph.active_target
         target.set_bones([bone for bone in target.bone_names() if bone != self.bone])
         regions.update(obj)

@@ -7,7 +7,9 @@ about even when its armature is active.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import fields
+from typing import Any
 
 import bpy
 from bl_operators.presets import AddPresetBase
@@ -31,14 +33,14 @@ class SavesPreset(AddPresetBase):
     """Mixin: Blender's operator that adds and removes presets, for the mesh that the buttons are about."""
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: bpy.types.Context) -> bool:
         skin = mesh_in(context)
         if skin is None or not skin.dynamorph.active_target:
             cls.poll_message_set("Select a soft skin, and a target in its list")
             return False
         return True
 
-    def execute(self, context):
+    def execute(self, context: bpy.types.Context) -> set[str]:
         with context.temp_override(object=skin.mesh_in(context)):
             return super().execute(context)
 
@@ -64,7 +66,7 @@ class DYNAMORPH_OT_setup_preset(SavesPreset, Operator):
     preset_defines = ("skin = bpy.context.object.dynamorph",)
 
     @property
-    def preset_values(self):
+    def preset_values(self) -> list[str]:
         skin = bpy.context.object.dynamorph
         simulation = [name for name in setups.authored(skin.simulation) if name not in SHOT]
         return [f"skin.model.{name}" for name in setups.authored(skin.model)] + [
@@ -82,7 +84,7 @@ class DYNAMORPH_OT_load_preset(SoftSkinOperator, Operator):
     filepath: StringProperty(name="File", description="The preset's file", subtype="FILE_PATH")
     menu_idname: StringProperty(name="Menu", description="The menu that lists the preset")
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         try:
             with bpy.context.temp_override(object=obj):
                 bpy.ops.script.execute_preset(filepath=self.filepath, menu_idname=self.menu_idname)
@@ -95,7 +97,7 @@ class PresetList(PresetPanel):
 
     preset_operator = "dynamorph.load_preset"
 
-    def path_menu(self, folders, *args, **options):
+    def path_menu(self, folders: Iterable[str], *args: Any, **options: Any) -> None:
         # An empty iterator is true, so Blender does not report missing folders before the first preset is saved.
         Menu.path_menu(self, folders or iter(()), *args, **options)
 
@@ -106,7 +108,7 @@ class DYNAMORPH_PT_material_presets(PresetList, Panel):
     preset_add_operator = DYNAMORPH_OT_material_preset.bl_idname
     preset_operator_defaults = {"menu_idname": "DYNAMORPH_PT_material_presets"}
 
-    def draw(self, context):
+    def draw(self, context: bpy.types.Context) -> None:
         self.layout.emboss = "PULLDOWN_MENU"
         column = self.layout.column(align=True)
         for key, preset in presets.PRESETS.items():

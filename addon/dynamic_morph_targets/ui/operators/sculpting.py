@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty, StringProperty
 from bpy.types import Operator
 
 from ...core import engine, errors
+from ...core.character import Skeleton
 from ...core.errors import SceneError
 from ...core.message import translated
-from ...scene import rig_motion, skin
+from ...scene import skin
+from ...scene.motion import rig_motion
 from ...scene.registration import of_classes
 from ...write.authoring import targets
 from ...write.authoring.targets import sculpted_key
@@ -33,7 +36,7 @@ class SculptOperator:
     """Mixin, listed first: begins to sculpt, unless a target is being sculpted already."""
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         disabled_reason = super().disabled_reason(context)  # type: ignore[misc]  # of SoftSkinOperator
         if not disabled_reason and skin.mesh_in(context).dynamorph.sculpt.active:
             return "Press Finish Sculpting first"
@@ -49,16 +52,16 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
     key: StringProperty(name="Name", description="Name of the shape key and of the target", options={"SKIP_SAVE"})
     mode: SCULPT_MODE
 
-    def invoke(self, context, _event):
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         return report_errors(self, self._ask, context)
 
-    def _ask(self, context):
+    def _ask(self, context: bpy.types.Context) -> set[str]:
         obj = skin.mesh_in(context)
         self._check(obj)
         self.key = self.key or self._default_name(obj)
         return context.window_manager.invoke_props_dialog(self)
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         pose = self._check(obj)
         shape = targets.blended_shape(obj, pose[1])
         muting.show_target(obj, "")
@@ -68,7 +71,7 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
         targets.choose_bones(obj, target, pose[0], np.zeros_like(shape))  # all that are turned, until it is sculpted
         targets.begin_sculpting(obj, block, self.mode, is_new=True)
 
-    def _check(self, obj):
+    def _check(self, obj: bpy.types.Object) -> tuple[Skeleton, np.ndarray, np.ndarray]:
         """The current pose. Raises SceneError if it cannot have a new target."""
         targets.check_can_sculpt(obj)
         skeleton, local, rig_world = rig_motion.current_pose(obj)
@@ -83,7 +86,7 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
             )
         return skeleton, local, rig_world
 
-    def _default_name(self, obj) -> str:
+    def _default_name(self, obj: bpy.types.Object) -> str:
         keys = obj.data.shape_keys
         return targets.free_name(keys.key_blocks.keys() if keys else (), "Pose")
 
@@ -96,7 +99,7 @@ class DYNAMORPH_OT_sculpt_target(SculptOperator, TargetOperator, Operator):
 
     mode: SCULPT_MODE
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         block = sculpted_key(obj)
         targets.check_can_sculpt(obj)
         go_to_pose(self, obj)
@@ -110,13 +113,13 @@ class DYNAMORPH_OT_finish_sculpt(SoftSkinOperator, Operator):
     bl_label = "Finish Sculpting"
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         disabled_reason = super().disabled_reason(context)
         if not disabled_reason and not skin.mesh_in(context).dynamorph.sculpt.active:
             return "No target is being sculpted"
         return disabled_reason
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         targets.finish_sculpting(obj)
         try:
             targets.learn_from_sculpt(obj)

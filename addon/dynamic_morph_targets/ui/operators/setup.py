@@ -12,13 +12,19 @@ from bpy.types import Operator
 from ...core.errors import SceneError, sentence
 from ...core.material.feel import FEELS
 from ...core.message import translated
-from ...run import child, live
-from ...run.removal import remove_soft_skin
-from ...scene import body_checks, checks, cuts, extract, references, rig_motion, scripted, skin, target_properties
+from ...run.live import live
+from ...run.tools.removal import remove_soft_skin
+from ...run.work import child
+from ...scene import references, skin
+from ...scene.character import extract
+from ...scene.check import body_checks, checks
+from ...scene.motion import cuts
+from ...scene.properties import scripted, target_properties
+from ...scene.read.source import read_again, read_once
+from ...scene.read.worlds import world_now
 from ...scene.references import armature_modifiers
 from ...scene.registration import of_classes
 from ...scene.skinning import Skinning
-from ...scene.source import read_again, read_once
 from ...write.authoring import attachments
 from ...write.authoring.fixes import FIXES
 from ...write.bake import writer
@@ -37,17 +43,17 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
     job = "dynamorph.first_look"
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         disabled_reason, obj = super().disabled_reason(context), skin.mesh_in(context)
         if not disabled_reason and not armature_modifiers(obj) and not attachments.carried_by(obj):
             return "The mesh needs an Armature modifier with an armature"
         return disabled_reason
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         with read_once():
             self._add(obj)
 
-    def _add(self, obj):
+    def _add(self, obj: bpy.types.Object) -> None:
         chosen = _body_meant(obj)
         if chosen != obj:
             text = rpt_("'{name}' becomes the soft skin: it has the largest soft surface on its armature")
@@ -59,7 +65,7 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
             child.prepare()  # while the mesh is looked at
         in_the_way = extract.first_look(obj)
         rig = references.rig_of(obj)
-        skeleton, rig_world = references.rest_skeleton(rig.data), rig_motion.world_now(rig)
+        skeleton, rig_world = references.rest_skeleton(rig.data), world_now(rig)
         if obj.mode != "EDIT":
             writer.ensure_basis(obj)
         target = obj.dynamorph.targets.add()
@@ -82,11 +88,11 @@ class DYNAMORPH_OT_remove_soft_skin(SoftSkinOperator, Operator):
     bl_idname = "dynamorph.remove_soft_skin"
     bl_label = "Remove Soft Skin"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         remove_soft_skin(obj)
 
 
-def _body_meant(obj):
+def _body_meant(obj: bpy.types.Object) -> bpy.types.Object:
     """The mesh that becomes a soft skin, and becomes active, when `obj` (a helmet, for example) or its armature is
     active.
     """
@@ -101,7 +107,7 @@ def _body_meant(obj):
     return chosen
 
 
-def _find_attachments(obj) -> list[str]:
+def _find_attachments(obj: bpy.types.Object) -> list[str]:
     """List what belongs to the body of `obj`, in one cage with it. Returns the problems with that."""
     problem = next(checks.problems(Skinning.of(obj)), None)
     if problem:  # which is reported already
@@ -131,10 +137,10 @@ class DYNAMORPH_OT_fix(SoftSkinOperator, Operator):
     )
 
     @classmethod
-    def description(cls, _context, given):
+    def description(cls, _context: bpy.types.Context, given: bpy.types.OperatorProperties) -> str:
         return FIXES[given.problem].tooltip
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         for look in (body_checks.look, cuts.look):
             look(obj)
         if self.problem not in [problem.fix for problem, _ in messages.messages(obj)]:
@@ -159,7 +165,7 @@ class DYNAMORPH_OT_reset_setting(SoftSkinOperator, Operator):
         items=[(name, name, "", number) for number, name in enumerate(scripted.SCRIPTED)],
     )
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         scripted.reset(obj, self.setting)
         live.refresh(obj)
 

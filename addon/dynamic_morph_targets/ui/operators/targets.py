@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy.types import Operator
 
 from ...core.errors import SceneError
-from ...run import task
-from ...run.removal import remove_soft_skin
-from ...scene import checks, rig_motion, skin
+from ...run.tools.removal import remove_soft_skin
+from ...run.work import task
+from ...scene import skin
+from ...scene.check import checks
+from ...scene.motion import rig_motion
 from ...scene.references import rest_skeleton
 from ...scene.registration import of_classes
 from ...write.authoring import mirror, regions, suggest, targets
@@ -35,7 +38,7 @@ class DYNAMORPH_OT_add_target(SoftSkinOperator, Operator):
         options={"SKIP_SAVE"},
     )
 
-    def invoke(self, context, _event):
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         """Use the only key that can be a target, or show a menu: the sidebar has no list of shape keys to select one
         in.
         """
@@ -44,7 +47,7 @@ class DYNAMORPH_OT_add_target(SoftSkinOperator, Operator):
             self.key = names[0] if names else self.key
             return self.execute(context)
 
-        def draw(menu, _context):
+        def draw(menu: bpy.types.Menu, _context: bpy.types.Context) -> None:
             menu.layout.operator_context = "EXEC_DEFAULT"
             for name in names:
                 menu.layout.operator(self.bl_idname, text=name, icon="SHAPEKEY_DATA", translate=False).key = name
@@ -52,7 +55,7 @@ class DYNAMORPH_OT_add_target(SoftSkinOperator, Operator):
         context.window_manager.popup_menu(draw, title="Shape Key at This Pose")
         return {"INTERFACE"}
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         settings = obj.dynamorph
         keys = obj.data.shape_keys
         block = keys and (keys.key_blocks.get(self.key) if self.key else obj.active_shape_key)
@@ -84,10 +87,10 @@ class DYNAMORPH_OT_suggest_targets(JobOperator, Operator):
     bl_label = "Suggest from Drivers"
     goal = "SUGGEST_TARGETS"
 
-    def _batch(self, obj):
+    def _batch(self, obj: bpy.types.Object) -> task.Task:
         return task.Task(obj, self.goal, suggest.suggestions(obj.session_uid))
 
-    def _done(self, task):
+    def _done(self, task: task.Task) -> set[str]:
         obj, (found, skipped), added = task.object.find(), task.result, []
         for suggestion in found:
             skeleton, local, _ = suggestion.pose
@@ -115,7 +118,7 @@ class DYNAMORPH_OT_remove_target(TargetOperator, Operator):
     bl_label = "Remove Target"
     neutral_too = True
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         settings = obj.dynamorph
         if settings.active_target_index > 0:
             target = settings.active_target
@@ -140,7 +143,7 @@ class DYNAMORPH_OT_move_target(TargetOperator, Operator):
         items=(("UP", "Up", "Toward the neutral target", 0), ("DOWN", "Down", "Away from the neutral target", 1)),
     )
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> set[str]:
         settings = obj.dynamorph
         index = settings.active_target_index
         wanted = index + (1 if self.direction == "DOWN" else -1)
@@ -156,7 +159,7 @@ class DYNAMORPH_OT_duplicate_target(TargetOperator, Operator):
     bl_idname = "dynamorph.duplicate_target"
     bl_label = "Duplicate Target"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         index = obj.dynamorph.active_target_index
         skeleton = rest_skeleton(checks.armature_modifier(obj).object.data)
         target = targets.add(obj, targets.copy_key(obj, sculpted_key(obj).name), after=index)
@@ -180,7 +183,7 @@ class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
         description="Replace the shape of an existing shape key of the other side. If off, that key is used unchanged",
     )
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         self.warn(mirror.mirror_target(obj, self.overwrite))
 
 
@@ -190,7 +193,7 @@ class DYNAMORPH_OT_select_key(TargetOperator, Operator):
     bl_idname = "dynamorph.select_key"
     bl_label = "Select Shape Key"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         block = sculpted_key(obj)
         obj.active_shape_key_index = obj.data.shape_keys.key_blocks.find(block.name)
 
@@ -201,7 +204,7 @@ class DYNAMORPH_OT_select_target(SoftSkinOperator, Operator):
     bl_idname = "dynamorph.select_target"
     bl_label = "Select Target"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         index = skin.target_of_active_key(obj)
         if index is None:
             name = obj.active_shape_key.name
@@ -215,7 +218,7 @@ class DYNAMORPH_OT_region_from_sculpt(TargetOperator, Operator):
     bl_idname = "dynamorph.region_from_sculpt"
     bl_label = "Region from Sculpt"
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         target = obj.dynamorph.active_target
         sculpted_key(obj)
         checks.check_mesh(obj)

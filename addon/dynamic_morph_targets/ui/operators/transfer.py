@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
@@ -13,7 +14,7 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ...core.errors import SetupError
 from ...io import paths
-from ...run.removal import remove_soft_skin
+from ...run.tools.removal import remove_soft_skin
 from ...scene import skin
 from ...scene.registration import of_classes
 from ...write import storage
@@ -33,13 +34,13 @@ class DYNAMORPH_OT_save_setup(SoftSkinOperator, ExportHelper, Operator):
 
     filter_glob: StringProperty(name="Filter", description="Files that are shown", default="*.json", options={"HIDDEN"})
 
-    def invoke(self, context, event):
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if not self.filepath:  # type: ignore[has-type]  # a property of ExportHelper
             name = f"{paths.clean_name(skin.mesh_in(context).name)}{self.filename_ext}"
             self.filepath = str(Path(bpy.data.filepath).with_name(name)) if bpy.data.filepath else name
         return super().invoke(context, event)
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         path = Path(bpy.path.abspath(self.filepath))
         if path.suffix.lower() != self.filename_ext:  # a script may name any file
             raise SetupError("A setup is a .json, '{file}' is not: choose another name", file=path.name)
@@ -59,12 +60,12 @@ class DYNAMORPH_OT_load_setup(SoftSkinOperator, ImportHelper, Operator):
     )
     filter_glob: StringProperty(name="Filter", description="Files that are shown", default="*.json", options={"HIDDEN"})
 
-    def invoke(self, context, event):
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.filepath:  # it was dropped
             return self.execute(context)
         return super().invoke(context, event)
 
-    def apply(self, obj):
+    def apply(self, obj: bpy.types.Object) -> None:
         path = Path(bpy.path.abspath(self.filepath))
         lacking = setups.apply(obj, setups.read(path))
         if obj.dynamorph.model.content_id:
@@ -82,7 +83,7 @@ class DYNAMORPH_FH_setup(FileHandler):
     bl_file_extensions = ".json"
 
     @classmethod
-    def poll_drop(cls, context):
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
         shown = context.area is not None and context.area.type in ("VIEW_3D", "PROPERTIES")
         return shown and DYNAMORPH_OT_load_setup.poll(context)
 
@@ -103,13 +104,13 @@ class DYNAMORPH_OT_copy_to_selected(SoftSkinOperator, Operator):
     )
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         disabled_reason = super().disabled_reason(context)
         if not disabled_reason and not others(context):
             return "Select the other meshes first, then the soft skin"
         return disabled_reason
 
-    def invoke(self, context, _event):
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         """Ask only where there is something to replace or to overwrite."""
         names = {target.name for target in skin.mesh_in(context).dynamorph.targets}
         for obj in others(context):
@@ -118,10 +119,10 @@ class DYNAMORPH_OT_copy_to_selected(SoftSkinOperator, Operator):
                 return context.window_manager.invoke_props_dialog(self)
         return self.execute(context)
 
-    def execute(self, context):
+    def execute(self, context: bpy.types.Context) -> set[str]:
         return report_errors(self, self._copy, skin.mesh_in(context), others(context))
 
-    def _copy(self, source, others):
+    def _copy(self, source: bpy.types.Object, others: Sequence[bpy.types.Object]) -> None:
         transfer.check(source, others, self.replace)
         setup, size = setups.of_object(source), transfer.size(source)
         setup["attachments"] = [
@@ -135,7 +136,7 @@ class DYNAMORPH_OT_copy_to_selected(SoftSkinOperator, Operator):
             report_lacking(self, obj, setups.apply(obj, setup))
             self._report_distance(source, obj, made.distance, size)
 
-    def _report_distance(self, source, obj, distance, size):
+    def _report_distance(self, source: bpy.types.Object, obj: bpy.types.Object, distance: float, size: float) -> None:
         names = {"name": obj.name, "source": source.name, "distance": length(distance)}
         self.report({"INFO"}, rpt_("'{name}': at most {distance} away from '{source}'").format(**names))
         if distance > FAR * size:
@@ -143,13 +144,13 @@ class DYNAMORPH_OT_copy_to_selected(SoftSkinOperator, Operator):
             self.report({"WARNING"}, text.format(**names))
 
 
-def others(context):
+def others(context: bpy.types.Context) -> list[bpy.types.Object]:
     """The selected meshes that are not the one the buttons are about."""
     active = skin.mesh_in(context)
     return [obj for obj in context.selected_objects if obj.type == "MESH" and obj != active]
 
 
-def report_lacking(operator, obj, lacking: dict[str, list[str]]):
+def report_lacking(operator: bpy.types.Operator, obj: bpy.types.Object, lacking: dict[str, list[str]]) -> None:
     """One warning about everything that a setup names and `obj` does not have."""
     if lacking:
         quoted = {rpt_(kind): [f"'{name}'" for name in names] for kind, names in lacking.items()}

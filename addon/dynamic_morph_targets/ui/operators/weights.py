@@ -9,7 +9,8 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
 from ...core.character import region_label
-from ...run import task, weight_curves
+from ...run.tools import weight_curves
+from ...run.work import task
 from ...scene import events, skin
 from ...scene.registration import of_classes
 from .jobs import JobOperator
@@ -18,7 +19,7 @@ from .jobs import JobOperator
 class ReadsFrames(JobOperator):
     """Mixin: evaluates the armature at every frame of the scene first."""
 
-    def _batch(self, obj):
+    def _batch(self, obj: bpy.types.Object) -> task.Task:
         scene = bpy.context.scene
         pieces = weight_curves.reading(obj.session_uid, scene.frame_start, scene.frame_end)
         return task.Task(obj, self.goal, pieces)
@@ -32,7 +33,7 @@ class DYNAMORPH_OT_update_target_weights(ReadsFrames, Operator):
     bl_options = {"REGISTER"}
     goal = "UPDATE_INFLUENCE"
 
-    def _done(self, _task):
+    def _done(self, _task: task.Task) -> set[str]:
         events.redraw(events.PANELS | events.VIEWS)
         return {"FINISHED"}
 
@@ -45,13 +46,13 @@ class DYNAMORPH_OT_find_uncovered_pose(ReadsFrames, Operator):
     goal = "SUGGEST_POSE"
 
     @classmethod
-    def disabled_reason(cls, context):
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
         disabled_reason = super().disabled_reason(context)
         if not disabled_reason and len(skin.mesh_in(context).dynamorph.targets) < 2:
             return "Add a target first"
         return disabled_reason
 
-    def _done(self, task):
+    def _done(self, task: task.Task) -> set[str]:
         found, scene = task.result, task.scene.find()
         worst = found.worst()
         if worst is None:

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import blf
 import bpy
 import gpu
@@ -11,7 +14,7 @@ import numpy as np
 MARGIN, PADDING, TEXT, SQUARE = 8.0, 6.0, 11.0, 8.0
 
 
-def make_batch(kind: str, points: np.ndarray, indices: np.ndarray | None = None):
+def make_batch(kind: str, points: np.ndarray, indices: np.ndarray | None = None) -> gpu.types.GPUBatch:
     """Points (k, 3), joined as `indices` says or one after the other."""
     layout = gpu.types.GPUVertFormat()
     layout.attr_add(id="pos", comp_type="F32", len=3, fetch_mode="FLOAT")
@@ -22,7 +25,7 @@ def make_batch(kind: str, points: np.ndarray, indices: np.ndarray | None = None)
     return gpu.types.GPUBatch(type=kind, buf=vertices, elem=gpu.types.GPUIndexBuf(type=kind, seq=indices))
 
 
-def draw(batch, shader_name: str, color, **uniforms):
+def draw(batch: gpu.types.GPUBatch, shader_name: str, color: Sequence[float], **uniforms: Any) -> None:
     shader = gpu.shader.from_builtin(shader_name)
     shader.bind()
     shader.uniform_float("color", color)
@@ -33,23 +36,23 @@ def draw(batch, shader_name: str, color, **uniforms):
     gpu.state.blend_set("NONE")
 
 
-def draw_lines(batch, color, width: float):
+def draw_lines(batch: gpu.types.GPUBatch, color: Sequence[float], width: float) -> None:
     size = gpu.state.viewport_get()[2:]
     draw(batch, "POLYLINE_UNIFORM_COLOR", color, viewportSize=size, lineWidth=pixels(width))
 
 
-def draw_points(batch, color, size: float):
+def draw_points(batch: gpu.types.GPUBatch, color: Sequence[float], size: float) -> None:
     gpu.state.program_point_size_set(True)
     draw(batch, "POINT_UNIFORM_COLOR", color, size=pixels(size))
     gpu.state.program_point_size_set(False)
 
 
-def draw_rectangle(left, bottom, right, top, color):
+def draw_rectangle(left: float, bottom: float, right: float, top: float, color: Sequence[float]) -> None:
     corners = [(left, bottom, 0), (right, bottom, 0), (left, top, 0), (right, top, 0)]
     draw(make_batch("TRI_STRIP", np.array(corners)), "UNIFORM_COLOR", color)
 
 
-def draw_text(text: str, x, y, color):
+def draw_text(text: str, x: float, y: float, color: Sequence[float]) -> None:
     blf.size(0, pixels(TEXT))
     blf.color(0, *color, 1.0)
     blf.position(0, x, y, 0.0)
@@ -66,7 +69,7 @@ def pixels(length: float) -> float:
     return length * bpy.context.preferences.system.ui_scale
 
 
-def is_shown(context, obj) -> bool:
+def is_shown(context: bpy.types.Context, obj: bpy.types.Object | None) -> bool:
     """Whether this viewport shows the soft skin `obj`, and overlays."""
     space = context.space_data
     if obj is None or not obj.dynamorph.targets or not space.overlay.show_overlays:

@@ -3,15 +3,17 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Iterable, Sequence
 
 import bpy
 import gpu
 import numpy as np
 
+from ...core import states
 from ...core.motion import target_weights
-from ...run import weight_curves
+from ...run.tools import weight_curves
 from ...scene import skin
+from ...scene.remembered import opened
 from .gpu_drawing import (
     MARGIN,
     PADDING,
@@ -32,7 +34,7 @@ NARROW = 160.0  # than this a graph is not worth drawing
 HUES = (4, 1, 3, 6, 0, 5, 2, 7)  # of them, so that neighbors in the list differ
 
 
-def free_rectangle(region, others) -> tuple[float, float, float, float]:
+def free_rectangle(region: bpy.types.Region, others: Iterable[bpy.types.Region]) -> tuple[float, float, float, float]:
     """Left, bottom, right and top of what the regions over `region` leave of it, in its own pixels."""
     left, bottom, right, top = 0.0, 0.0, region.width, region.height
     for other in others:
@@ -58,7 +60,7 @@ def runs(flags: np.ndarray) -> list[tuple[int, int]]:
     return [(int(begin), int(end) - 1) for begin, end in edges.reshape(-1, 2)]
 
 
-def curve_colors(shown: target_weights.TargetWeights, theme) -> dict[int, tuple[float, ...]]:
+def curve_colors(shown: target_weights.TargetWeights, theme: bpy.types.Theme) -> dict[int, tuple[float, ...]]:
     """A color for each curve that is drawn, by index of its target: of neutral targets the text's."""
     hues = [tuple(theme.collection_color[hue].color) for hue in HUES]
     colors, others = {}, 0
@@ -70,8 +72,8 @@ def curve_colors(shown: target_weights.TargetWeights, theme) -> dict[int, tuple[
     return colors
 
 
-@lru_cache(maxsize=2)
-def graph_batches(shown: target_weights.TargetWeights):
+@states.cached(opened, 2)
+def graph_batches(shown: target_weights.TargetWeights) -> tuple[dict[int, gpu.types.GPUBatch], gpu.types.GPUBatch]:
     """Curves by index of their target, and the frames outside: x in frames from the first, y in weight."""
     frames = np.arange(len(shown.weights), dtype=np.float32)
     curves = {
@@ -87,7 +89,7 @@ def graph_batches(shown: target_weights.TargetWeights):
     return curves, make_batch("TRIS", np.concatenate(quads))
 
 
-def draw_graph():
+def draw_graph() -> None:
     """POST_PIXEL."""
     context = bpy.context
     obj = skin.mesh_in(context)
@@ -104,7 +106,14 @@ def draw_graph():
         _draw_graph_in(left + margin, bottom + margin, right - margin, bottom + margin + height, *known)
 
 
-def _draw_graph_in(left, bottom, right, top, shot: weight_curves.RigPoses, shown: target_weights.TargetWeights):
+def _draw_graph_in(
+    left: float,
+    bottom: float,
+    right: float,
+    top: float,
+    shot: weight_curves.RigPoses,
+    shown: target_weights.TargetWeights,
+) -> None:
     context = bpy.context
     theme = context.preferences.themes[0]
     box, colors = theme.user_interface.wcol_box, curve_colors(shown, theme)
@@ -128,7 +137,14 @@ def _draw_graph_in(left, bottom, right, top, shot: weight_curves.RigPoses, shown
     draw_text(str(shot.end), right - pad - text_width(str(shot.end)), bottom + pad, box.text)
 
 
-def _draw_legend(x, y, right, shown: target_weights.TargetWeights, colors, text_color):
+def _draw_legend(
+    x: float,
+    y: float,
+    right: float,
+    shown: target_weights.TargetWeights,
+    colors: dict[int, tuple[float, ...]],
+    text_color: Sequence[float],
+) -> None:
     """Names with their colors from left to right, as far as there is room; the neutral target's once."""
     names = [target.name for target_set in shown.sets for target in target_set.targets]
     again = [targets.start for _, targets in shown.by_set()[1:]]

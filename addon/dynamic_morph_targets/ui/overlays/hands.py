@@ -9,12 +9,13 @@ import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
 
 from ...run import remembered
-from ...scene import mesh_data, registration, skin
+from ...scene import registration, skin
+from ...scene.read import mesh_data
 from .gpu_drawing import draw_lines, draw_points, draw_text, is_shown, make_batch, pixels
 from .viewport import quietly
 
 
-def hands_on(context) -> list[tuple[np.ndarray, np.ndarray, float]]:
+def hands_on(context: bpy.types.Context) -> list[tuple[np.ndarray, np.ndarray, float]]:
     """Of each hand on the soft skin of the context: the place that it holds, now, and the place to which it pulls that,
     (3,) each, world space; newtons.
     """
@@ -31,7 +32,7 @@ def hands_on(context) -> list[tuple[np.ndarray, np.ndarray, float]]:
     return found
 
 
-def _draw_hands():
+def _draw_hands() -> None:
     """POST_VIEW."""
     color = bpy.context.preferences.themes[0].user_interface.gizmo_primary
     for place, goal, _ in hands_on(bpy.context):
@@ -40,7 +41,7 @@ def _draw_hands():
         draw_points(make_batch("POINTS", np.array([place, goal])), (*color, 0.9), 6.0)
 
 
-def _draw_forces():
+def _draw_forces() -> None:
     """POST_PIXEL."""
     context = bpy.context
     text = context.preferences.themes[0].user_interface.wcol_box.text
@@ -50,11 +51,11 @@ def _draw_forces():
             draw_text(f"{newtons:.3g} N", at.x + pixels(10.0), at.y, text)
 
 
-def register():
+def register() -> None:
     if not bpy.app.background:
         for draw, moment in ((_draw_hands, "POST_VIEW"), (_draw_forces, "POST_PIXEL")):
             registration.draw_in_view(__name__, quietly(draw), moment)
 
 
-def unregister():
+def unregister() -> None:
     registration.take_back(__name__)

@@ -8,8 +8,8 @@ for as long as what they show is the same.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import bpy
 import gpu
@@ -19,10 +19,17 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy_extras.view3d_utils import location_3d_to_region_2d
 from mathutils import Matrix, Vector
 
-from ...core import engine, errors, logger
+from ...core import engine, errors, logger, states
+from ...core.model.model import Model
 from ...core.motion.rig_samples import RigSamples
-from ...run import heat, live, touching
-from ...scene import checks, events, mesh_data, model_store, references, registration, rig_motion, skin
+from ...run.live import live, touching
+from ...run.tools import heat
+from ...scene import events, references, registration, skin
+from ...scene.check import checks
+from ...scene.motion import rig_motion
+from ...scene.read import mesh_data
+from ...scene.remembered import opened
+from ...scene.store import model_store
 from ...write.display import beside, comparison
 from .gpu_drawing import (
     MARGIN,
@@ -37,7 +44,7 @@ from .gpu_drawing import (
     pixels,
     text_width,
 )
-from .graph import draw_graph, free_rectangle, graph_batches
+from .graph import draw_graph, free_rectangle
 
 SHADES = 32  # in the legend of the surface's colors
 GIZMOS = 90.0  # that Blender's own buttons take at the right
@@ -69,7 +76,7 @@ class CageDrawing:
         return np.einsum("kij,kj->ki", skin[:, :, :3], self.rest) + skin[:, :, 3]
 
 
-def cage_of(model) -> CageDrawing:
+def cage_of(model: Model) -> CageDrawing:
     """The drawing of the cage of a model.Model with tetrahedra."""
     edges = surface_edges(model.tets)
     held = model.pinned.astype(bool)
@@ -95,7 +102,7 @@ def surface_edges(tets: np.ndarray) -> np.ndarray:
     return np.unique(outer[:, [[0, 1], [0, 2], [1, 2]]].reshape(-1, 2), axis=0)
 
 
-@lru_cache(maxsize=4)
+@states.cached(opened, 4)
 def _cage(session_uid: int, _content_id: str) -> CageDrawing | None:
     try:
         model = model_store.load_model(skin.find(session_uid))
@@ -104,13 +111,13 @@ def _cage(session_uid: int, _content_id: str) -> CageDrawing | None:
     return cage_of(model) if len(model.tets) else None
 
 
-@lru_cache(maxsize=4)
+@states.cached(opened, 4)
 def _order(session_uid: int, _bones: tuple) -> list[int]:
     rig = skin.find(session_uid)
     return rig_motion.pose_order(rig, references.rest_skeleton(rig.data))
 
 
-def skin_matrices(obj, depsgraph) -> np.ndarray | None:
+def skin_matrices(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> np.ndarray | None:
     """Skin matrices (B + 1, 3, 4) float32 of the built model: of the pose in which the mesh is shown.
 
     They lead to the world in Blender units, which is where it is drawn. Linear also where Blender's skinning is not,
@@ -130,8 +137,8 @@ def skin_matrices(obj, depsgraph) -> np.ndarray | None:
     return bones.astype(np.float32) if np.isfinite(bones).all() else None
 
 
-@lru_cache(maxsize=4)
-def _cage_batches(session_uid: int, content_id: str, bones: bytes):
+@states.cached(opened, 4)
+def _cage_batches(session_uid: int, content_id: str, bones: bytes) -> tuple[gpu.types.GPUBatch, gpu.types.GPUBatch]:
     """Batches of the edges and of the held nodes, world space."""
     cage = _cage(session_uid, content_id)
     assert cage is not None  # otherwise nothing is drawn
@@ -139,7 +146,7 @@ def _cage_batches(session_uid: int, content_id: str, bones: bytes):
     return make_batch("LINES", points, cage.edges), make_batch("POINTS", points[cage.held])
 
 
-def _draw_cage():
+def _draw_cage() -> None:
     """POST_VIEW."""
     context = bpy.context
     obj = skin.mesh_in(context)
@@ -162,7 +169,7 @@ def _draw_cage():
 # Contact -----------------------------------------------------------------------------------------------------------
 
 
-def _draw_contact():
+def _draw_contact() -> None:
     """POST_VIEW."""
     context = bpy.context
     obj = skin.mesh_in(context)
@@ -180,7 +187,7 @@ def _draw_contact():
 # The surface -------------------------------------------------------------------------------------------------------
 
 
-def painted(context, obj) -> tuple[dict[int, np.ndarray], str, list[str]] | None:
+def painted(context: bpy.types.Context, obj: bpy.types.Object) -> tuple[dict[int, np.ndarray], str, list[str]] | None:
     """What surfaces are colored by, if they are: values (V,) by session_uid; the legend's title, and what it says of
     the values 0, 0.5 and 1.
 
@@ -197,7 +204,7 @@ def painted(context, obj) -> tuple[dict[int, np.ndarray], str, list[str]] | None
     return None
 
 
-def _draw_surface():
+def _draw_surface() -> None:
     """POST_VIEW."""
     context = bpy.context
     obj = skin.mesh_in(context)
@@ -211,7 +218,7 @@ def _draw_surface():
     _draw_surfaces(in_view, context.view_layer.depsgraph, NEARER * max(obj.dimensions))
 
 
-def _draw_surfaces(meshes: dict, depsgraph, nearer: float):
+def _draw_surfaces(meshes: dict, depsgraph: bpy.types.Depsgraph, nearer: float) -> None:
     """Meshes with values (V,) each, colored; nearer: to the viewer, in view space, than they are."""
     gpu.state.depth_test_set("LESS_EQUAL")
     gpu.state.depth_mask_set(True)
@@ -240,7 +247,7 @@ def shade(points: np.ndarray, corners: np.ndarray, toward: np.ndarray) -> np.nda
     return (SHADED + (1.0 - SHADED) * facing).astype(np.float32)
 
 
-def triangles(obj) -> np.ndarray:
+def triangles(obj: bpy.types.Object) -> np.ndarray:
     """The triangles of the mesh as it is, (T, 3) vertices."""
     mesh = obj.data
     mesh.calc_loop_triangles()
@@ -249,7 +256,7 @@ def triangles(obj) -> np.ndarray:
     return corners
 
 
-def _colored(points: np.ndarray, colors: np.ndarray, corners: np.ndarray):
+def _colored(points: np.ndarray, colors: np.ndarray, corners: np.ndarray) -> gpu.types.GPUBatch:
     """Triangles (T, 3) between points (V, 3) with RGB (V, 3)."""
     layout = gpu.types.GPUVertFormat()
     layout.attr_add(id="pos", comp_type="F32", len=3, fetch_mode="FLOAT")
@@ -261,7 +268,7 @@ def _colored(points: np.ndarray, colors: np.ndarray, corners: np.ndarray):
     return gpu.types.GPUBatch(type="TRIS", buf=vertices, elem=gpu.types.GPUIndexBuf(type="TRIS", seq=corners))
 
 
-def _draw_surface_legend():
+def _draw_surface_legend() -> None:
     """POST_PIXEL."""
     context = bpy.context
     obj = skin.mesh_in(context)
@@ -281,7 +288,7 @@ def _draw_surface_legend():
         _draw_scale(right, top, *shown[1:])
 
 
-def _draw_scale(right: float, top: float, title: str, texts: list[str]):
+def _draw_scale(right: float, top: float, title: str, texts: list[str]) -> None:
     """What the colors of the surface mean."""
     box = bpy.context.preferences.themes[0].user_interface.wcol_box
     pad, line, width = pixels(PADDING), pixels(TEXT + 4.0), pixels(LEGEND)
@@ -300,7 +307,7 @@ def _draw_scale(right: float, top: float, title: str, texts: list[str]):
 # Side by side ------------------------------------------------------------------------------------------------------
 
 
-def names_beside(obj, empty) -> tuple[str, str]:
+def names_beside(obj: bpy.types.Object, empty: bpy.types.Object) -> tuple[str, str]:
     """What the soft skin `obj` shows, and what the copy beside it does."""
     if comparison.is_plain(obj) or not comparison.can_show(obj):
         name = iface_("Bones Only")
@@ -312,7 +319,7 @@ def names_beside(obj, empty) -> tuple[str, str]:
     return name, iface_("Bake {slot}").format(slot=slot) if slot else iface_("Bones Only")
 
 
-def _draw_names_beside():
+def _draw_names_beside() -> None:
     """POST_PIXEL. Above each of two bodies that are compared, what it shows."""
     context = bpy.context
     obj = skin.mesh_in(context)
@@ -336,13 +343,13 @@ def _draw_names_beside():
         draw_text(name, left, bottom, box.text)
 
 
-def quietly(draw):
+def quietly(draw: Callable[[], object]) -> Callable[[], None]:
     """A callback that draws nothing where `draw` fails, and logs a bug once: it would come back at every redraw.
 
     What is expected the panel or the legend says.
     """
 
-    def callback():
+    def callback() -> None:
         try:
             draw()
         except Exception as error:
@@ -356,33 +363,26 @@ def quietly(draw):
 
 
 @persistent
-def _before_load(*_args):
-    """load_pre."""
-    forget()
-
-
-@persistent
-def _painted(_scene, depsgraph):
+def _painted(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     """depsgraph_update_post."""
     if depsgraph.id_type_updated("MESH"):
         heat.edited()
 
 
 @persistent
-def _undone(*_args):
+def _undone(*_args: object) -> None:
     """undo_post, redo_post."""
     heat.edited()
 
 
 HANDLERS = {
-    "load_pre": _before_load,
     "depsgraph_update_post": _painted,
     "undo_post": _undone,
     "redo_post": _undone,
 }
 
 
-def register():
+def register() -> None:
     events.add(HANDLERS)
     if not bpy.app.background:
         in_view = (_draw_surface, _draw_cage, _draw_contact)
@@ -391,13 +391,6 @@ def register():
             registration.draw_in_view(__name__, quietly(draw), moment)
 
 
-def unregister():
+def unregister() -> None:
     events.remove(HANDLERS)
     registration.take_back(__name__)
-    forget()
-
-
-def forget():
-    """Free what is kept on the graphics card, and cages."""
-    for cache in (_cage, _order, _cage_batches, graph_batches):
-        cache.cache_clear()

@@ -5,30 +5,45 @@ time.
 
 from __future__ import annotations
 
+import bpy
 from bpy.types import UIList
 
-from ...run import preview, remembered
-from ...scene import rig_motion, scripted
+from ...run import remembered
+from ...run.live import preview
+from ...scene.motion import rig_motion
+from ...scene.properties import scripted
+from ...scene.properties.model_properties import DynamorphMode
+from ...scene.properties.object_properties import DynamorphSettings
 from ..widgets import draw_drags, draw_limit, draw_message, draw_setting, draw_with_button, pair
 
 
 class DYNAMORPH_UL_modes(UIList):
     """The modes of the built model."""
 
-    def draw_item(self, _context, layout, _data, item, _icon, _active_data, _active_property, _index):
+    def draw_item(
+        self,
+        _context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        _data: DynamorphSettings,
+        item: DynamorphMode,
+        _icon: int,
+        _active_data: DynamorphSettings,
+        _active_property: str,
+        _index: int,
+    ) -> None:
         row = layout.row(align=True)
         row.label(text=item.name, translate=False)
         row.prop(item, "gain", text="", slider=True)
         row.prop(item, "solo", text="", icon="SOLO_ON" if item.solo else "SOLO_OFF", emboss=False)
 
 
-def draw_advanced(layout, _context, obj):
+def draw_advanced(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: bpy.types.Object) -> None:
     """What a script has set of the settings that no panel has, and what takes it back."""
     for name, text in scripted.changed(obj):
         draw_with_button(layout, text, "SCRIPT", "dynamorph.reset_setting", text="Reset").setting = name
 
 
-def draw_cage(layout, context, obj):
+def draw_cage(layout: bpy.types.UILayout, context: bpy.types.Context, obj: bpy.types.Object) -> None:
     model = obj.dynamorph.model
     column = layout.column()
     column.enabled = remembered.work.running is None
@@ -42,7 +57,7 @@ def draw_cage(layout, context, obj):
         draw_message(layout, model.cage, icon="CHECKMARK")
 
 
-def draw_detail(layout, _context, obj):
+def draw_detail(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: bpy.types.Object) -> None:
     model = obj.dynamorph.model
     column = layout.column()
     column.enabled = remembered.work.running is None
@@ -57,11 +72,11 @@ def draw_detail(layout, _context, obj):
         draw_message(layout, model.summary, icon="CHECKMARK")
 
 
-def has_modes(obj) -> bool:
+def has_modes(obj: bpy.types.Object) -> bool:
     return len(obj.dynamorph.modes) > 0
 
 
-def draw_modes(layout, _context, obj):
+def draw_modes(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: bpy.types.Object) -> None:
     settings = obj.dynamorph
     layout.template_list("DYNAMORPH_UL_modes", "", settings, "modes", settings, "active_mode_index", rows=4)
     row = pair(layout)
@@ -70,7 +85,7 @@ def draw_modes(layout, _context, obj):
     row.operator("dynamorph.reset_gains", icon="LOOP_BACK")
 
 
-def draw_solver(layout, context, obj):
+def draw_solver(layout: bpy.types.UILayout, context: bpy.types.Context, obj: bpy.types.Object) -> None:
     layout.enabled = remembered.work.running is None
     for name in ("speed", "substeps", "samples", "gravity"):
         draw_setting(layout, obj.dynamorph.simulation, name)

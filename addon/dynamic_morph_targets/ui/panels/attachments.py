@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import UIList
 
 from ...run import remembered
-from ...scene import colliders
+from ...scene.motion import colliders
+from ...scene.properties.model_properties import DynamorphAttachment, DynamorphModel
+from ...scene.properties.object_properties import DynamorphSettings
 from ...write.authoring import attachments
 from .. import messages
 from ..widgets import draw_message
@@ -18,7 +21,17 @@ FEW_NOTES = 3  # notes about meshes that are left alone
 class DYNAMORPH_UL_attachments(UIList):
     """The attachments of a character, each with what moves it."""
 
-    def draw_item(self, _context, layout, data, item, _icon, _active_data, _active_property, _index):
+    def draw_item(
+        self,
+        _context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: DynamorphSettings,
+        item: DynamorphAttachment,
+        _icon: int,
+        _active_data: DynamorphSettings,
+        _active_property: str,
+        _index: int,
+    ) -> None:
         row = layout.row(align=True)
         row.enabled = remembered.work.running is None
         name = item.group or (item.object.name if item.object else item.name)
@@ -33,12 +46,12 @@ class DYNAMORPH_UL_attachments(UIList):
         row.prop(item, "attached_by", text="")
 
 
-def attachments_title(obj) -> str:
+def attachments_title(obj: bpy.types.Object) -> str:
     count = len(obj.dynamorph.attachments)
     return iface_("Attachments ({count})").format(count=count) if count else iface_("Attachments")
 
 
-def draw_attachments(layout, _context, obj):
+def draw_attachments(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: bpy.types.Object) -> None:
     settings = obj.dynamorph
     row = layout.row()
     row.template_list(
@@ -59,7 +72,7 @@ def draw_attachments(layout, _context, obj):
         draw_message(layout, iface_("And {count} more like them").format(count=len(alone) - FEW_NOTES), icon="BLANK1")
 
 
-def draw_attachment(layout, obj, attachment):
+def draw_attachment(layout: bpy.types.UILayout, obj: bpy.types.Object, attachment: DynamorphAttachment) -> None:
     column = layout.column(align=True)
     column.enabled = remembered.work.running is None
     if not attachment.group or attachment.object:
@@ -83,7 +96,7 @@ def draw_attachment(layout, obj, attachment):
         draw_message(layout, text.format(name=attachment.object.name), icon="INFO")
 
 
-def draw_head(layout, model):
+def draw_head(layout: bpy.types.UILayout, model: DynamorphModel) -> None:
     """Whether the skin of the head is held, and which bone that is."""
     row = layout.row()
     row.enabled = remembered.work.running is None

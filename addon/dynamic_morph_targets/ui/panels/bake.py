@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ...core.errors import RecordError, sentence
@@ -16,11 +17,11 @@ from ..widgets import draw_limit, draw_message, draw_setting, pair
 # The bake ------------------------------------------------------------------------------------------------------------
 
 
-def is_baked(obj) -> bool:
+def is_baked(obj: bpy.types.Object) -> bool:
     return obj.dynamorph.bake.exists
 
 
-def draw_result(layout, _context, obj):
+def draw_result(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: bpy.types.Object) -> None:
     """The result of the bake: how much of it shows, how believable it looks, and its way to a game engine."""
     influence = bake_influence.influence(obj)
     if influence:
@@ -31,7 +32,7 @@ def draw_result(layout, _context, obj):
     layout.operator("dynamorph.export", text="Export glTF", icon="EXPORT").format = "GLTF"
 
 
-def draw_verdict(layout, obj):
+def draw_verdict(layout: bpy.types.UILayout, obj: bpy.types.Object) -> None:
     """How believable the bake looks, and the button that repairs it."""
     try:
         found = judge.parsed(obj.dynamorph.bake.verdict)
@@ -49,7 +50,7 @@ def draw_verdict(layout, obj):
         draw_message(layout, text, icon="INFO")
 
 
-def draw_details(layout, context, obj):
+def draw_details(layout: bpy.types.UILayout, context: bpy.types.Context, obj: bpy.types.Object) -> None:
     """Where the bake looks worst, and what was measured."""
     found = verdict(obj)
     row = layout.row(align=True)
@@ -67,7 +68,7 @@ def draw_details(layout, context, obj):
         draw_message(layout, obj.dynamorph.bake.summary, icon="CHECKMARK")
 
 
-def draw_bake(layout, _context, obj):
+def draw_bake(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: bpy.types.Object) -> None:
     """What is baked, how far the skin may move in it, and what stores the motion."""
     settings = obj.dynamorph
     simulation, output = settings.simulation, settings.output
@@ -97,7 +98,7 @@ def draw_bake(layout, _context, obj):
 # To and from files ---------------------------------------------------------------------------------------------------
 
 
-def draw_export(layout, _context, obj):
+def draw_export(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: bpy.types.Object) -> None:
     row = layout.row(align=True)
     # A menu does not poll its buttons. A model alone is enough to export Actions as clips.
     row.enabled = remembered.work.running is None and (
@@ -107,7 +108,7 @@ def draw_export(layout, _context, obj):
     row.operator_menu_enum("dynamorph.export_check", "format", text="", icon="VIEWZOOM")
 
 
-def draw_setup(layout, _context, _obj):
+def draw_setup(layout: bpy.types.UILayout, _context: bpy.types.Context, _obj: bpy.types.Object) -> None:
     """Setups as files, and copies for other meshes."""
     layout.operator("dynamorph.copy_to_selected", text="Copy to Selected", icon="COPYDOWN")
     row = pair(layout)

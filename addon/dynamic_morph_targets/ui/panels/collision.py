@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+import bpy
+
 from ...core.message import Message, listed
 from ...run import remembered
-from ...scene import colliders
+from ...scene.motion import colliders
 from ..widgets import draw_message, draw_setting
 
 
-def draw_collision(layout, context, obj):
+def draw_collision(layout: bpy.types.UILayout, context: bpy.types.Context, obj: bpy.types.Object) -> None:
     settings = obj.dynamorph.collision
     layout.enabled = remembered.work.running is None
     buttons = layout.column(align=True)

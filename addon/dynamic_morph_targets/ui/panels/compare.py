@@ -3,19 +3,21 @@
 
 from __future__ import annotations
 
-from ...run import expected_error, full_comparison
+import bpy
+
+from ...run.bake import expected_error, full_comparison
 from ...scene import skin
 from ...write.display import beside, comparison
 from ..widgets import draw_message
 
 
-def draw_shake_test(layout, _context, _obj):
+def draw_shake_test(layout: bpy.types.UILayout, _context: bpy.types.Context, _obj: bpy.types.Object) -> None:
     row = layout.row(align=True)
     for kind in ("STOMP", "TWIST", "HOP"):
         row.operator("dynamorph.shake_test", text=kind.capitalize()).kind = kind
 
 
-def draw_compare(layout, _context, obj):
+def draw_compare(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: bpy.types.Object) -> None:
     """Plain skinning, another set of settings, a copy beside the body, and Full Quality."""
     plain = comparison.is_plain(obj)
     text = "Show Soft Skin" if plain else "Show Plain Skinning"

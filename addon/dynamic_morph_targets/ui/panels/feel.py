@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+import bpy
+
 from ...core.material import feel
 from ...core.painted_map import FIRMNESS, MAX_DISTANCE, PaintedMap
 from ...run import remembered
+from ...scene.properties.target_properties import DynamorphTarget
 from ...write.authoring import painting
 from ..operators import painting as paint_operators
 
 
-def draw_feel(layout, _context, obj):
+def draw_feel(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: bpy.types.Object) -> None:
     """The presets and the amount of the whole skin, and how much and how the tissue of the selected target swings."""
     settings = obj.dynamorph
     layout.enabled = remembered.work.running is None
@@ -26,11 +29,11 @@ def draw_feel(layout, _context, obj):
         draw_swing(layout, target)
 
 
-def icon_of(obj, target) -> str:
+def icon_of(obj: bpy.types.Object, target: DynamorphTarget) -> str:
     return "ARMATURE_DATA" if target == obj.dynamorph.targets[0] else "SHAPEKEY_DATA"
 
 
-def draw_swing(layout, target):
+def draw_swing(layout: bpy.types.UILayout, target: DynamorphTarget) -> None:
     """Amount, Bounce and Settle Time of a target."""
     column = layout.column(align=True)
     if len(target.id_data.dynamorph.targets) > 1:  # alone, it has the whole body's amount
@@ -48,7 +51,7 @@ def draw_swing(layout, target):
         column.label(text="Damped too much to swing", icon="INFO")
 
 
-def draw_material(layout, _context, obj):
+def draw_material(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: bpy.types.Object) -> None:
     """The material of the selected target in physical units."""
     target = obj.dynamorph.active_target
     layout.enabled = remembered.work.running is None
@@ -65,15 +68,15 @@ def draw_material(layout, _context, obj):
     layout.operator("dynamorph.fit_material")
 
 
-def draw_firmness(layout, context, obj):
+def draw_firmness(layout: bpy.types.UILayout, context: bpy.types.Context, obj: bpy.types.Object) -> None:
     _draw_map(layout, context, obj, FIRMNESS)
 
 
-def draw_max_distance(layout, context, obj):
+def draw_max_distance(layout: bpy.types.UILayout, context: bpy.types.Context, obj: bpy.types.Object) -> None:
     _draw_map(layout, context, obj, MAX_DISTANCE)
 
 
-def _draw_map(layout, context, obj, of: PaintedMap):
+def _draw_map(layout: bpy.types.UILayout, context: bpy.types.Context, obj: bpy.types.Object, of: PaintedMap) -> None:
     """A map that is painted."""
     layout.enabled = remembered.work.running is None
     row = layout.row(align=True)

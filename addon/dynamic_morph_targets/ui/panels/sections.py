@@ -47,22 +47,22 @@ class SoftSkinPanel:
     layout: Any  # of bpy.types.Panel
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: bpy.types.Context) -> bool:
         obj = skin.mesh_in(context)
         is_soft = obj is not None and len(obj.dynamorph.targets) > 0
         return cls.section.needed(obj) if is_soft else obj is not None and cls.section.before
 
-    def draw_header(self, context):
+    def draw_header(self, context: bpy.types.Context) -> None:
         if self.section.switch:
             self.layout.prop(*self.section.switch(skin.mesh_in(context)), text="")
         if self.section.title:
             self.layout.label(text=self.section.title(skin.mesh_in(context)), translate=False)
 
-    def draw_header_preset(self, _context):
+    def draw_header_preset(self, _context: bpy.types.Context) -> None:
         if self.section.presets:
             self.section.presets.draw_panel_header(self.layout)
 
-    def draw(self, context):
+    def draw(self, context: bpy.types.Context) -> None:
         self.layout.use_property_split = not is_narrow()
         self.layout.use_property_decorate = False
         self.section.draw(self.layout, context, skin.mesh_in(context))
@@ -130,7 +130,7 @@ class DYNAMORPH_PT_sidebar(Panel):
     bl_label = "Dynamorph"
     bl_space_type, bl_region_type, bl_category = SIDEBAR.values()
 
-    def draw(self, context):
+    def draw(self, context: bpy.types.Context) -> None:
         obj = skin.mesh_in(context)
         if obj:
             draw_top(self.layout, context, obj)
@@ -147,11 +147,11 @@ class DYNAMORPH_PT_physics(Panel):
     bl_space_type, bl_region_type, bl_context = PHYSICS.values()
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: bpy.types.Context) -> bool:
         obj = skin.mesh_in(context)
         return obj is not None and len(obj.dynamorph.targets) > 0
 
-    def draw(self, context):
+    def draw(self, context: bpy.types.Context) -> None:
         draw_top(self.layout, context, skin.mesh_in(context))
 
 
@@ -163,7 +163,7 @@ class DYNAMORPH_PT_object_data(SoftSkinPanel, Panel):
     section = Section("object_data", bl_label, "", draw_key)
 
 
-def draw_add(panel, context):
+def draw_add(panel: bpy.types.Panel, context: bpy.types.Context) -> None:
     """Soft Skin among Blender's own buttons that add and remove physics."""
     obj = skin.mesh_in(context)
     if obj is None:
@@ -174,7 +174,7 @@ def draw_add(panel, context):
         panel.layout.operator("dynamorph.add_soft_skin", text="Soft Skin", icon="MOD_SOFT")
 
 
-def draw_status(header, _context):
+def draw_status(header: bpy.types.Header, _context: bpy.types.Context) -> None:
     """What runs, at the left of the status bar of every window, wherever it was started."""
     work = remembered.work.running
     if work:
@@ -202,13 +202,13 @@ CLASSES = (
 _register, _unregister = of_classes(CLASSES)
 
 
-def register():
+def register() -> None:
     _register()
     bpy.types.STATUSBAR_HT_header.prepend(draw_status)
     bpy.types.PHYSICS_PT_add.append(draw_add)
 
 
-def unregister():
+def unregister() -> None:
     bpy.types.PHYSICS_PT_add.remove(draw_add)
     bpy.types.STATUSBAR_HT_header.remove(draw_status)
     _unregister()

@@ -3,18 +3,22 @@
 
 from __future__ import annotations
 
+import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ...core import engine
-from ...run import live, remembered
-from ...scene import checks, events, skin, staleness
+from ...run import remembered
+from ...run.live import live
+from ...scene import events, skin
+from ...scene.check import checks
 from ...scene.skinning import Skinning
+from ...scene.store import staleness
 from ...write.display import comparison
 from .. import messages
 from ..widgets import draw_problem, is_narrow, progress_text
 
 
-def draw_top(layout, context, obj):
+def draw_top(layout: bpy.types.UILayout, context: bpy.types.Context, obj: bpy.types.Object) -> None:
     """The row with the state, and the buttons for it. Nothing here comes or goes, so no button moves."""
     draw_state(layout, context, obj)
     if not obj.dynamorph.targets:
@@ -37,7 +41,7 @@ def draw_top(layout, context, obj):
     layout.label(text=hint, icon="LIGHT" if hint else "NONE", translate=False)
 
 
-def draw_state(layout, context, obj):
+def draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, obj: bpy.types.Object) -> None:
     """One row: what runs, with its progress, or what the skin shows."""
     row = layout.row(align=True)
     job = remembered.work.running
@@ -51,7 +55,7 @@ def draw_state(layout, context, obj):
     row.label(text=text, icon=icon, translate=False)
 
 
-def state(obj) -> tuple[str, str]:
+def state(obj: bpy.types.Object) -> tuple[str, str]:
     """What the skin of `obj` shows, in few words, and an icon."""
     settings = obj.dynamorph
     follows, sculpt, baked = settings.follows, settings.sculpt, settings.bake.exists
@@ -79,7 +83,7 @@ def state(obj) -> tuple[str, str]:
     return iface_("Ready"), "CHECKMARK"
 
 
-def next_step(obj) -> str:
+def next_step(obj: bpy.types.Object) -> str:
     """What the artist may do next, in few words, or ''."""
     baked = obj.dynamorph.bake.exists
     if engine.engine_problem() or any(checks.problems(Skinning.of(obj))):
@@ -99,7 +103,7 @@ def next_step(obj) -> str:
     return "Live shows it, Bake keeps it"
 
 
-def is_outdated(obj) -> bool:
+def is_outdated(obj: bpy.types.Object) -> bool:
     """Whether the model of `obj` must be built again."""
     model = obj.dynamorph.model
     return bool(model.content_id and (staleness.model_age(obj) or checks.outgrown(obj)))
@@ -108,7 +112,7 @@ def is_outdated(obj) -> bool:
 # Messages ------------------------------------------------------------------------------------------------------------
 
 
-def draw_messages(layout, _context, obj):
+def draw_messages(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: bpy.types.Object) -> None:
     """All that is wrong or worth knowing. It is the last section, so that nothing moves when one comes or goes."""
     found = list(messages.messages(obj))
     for problem, icon in found:

@@ -3,14 +3,19 @@
 
 from __future__ import annotations
 
+import bpy
 import numpy as np
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Menu, UIList
 
 from ...core import engine, errors
 from ...core.character import region_label
-from ...run import remembered, weight_curves
-from ...scene import checks, skin
+from ...run import remembered
+from ...run.tools import weight_curves
+from ...scene import skin
+from ...scene.check import checks
+from ...scene.properties.object_properties import DynamorphSettings
+from ...scene.properties.target_properties import DynamorphTarget
 from ..widgets import draw_limit, draw_message
 from .feel import draw_material, draw_swing
 
@@ -20,7 +25,17 @@ WIDE = 340  # pixels at a resolution scale of 1; a list this wide has room for m
 class DYNAMORPH_UL_targets(UIList):
     """Dynamic morph targets, as Blender lists shape keys. Renaming one here renames its shape key."""
 
-    def draw_item(self, context, layout, data, item, _icon, _active_data, _active_property, index):
+    def draw_item(
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: DynamorphSettings,
+        item: DynamorphTarget,
+        _icon: int,
+        _active_data: DynamorphSettings,
+        _active_property: str,
+        index: int,
+    ) -> None:
         neutral = index == 0
         wide = context.region.width > WIDE * context.preferences.system.ui_scale
         keys = data.id_data.data.shape_keys
@@ -46,7 +61,7 @@ class DYNAMORPH_MT_targets(Menu):
 
     bl_label = "Target Specials"
 
-    def draw(self, _context):
+    def draw(self, _context: bpy.types.Context) -> None:
         layout = self.layout
         layout.operator_context = "INVOKE_DEFAULT"
         layout.operator("dynamorph.suggest_targets", icon="DRIVER")
@@ -59,7 +74,7 @@ class DYNAMORPH_MT_targets(Menu):
         layout.operator("dynamorph.select_key", icon="SHAPEKEY_DATA")
 
 
-def draw_targets(layout, _context, obj):
+def draw_targets(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: bpy.types.Object) -> None:
     settings = obj.dynamorph
     draw_target_list(layout, settings)
     if settings.active_target:
@@ -69,7 +84,7 @@ def draw_targets(layout, _context, obj):
         draw_message(layout, hint, icon="INFO")
 
 
-def draw_target_list(layout, settings):
+def draw_target_list(layout: bpy.types.UILayout, settings: DynamorphSettings) -> None:
     row = layout.row()
     row.template_list("DYNAMORPH_UL_targets", "", settings, "targets", settings, "active_target_index", rows=5)
     column = row.column(align=True)
@@ -86,7 +101,7 @@ def draw_target_list(layout, settings):
         layout.operator("dynamorph.new_from_pose", icon="SCULPTMODE_HLT")
 
 
-def draw_pose(layout, settings):
+def draw_pose(layout: bpy.types.UILayout, settings: DynamorphSettings) -> None:
     """The pose of the selected target."""
     row = layout.row(align=True)
     row.operator("dynamorph.capture_pose", icon="ARMATURE_DATA")
@@ -95,7 +110,7 @@ def draw_pose(layout, settings):
         row.operator("dynamorph.sculpt_target", text="", icon="SCULPTMODE_HLT")
 
 
-def draw_extent(layout, obj, target):
+def draw_extent(layout: bpy.types.UILayout, obj: bpy.types.Object, target: DynamorphTarget) -> None:
     """Where a target counts, on the body and around its pose. The neutral one counts everywhere."""
     if target == obj.dynamorph.targets[0]:
         return
@@ -109,17 +124,17 @@ def draw_extent(layout, obj, target):
     draw_limit(column, target, "fade_out_angle")
 
 
-def bones_title(obj) -> str:
+def bones_title(obj: bpy.types.Object) -> str:
     target = obj.dynamorph.active_target
     return iface_("Bones ({count})").format(count=len(target.bones))
 
 
-def has_bones(obj) -> bool:
+def has_bones(obj: bpy.types.Object) -> bool:
     """Whether bones place the selected target, as all but the neutral one."""
     return obj.dynamorph.active_target_index > 0 and obj.dynamorph.active_target is not None
 
 
-def draw_bones(layout, _context, obj):
+def draw_bones(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: bpy.types.Object) -> None:
     """The bones that place the selected target; clicking one removes it."""
     column = layout.column(align=True)
     column.operator("dynamorph.use_selected_bones", text="Selected Bones", icon="ADD")
@@ -127,7 +142,7 @@ def draw_bones(layout, _context, obj):
         column.operator("dynamorph.remove_bone", text=bone, icon="X", translate=False).bone = bone
 
 
-def draw_key(layout, context, obj):
+def draw_key(layout: bpy.types.UILayout, context: bpy.types.Context, obj: bpy.types.Object) -> None:
     """What belongs to the active shape key: its target, or how it becomes one."""
     settings, index = obj.dynamorph, skin.target_of_active_key(obj)
     if index is None:
@@ -142,11 +157,11 @@ def draw_key(layout, context, obj):
         draw_material(layout, context, obj)
 
 
-def has_weights(obj) -> bool:
+def has_weights(obj: bpy.types.Object) -> bool:
     return len(obj.dynamorph.targets) > 1 and not engine.engine_problem()
 
 
-def draw_target_weights(layout, context, obj):
+def draw_target_weights(layout: bpy.types.UILayout, context: bpy.types.Context, obj: bpy.types.Object) -> None:
     """How much each target counts in the current pose and over the frames."""
     row = layout.row(align=True)
     row.use_property_split = False
@@ -158,7 +173,7 @@ def draw_target_weights(layout, context, obj):
         draw_message(layout, weight_curves.problem(obj))
 
 
-def draw_bars(layout, context, obj):
+def draw_bars(layout: bpy.types.UILayout, context: bpy.types.Context, obj: bpy.types.Object) -> None:
     """Each target's weight now, set by set."""
     depsgraph = context.view_layer.depsgraph
     if depsgraph is None:  # nothing has been evaluated yet

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
+from typing import Any
 
 import bpy
 import numpy as np
@@ -14,11 +15,14 @@ from ...core import errors
 from ...core.geometry import diagonal, loose_parts, triangle_areas, vertex_areas
 from ...core.message import Message
 from ...core.model import rigid
-from ...scene import checks, mesh_data, references
+from ...scene import references
+from ...scene.check import checks
+from ...scene.properties.model_properties import DynamorphAttachment
+from ...scene.read import mesh_data
+from ...scene.read.source import Source
 from ...scene.references import armature_modifiers, rig_of
 from ...scene.skin import attachments_of
 from ...scene.skinning import Skinning, meshes_on
-from ...scene.source import Source
 from ..bake import writer
 
 PREFIX = "Dynamorph Attachment "  # prefix of the vertex groups for loose parts
@@ -32,7 +36,7 @@ FEWEST_BONES = 3  # bones that carry the parts of a wholly hard character
 # What a character has ----------------------------------------------------------------------------------------------
 
 
-def find(obj) -> list[str]:
+def find(obj: bpy.types.Object) -> list[str]:
     """Add the attachments of the soft skin `obj` that are not in its list yet: every other mesh on its armature and
     every rigid part, each with a reason. Returns their names. Raises SceneError.
     """
@@ -63,7 +67,7 @@ def find(obj) -> list[str]:
     return added
 
 
-def remove(obj, index: int):
+def remove(obj: bpy.types.Object, index: int) -> None:
     """Remove an attachment from the list, with the vertex group that was made for it."""
     attachment = obj.dynamorph.attachments[index]
     owner = attachment.object or obj
@@ -74,12 +78,12 @@ def remove(obj, index: int):
     obj.dynamorph.active_attachment_index = max(min(index, len(obj.dynamorph.attachments) - 1), 0)
 
 
-def members(obj, group: str) -> np.ndarray:
+def members(obj: bpy.types.Object, group: str) -> np.ndarray:
     """The vertices (V,) bool of a part."""
     return mesh_data.group_weights(obj, [group])[:, 0] >= mesh_data.MEMBER
 
 
-def problem(obj, attachment) -> str:
+def problem(obj: bpy.types.Object, attachment: DynamorphAttachment) -> str:
     """What is wrong with an attachment of `obj`, or ''. Reads no mesh: fast enough for drawing."""
     if not (attachment.object or attachment.group):
         gone = Message("'{name}' is gone: remove the attachment", name=attachment.name)
@@ -99,7 +103,7 @@ def problem(obj, attachment) -> str:
     return ""
 
 
-def left_alone(obj) -> Iterator[str]:
+def left_alone(obj: bpy.types.Object) -> Iterator[str]:
     """The meshes of a character that no skin moves, one sentence each."""
     rig = rig_of(obj)
     family = dict.fromkeys([*(rig.children_recursive if rig else ()), *obj.children_recursive])
@@ -127,7 +131,7 @@ def left_alone(obj) -> Iterator[str]:
             )
 
 
-def _siblings(obj) -> list:
+def _siblings(obj: bpy.types.Object) -> list:
     """The other meshes on the armature of `obj` that are not attachments yet."""
     rig, known = rig_of(obj), [obj, *(each.object for each in obj.dynamorph.attachments)]
     return [
@@ -143,7 +147,7 @@ def _siblings(obj) -> list:
 # Its body -----------------------------------------------------------------------------------------------------------
 
 
-def body_for(obj):
+def body_for(obj: bpy.types.Object) -> bpy.types.Object:
     """The mesh to become a soft skin for `obj`: itself, unless it is rigid and another one on its armature is not. For
     an armature object, the mesh with the largest soft surface. Raises SceneError.
     """
@@ -156,7 +160,7 @@ def body_for(obj):
     return largest if obj.type == "ARMATURE" or accessory else obj
 
 
-def carried_by(obj):
+def carried_by(obj: bpy.types.Object) -> bpy.types.Object | None:
     """The armature object that is an ancestor of `obj` by parenting, if it skins a mesh."""
     above = obj.parent
     while above and above.type != "ARMATURE":
@@ -164,13 +168,13 @@ def carried_by(obj):
     return above if above and any(rig_of(other) == above for other in meshes_on(above)) else None
 
 
-def _may_be_soft(other, rig) -> bool:
+def _may_be_soft(other: bpy.types.Object, rig: bpy.types.Object) -> bool:
     skinned = any(modifier.object == rig for modifier in armature_modifiers(other))
     mine = not (other.library or other.override_library)
     return skinned and mine and other.mode != "EDIT" and bool(other.data.polygons)
 
 
-def _soft_area(other, rig) -> float:
+def _soft_area(other: bpy.types.Object, rig: bpy.types.Object) -> float:
     """The area of the skin of a mesh that no single bone carries, in Blender units."""
     try:
         source = Source.of(checks.skinned(other), rig)
@@ -196,7 +200,7 @@ class _Found:
     hidden: np.ndarray
 
     @property
-    def obj(self):
+    def obj(self) -> bpy.types.Object:
         return self.source.obj
 
     @property
@@ -228,7 +232,7 @@ def _look_at(source: Source) -> _Found:
     return _Found(source, labels, points, *rigid.rigid_parts(labels, source.weights), hidden & ~hidden.all())
 
 
-def _leave_something_soft(found: list[_Found]):
+def _leave_something_soft(found: list[_Found]) -> None:
     """If everything is rigid, on one bone or two, the largest part becomes a soft body: a jelly, for example."""
     bones = {bone for each in found for bone in each.bones.tolist()}
     if len(bones) >= FEWEST_BONES or not all(each.hard.all() for each in found):
@@ -258,7 +262,7 @@ def _touching(found: list[_Found]) -> list[np.ndarray]:
     return np.split(rigid.joined_to_soft(labels, hard, first), starts[1:])
 
 
-def _add_mesh(obj, each: _Found, whole: bool, touches: np.ndarray, names) -> str:
+def _add_mesh(obj: bpy.types.Object, each: _Found, whole: bool, touches: np.ndarray, names: Sequence[str]) -> str:
     """whole: one bone carries all of it."""
     if not whole:
         return _add(obj, each.obj, "", "WITH_BODY", "It is skinned by the same armature")
@@ -268,7 +272,7 @@ def _add_mesh(obj, each: _Found, whole: bool, touches: np.ndarray, names) -> str
     return _add(obj, each.obj, "", "RIGID", f"Only bone '{bone}' moves it")
 
 
-def _covered(obj, each: _Found) -> np.ndarray:
+def _covered(obj: bpy.types.Object, each: _Found) -> np.ndarray:
     """Which (parts,) belong to an attachment already."""
     parts = attachments_of(obj, None if each.obj == obj else each.obj)
     known = [item.group for item in parts if item.group in each.obj.vertex_groups]
@@ -276,7 +280,7 @@ def _covered(obj, each: _Found) -> np.ndarray:
     return np.bincount(each.labels, taken) > 0.5 * np.bincount(each.labels)
 
 
-def _add_hidden(obj, each: _Found) -> list[str]:
+def _add_hidden(obj: bpy.types.Object, each: _Found) -> list[str]:
     """The loose parts that nobody sees, such as geometry for fitting clothes, as one attachment outside the cage."""
     parts = np.flatnonzero(each.hidden & ~_covered(obj, each))
     if not len(parts):
@@ -287,7 +291,7 @@ def _add_hidden(obj, each: _Found) -> list[str]:
     return [_add(obj, None if each.obj == obj else each.obj, made.name, "RIGID", f"Mask modifiers hide {what}")]
 
 
-def _add_parts(obj, each: _Found, touches: np.ndarray, names) -> list[str]:
+def _add_parts(obj: bpy.types.Object, each: _Found, touches: np.ndarray, names: Sequence[str]) -> list[str]:
     """The rigid loose parts of a mesh as attachments: those of one material on one bone together; if there are many,
     the small ones of one material.
     """
@@ -318,7 +322,7 @@ def _add_parts(obj, each: _Found, touches: np.ndarray, names) -> list[str]:
     return added
 
 
-def _add(obj, other, group: str, choice: str, reason: str) -> str:
+def _add(obj: bpy.types.Object, other: Any, group: str, choice: str, reason: str) -> str:
     attachment = obj.dynamorph.attachments.add()
     attachment.object, attachment.group, attachment.name = other, group, group or other.name
     attachment.attached_by = choice

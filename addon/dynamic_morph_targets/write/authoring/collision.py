@@ -3,16 +3,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import bpy
 import numpy as np
 
 from ...core.errors import SceneError
-from ...scene import colliders
+from ...scene.motion import colliders
 
 FLOOR = 10.0  # sides of a floor over the longest side of the body
 
 
-def add_collision(obj, others) -> list[str]:
+def add_collision(obj: bpy.types.Object, others: Sequence[bpy.types.Object]) -> list[str]:
     """Let the mesh objects `others` stop the soft skin `obj`, and soft skins among them be stopped by it too, so that
     they press on each other: also clothes in cages of their own and what wears them. Returns their names. Raises
     SceneError, and then nothing is changed.
@@ -36,7 +38,7 @@ def add_collision(obj, others) -> list[str]:
     return [other.name for other in others]
 
 
-def _let_stop(other, obj):
+def _let_stop(other: bpy.types.Object, obj: bpy.types.Object) -> None:
     """Let the mesh object `other` stop the soft skin `obj`."""
     settings = obj.dynamorph.collision
     if not colliders.is_collider(other):
@@ -50,7 +52,7 @@ def _let_stop(other, obj):
     settings.use = True
 
 
-def add_floor(obj):
+def add_floor(obj: bpy.types.Object) -> bpy.types.Object:
     """A new plane with Collision that touches the lowest point of the soft skin `obj` as it is shown now. Raises
     SceneError.
     """
@@ -69,7 +71,7 @@ def add_floor(obj):
     return floor
 
 
-def _shown_points(obj) -> np.ndarray:
+def _shown_points(obj: bpy.types.Object) -> np.ndarray:
     """The points (V, 3) of the mesh as Blender shows it, world space, Blender units."""
     evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
     world = np.array(evaluated.matrix_world)

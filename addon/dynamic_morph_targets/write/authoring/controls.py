@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import bpy
@@ -12,8 +13,10 @@ from mathutils import Matrix
 from ...core.errors import SceneError
 from ...core.geometry import turned
 from ...core.message import listed
-from ...scene import checks, references, rig_motion
-from ...scene.sampling_scene import rig_scene
+from ...scene import references
+from ...scene.check import checks
+from ...scene.motion import rig_motion
+from ...scene.read.sampling_scene import rig_scene
 from . import targets
 
 TURN = np.radians(20.0)
@@ -26,14 +29,14 @@ FOLLOWS = 0.25  # of that turn, from which a bone follows
 CHANNELS = ("location", "rotation_quaternion", "rotation_euler", "rotation_axis_angle", "scale")
 
 
-def bent_by_selected(obj) -> list[str]:
+def bent_by_selected(obj: bpy.types.Object) -> list[str]:
     """The selected pose bones of the rig of `obj`; in the place of those that do not deform it, the deforming bones
     that bend when they are moved, if some do. Empty if none is selected. Raises SceneError.
     """
     return _with_followers(obj, along=False) or targets.selected_bones(checks.skinned(obj).rig)
 
 
-def moved_by_selected(obj) -> list[str]:
+def moved_by_selected(obj: bpy.types.Object) -> list[str]:
     """The same, with all the deforming bones that move along. Some must."""
     chosen, found = targets.selected_bones(checks.skinned(obj).rig), _with_followers(obj, along=True)
     if chosen and not found:
@@ -45,7 +48,7 @@ def moved_by_selected(obj) -> list[str]:
     return found
 
 
-def _with_followers(obj, along: bool) -> list[str]:
+def _with_followers(obj: bpy.types.Object, along: bool) -> list[str]:
     """along: as in `_following`."""
     skinning = checks.skinned(obj)
     rig = skinning.rig
@@ -58,7 +61,7 @@ def _with_followers(obj, along: bool) -> list[str]:
     return [name for name in deforming if name in chosen or name in following]
 
 
-def _following(obj, rig, controls: list[str], along: bool) -> set[str]:
+def _following(obj: bpy.types.Object, rig: bpy.types.Object, controls: list[str], along: bool) -> set[str]:
     """The bones that turn with the controls. along: also those that only their parents take along. The armature is
     posed to find out, where the artist does not see it, and restored.
     """
@@ -88,7 +91,7 @@ def _following(obj, rig, controls: list[str], along: bool) -> set[str]:
 
 
 @contextmanager
-def unchanged_pose(rig):
+def unchanged_pose(rig: bpy.types.Object) -> Iterator[None]:
     """Restores the bones' own channels to the last bit."""
     before = [[tuple(getattr(bone, channel)) for channel in CHANNELS] for bone in rig.pose.bones]
     try:

@@ -5,15 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import numpy as np
 from mathutils.kdtree import KDTree
 
 from ...core.errors import SceneError
-from ...scene import body_checks, checks, cuts, references, skinning
+from ...scene import references, skinning
+from ...scene.check import body_checks, checks
+from ...scene.motion import cuts
+from ...scene.read.source import Source
 from ...scene.skin import unit_scale
-from ...scene.source import Source
 from ..bake import writer
 from .collision import add_collision
 
@@ -27,7 +30,7 @@ class Fix:
     apply: Callable
 
 
-def owned(data):
+def owned(data: bpy.types.ID) -> bpy.types.ID:
     """`data`, if changes to it are saved. Raises SceneError."""
     if not data.is_editable:
         raise SceneError(
@@ -38,10 +41,10 @@ def owned(data):
     return data
 
 
-def _in_modifier(**values) -> Callable:
+def _in_modifier(**values: Any) -> Callable:
     """A fix that sets properties of the Armature modifiers."""
 
-    def apply(obj):
+    def apply(obj: bpy.types.Object) -> None:
         for modifier in references.armature_modifiers(obj):
             for name, value in values.items():
                 setattr(modifier, name, value)
@@ -49,10 +52,10 @@ def _in_modifier(**values) -> Callable:
     return apply
 
 
-def _in_bones(name: str, value) -> Callable:
+def _in_bones(name: str, value: Any) -> Callable:
     """A fix that sets a property of every bone that skins the mesh."""
 
-    def apply(obj):
+    def apply(obj: bpy.types.Object) -> None:
         for rig in _rigs(obj):
             owned(rig.data)
             for bone in skinning.deforming_bones(obj, rig):
@@ -61,12 +64,12 @@ def _in_bones(name: str, value) -> Callable:
     return apply
 
 
-def _rigs(obj) -> list:
+def _rigs(obj: bpy.types.Object) -> list:
     """The armature objects that skin `obj`."""
     return [modifier.object for modifier in references.armature_modifiers(obj)]
 
 
-def _leave_edit_mode(obj):
+def _leave_edit_mode(obj: bpy.types.Object) -> None:
     objects = bpy.context.view_layer.objects
     active = objects.active
     for edited in (obj, *_rigs(obj)):
@@ -76,12 +79,12 @@ def _leave_edit_mode(obj):
     objects.active = active
 
 
-def _make_single_user(obj):
+def _make_single_user(obj: bpy.types.Object) -> None:
     _leave_edit_mode(obj)  # where an object takes no other mesh, and Blender does not say so
     obj.data = obj.data.copy()
 
 
-def _add_armature_modifier(obj):
+def _add_armature_modifier(obj: bpy.types.Object) -> None:
     """It becomes the first modifier, because none before an Armature modifier may add vertices."""
     empty = [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE"]
     modifier = empty[0] if empty else obj.modifiers.new("Armature", "ARMATURE")
@@ -91,38 +94,38 @@ def _add_armature_modifier(obj):
     obj.modifiers.move(obj.modifiers.find(modifier.name), 0)
 
 
-def _parent_as_object(obj):
+def _parent_as_object(obj: bpy.types.Object) -> None:
     """The parent moves it as a whole from now on, and does not deform it."""
     obj.parent_type = "OBJECT"
 
 
-def _move_below(obj):
+def _move_below(obj: bpy.types.Object) -> None:
     *_, armature = references.armature_modifiers(obj)
     armature.use_pin_to_last = False  # nothing can be below one that is pinned
     for modifier in reversed(checks.generating_before(obj, armature)):  # each moves next to it, which keeps the order
         obj.modifiers.move(obj.modifiers.find(modifier.name), obj.modifiers.find(armature.name))
 
 
-def _pose_position(obj):
+def _pose_position(obj: bpy.types.Object) -> None:
     for rig in _rigs(obj):
         owned(rig.data).pose_position = "POSE"
 
 
-def _enable_armature(obj):
+def _enable_armature(obj: bpy.types.Object) -> None:
     for rig in _rigs(obj):
         owned(rig).hide_viewport = False
 
 
-def _add_basis(obj):
+def _add_basis(obj: bpy.types.Object) -> None:
     owned(obj.data)
     writer.ensure_basis(obj)
 
 
-def _relative_keys(obj):
+def _relative_keys(obj: bpy.types.Object) -> None:
     owned(obj.data.shape_keys).use_relative = True
 
 
-def _person_size(obj):
+def _person_size(obj: bpy.types.Object) -> None:
     units = bpy.context.scene.unit_settings
     scale = unit_scale() * body_checks.PERSON / body_checks.size_now(obj)
     if units.system == "NONE":  # which has no scale
@@ -130,7 +133,7 @@ def _person_size(obj):
     units.scale_length = scale
 
 
-def _weight_like_nearest(obj):
+def _weight_like_nearest(obj: bpy.types.Object) -> None:
     """Give every vertex that no bone moves the weights of the nearest one that a bone moves."""
     owned(obj.data)
     source = Source.of(checks.skinned(obj))
@@ -149,23 +152,23 @@ def _weight_like_nearest(obj):
             obj.vertex_groups[names[column]].add([int(vertex)], weights[nearest, column], "REPLACE")
 
 
-def _lock_interface(_obj):
+def _lock_interface(_obj: bpy.types.Object) -> None:
     bpy.context.scene.render.use_lock_interface = True
 
 
-def _collide(obj):
+def _collide(obj: bpy.types.Object) -> None:
     add_collision(obj, cuts.cutting(obj))
 
 
-def _full_quality(obj):
+def _full_quality(obj: bpy.types.Object) -> None:
     obj.dynamorph.model.quality = "AUTOMATIC"
 
 
-def _no_head(obj):
+def _no_head(obj: bpy.types.Object) -> None:
     obj.dynamorph.model.hold_head = False
 
 
-def _unpin(obj):
+def _unpin(obj: bpy.types.Object) -> None:
     obj.show_only_shape_key = False
 
 

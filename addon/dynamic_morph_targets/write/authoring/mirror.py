@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import bpy
 import numpy as np
 from mathutils.kdtree import KDTree
@@ -11,7 +13,9 @@ from ...core.character import Skeleton
 from ...core.errors import SceneError
 from ...core.geometry import diagonal
 from ...core.message import Message, listed
-from ...scene import checks, data_checks, mesh_data
+from ...scene.check import checks, data_checks
+from ...scene.properties.target_properties import DynamorphTarget
+from ...scene.read import mesh_data
 from ...scene.references import key_points, rest_skeleton
 from . import regions, targets
 
@@ -19,7 +23,7 @@ MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 TOLERANCE = 1e-3  # of the mesh's size; the largest distance of a vertex's partner from its mirror image
 
 
-def mirror_target(obj, overwrite: bool) -> list[Message]:
+def mirror_target(obj: bpy.types.Object, overwrite: bool) -> list[Message]:
     """Make the selected target's mirror image, and select it. overwrite: replace the shape of a key that is there
     already. Returns warnings. Raises SceneError.
     """
@@ -50,7 +54,7 @@ def mirror_target(obj, overwrite: bool) -> list[Message]:
     return warnings + warned
 
 
-def _bones(source, skeleton: Skeleton, mirrored: np.ndarray) -> list[str]:
+def _bones(source: DynamorphTarget, skeleton: Skeleton, mirrored: np.ndarray) -> list[str]:
     """The target's bones on the other side. Raises SceneError where there is no other side."""
     if bpy.utils.flip_name(source.name) == source.name:
         raise SceneError("'{name}' does not say its side: give it a name that ends in .L or .R", name=source.name)
@@ -64,7 +68,7 @@ def _bones(source, skeleton: Skeleton, mirrored: np.ndarray) -> list[str]:
     return bones
 
 
-def _key(obj, overwrite: bool) -> tuple[bpy.types.ShapeKey, list[Message]]:
+def _key(obj: bpy.types.Object, overwrite: bool) -> tuple[bpy.types.ShapeKey, list[Message]]:
     """The shape key of the other side, and warnings. It is created, overwritten or used as it is."""
     keys = obj.data.shape_keys
     source = targets.sculpted_key(obj)
@@ -103,7 +107,7 @@ def mirrored_pose(skeleton: Skeleton, local: np.ndarray) -> np.ndarray:
     return skeleton.local_transforms(MIRROR @ carried[other] @ MIRROR @ skeleton.rest)
 
 
-def mirrored_world(rig_world) -> np.ndarray:
+def mirrored_world(rig_world: Sequence[float]) -> np.ndarray:
     """The armature's transform (4, 4) for a mirrored pose: gravity, along world z, is then mirrored in its space."""
     return MIRROR @ np.array(rig_world).reshape(4, 4) @ MIRROR
 

@@ -8,8 +8,10 @@ import numpy as np
 
 from ...core.errors import SceneError
 from ...core.painted_map import FIRMNESS, PaintedMap
-from ...scene import checks, mesh_data, references, skin
-from ...scene.source import Source
+from ...scene import references, skin
+from ...scene.check import checks
+from ...scene.read import mesh_data
+from ...scene.read.source import Source
 from .. import storage
 from ..bake import writer
 from . import controls, targets
@@ -20,13 +22,13 @@ STEPS = 1000  # weights that a vertex group distinguishes
 BORDER = 4  # edges, over which held skin becomes soft
 
 
-def is_painting(obj, of: PaintedMap) -> bool:
+def is_painting(obj: bpy.types.Object, of: PaintedMap) -> bool:
     """Whether this map of `obj` is being painted."""
     active = obj.vertex_groups.active
     return obj.mode == "WEIGHT_PAINT" and active is not None and active.name == getattr(obj.dynamorph, of.group)
 
 
-def enter(obj, of: PaintedMap):
+def enter(obj: bpy.types.Object, of: PaintedMap) -> None:
     """Begin to paint a map, with a new vertex group if there is none. Raises SceneError."""
     if not obj.visible_get():
         raise SceneError("'{name}' is hidden: show it to paint on it", name=obj.name)
@@ -45,7 +47,7 @@ def enter(obj, of: PaintedMap):
     _choose(obj, of, name)
 
 
-def leave(obj):
+def leave(obj: bpy.types.Object) -> None:
     """Return to what was going on before, and look whether the model and the bake still fit the maps."""
     display, objects = bpy.context.window_manager.dynamorph, bpy.context.view_layer.objects
     active, objects.active = objects.active, obj  # without Lock Object Modes, the armature may have become active
@@ -57,7 +59,7 @@ def leave(obj):
     _look(obj)
 
 
-def hold_selected_bones(obj):
+def hold_selected_bones(obj: bpy.types.Object) -> None:
     """Paint Firmness with 1 where the selected pose bones move the skin, with a soft border. Raises SceneError."""
     writer.check_not_edited(obj)
     owned(obj.data)
@@ -69,7 +71,7 @@ def hold_selected_bones(obj):
     _look(obj)
 
 
-def mirror(obj, of: PaintedMap, to: str) -> int:
+def mirror(obj: bpy.types.Object, of: PaintedMap, to: str) -> int:
     """Copy a map to the character's LEFT or RIGHT, about the mesh's X axis; how many vertices have no mirror image
     and stay as they are. Raises SceneError.
     """
@@ -84,7 +86,7 @@ def mirror(obj, of: PaintedMap, to: str) -> int:
     return int(np.count_nonzero(partners < 0))
 
 
-def _map_name(obj, of: PaintedMap) -> str:
+def _map_name(obj: bpy.types.Object, of: PaintedMap) -> str:
     """The vertex group of a map. A new one is named like no bone and no group of the meshes in the cage, because what
     is written there would be skin weights, or the artist's.
     """
@@ -96,14 +98,14 @@ def _map_name(obj, of: PaintedMap) -> str:
     return targets.free_name(taken, of.label) if of.label in taken else of.label
 
 
-def _choose(obj, of: PaintedMap, name: str):
+def _choose(obj: bpy.types.Object, of: PaintedMap, name: str) -> None:
     """Make this vertex group the map, and the active one."""
     if getattr(obj.dynamorph, of.group) != name:
         setattr(obj.dynamorph, of.group, name)
     obj.vertex_groups.active_index = obj.vertex_groups[name].index
 
 
-def _write(obj, name: str, weights: np.ndarray):
+def _write(obj: bpy.types.Object, name: str, weights: np.ndarray) -> None:
     """Write weights (V,), rounded to a thousandth, to the vertex group of this name; it is created if there is none.
     Raises SceneError.
     """
@@ -115,12 +117,12 @@ def _write(obj, name: str, weights: np.ndarray):
         group.add(np.flatnonzero(steps == step).tolist(), step / STEPS, "REPLACE")
 
 
-def _look(obj):
+def _look(obj: bpy.types.Object) -> None:
     if obj.dynamorph.model.content_id:
         storage.show_stale(obj)
 
 
-def _held_by_bones(obj) -> np.ndarray:
+def _held_by_bones(obj: bpy.types.Object) -> np.ndarray:
     """How firmly the selected pose bones hold each vertex (V,): 1 where half of its skin weight is theirs, from there
     less and less over BORDER edges. Raises SceneError.
     """

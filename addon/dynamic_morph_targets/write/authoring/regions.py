@@ -13,14 +13,21 @@ one group together, the union of theirs; the others' weights do not depend on wh
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 
+import bpy
 import numpy as np
 
 from ...core.character import REGION, Skeleton
 from ...core.geometry import diagonal, smooth_step, triangle_areas, turned, welded
 from ...core.painted_map import MAPS
-from ...scene import animation, checks, mesh_data, rig_motion
-from ...scene.source import Source
+from ...scene import animation
+from ...scene.check import checks
+from ...scene.motion import rig_motion
+from ...scene.properties.target_properties import DynamorphTarget
+from ...scene.read import mesh_data
+from ...scene.read.mesh_data import VertexGroups
+from ...scene.read.source import Source
 from ..reconcile import reconcile
 
 SUPPORT = 0.02  # of a sculpt's largest displacement; vertices that move less do not count as sculpted
@@ -35,7 +42,9 @@ LESS = 0.25  # of the largest bend; joints that bend less do not place the targe
 # Bones -------------------------------------------------------------------------------------------------------------
 
 
-def driver_bones(obj, skeleton: Skeleton, neutral: np.ndarray, local: np.ndarray, shape: np.ndarray) -> list[str]:
+def driver_bones(
+    obj: bpy.types.Object, skeleton: Skeleton, neutral: np.ndarray, local: np.ndarray, shape: np.ndarray
+) -> list[str]:
     """Names of the bones, turned from one pose (B, 4, 4) to another, that place a target with the shape (V, 3).
 
     Of a shape that moves nothing they are all that are turned. Raises SceneError.
@@ -91,7 +100,7 @@ def _nearest(skeleton: Skeleton, candidates: list[int], skins: np.ndarray) -> li
 # Regions -----------------------------------------------------------------------------------------------------------
 
 
-def update(obj, left=()):
+def update(obj: bpy.types.Object, left: Iterable[str] = ()) -> None:
     """Update the automatic regions of `obj` from the sculpts. left: groups of a removed target.
 
     An automatic region that was painted stays as it is from now on. It does nothing in Edit Mode, where Blender
@@ -125,20 +134,20 @@ def update(obj, left=()):
         obj.vertex_groups.active_index = obj.vertex_groups[active].index
 
 
-def automatic_regions(obj, targets) -> set[str]:
+def automatic_regions(obj: bpy.types.Object, targets: Iterable[DynamorphTarget]) -> set[str]:
     """The regions that only the add-on has made: they were made here, and not painted since."""
     groups = mesh_data.VertexGroups(obj)
     return {target.region for target in targets if target.auto_region and not _is_painted(obj, target, groups)}
 
 
-def _is_painted(obj, target, groups) -> bool:
+def _is_painted(obj: bpy.types.Object, target: DynamorphTarget, groups: VertexGroups) -> bool:
     if not target.made_region or target.region not in obj.vertex_groups:
         return False
     locked = obj.vertex_groups[target.region].lock_weight  # by the artist, who keeps it as it is
     return locked or _digest(groups.weights([target.region])) != target.made_region
 
 
-def _not_painted(obj, automatic: list, groups) -> list:
+def _not_painted(obj: bpy.types.Object, automatic: list, groups: VertexGroups) -> list:
     """The targets whose region is unchanged since it was made; the other regions belong to the artist from now on."""
     painted = {target.region for target in automatic if _is_painted(obj, target, groups)}
     for target in automatic:
@@ -160,7 +169,7 @@ def _sharing_bones(targets: list) -> list[list]:
     return sets
 
 
-def _write(obj, together: list, groups, free: set[str]) -> tuple[str, str]:
+def _write(obj: bpy.types.Object, together: list, groups: VertexGroups, free: set[str]) -> tuple[str, str]:
     """The vertex group of targets that share bones, and its digest; "" while nothing is sculpted. free: names of
     earlier automatic groups that can be used again; the used one is removed from it.
     """
@@ -178,7 +187,7 @@ def _write(obj, together: list, groups, free: set[str]) -> tuple[str, str]:
     return group.name, _digest(weights)
 
 
-def _remove(obj, names):
+def _remove(obj: bpy.types.Object, names: Iterable[str]) -> None:
     """Remove those automatic groups that nothing uses any more."""
     settings = obj.dynamorph
     used = {*(getattr(settings, each.group) for each in MAPS), *(target.region for target in settings.targets)}
@@ -188,14 +197,14 @@ def _remove(obj, names):
             obj.vertex_groups.remove(obj.vertex_groups[name])
 
 
-def write_group(group, weights: np.ndarray, members: np.ndarray | None = None):
+def write_group(group: bpy.types.VertexGroup, weights: np.ndarray, members: np.ndarray | None = None) -> None:
     """Give a vertex group the weights (V,) of its members (V,), by default of all vertices where they are not 0."""
     group.remove(range(len(weights)))
     for vertex in np.flatnonzero(weights if members is None else members).tolist():
         group.add([vertex], weights[vertex], "REPLACE")
 
 
-def _surface(obj) -> tuple[np.ndarray, np.ndarray]:
+def _surface(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     """Points (V, 3) at rest and triangles (T, 3), as large as the object shows them. Raises SceneError."""
     scale = np.abs(obj.matrix_world.to_scale())
     return mesh_data.rest_points(obj) * np.where(scale > 0.0, scale, 1.0), mesh_data.mesh_triangles(obj.data)

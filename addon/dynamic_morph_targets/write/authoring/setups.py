@@ -17,8 +17,10 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
+from collections.abc import Collection, Iterable
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -28,13 +30,14 @@ from ...core.geometry import determinant, turned
 from ...core.painted_map import MAPS
 from ...core.settings import ModelSettings
 from ...io import disk
-from ...scene import checks, rig_motion
-from ...scene.bake_properties import DynamorphCollision, DynamorphOutput, DynamorphSimulation
-from ...scene.model_properties import DynamorphAttachment, DynamorphMode, DynamorphModel
+from ...scene.check import checks
+from ...scene.motion import rig_motion
 from ...scene.plain import fits, is_text, plain, wanted
-from ...scene.properties import DynamorphSettings
+from ...scene.properties.bake_properties import DynamorphCollision, DynamorphOutput, DynamorphSimulation
+from ...scene.properties.model_properties import DynamorphAttachment, DynamorphMode, DynamorphModel
+from ...scene.properties.object_properties import DynamorphSettings
+from ...scene.properties.target_properties import DynamorphBonePose, DynamorphTarget
 from ...scene.references import KEY_REFERENCE
-from ...scene.target_properties import DynamorphBonePose, DynamorphTarget
 from ..assign import assign
 from ..bake.writer import ensure_basis
 from . import regions
@@ -77,7 +80,7 @@ GROUPS = tuple(each.group for each in MAPS)
 # From and to an object ---------------------------------------------------------------------------------------------
 
 
-def of_object(obj) -> dict:
+def of_object(obj: bpy.types.Object) -> dict:
     """The setup of a soft skin."""
     settings = obj.dynamorph
     collection = settings.collision.collection
@@ -106,12 +109,12 @@ def of_object(obj) -> dict:
     }
 
 
-def authored(group) -> dict:
+def authored(group: bpy.types.PropertyGroup) -> dict:
     """The simple properties of a group that are the artist's, by name."""
     return plain(group, NOT_AUTHORED[type(group)])
 
 
-def apply(obj, setup: dict) -> dict[str, list[str]]:
+def apply(obj: bpy.types.Object, setup: dict) -> dict[str, list[str]]:
     """Apply the checked `setup` to `obj`. Returns the names of what `obj` lacks, by kind.
 
     Targets without their shape key, missing bones and vertex groups are left out. Poses are relative to the rest pose,
@@ -137,7 +140,7 @@ def apply(obj, setup: dict) -> dict[str, list[str]]:
     return lacking.names
 
 
-def _apply_targets(obj, rig, entries: list[dict], lacking: _Lacking):
+def _apply_targets(obj: bpy.types.Object, rig: bpy.types.Object, entries: list[dict], lacking: _Lacking) -> None:
     settings, blocks = obj.dynamorph, obj.data.shape_keys.key_blocks
     keys = lacking.present("shape keys", [entry["name"] for entry in entries[1:]], blocks.keys()[1:])
     settings.targets.clear()
@@ -158,7 +161,7 @@ def _apply_targets(obj, rig, entries: list[dict], lacking: _Lacking):
     regions.update(obj)
 
 
-def _apply_collision(collision, values: dict, lacking: _Lacking):
+def _apply_collision(collision: DynamorphCollision, values: dict, lacking: _Lacking) -> None:
     assign(collision, _simple(values))
     if "collection" in values:
         name = values["collection"]
@@ -166,7 +169,7 @@ def _apply_collision(collision, values: dict, lacking: _Lacking):
         collision.collection = bpy.data.collections[name] if there else None
 
 
-def _apply_pieces(obj, entries: list[dict], lacking: _Lacking):
+def _apply_pieces(obj: bpy.types.Object, entries: list[dict], lacking: _Lacking) -> None:
     meshes = {other.name: other for other in bpy.context.scene.objects if other.type == "MESH" and other != obj}
     obj.dynamorph.attachments.clear()
     for entry in entries:
@@ -187,7 +190,7 @@ def _simple(entry: dict) -> dict:
     return {name: value for name, value in entry.items() if name not in ("bones", "pose", "object", "collection")}
 
 
-def _apply_pose(target, rig, pose: dict[str, dict], lacking: _Lacking):
+def _apply_pose(target: DynamorphTarget, rig: bpy.types.Object, pose: dict[str, dict], lacking: _Lacking) -> None:
     names = lacking.present("bones", pose, rig.data.bones)
     rest = np.array([rig.data.bones[name].matrix_local for name in names]).reshape(-1, 4, 4)
     stored = np.array([pose[name]["rest"] for name in names], float).reshape(-1, 4, 4)
@@ -201,7 +204,7 @@ def _apply_pose(target, rig, pose: dict[str, dict], lacking: _Lacking):
 class _Lacking:
     """Collects the names of what an object lacks, by kind."""
 
-    def __init__(self, obj):
+    def __init__(self, obj: bpy.types.Object):
         self.obj = obj
         self._names: dict[str, dict[str, None]] = {}
 
@@ -209,14 +212,16 @@ class _Lacking:
     def names(self) -> dict[str, list[str]]:
         return {kind: list(names) for kind, names in self._names.items()}
 
-    def present(self, kind: str, names, existing) -> list[str]:
+    def present(
+        self, kind: str, names: Collection[str], existing: Iterable[str] | bpy.types.bpy_prop_collection
+    ) -> list[str]:
         """Those of `names` that exist; the others are recorded. existing: names, or what Blender has by name."""
         known = set(existing.keys() if hasattr(existing, "keys") else existing)
         if lost := dict.fromkeys(name for name in names if name not in known):
             self._names.setdefault(kind, {}).update(lost)
         return [name for name in names if name in known]
 
-    def without_lost_groups(self, values: dict, fields) -> dict:
+    def without_lost_groups(self, values: dict, fields: Iterable[str]) -> dict:
         """`values`, where `fields` hold the names of vertex groups, without the names of groups that do not exist."""
         used = {field: values[field] for field in fields if values.get(field)}
         present = self.present("vertex groups", used.values(), self.obj.vertex_groups)
@@ -226,7 +231,7 @@ class _Lacking:
 # Files -------------------------------------------------------------------------------------------------------------
 
 
-def write(path: Path, setup: dict):
+def write(path: Path, setup: dict) -> None:
     """Raises SetupError for values that no setup may contain, OSError."""
     check(setup)
     text = json.dumps(setup, indent=1)
@@ -249,7 +254,7 @@ def read(path: Path) -> dict:
 # Checks ------------------------------------------------------------------------------------------------------------
 
 
-def check(setup):
+def check(setup: object) -> None:
     """Raises SetupError unless `setup`, parsed JSON of any kind, is a setup that `apply` can write."""
     if not isinstance(setup, dict) or setup.get("format") != FORMAT:
         raise SetupError("This is not a Dynamorph setup")
@@ -283,7 +288,7 @@ def check(setup):
         _check_values(part.capitalize(), kind, values)
 
 
-def _check_counts(**lists: list):
+def _check_counts(**lists: list) -> None:
     """Raises SetupError for more of something than any setup needs."""
     text = "The setup has {count} {what}, and {most} are the most: it was not made for a soft skin"
     for what, entries in lists.items():
@@ -295,7 +300,7 @@ def _check_counts(**lists: list):
         raise SetupError(text, count=bones, what="posed bones", most=MOST_BONES)
 
 
-def _check_target(target):
+def _check_target(target: Any) -> None:
     name = target.get("name") if isinstance(target, dict) else None
     if not is_text(name):
         raise SetupError("A target has no name")
@@ -319,14 +324,14 @@ def _check_target(target):
         )
 
 
-def _check_attachment(where: str, attachment):
+def _check_attachment(where: str, attachment: Any) -> None:
     names = [attachment.get(kind, "") for kind in ("object", "group")] if isinstance(attachment, dict) else []
     if not all(map(is_text, names)) or not any(names):
         raise SetupError("{where} names neither an object nor a vertex group", where=where)
     _check_values(where, DynamorphAttachment, _simple(attachment))
 
 
-def _check_values(where: str, kind, values):
+def _check_values(where: str, kind: type[bpy.types.PropertyGroup], values: object) -> None:
     """Raises SetupError unless all `values` are what the property group `kind` takes unchanged."""
     if not isinstance(values, dict):
         raise SetupError("{where} must have properties by name", where=where)

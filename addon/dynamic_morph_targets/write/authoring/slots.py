@@ -5,11 +5,13 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 
+import bpy
+
 from ...scene import plain, skin
 from .. import assign
 
 
-def slot_settings(obj) -> dict:
+def slot_settings(obj: bpy.types.Object) -> dict:
     """The content of one slot, as JSON data. Targets are identified by name; the neutral one is ''."""
     settings = obj.dynamorph
     return {
@@ -20,7 +22,7 @@ def slot_settings(obj) -> dict:
     }
 
 
-def put_slot(obj, values: dict):
+def put_slot(obj: bpy.types.Object, values: dict) -> None:
     """The inverse of `slot_settings`; targets and modes that were added since then stay as they are.
 
     values: as `records.slot` reads them. Settings that are unknown, or that do not take the value, stay too.

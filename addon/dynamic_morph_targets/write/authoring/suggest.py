@@ -9,16 +9,21 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import bpy
 import numpy as np
-from mathutils import Quaternion
+from mathutils import Matrix, Quaternion
 
+from ...core.character import Skeleton
 from ...core.errors import SceneError
 from ...core.message import Message
-from ...scene import checks, events, rig_motion, sampling_scene
+from ...scene import events
+from ...scene.check import checks
+from ...scene.motion import rig_motion
+from ...scene.read import sampling_scene
 from ...scene.skin import find
 from . import targets
 from .controls import unchanged_pose
@@ -86,7 +91,9 @@ def suggestions(session_uid: int) -> Generator[tuple[float, str], None, tuple[li
 # What drivers read -------------------------------------------------------------------------------------------------
 
 
-def _axes_read(obj, rig, pose, skeleton) -> dict[str, dict[str, list]]:
+def _axes_read(
+    obj: bpy.types.Object, rig: bpy.types.Object, pose: np.ndarray, skeleton: Skeleton
+) -> dict[str, dict[str, list]]:
     """For each driven key that is no target, the bones its driver reads, each with the axes (3,), in the bone's space,
     that it reads turns about; with none where it reads a turn about any. pose (B, 4, 4): of the bones, world space.
     """
@@ -108,7 +115,9 @@ def _axes_read(obj, rig, pose, skeleton) -> dict[str, dict[str, list]]:
     return read
 
 
-def _turns_read(variable, rig, world_axes):
+def _turns_read(
+    variable: bpy.types.DriverVariable, rig: bpy.types.Object, world_axes: dict[str, np.ndarray]
+) -> Iterator[tuple[str, list[np.ndarray]]]:
     """Yields (bone, axes) for each rotation of a bone of the rig that a driver's variable reads."""
     if variable.type == "SINGLE_PROP":
         target = variable.targets[0]
@@ -135,10 +144,10 @@ def _turns_read(variable, rig, world_axes):
 class _Trial:
     """Turns bones and reads the resulting driver values, away from the scene that the artist sees."""
 
-    def __init__(self, obj, rig):
+    def __init__(self, obj: bpy.types.Object, rig: bpy.types.Object):
         self.rig, self.keys = rig, obj.data.shape_keys
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         self.scene = bpy.data.scenes.new("Dynamorph Drivers")
         self.probe = bpy.data.objects.new("Dynamorph Drivers", None)
         try:
@@ -148,7 +157,7 @@ class _Trial:
             raise
         return self
 
-    def _evaluate(self):
+    def _evaluate(self) -> None:
         driver = self.probe.driver_add("location", 0).driver  # needed only so that Blender evaluates the keys' drivers
         target = driver.variables.new().targets[0]
         target.id_type, target.id, target.data_path = "KEY", self.keys, "eval_time"
@@ -157,12 +166,12 @@ class _Trial:
         self.scene.frame_set(bpy.context.scene.frame_current, subframe=bpy.context.scene.frame_subframe)
         self.layer = self.scene.view_layers[0]
         self.depsgraph = self.layer.depsgraph
-        self.bases = {}
+        self.bases: dict[str, Matrix] = {}
 
-    def __exit__(self, *_error):
+    def __exit__(self, *_error: object) -> None:
         sampling_scene.remove_scene(self.scene, self.probe)
 
-    def turn(self, turns, angles):
+    def turn(self, turns: Sequence[tuple[str, np.ndarray]], angles: np.ndarray) -> None:
         """Turn bones by angles (n,), from where they were at first, each about the axis of its turn (bone, axis)."""
         turned: dict = {}
         for (bone, axis), angle in zip(turns, angles, strict=True):
@@ -177,14 +186,16 @@ class _Trial:
         return max(0.0, float(np.nan_to_num(value)))
 
 
-def _turned_until_on(trial: _Trial, key: str, axes: dict[str, list]):
+def _turned_until_on(
+    trial: _Trial, key: str, axes: dict[str, list]
+) -> tuple[np.ndarray, float, list[tuple[str, np.ndarray]]]:
     """The smallest angles (n,) that turn a key on, its value then, and the n turns."""
     tried = []
     for any_axis in (False, True):
         chosen = {bone: AXES if any_axis else _distinct(about or BENDS) for bone, about in axes.items()}
         turns = [(bone, axis) for bone, about in chosen.items() for axis in about]
 
-        def value(angles, turns=turns) -> float:
+        def value(angles: np.ndarray, turns: list[tuple[str, np.ndarray]] = turns) -> float:
             trial.turn(turns, angles)
             return trial.value(key)
 
@@ -194,7 +205,7 @@ def _turned_until_on(trial: _Trial, key: str, axes: dict[str, list]):
     return max(tried, key=lambda found: found[1])
 
 
-def _distinct(axes) -> list:
+def _distinct(axes: Iterable[np.ndarray]) -> list:
     """Without repetitions, to sign."""
     kept: list = []
     for axis in axes:
@@ -203,7 +214,7 @@ def _distinct(axes) -> list:
     return kept
 
 
-def least_turns(value, count: int, together: int = TOGETHER) -> tuple[np.ndarray, float]:
+def least_turns(value: Callable[[np.ndarray], float], count: int, together: int = TOGETHER) -> tuple[np.ndarray, float]:
     """Angles (count,), radians, at which value(angles) is as large as it gets, up to 1; and the largest value.
 
     As few of them as possible are not 0: first each turn is tried alone, then up to `together` by the same angle, then
@@ -227,7 +238,7 @@ def least_turns(value, count: int, together: int = TOGETHER) -> tuple[np.ndarray
     return best, top
 
 
-def _directions(count: int, turned: int):
+def _directions(count: int, turned: int) -> Iterator[np.ndarray]:
     """Each way to turn `turned` of `count` by the same angle, forward or backward against the first of them."""
     for which in itertools.combinations(range(count), turned):
         for signs in itertools.product((1.0, -1.0), repeat=turned - 1):
@@ -236,7 +247,9 @@ def _directions(count: int, turned: int):
             yield direction
 
 
-def _highest(value, start: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, float]:
+def _highest(
+    value: Callable[[np.ndarray], float], start: np.ndarray, direction: np.ndarray
+) -> tuple[np.ndarray, float]:
     """Where along a line the value is full, or as high as it gets, nearest to its start; and how high it gets."""
     angle, top = _first_highest(lambda angle: value(start + angle * direction), GRID)
     if top < FULL and angle:  # the peak may lie between two steps
@@ -244,13 +257,13 @@ def _highest(value, start: np.ndarray, direction: np.ndarray) -> tuple[np.ndarra
     return start + angle * direction, top
 
 
-def _first_highest(value, angles: np.ndarray) -> tuple[float, float]:
+def _first_highest(value: Callable[[float], float], angles: np.ndarray) -> tuple[float, float]:
     heights = np.array([value(angle) for angle in angles])
     top = heights.max()
     return angles[np.argmax(heights >= FULL * min(top, 1.0))], top
 
 
-def _shrunk(value, angles: np.ndarray, i: int, goal: float) -> np.ndarray:
+def _shrunk(value: Callable[[np.ndarray], float], angles: np.ndarray, i: int, goal: float) -> np.ndarray:
     """`angles` with the i-th as small as possible with the value at the goal, to a thousandth of a degree."""
     others = angles * (np.arange(len(angles)) != i)
     axis = np.eye(len(angles))[i]

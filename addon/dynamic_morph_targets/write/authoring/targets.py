@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import asdict, replace
 
 import bpy
@@ -15,8 +16,13 @@ from ...core.errors import SceneError
 from ...core.geometry import turned
 from ...core.message import Message
 from ...core.motion import posing
-from ...scene import animation, checks, data_checks, extract, mesh_data, rig_motion, skinning
+from ...scene import animation, skinning
+from ...scene.character import extract
+from ...scene.check import checks, data_checks
+from ...scene.motion import rig_motion
 from ...scene.plain import plain
+from ...scene.properties.target_properties import DynamorphTarget
+from ...scene.read import mesh_data
 from ...scene.references import KEY_REFERENCE, key_points, rest_skeleton, rig_of
 from ..assign import assign
 from ..bake.muting import show_target
@@ -30,7 +36,7 @@ NOTHING = 1e-6  # of the coordinates; smaller differences are round-off, not scu
 # Shape keys --------------------------------------------------------------------------------------------------------
 
 
-def new_key(obj, name: str, shape: np.ndarray):
+def new_key(obj: bpy.types.Object, name: str, shape: np.ndarray) -> bpy.types.ShapeKey:
     """Create a shape key, with this name if it is free, that at value 1 adds `shape` (V, 3), local space, to the Basis.
     Raises SceneError.
     """
@@ -42,19 +48,19 @@ def new_key(obj, name: str, shape: np.ndarray):
     return block
 
 
-def set_shape(block, shape: np.ndarray):
+def set_shape(block: bpy.types.ShapeKey, shape: np.ndarray) -> None:
     points = key_points(block.relative_key) + shape
     block.points.foreach_set("co", points.astype(np.float32).ravel())
     block.id_data.update_tag()
 
 
-def sculpt_anew(block, shape: np.ndarray):
+def sculpt_anew(block: bpy.types.ShapeKey, shape: np.ndarray) -> None:
     """Make a shape key add `shape` (V, 3), local space, to the Basis, whatever it did before."""
     block.relative_key, block.vertex_group = block.id_data.reference_key, ""
     set_shape(block, shape)
 
 
-def copy_key(obj, name: str):
+def copy_key(obj: bpy.types.Object, name: str) -> bpy.types.ShapeKey:
     """A copy of a shape key, without its drivers and curves, named "name copy"."""
     block = new_key(obj, f"{name} copy", np.zeros((len(obj.data.vertices), 3)))
     source = obj.data.shape_keys.key_blocks[name]
@@ -64,12 +70,12 @@ def copy_key(obj, name: str):
     return block
 
 
-def free_name(taken, stem: str) -> str:
+def free_name(taken: Collection[str], stem: str) -> str:
     """The first of "stem 1", "stem 2", ... that is not taken."""
     return next(name for number in range(1, len(taken) + 2) if (name := f"{stem} {number}") not in taken)
 
 
-def blended_shape(obj, local: np.ndarray) -> np.ndarray:
+def blended_shape(obj: bpy.types.Object, local: np.ndarray) -> np.ndarray:
     """The shape (V, 3), local space, of the blended targets in a pose (B, 4, 4); zero without the engine. Raises
     SceneError.
     """
@@ -80,7 +86,7 @@ def blended_shape(obj, local: np.ndarray) -> np.ndarray:
     return _blend(_authored(obj), local)
 
 
-def _authored(obj) -> Character:
+def _authored(obj: bpy.types.Object) -> Character:
     """With all its targets, whichever its method simulates. Raises SceneError."""
     return extract.character(obj).with_settings(method="DYNAMIC")
 
@@ -96,7 +102,7 @@ def _blend(character: Character, local: np.ndarray) -> np.ndarray:
 # Targets -----------------------------------------------------------------------------------------------------------
 
 
-def eligible(obj) -> list[str]:
+def eligible(obj: bpy.types.Object) -> list[str]:
     """Names of the shape keys that can become targets."""
     keys, settings = obj.data.shape_keys, obj.dynamorph
     blocks = keys.key_blocks[1:] if keys else []
@@ -105,7 +111,7 @@ def eligible(obj) -> list[str]:
     return [block.name for block in blocks if block.name not in taken]
 
 
-def add(obj, block, after: int | None = None):
+def add(obj: bpy.types.Object, block: bpy.types.ShapeKey, after: int | None = None) -> DynamorphTarget:
     """A target for a shape key, selected; at the end of the list, or after the target with that index.
 
     It has the neutral target's material until the artist changes it.
@@ -121,7 +127,7 @@ def add(obj, block, after: int | None = None):
     return settings.active_target
 
 
-def move(obj, index: int, wanted: int):
+def move(obj: bpy.types.Object, index: int, wanted: int) -> None:
     """Move a target to another place in the list, and select it there."""
     settings = obj.dynamorph
     order = list(range(len(settings.targets)))
@@ -131,7 +137,7 @@ def move(obj, index: int, wanted: int):
     animation.follow_list(obj, "dynamorph.targets", order)
 
 
-def remove(obj, index: int):
+def remove(obj: bpy.types.Object, index: int) -> None:
     """Remove a target other than the neutral one, and select the one above it."""
     settings = obj.dynamorph
     order = [place for place in range(len(settings.targets)) if place != index]
@@ -140,12 +146,14 @@ def remove(obj, index: int):
     animation.follow_list(obj, "dynamorph.targets", order)
 
 
-def start_as(source, target):
+def start_as(source: DynamorphTarget, target: DynamorphTarget) -> None:
     """Give a target the material of another, and the state of its settings."""
     assign(target, {name: getattr(source, name) for name in (*asdict(source.material()), "frequency", "by_hand")})
 
 
-def choose_bones(obj, target, skeleton: Skeleton, shape: np.ndarray | None = None):
+def choose_bones(
+    obj: bpy.types.Object, target: DynamorphTarget, skeleton: Skeleton, shape: np.ndarray | None = None
+) -> None:
     """Choose the bones that place a target: those that are turned in its pose and bend what the shape (V, 3) moves.
 
     shape: by default its key's; as long as that moves nothing, all turned bones place it. Raises SceneError.
@@ -157,12 +165,14 @@ def choose_bones(obj, target, skeleton: Skeleton, shape: np.ndarray | None = Non
     target.set_bones(regions.driver_bones(obj, skeleton, neutral, local, shape), automatic=True)
 
 
-def copy_settings(source, target):
+def copy_settings(source: DynamorphTarget, target: DynamorphTarget) -> None:
     """Copies everything except the shape key, the captured bones' transforms and the bones."""
     assign(target, plain(source, skip=KEY_REFERENCE))
 
 
-def at_pose_of(obj, skeleton: Skeleton, local: np.ndarray, bones):
+def at_pose_of(
+    obj: bpy.types.Object, skeleton: Skeleton, local: np.ndarray, bones: Collection[str]
+) -> DynamorphTarget | None:
     """The target, other than the neutral one, that a pose (B, 4, 4) with these bones cannot be distinguished from."""
     for target in obj.dynamorph.targets[1:]:
         used = [name in {*bones, *target.bone_names()} for name in skeleton.names]
@@ -174,7 +184,7 @@ def at_pose_of(obj, skeleton: Skeleton, local: np.ndarray, bones):
 # The armature ------------------------------------------------------------------------------------------------------
 
 
-def pose_rig(rig, skeleton: Skeleton, local: np.ndarray):
+def pose_rig(rig: bpy.types.Object, skeleton: Skeleton, local: np.ndarray) -> None:
     """Turn the bones of the armature so that, without constraints, they have the local transforms (B, 4, 4)."""
     pose = [Matrix(matrix) for matrix in skeleton.pose(local)]
     for b, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents, strict=True)):
@@ -184,13 +194,13 @@ def pose_rig(rig, skeleton: Skeleton, local: np.ndarray):
         rig.pose.bones[name].matrix_basis = bone.convert_local_to_pose(pose[b], bone.matrix_local, invert=True, **above)
 
 
-def bones_elsewhere(obj, skeleton: Skeleton, local: np.ndarray) -> list[str]:
+def bones_elsewhere(obj: bpy.types.Object, skeleton: Skeleton, local: np.ndarray) -> list[str]:
     """Bones that constraints or drivers keep more than a degree from the local transforms (B, 4, 4)."""
     angles = turned(rig_motion.current_pose(obj)[1], local)
     return [name for name, angle in zip(skeleton.names, angles, strict=True) if angle > np.radians(1.0)]
 
 
-def selected_bones(rig) -> list[str]:
+def selected_bones(rig: bpy.types.Object) -> list[str]:
     # 5.0 moved the selection from the bone to the pose bone.
     return [bone.name for bone in rig.pose.bones if (bone if hasattr(bone, "select") else bone.bone).select]
 
@@ -198,7 +208,7 @@ def selected_bones(rig) -> list[str]:
 # Sculpting ---------------------------------------------------------------------------------------------------------
 
 
-def begin_sculpting(obj, block, mode: str, is_new=False):
+def begin_sculpting(obj: bpy.types.Object, block: bpy.types.ShapeKey, mode: str, is_new: bool = False) -> None:
     """Show the shape key alone, in the current pose, and enter "SCULPT" or "EDIT" mode.
 
     is_new: the key shows what the other targets do in this pose, and the bones and the region are not chosen yet.
@@ -224,14 +234,14 @@ def begin_sculpting(obj, block, mode: str, is_new=False):
     bpy.ops.object.mode_set(mode=mode)
 
 
-def check_can_sculpt(obj):
+def check_can_sculpt(obj: bpy.types.Object) -> None:
     """Raises SceneError."""
     checks.check_mesh(obj)
     if not obj.visible_get():
         raise SceneError("'{name}' is hidden: show it to sculpt", name=obj.name)
 
 
-def finish_sculpting(obj):
+def finish_sculpting(obj: bpy.types.Object) -> None:
     """Leave the mode, and show what was shown before `begin_sculpting`."""
     remembered, rig = obj.dynamorph.sculpt, rig_of(obj)
     _make_active(obj)
@@ -241,7 +251,7 @@ def finish_sculpting(obj):
         bpy.ops.object.mode_set(mode="POSE")
 
 
-def show_as_before(obj):
+def show_as_before(obj: bpy.types.Object) -> None:
     """Undo what `begin_sculpting` has changed in what is shown, if a target is being sculpted. The mode stays."""
     remembered, modifier = obj.dynamorph.sculpt, skinning.Skinning.of(obj).modifier
     if not remembered.active:
@@ -252,7 +262,7 @@ def show_as_before(obj):
     remembered.active = False
 
 
-def learn_from_sculpt(obj):
+def learn_from_sculpt(obj: bpy.types.Object) -> None:
     """Choose bones and regions from the sculpt, unless the artist has chosen them, and show it in its pose.
 
     What other sets of targets show there is removed from a new key, because they still show it. Raises SceneError, and
@@ -280,7 +290,7 @@ def learn_from_sculpt(obj):
             regions.update(obj)
 
 
-def hide_out_of_pose(obj, depsgraph):
+def hide_out_of_pose(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> None:
     """Turn off the sculpt that Finish Sculpting or Go to Pose shows, when the armature has left its pose.
 
     depsgraph: where it is evaluated.
@@ -292,7 +302,7 @@ def hide_out_of_pose(obj, depsgraph):
     show_target(obj, "")
 
 
-def _is_in_pose(obj, target, depsgraph) -> bool:
+def _is_in_pose(obj: bpy.types.Object, target: DynamorphTarget, depsgraph: bpy.types.Depsgraph) -> bool:
     try:
         skeleton, local, _ = rig_motion.current_pose(obj, depsgraph)
     except SceneError:  # no armature, or one without a pose that could be captured
@@ -302,7 +312,7 @@ def _is_in_pose(obj, target, depsgraph) -> bool:
     return data_checks.same_pose(target.local(skeleton)[used], local[used])
 
 
-def _with_sets(obj, name: str, with_set: bool) -> Character:
+def _with_sets(obj: bpy.types.Object, name: str, with_set: bool) -> Character:
     """The character without a target and, unless `with_set`, without its whole set."""
     reconcile(obj)
     character, sets = _authored(obj), []
@@ -313,7 +323,7 @@ def _with_sets(obj, name: str, with_set: bool) -> Character:
     return replace(character, authored_sets=tuple(sets))
 
 
-def _make_active(obj):
+def _make_active(obj: bpy.types.Object) -> None:
     """Make an object active in Object Mode."""
     objects = bpy.context.view_layer.objects
     for other in (objects.active, obj):  # each object may be in a different mode
@@ -325,7 +335,7 @@ def _make_active(obj):
     obj.select_set(True)
 
 
-def sculpted_key(obj):
+def sculpted_key(obj: bpy.types.Object) -> bpy.types.ShapeKey:
     """The shape key of the selected target. Raises SceneError."""
     target, keys = obj.dynamorph.active_target, obj.data.shape_keys
     block = keys and keys.key_blocks.get(target.name)
@@ -336,7 +346,9 @@ def sculpted_key(obj):
     return block
 
 
-def capture(obj, target, pose) -> list[Message]:
+def capture(
+    obj: bpy.types.Object, target: DynamorphTarget, pose: tuple[Skeleton, np.ndarray, np.ndarray]
+) -> list[Message]:
     """Store a pose as returned by `rig_motion.current_pose`. The target is placed by those bones that are turned away
     from the neutral pose and bend the sculpt. Returns warnings.
     """

@@ -8,16 +8,22 @@ it is posed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import bpy
 import numpy as np
 
 from ...core.character import SurfaceMap
 from ...core.errors import SceneError
 from ...core.geometry import determinant, diagonal, inverse
 from ...core.painted_map import MAPS
-from ...scene import checks, mesh_data, rig_motion
-from ...scene.nearest import nearest
+from ...scene.check import checks
+from ...scene.check.problem import refuse
+from ...scene.read import mesh_data
+from ...scene.read.mesh_data import VertexGroups
+from ...scene.read.nearest import nearest
+from ...scene.read.worlds import world_now
 from ...scene.references import rig_of
 from ...scene.skin import own_attachments
 from ..bake import writer
@@ -36,7 +42,7 @@ class Copy:
     distance: float
 
 
-def check(source, others, replace: bool):
+def check(source: bpy.types.Object, others: Sequence[bpy.types.Object], replace: bool) -> None:
     """Raises SceneError unless the soft skin of `source` can be written to each of `others`."""
     rig = checks.armature_modifier(source).object
     names = [target.name for target in source.dynamorph.targets[1:]]
@@ -55,7 +61,7 @@ def check(source, others, replace: bool):
                 rig=rig.name,
             )
     for obj in others:
-        checks.refuse(checks.shared_mesh(obj))
+        refuse(checks.shared_mesh(obj))
         if not (obj.is_editable and obj.data.is_editable):
             raise SceneError(
                 "'{name}' is linked: make it and its mesh local (Object > Relations > Make Local)", name=obj.name
@@ -71,7 +77,7 @@ def check(source, others, replace: bool):
             )
 
 
-def copy(source, obj) -> Copy:
+def copy(source: bpy.types.Object, obj: bpy.types.Object) -> Copy:
     """The shapes and groups of the soft skin `source` for the mesh of `obj`. Reads only; raises SceneError."""
     (from_basis, from_world), (to_basis, to_world) = _at_rest(source), _at_rest(obj)
     triangles = mesh_data.mesh_triangles(source.data)
@@ -90,7 +96,7 @@ def copy(source, obj) -> Copy:
     )
 
 
-def write(obj, made: Copy, overwrite: bool):
+def write(obj: bpy.types.Object, made: Copy, overwrite: bool) -> None:
     """Create the shape keys and vertex groups; existing ones with the same name stay as they are unless `overwrite`."""
     writer.ensure_basis(obj)
     for name, shape in made.shapes.items():
@@ -106,20 +112,20 @@ def write(obj, made: Copy, overwrite: bool):
     obj.data.update_tag()
 
 
-def _carried(found: SurfaceMap, groups, name: str, absent: float) -> tuple[np.ndarray, np.ndarray]:
+def _carried(found: SurfaceMap, groups: VertexGroups, name: str, absent: float) -> tuple[np.ndarray, np.ndarray]:
     """The weights (V,) of a group at the other mesh, and its members there; absent: what counts where it has none."""
     weights, members = groups.weights([name], absent)[:, 0], groups.weights([name], -1.0)[:, 0] >= 0.0
     return found.carry(weights), found.carry(members.astype(float)) > 0.0
 
 
-def size(obj) -> float:
+def size(obj: bpy.types.Object) -> float:
     """Diagonal at rest, in meters. Raises SceneError."""
     return diagonal(_moved(*_at_rest(obj)))
 
 
-def _at_rest(obj) -> tuple[np.ndarray, np.ndarray]:
+def _at_rest(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     """Points (V, 3) of the Basis, local space, and the transform (4, 4) to the world now, meters. Raises SceneError."""
-    world = rig_motion.world_now(obj)
+    world = world_now(obj)
     if determinant(world[:3, :3]) == 0:
         raise SceneError("'{name}' is scaled to zero: give it a size", name=obj.name)
     return mesh_data.rest_points(obj), world
@@ -129,7 +135,7 @@ def _moved(points: np.ndarray, world: np.ndarray) -> np.ndarray:
     return points @ world[:3, :3].T + world[:3, 3]
 
 
-def _own_groups(source) -> list[str]:
+def _own_groups(source: bpy.types.Object) -> list[str]:
     """Names of the vertex groups that the soft skin uses, without those that tie the mesh to bones."""
     settings = source.dynamorph
     names = [getattr(settings, field) for field in setups.GROUPS] + [target.region for target in settings.targets]

@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 from array import array
+from typing import Any
 
 import bpy
 import numpy as np
 
 from ...scene import animation
-from ...scene.model_store import PACKED
+from ...scene.properties.target_properties import as_computed
 from ...scene.skin import cache_modifier
-from ...scene.target_properties import as_computed
+from ...scene.store.model_store import PACKED
 
 MEASURED = ("bounce_reference", "poisson_reference", "volume")  # stored, though presets do not save them
 CACHE_FIELDS = (
@@ -26,7 +27,7 @@ class Before:
     taken back by `NewBake.take_back`.
     """
 
-    def __init__(self, obj):
+    def __init__(self, obj: bpy.types.Object):
         self._obj = obj
         self._settings = _values(obj.dynamorph)
         self._packed = _copied(obj.get(PACKED))
@@ -37,7 +38,7 @@ class Before:
         self._cache_fields = {name: getattr(modifier, name) for name in CACHE_FIELDS} if modifier else {}
         self._is_driven = bool(modifier) and _is_driven(modifier)
 
-    def restore(self):
+    def restore(self) -> None:
         """Put it back."""
         obj = self._obj
         for name in set(obj.modifiers.keys()) - set(self._modifiers):
@@ -58,7 +59,7 @@ class Before:
             obj.pop(PACKED, None)
 
 
-def _values(group) -> dict:
+def _values(group: bpy.types.PropertyGroup) -> dict:
     """What is stored in a property group, with the groups and lists within it, by name."""
     values: dict = {}
     for name, prop in group.bl_rna.properties.items():
@@ -74,7 +75,7 @@ def _values(group) -> dict:
     return values
 
 
-def _put(group, values: dict):
+def _put(group: bpy.types.bpy_struct, values: dict) -> None:
     """The inverse of `_values`; writes only what differs."""
     for name, before in values.items():
         value = getattr(group, name)
@@ -86,7 +87,7 @@ def _put(group, values: dict):
             setattr(group, name, before)
 
 
-def _put_list(items, before: list[dict]):
+def _put_list(items: bpy.types.bpy_prop_collection, before: list[dict]) -> None:
     while len(items) > len(before):
         items.remove(len(items) - 1)
     while len(items) < len(before):
@@ -95,13 +96,13 @@ def _put_list(items, before: list[dict]):
         _put(item, values)
 
 
-def _copied(packed):
+def _copied(packed: Any) -> Any:
     """A custom property's value, which may be damaged and then be anything, that stays when the property goes."""
     if hasattr(packed, "typecode"):
         return array(packed.typecode, np.asarray(packed).tobytes())
     return packed.to_dict() if hasattr(packed, "to_dict") else packed
 
 
-def _is_driven(modifier) -> bool:
+def _is_driven(modifier: bpy.types.Modifier) -> bool:
     data = modifier.id_data.animation_data
     return bool(data and data.drivers.find(modifier.path_from_id("factor")))

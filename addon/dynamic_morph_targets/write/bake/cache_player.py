@@ -15,7 +15,7 @@ from ...scene.skin import cache_modifier
 from .baked_action import MOTION
 
 
-def play_cache(obj, file: Path, bake: Bake, skin):
+def play_cache(obj: bpy.types.Object, file: Path, bake: Bake, skin: bpy.types.Object | None) -> None:
     """Let the modifier play the motion in a file; what follows a soft skin takes the influence from there."""
     modifier = cache_modifier(obj)
     if modifier is None:

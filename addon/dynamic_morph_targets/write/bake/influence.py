@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from typing import Any
 
+import bpy
 import numpy as np
 
 from ...scene import animation
@@ -18,7 +20,7 @@ TIMING = (
 )  # fmt: skip
 
 
-def influence(obj) -> tuple:
+def influence(obj: bpy.types.Object) -> tuple | None:
     """What controls how much of the bake's motion shows: an NLA strip or a modifier, and the name of its property; None
     without.
     """
@@ -28,13 +30,13 @@ def influence(obj) -> tuple:
     return strip and (strip, "influence")
 
 
-def influence_strip(obj):
+def influence_strip(obj: bpy.types.Object) -> bpy.types.NlaStrip | None:
     """The NLA strip that plays the bake's motion, or None."""
     keys = obj.data.shape_keys
     return keys and strip_of(keys, BakedAction.of(obj))
 
 
-def show_influence(obj):
+def show_influence(obj: bpy.types.Object) -> None:
     """Make Blender evaluate again, which it does not do by itself when an influence is set."""
     strip = influence_strip(obj)
     if strip:
@@ -42,7 +44,7 @@ def show_influence(obj):
         share_strip(obj)
 
 
-def share_strip(obj):
+def share_strip(obj: bpy.types.Object) -> None:
     """Let the strip of the targets' shapes, and the strips of what follows a soft skin, play when that of its motion
     does; what follows with the same influence, set or animated. Strips that were cut or doubled stay as they are.
     """
@@ -57,12 +59,12 @@ def share_strip(obj):
             moving[0].mute = moving[0].mute
 
 
-def strip_of(keys, baked: BakedAction):
+def strip_of(keys: bpy.types.Key | None, baked: BakedAction) -> bpy.types.NlaStrip | None:
     """The first strip that plays the motion of a bake, or None."""
     return next(iter(_strips(keys, baked, MOTION)), None)
 
 
-def _strips(keys, baked: BakedAction, title: str) -> list:
+def _strips(keys: bpy.types.Key | None, baked: BakedAction, title: str) -> list:
     """The strips that play a slot of a bake."""
     slot = baked.slot(title)
     if slot is None or keys is None or keys.animation_data is None:
@@ -71,14 +73,14 @@ def _strips(keys, baked: BakedAction, title: str) -> list:
     return [strip for strip in strips if strip.action_slot == slot]
 
 
-def _keep_timing(old, new):
+def _keep_timing(old: bpy.types.NlaStrip, new: bpy.types.NlaStrip) -> None:
     """Make a strip play when another does."""
     if any(getattr(old, name) != getattr(new, name) for name in TIMING):
         for name in TIMING:
             setattr(new, name, getattr(old, name))
 
 
-def _influence(strip) -> tuple:
+def _influence(strip: bpy.types.NlaStrip) -> tuple:
     """The influence of a strip, set or animated, for comparison."""
     curve = strip.fcurves.find("influence")
     points = np.empty(2 * len(curve.keyframe_points) if curve else 0, np.float32)
@@ -87,7 +89,7 @@ def _influence(strip) -> tuple:
     return strip.influence, points.tobytes()
 
 
-def keep_influence(old, new):
+def keep_influence(old: Any, new: bpy.types.NlaStrip | None) -> None:
     """Set the influence of a strip as the artist has set or animated that of another; both may be None."""
     curve = old and old.fcurves.find("influence")
     if not (curve and new):
@@ -96,7 +98,9 @@ def keep_influence(old, new):
     _copy_points(curve, new.fcurves.find("influence"))
 
 
-def carry_influence(obj, old, new) -> bool:
+def carry_influence(
+    obj: bpy.types.Object, old: bpy.types.NlaStrip | bpy.types.Modifier, new: bpy.types.NlaStrip | bpy.types.Modifier
+) -> bool:
     """The same for a bake that takes another form: one of the two is the modifier of a point cache, on `obj`. Returns
     whether all of it could be written.
     """
@@ -117,18 +121,18 @@ def carry_influence(obj, old, new) -> bool:
     return True
 
 
-def _remove_curve(obj, owner):
+def _remove_curve(obj: bpy.types.Object, owner: bpy.types.NlaStrip | bpy.types.Modifier) -> None:
     """For a modifier alone: that of a strip goes with it."""
     curve = None if hasattr(owner, "influence") else _curve_of(obj, owner)
     if curve and obj.animation_data.action.is_editable:
         animation.remove_curve(obj.animation_data.action, obj.animation_data.action_slot, curve)
 
 
-def _property(owner) -> str:
+def _property(owner: bpy.types.NlaStrip | bpy.types.Modifier) -> str:
     return "influence" if hasattr(owner, "influence") else "factor"
 
 
-def _curve_of(obj, owner):
+def _curve_of(obj: bpy.types.Object, owner: bpy.types.NlaStrip | bpy.types.Modifier) -> Any:
     """The curve of the influence of a strip or of a modifier of `obj`, or None."""
     if hasattr(owner, "influence"):
         return owner.fcurves.find("influence")
@@ -137,13 +141,13 @@ def _curve_of(obj, owner):
     return next((curve for curve in found if curve.data_path == path), None)
 
 
-def _is_in_strips(obj, owner) -> bool:
+def _is_in_strips(obj: bpy.types.Object, owner: bpy.types.NlaStrip | bpy.types.Modifier) -> bool:
     """Whether strips of the NLA animate the influence of a modifier of `obj`."""
     data = None if hasattr(owner, "influence") else obj.animation_data
     return bool(data) and owner.path_from_id("factor") in {curve.data_path for curve in animation.played(data)}
 
 
-def _copy_points(curve, copy):
+def _copy_points(curve: bpy.types.FCurve, copy: bpy.types.FCurve) -> None:
     copy.keyframe_points.clear()
     copy.extrapolation = curve.extrapolation
     copy.keyframe_points.add(len(curve.keyframe_points))

@@ -3,10 +3,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
+import bpy
+
 from ...scene import animation, skin
 
 
-def mute_targets(obj, muted, simulated, body=None):
+def mute_targets(
+    obj: bpy.types.Object,
+    muted: bpy.types.bpy_prop_collection,
+    simulated: Collection[str],
+    body: bpy.types.Object | None = None,
+) -> None:
     """Mute the targets' own keys, whose shapes the result contains, and keys with the same names on meshes that follow.
     muted: the list that records them; body: the soft skin that `obj` follows, if it is none itself.
     """
@@ -23,7 +32,7 @@ def mute_targets(obj, muted, simulated, body=None):
         blocks[index].mute = True
 
 
-def unmute_targets(obj, muted):
+def unmute_targets(obj: bpy.types.Object, muted: bpy.types.bpy_prop_collection) -> None:
     """The inverse of `mute_targets`; the references must be reconciled."""
     blocks = obj.data.shape_keys.key_blocks if obj.data.shape_keys else {}
     for key in muted:
@@ -32,7 +41,7 @@ def unmute_targets(obj, muted):
     muted.clear()
 
 
-def leave_to_live(obj):
+def leave_to_live(obj: bpy.types.Object) -> None:
     """The bake goes while Live plays: Live keeps the targets' keys muted that the bake had muted."""
     record, keys = obj.dynamorph, obj.data.shape_keys
     for key in record.bake.muted:
@@ -43,7 +52,7 @@ def leave_to_live(obj):
     record.bake.muted.clear()
 
 
-def show_bake(obj, shown: bool):
+def show_bake(obj: bpy.types.Object, shown: bool) -> None:
     """Let the bake of `obj` play, or let it stay without any effect; nothing happens without a bake."""
     record, modifier = obj.dynamorph.bake, skin.cache_modifier(obj)
     if modifier and shown:
@@ -57,7 +66,7 @@ def show_bake(obj, shown: bool):
             blocks[key.name].mute = not shown
 
 
-def show_target(obj, name: str):
+def show_target(obj: bpy.types.Object, name: str) -> None:
     """Turn on the shape key of one target, "" for none, and turn off the previous one, unless the artist has set it.
 
     It shows the sculpt as long as neither a bake nor Live does, which mute it, and stays as it is where something else

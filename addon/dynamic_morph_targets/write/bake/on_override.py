@@ -20,7 +20,7 @@ from .cache_player import play_cache
 from .removal import remove_modifier
 
 
-def refused_format(obj, skin=None) -> str:
+def refused_format(obj: bpy.types.Object, skin: bpy.types.Object | None = None) -> str:
     """Why the bakes of an override would not be saved, or ''. skin: as of `check`."""
     if (skin or obj).dynamorph.output.format == "PC2":
         return ""
@@ -31,7 +31,7 @@ def refused_format(obj, skin=None) -> str:
     )
 
 
-def check(obj, skin=None):
+def check(obj: bpy.types.Object, skin: bpy.types.Object | None = None) -> None:
     """Refuse, before any work, what the bake of an override cannot be written to. Raises WriteError.
 
     skin: the soft skin that `obj` is to follow, if it is none itself.
@@ -51,7 +51,7 @@ def check(obj, skin=None):
         raise WriteError(text, name=obj.name)
 
 
-def is_baked(obj) -> bool:
+def is_baked(obj: bpy.types.Object) -> bool:
     """Whether an override has a bake of its own."""
     return cache_modifier(obj) is not None and not _plays_library_cache(obj)
 
@@ -63,19 +63,19 @@ class OverrideBake:
 
     size = 0  # bytes of keys and curves
 
-    def __init__(self, obj, bake: Bake, skin, cache: Path | None):
+    def __init__(self, obj: bpy.types.Object, bake: Bake, skin: bpy.types.Object | None, cache: Path | None):
         """Changes nothing yet. Raises WriteError."""
         check(obj, skin)
         assert cache is not None  # the only form
         self._obj, self._bake, self._skin, self._cache = obj, bake, skin, cache
 
-    def add(self):
+    def add(self) -> None:
         """The cache is a file already."""
 
-    def take_back(self):
+    def take_back(self) -> None:
         """There is nothing beside the old bake."""
 
-    def show(self):
+    def show(self) -> None:
         """Let it be the bake of its object."""
         record = self._obj.dynamorph.bake
         self._obj.dynamorph.follows = self._skin
@@ -89,7 +89,7 @@ class OverrideBake:
         return []
 
 
-def free(obj):
+def free(obj: bpy.types.Object) -> None:
     """Remove the bake of an override. What its own file shows plays again."""
     if is_baked(obj):
         remove_modifier(obj, cache_modifier(obj))
@@ -101,12 +101,12 @@ def free(obj):
         obj.dynamorph.follows = None
 
 
-def _plays_library_cache(obj) -> bool:
+def _plays_library_cache(obj: bpy.types.Object) -> bool:
     modifier = cache_modifier(obj)
     return modifier is not None and modifier.is_override_data
 
 
-def _is_noted(obj) -> bool:
+def _is_noted(obj: bpy.types.Object) -> bool:
     """Whether what is noted about a bake will be saved. Blender 5 saves the properties of a group only where the linked
     object has that group, too.
     """

@@ -16,7 +16,7 @@ from ..reconcile import reconcile
 from .baked_action import MOTION, SHAPES, BakedAction
 
 
-def read_back(obj, samples: int = 1) -> Bake:
+def read_back(obj: bpy.types.Object, samples: int = 1) -> Bake:
     """The bake of `obj` as its shape keys and curves now have it, at its frames and `samples` times a frame, local
     space. All keys are modes. Its strips count as they were baked. Raises WriteError.
     """
@@ -34,7 +34,7 @@ def read_back(obj, samples: int = 1) -> Bake:
     first, last = math.ceil(min(ends) - 1e-3), math.floor(max(ends) + 1e-3)
     frames = first + np.arange((last - first) * samples + 1) / samples
 
-    def values(curve) -> np.ndarray:
+    def values(curve: bpy.types.FCurve | None) -> np.ndarray:
         return np.array([curve.evaluate(time) for time in frames * per_frame]) if curve else np.zeros(len(frames))
 
     basis = key_points(keys.reference_key).astype(np.float64)
@@ -50,12 +50,12 @@ def read_back(obj, samples: int = 1) -> Bake:
     )
 
 
-def shape_curves(obj) -> dict:
+def shape_curves(obj: bpy.types.Object) -> dict:
     """The curves of the bake of `obj` that play only the targets' shapes, by path."""
     return _curves_of(obj, SHAPES)
 
 
-def _curves_of(obj, title: str) -> dict:
+def _curves_of(obj: bpy.types.Object, title: str) -> dict:
     """The curves of one slot of the bake of `obj`, by path."""
     baked = BakedAction.of(obj)
     slot = baked.slot(title)
@@ -64,6 +64,6 @@ def _curves_of(obj, title: str) -> dict:
     return {curve.data_path: curve for curve in animation.curves(baked.action, slot)}
 
 
-def baked_names(obj) -> list[str]:
+def baked_names(obj: bpy.types.Object) -> list[str]:
     """Names of the shape keys that the bake added and that are still there; the references must be reconciled."""
     return [key.name for key in obj.dynamorph.bake.keys if key.name]

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Collection, Sequence
 
 import bpy
 
@@ -16,7 +17,9 @@ from .baked_action import BakedAction, players_of
 LONG_NAME = 58  # bytes, of 63 in Blender 4.5
 
 
-def remove_keys(obj, names, baked: BakedAction, active_index: int, new=()) -> list[Message]:
+def remove_keys(
+    obj: bpy.types.Object, names: Sequence[str], baked: BakedAction, active_index: int, new: Sequence[str] = ()
+) -> list[Message]:
     """Remove these shape keys with their strips and their Action, of the artist's Action only their slots; what is the
     artist's in them stays. active_index: of the key that is active afterward, if the active one is among them; new:
     keys of the bake that takes the place. Returns what the artist should know.
@@ -34,12 +37,12 @@ def remove_keys(obj, names, baked: BakedAction, active_index: int, new=()) -> li
     return messages
 
 
-def remove_modifier(obj, modifier):
+def remove_modifier(obj: bpy.types.Object, modifier: bpy.types.Modifier) -> None:
     modifier.driver_remove("factor")
     obj.modifiers.remove(modifier)
 
 
-def clear_unused(keys, had_animation_data: bool):
+def clear_unused(keys: bpy.types.Key, had_animation_data: bool) -> None:
     """Remove the animation data of shape keys that had none, unless something else is in it now."""
     animation = keys.animation_data
     unused = animation and not (animation.action or animation.nla_tracks or animation.drivers)
@@ -47,14 +50,14 @@ def clear_unused(keys, had_animation_data: bool):
         keys.animation_data_clear()
 
 
-def _edited(blocks, names, baked: BakedAction) -> list:
+def _edited(blocks: bpy.types.bpy_prop_collection, names: Collection[str], baked: BakedAction) -> list:
     """The keys that a bake's curves move, and that are not among its keys any more: the artist has sculpted them."""
     moved = _curves(baked.action) if baked.action else ()
     paths = {curve.data_path for bag, curve in moved if is_baked(curve) and baked.holds(bag.slot)}
     return [block for block in blocks if block.name not in names and f"{block.path_from_id()}.value" in paths]
 
 
-def _remove(obj, blocks, baked: BakedAction, new: set[str]):
+def _remove(obj: bpy.types.Object, blocks: Sequence[bpy.types.ShapeKey], baked: BakedAction, new: set[str]) -> None:
     """Remove shape keys, and the Action with its strips and the tracks that become empty; also the copies of the Action
     that Blender makes for duplicated strips. One in which the artist has animated other keys keeps their curves. new:
     paths of the keys of the bake that takes the place.
@@ -103,7 +106,7 @@ def _remove(obj, blocks, baked: BakedAction, new: set[str]):
             bpy.data.actions.remove(each)
 
 
-def _remove_slots(obj, baked: BakedAction):
+def _remove_slots(obj: bpy.types.Object, baked: BakedAction) -> None:
     """Remove the slots of the bake of `obj` in an Action of the artist's, unless a duplicate plays them; and those that
     are left there because one has played them. What is the artist's in them stays.
     """
@@ -124,19 +127,21 @@ def _remove_slots(obj, baked: BakedAction):
             animation.remove_curve(action, slot, curve)
 
 
-def _curves(action) -> list[tuple]:
+def _curves(action: bpy.types.Action) -> list[tuple]:
     """All curves of an Action, each with the list that it is in."""
     bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
     return [(bag, curve) for bag in bags for curve in bag.fcurves]
 
 
-def _others(action, paths: set[str], slot=None) -> list:
+def _others(action: bpy.types.Action, paths: set[str], slot: bpy.types.ActionSlot | None = None) -> list:
     """The curves of an Action, or of one slot of it, that move neither these paths nor baked keys."""
     found = [curve for bag, curve in _curves(action) if slot is None or bag.slot == slot]
     return [curve for curve in found if not (curve.data_path in paths or is_baked(curve))]
 
 
-def _is_copy(copy, slot, action, paths: set[str], new: set[str]) -> bool:
+def _is_copy(
+    copy: bpy.types.Action, slot: bpy.types.ActionSlot | None, action: bpy.types.Action, paths: set[str], new: set[str]
+) -> bool:
     """Whether an Action is a copy that Blender has made and named, with a bake's curves alone, or those alone in this
     slot.
     """

@@ -15,13 +15,16 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from bpy.types import ID, Action, ActionChannelbag, ActionGroup, ActionSlot, AnimData, Object, ShapeKey
 
 from ...core.errors import WriteError
 from ...core.message import Message
 from ...core.motion.baked import Bake
 from ...core.result.slider_keys import Key, scaled_keys
-from ...scene import animation, checks, identity
+from ...scene import animation
 from ...scene.animation import GROUP, played
+from ...scene.check import checks
+from ...scene.read import identity
 from ...scene.references import basis_hash, key_displacement, key_points
 from ...scene.skin import cache_modifier, shown_attachments
 from ..reconcile import reconcile
@@ -37,7 +40,7 @@ from .removal import clear_unused, remove_keys, remove_modifier
 LINEAR = 1  # the value of Keyframe.interpolation for foreach_set
 
 
-def check(obj, skin=None):
+def check(obj: Object, skin: Object | None = None) -> None:
     """Refuse, before any work, data to which a bake cannot be written. Raises WriteError.
 
     skin: the soft skin that `obj` is to follow, if it is none itself. Its Basis is created if there is none; that of a
@@ -74,12 +77,12 @@ def check(obj, skin=None):
         raise WriteError(text, name=obj.name, track=solo, key=driven or keyed)
 
 
-def check_bake(obj, skin=None):
+def check_bake(obj: Object, skin: Object | None = None) -> None:
     """The same, where a library override may get a point cache. Raises WriteError."""
     (on_override.check if obj.override_library else check)(obj, skin)
 
 
-def check_not_tweaked(obj):
+def check_not_tweaked(obj: Object) -> None:
     """Refuse shape keys whose Action Blender lets nobody change. Raises WriteError."""
     keys = obj.data.shape_keys
     if keys and keys.animation_data and keys.animation_data.use_tweak_mode:
@@ -87,27 +90,27 @@ def check_not_tweaked(obj):
         raise WriteError(text, name=obj.name)
 
 
-def check_cache(obj, folder: Path | None):
+def check_cache(obj: Object, folder: Path | None) -> None:
     """Refuse a point cache that has no place: folder is that of the .blend. Raises WriteError."""
     if folder is None:
         text = "The point cache of '{name}' goes into a folder beside the .blend: save the .blend first"
         raise WriteError(text, name=obj.name)
 
 
-def overwritten_keys(obj) -> list[str]:
+def overwritten_keys(obj: Object) -> list[str]:
     """The artist's own shape keys that move, and that a point cache overrides."""
     excluded = {target.name for target in obj.dynamorph.targets[1:]} | animation.baked_keys(obj)
     excluded |= identity.shifts(obj).keys()  # the cache has them
     return [name for name in animation.moving_keys(obj) if name not in excluded]
 
 
-def check_not_edited(obj):
+def check_not_edited(obj: Object) -> None:
     """Refuse Edit Mode, in which Blender removes no shape keys. Raises WriteError."""
     if obj.mode == "EDIT":
         raise WriteError("'{name}' is in Edit Mode: leave it first", name=obj.name)
 
 
-def check_local(*blocks):
+def check_local(*blocks: ID) -> None:
     """Refuse data-blocks whose changes would not be saved. Raises WriteError."""
     for block in blocks:
         if block.library or block.override_library:
@@ -121,7 +124,7 @@ def check_local(*blocks):
             )
 
 
-def write_keys(obj, bake: Bake, skin=None, cache: Path | None = None) -> int:
+def write_keys(obj: Object, bake: Bake, skin: Object | None = None, cache: Path | None = None) -> int:
     """Write the bake as shape keys and F-curves, replacing the previous bake of `obj`. Raises WriteError.
 
     The old bake goes only when the new one plays; its Influence stays. skin: the soft skin that `obj` follows,
@@ -139,7 +142,9 @@ def write_keys(obj, bake: Bake, skin=None, cache: Path | None = None) -> int:
     return new.size
 
 
-def new_bake(obj, bake: Bake, skin=None, cache: Path | None = None):
+def new_bake(
+    obj: Object, bake: Bake, skin: Object | None = None, cache: Path | None = None
+) -> NewBake | on_override.OverrideBake:
     """A bake of `obj`, which may be a library override; the arguments are those of `write_keys`. Raises WriteError."""
     return (on_override.OverrideBake if obj.override_library else NewBake)(obj, bake, skin, cache)
 
@@ -151,7 +156,7 @@ class NewBake:
     Until then `take_back` and `Before.restore` undo everything.
     """
 
-    def __init__(self, obj, bake: Bake, skin=None, cache: Path | None = None):
+    def __init__(self, obj: Object, bake: Bake, skin: Object | None = None, cache: Path | None = None):
         """Changes nothing yet. Raises WriteError."""
         check(obj, skin)
         reconcile(obj)
@@ -177,7 +182,7 @@ class NewBake:
         """Bytes of keys and curves."""
         return sum(key.bytes() for key in self._keys)
 
-    def add(self):
+    def add(self) -> None:
         """Write its keys and curves beside those of the old one."""
         obj = self._obj
         follow(obj, self._skin)
@@ -188,7 +193,7 @@ class NewBake:
         _add_curves(obj.data.shape_keys, self._action, self._names, self._bake.frames, self._keys)
         obj.active_shape_key_index = self._active_index
 
-    def take_back(self):
+    def take_back(self) -> None:
         """Remove what `add` has written, however far it came."""
         obj, keys = self._obj, self._obj.data.shape_keys
         if keys is None:
@@ -204,7 +209,7 @@ class NewBake:
         if self._followed is None:
             leave(obj)
 
-    def show(self):
+    def show(self) -> None:
         """Let it be the bake of its object. The old one stays, muted, and nothing refers to it any more."""
         obj, record, modifier = self._obj, self._obj.dynamorph.bake, cache_modifier(self._obj)
         keep_influence(strip_of(obj.data.shape_keys, self._old_action), strip_of(obj.data.shape_keys, self._action))
@@ -219,7 +224,7 @@ class NewBake:
             play_cache(obj, self._cache, self._bake, self._skin)
         mute_targets(obj, record.muted, self._bake.target_names, self._skin)
 
-    def _record(self):
+    def _record(self) -> None:
         record, blocks = self._obj.dynamorph.bake, self._obj.data.shape_keys.key_blocks
         record.keys.clear()
         for name in self._names:
@@ -283,13 +288,13 @@ class NewBake:
         return messages
 
 
-def ensure_basis(obj):
+def ensure_basis(obj: Object) -> None:
     """Create the shape key that the others are relative to, unless it exists."""
     if obj.data.shape_keys is None:
         obj.shape_key_add(name="Basis", from_mix=False)
 
 
-def follow(obj, skin):
+def follow(obj: Object, skin: Object | None) -> None:
     """Record that `obj` will show the motion of the soft skin `skin`, in shape keys; None: its own."""
     settings = obj.dynamorph
     if settings.follows != skin:
@@ -298,7 +303,7 @@ def follow(obj, skin):
     ensure_basis(obj)
 
 
-def leave(obj):
+def leave(obj: Object) -> None:
     """The inverse of `follow`, after the keys are removed."""
     settings, keys = obj.dynamorph, obj.data.shape_keys
     if settings.follows is None:
@@ -309,7 +314,7 @@ def leave(obj):
         obj.shape_key_clear()
 
 
-def free(obj) -> list[Message]:
+def free(obj: Object) -> list[Message]:
     """Remove the bake of `obj` and of what follows it, if any, and restore what it changed: keys, order, active key,
     mute, animation data. Returns what the artist should know. Raises WriteError.
     """
@@ -327,7 +332,7 @@ def free(obj) -> list[Message]:
     return messages
 
 
-def check_free(obj):
+def check_free(obj: Object) -> None:
     """Refuse, before any work, data that a bake cannot be removed from. Raises WriteError."""
     if obj.override_library:
         check_not_edited(obj)
@@ -335,7 +340,7 @@ def check_free(obj):
         check(obj)
 
 
-def _free(obj, names) -> list[Message]:
+def _free(obj: Object, names: list[str]) -> list[Message]:
     record, keys, messages = obj.dynamorph.bake, obj.data.shape_keys, []
     if record.exists and keys:
         messages = remove_keys(obj, names, BakedAction.of(obj), record.active_index)
@@ -354,7 +359,7 @@ def _free(obj, names) -> list[Message]:
     return messages
 
 
-def _add_key(obj, key: Key):
+def _add_key(obj: Object, key: Key) -> ShapeKey:
     block = obj.shape_key_add(name=key.name, from_mix=False)
     block.value = 0.0  # 5.2 creates keys at 1
     block.relative_key = obj.data.shape_keys.reference_key
@@ -363,7 +368,9 @@ def _add_key(obj, key: Key):
     return block
 
 
-def _add_curves(keys, action: BakedAction, names, frames, values: list[Key]):
+def _add_curves(
+    keys: bpy.types.Key, action: BakedAction, names: list[str], frames: np.ndarray, values: list[Key]
+) -> None:
     """The curves in new slots, on NLA tracks above the artist's: without the motion, and with it."""
     render = bpy.context.scene.render
     times = frames * (render.frame_map_old / render.frame_map_new)  # frame 10 of a remapped scene may be time 5
@@ -379,7 +386,9 @@ def _add_curves(keys, action: BakedAction, names, frames, values: list[Key]):
         _add_track(animation, title, action.action, slot, times)
 
 
-def add_curve(channels, name: str, times, values, group=None):
+def add_curve(
+    channels: ActionChannelbag, name: str, times: np.ndarray, values: np.ndarray, group: ActionGroup | None = None
+) -> None:
     """A curve of the value of the key `name`, linear between the times; runs of equal values keep only their ends.
     group: of the curve, if any.
     """
@@ -395,7 +404,7 @@ def add_curve(channels, name: str, times, values, group=None):
     curve.update()
 
 
-def _add_track(animation, title: str, action, slot, times):
+def _add_track(animation: AnimData, title: str, action: Action, slot: ActionSlot, times: np.ndarray) -> None:
     track = animation.nla_tracks.new()
     track.name = title
     strip = track.strips.new(title, int(times[0]), action)

@@ -9,12 +9,14 @@ which Blender keeps in undo steps and leaves out of files.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import bpy
 import numpy as np
 
 from ...core.errors import SceneError
 from ...scene import animation, skin
-from ...scene.model_store import PACKED
+from ...scene.store.model_store import PACKED
 from ..bake import writer
 from ..bake.baked_action import MOTION, SHAPES
 from . import comparison
@@ -22,12 +24,12 @@ from . import comparison
 GAP = 1.15  # widths of the body from its middle to that of the copy
 
 
-def find(body) -> bpy.types.Object | None:
+def find(body: bpy.types.Object) -> bpy.types.Object | None:
     """The empty that shows a copy beside the soft skin `body`, or None. Fast enough for drawing."""
     return next((each for each in _empties() if each.dynamorph.live.beside == body), None)
 
 
-def add(body, right: np.ndarray):
+def add(body: bpy.types.Object, right: np.ndarray) -> None:
     """Show a copy of `body` with plain skinning, a bit more than its width away. right (3,): the direction, of length
     1, world space. Raises SceneError, WriteError.
     """
@@ -46,7 +48,7 @@ def add(body, right: np.ndarray):
     bpy.context.scene.collection.objects.link(empty)
 
 
-def keep_bake(body):
+def keep_bake(body: bpy.types.Object) -> None:
     """Before the bake of `body` is replaced or deleted: the copy shows it, if it was made with the other slot."""
     empty, record = find(body), body.dynamorph.bake
     if empty and record.exists and record.slot != body.dynamorph.live.slot:
@@ -54,7 +56,7 @@ def keep_bake(body):
         empty.dynamorph.live.beside_slot = record.slot
 
 
-def remove(empty):
+def remove(empty: bpy.types.Object) -> None:
     """Remove the empty with the copy."""
     collection = empty.instance_collection
     bpy.data.objects.remove(empty)
@@ -62,7 +64,7 @@ def remove(empty):
         _remove_copies(collection)
 
 
-def remove_all():
+def remove_all() -> None:
     """Remove what a file that Blender saved automatically has kept."""
     for empty in _empties():
         remove(empty)
@@ -94,7 +96,7 @@ def _empties() -> list:
     return [each for each in bpy.data.objects if each.type == "EMPTY" and each.dynamorph.live.beside]
 
 
-def _fill(empty, body, plain: bool):
+def _fill(empty: bpy.types.Object, body: bpy.types.Object, plain: bool) -> None:
     """Let the empty show copies of `body` and of what follows it, as they are now, and what its bones carry along.
     Raises WriteError, and then nothing is changed.
     """
@@ -110,7 +112,7 @@ def _fill(empty, body, plain: bool):
         _remove_copies(before)
 
 
-def _copy(obj, plain: bool):
+def _copy(obj: bpy.types.Object, plain: bool) -> bpy.types.Object:
     """A copy of a mesh object that is no soft skin, and follows none: it only plays."""
     copy = obj.copy()
     copy.data = obj.data.copy()
@@ -122,11 +124,11 @@ def _copy(obj, plain: bool):
     return copy
 
 
-def _copies(collection) -> list:
+def _copies(collection: bpy.types.Collection) -> list:
     return [each for each in collection.objects if each.dynamorph.live.beside]
 
 
-def _remove_copies(collection):
+def _remove_copies(collection: bpy.types.Collection) -> None:
     for copy in _copies(collection):
         mesh = copy.data
         actions = set(_played(mesh.shape_keys)) if mesh.shape_keys else ()
@@ -138,14 +140,14 @@ def _remove_copies(collection):
     bpy.data.collections.remove(collection)
 
 
-def _played(keys) -> list[bpy.types.Action]:
+def _played(keys: bpy.types.Key) -> list[bpy.types.Action]:
     """The Actions of bakes that the NLA strips of shape keys play, one for each strip."""
     tracks = keys.animation_data.nla_tracks if keys.animation_data else ()
     slots = [(strip.action, strip.action_slot) for strip in animation.strips(tracks)]
     return [action for action, slot in slots if slot and slot.name_display in (SHAPES, MOTION)]
 
 
-def _width(copies, body, right: np.ndarray) -> float:
+def _width(copies: Iterable[bpy.types.Object], body: bpy.types.Object, right: np.ndarray) -> float:
     """How wide `body` and all that stands with it is along a direction, in the present pose."""
     depsgraph, along = bpy.context.evaluated_depsgraph_get(), []
     standing = {each for each in (body, *skin.shown_attachments(body), *copies) if each.users_scene}

@@ -7,25 +7,27 @@ plain when everything that would show it is muted.
 
 from __future__ import annotations
 
+import bpy
+
 from ...scene import skin
 from .. import reconcile
 from ..bake import muting, writer
 from . import live_key
 
 
-def is_plain(obj) -> bool:
+def is_plain(obj: bpy.types.Object) -> bool:
     """Whether `obj` shows plain skinning in place of its bake or of Live. Fast enough for drawing."""
     modifier = skin.cache_modifier(obj)
     hidden = [block.mute for block in _blocks(obj)] + ([not modifier.show_viewport] if modifier else [])
     return bool(hidden) and all(hidden)
 
 
-def can_show(obj) -> bool:
+def can_show(obj: bpy.types.Object) -> bool:
     """Whether a bake or Live exists that could be muted."""
     return bool(_blocks(obj) or skin.cache_modifier(obj))
 
 
-def show(obj, plain: bool):
+def show(obj: bpy.types.Object, plain: bool) -> None:
     """Show `obj` and what follows it plain, or soft again. Raises WriteError in Edit Mode."""
     shown = (obj, *skin.shown_attachments(obj))
     for each in shown:
@@ -35,7 +37,7 @@ def show(obj, plain: bool):
         _show(each, plain)
 
 
-def _show(obj, plain: bool):
+def _show(obj: bpy.types.Object, plain: bool) -> None:
     settings, live = obj.dynamorph, live_key.find(obj)
     if live:
         live.mute = plain
@@ -47,7 +49,7 @@ def _show(obj, plain: bool):
             blocks[key.name].mute = key.was_muted if plain else True
 
 
-def _blocks(obj) -> list:
+def _blocks(obj: bpy.types.Object) -> list:
     """The shape keys of the bake and of Live."""
     if obj.data.shape_keys is None:
         return []

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 
+import bpy
 import numpy as np
 
 from ...scene.references import key_points
@@ -15,7 +17,7 @@ from ..reconcile import note_others, reconcile
 NAME = "Dynamorph Live"
 
 
-def add(obj, target_names, attachments=()):
+def add(obj: bpy.types.Object, target_names: Collection[str], attachments: Sequence[bpy.types.Object] = ()) -> None:
     """Add the key at value 1, and mute the keys of these targets: it contains their shapes. A bake stays, without any
     effect. Raises WriteError.
 
@@ -31,7 +33,7 @@ def add(obj, target_names, attachments=()):
         muting.show_bake(each, False)
 
 
-def _add(obj, target_names, skin=None):
+def _add(obj: bpy.types.Object, target_names: Collection[str], skin: bpy.types.Object | None = None) -> None:
     reconcile(obj)
     writer.follow(obj, skin)
     blocks = obj.data.shape_keys.key_blocks
@@ -45,7 +47,7 @@ def _add(obj, target_names, skin=None):
     muting.mute_targets(obj, obj.dynamorph.live.muted, target_names, skin)
 
 
-def remove(obj):
+def remove(obj: bpy.types.Object) -> None:
     """Remove the key of `obj` and of what follows it, where there is one, and restore what it muted and the active key.
 
     Raises WriteError.
@@ -61,7 +63,7 @@ def remove(obj):
             muting.show_bake(each, True)
 
 
-def _remove(obj):
+def _remove(obj: bpy.types.Object) -> None:
     reconcile(obj)
     record = obj.dynamorph.live
     block = find(obj)
@@ -77,14 +79,14 @@ def _remove(obj):
         writer.leave(obj)
 
 
-def remove_hidden(obj):
+def remove_hidden(obj: bpy.types.Object) -> None:
     """The same for a hidden key, whose targets something else has muted since: they stay as they are."""
     for each in (obj, *shown_attachments(obj)):
         each.dynamorph.live.muted.clear()
     remove(obj)
 
 
-def hide(obj, hidden: bool):
+def hide(obj: bpy.types.Object, hidden: bool) -> None:
     """Let `obj` and what follows it look as without Live, while the key stays; or as with it again."""
     for each in (obj, *shown_attachments(obj)) if find(obj) else ():
         muting.show_bake(each, hidden)
@@ -98,14 +100,14 @@ def hide(obj, hidden: bool):
                 blocks[key.name].mute = key.was_muted if hidden else True
 
 
-def is_hidden(obj) -> bool:
+def is_hidden(obj: bpy.types.Object) -> bool:
     """Whether there is the key, and it shows nothing."""
     block = find(obj)
     return block is not None and block.mute
 
 
 @contextmanager
-def left_out(obj):
+def left_out(obj: bpy.types.Object) -> Iterator[None]:
     """While it is open, Live is hidden and a bake shows."""
     shown = find(obj) is not None and not is_hidden(obj)
     if shown:
@@ -117,7 +119,7 @@ def left_out(obj):
             hide(obj, False)
 
 
-def find(obj, written: np.ndarray | None = None):
+def find(obj: bpy.types.Object, written: np.ndarray | None = None) -> bpy.types.ShapeKey | None:
     """The key, or None. written (3 V,): the last points written to it, which identify it after a rename."""
     reference, keys = obj.dynamorph.live.key, obj.data.shape_keys
     if not (reference.name and keys):
@@ -132,13 +134,13 @@ def find(obj, written: np.ndarray | None = None):
     return block
 
 
-def write(block, points: np.ndarray):
+def write(block: bpy.types.ShapeKey, points: np.ndarray) -> None:
     """Show points (3 V,) float32, local space, which Blender copies in one piece."""
     block.points.foreach_set("co", points)
     block.id_data.update_tag()
 
 
-def evaluated(block, depsgraph):
+def evaluated(block: bpy.types.ShapeKey, depsgraph: bpy.types.Depsgraph) -> bpy.types.ShapeKey | None:
     """The copy of the key in a depsgraph; None where that has none like it."""
     shown = block.id_data.evaluated_get(depsgraph).key_blocks.get(block.name)
     alike = shown is not None and shown.id_data != block.id_data and len(shown.points) == len(block.points)

@@ -35,7 +35,7 @@ TABLE, TABLE_END = 0x184D2A5E, 0x8F92EAB1  # marks of the list of frames, with w
 FLAGS, COMPRESSED = 48, 2  # where the block of global settings has flags, and the one that Blender saves by
 
 
-def save(path: Path):
+def save(path: Path) -> None:
     """Save a copy, which is the open file itself if that has this path. Like Blender, keep earlier versions as .blend1
     and so on, as many as the preferences say, and compress it if the open file is compressed, or a new file would be.
     Raises OSError.
@@ -65,7 +65,7 @@ def damage(path: Path) -> str:
         return str(error).strip().replace(path.name, "the file")
 
 
-def _write_whole(partial: Path, path: Path):
+def _write_whole(partial: Path, path: Path) -> None:
     """Write what takes the place of `path`. Raises OSError."""
     try:
         _write(partial)
@@ -79,7 +79,7 @@ def _write_whole(partial: Path, path: Path):
         _compress(partial)
 
 
-def _write(path: Path):
+def _write(path: Path) -> None:
     """Raises RuntimeError with what Blender says, and OSError."""
     written = _beside(path)  # what Blender renames in the end; if it cannot, it does not say why
     try:
@@ -117,7 +117,7 @@ def _is_compressed() -> bool:
         return False
 
 
-def _compress(path: Path):
+def _compress(path: Path) -> None:
     """Compress the file in place. Raises OSError."""
     small = _beside(path)
     frames: list[tuple[int, int]] = []  # sizes, compressed and not
@@ -162,7 +162,7 @@ def _blender_keeping_none() -> Iterator[int]:
         preferences.save_version = versions
 
 
-def _link(path: Path, name: Path):
+def _link(path: Path, name: Path) -> None:
     """Give a file a second name, under which it stays when it is replaced. Raises OSError."""
     try:
         os.link(path, name)
@@ -170,7 +170,7 @@ def _link(path: Path, name: Path):
         shutil.copy2(path, name)
 
 
-def _keep_abandoned(path: Path, versions: int):
+def _keep_abandoned(path: Path, versions: int) -> None:
     """`_keep` for what a process that was killed before has left, an hour later: until then it may be at it."""
     ours = re.compile(rf"{re.escape(path.stem)}\.([0-9a-f]{{8}})[0-9a-f]{{8}}\.earlier{re.escape(path.suffix)}")
     with suppress(OSError):
@@ -185,7 +185,7 @@ def _keep_abandoned(path: Path, versions: int):
                     _keep(left, path, versions, len(newer))
 
 
-def _keep(earlier: Path, path: Path, versions: int, newer: int = 0):
+def _keep(earlier: Path, path: Path, versions: int, newer: int = 0) -> None:
     """Make what was at `path` its first earlier version, or one after `newer` of them, and each after it the next one;
     if one of them cannot be replaced, as when another program has it open, a version more. Raises OSError.
     """

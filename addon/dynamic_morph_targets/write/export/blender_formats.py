@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -10,11 +11,14 @@ import bpy
 import numpy as np
 
 from ...io import glb
+from ..actions import Clip
 from ..bake import writer
 from . import process
 
 
-def write_gltf(_obj, collection: str, path: Path, frames, takes):
+def write_gltf(
+    _obj: bpy.types.Object, collection: str, path: Path, frames: tuple[int, int], takes: Sequence[Clip]
+) -> None:
     with _sampled(collection, frames):
         bpy.ops.export_scene.gltf(
             filepath=str(path), collection=collection, export_animation_mode="SCENE", export_force_sampling=True,
@@ -28,7 +32,9 @@ def write_gltf(_obj, collection: str, path: Path, frames, takes):
         path.write_bytes(glb.split_animation(path.read_bytes(), parts, render.fps / render.fps_base))
 
 
-def write_fbx(_obj, collection: str, path: Path, frames, takes):
+def write_fbx(
+    _obj: bpy.types.Object, collection: str, path: Path, frames: tuple[int, int], takes: Sequence[Clip]
+) -> None:
     with _sampled(collection, frames):
         bpy.ops.export_scene.fbx(
             filepath=str(path), collection=collection, add_leaf_bones=False, bake_anim_use_nla_strips=bool(takes),
@@ -36,14 +42,18 @@ def write_fbx(_obj, collection: str, path: Path, frames, takes):
         )  # fmt: skip
 
 
-def write_alembic(_obj, collection: str, path: Path, frames, _takes):
+def write_alembic(
+    _obj: bpy.types.Object, collection: str, path: Path, frames: tuple[int, int], _takes: Sequence[Clip]
+) -> None:
     process.export(
         "alembic", collection, path, frames, start=frames[0], end=frames[1], uvs=True, normals=False,
         as_background_job=False, export_custom_properties=False,  # Blender crashes on bytes such as a model's
     )  # fmt: skip
 
 
-def write_usd(_obj, collection: str, path: Path, frames, _takes):
+def write_usd(
+    _obj: bpy.types.Object, collection: str, path: Path, frames: tuple[int, int], _takes: Sequence[Clip]
+) -> None:
     scene = bpy.context.scene
     scene.frame_start, scene.frame_end = frames  # until `frames_kept`
     process.export(
@@ -53,7 +63,7 @@ def write_usd(_obj, collection: str, path: Path, frames, _takes):
 
 
 @contextmanager
-def _sampled(collection: str, frames):
+def _sampled(collection: str, frames: tuple[int, int]) -> Iterator[None]:
     """Use the frames as the scene's, with `_sampled_keys` of all meshes of the collection."""
     scene = bpy.context.scene
     scene.frame_start, scene.frame_end = frames
@@ -66,7 +76,7 @@ def _sampled(collection: str, frames):
 
 
 @contextmanager
-def _sampled_keys(obj, frames):
+def _sampled_keys(obj: bpy.types.Object, frames: tuple[int, int]) -> Iterator[None]:
     """The values that all keys have, whatever moves them, as plain curves of one Action: exporters look no further."""
     scene, keys = bpy.context.scene, obj.data.shape_keys
     stretch = scene.render.frame_map_old / scene.render.frame_map_new

@@ -8,6 +8,7 @@ The extension is not part of it, as it would show Live again.
 import json
 import sys
 import traceback
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import bpy
@@ -17,7 +18,7 @@ BEGIN = "dynamorph: the export begins"
 UNREADABLE = "the written data cannot be read back"  # as in `io/outputs`
 
 
-def run(job):
+def run(job: dict) -> None:
     import addon_utils  # it is found when bpy is there
 
     addon_utils.disable(job["add_on"])
@@ -27,7 +28,7 @@ def run(job):
     read_back(job["format"], job["options"]["filepath"], job["frames"])
 
 
-def show(job):
+def show(job: dict) -> None:
     """Open the copy as the artist sees it. Texts of the file run only if the artist lets those of all files run."""
     bpy.ops.wm.open_mainfile(filepath=job["blend"], load_ui=False, use_scripts=job["runs_texts"])
     if job["runs_drivers"] and not job["runs_texts"]:
@@ -38,7 +39,7 @@ def show(job):
     window.scene, window.view_layer = scene, scene.view_layers[job["view_layer"]]
 
 
-def drivers():
+def drivers() -> Iterator[bpy.types.Driver]:
     """Those of the whole file."""
     for block in bpy.data.user_map():
         animation = getattr(block, "animation_data", None)
@@ -46,7 +47,7 @@ def drivers():
             yield curve.driver
 
 
-def read_back(format, path, frames):
+def read_back(format: str, path: str, frames: Sequence[int]) -> None:
     """Raises RuntimeError when the file cannot be opened, shows no mesh, or one without a place."""
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
     try:
@@ -64,13 +65,13 @@ def read_back(format, path, frames):
             raise RuntimeError("a mesh has positions that are not numbers")
 
 
-def positions(mesh):
+def positions(mesh: bpy.types.Mesh) -> np.ndarray:
     found = np.empty((len(mesh.vertices), 3), np.float32)
     mesh.vertices.foreach_get("co", found.ravel())
     return found
 
 
-def main():
+def main() -> int:
     try:
         run(json.loads(Path(sys.argv[-1]).read_text(encoding="utf-8")))
     except Exception:

@@ -8,7 +8,7 @@ elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,10 +17,13 @@ import bpy
 
 from ...core.errors import ExportError
 from ...io import outputs, whole
-from ...scene import animation, checks, model_store, skin, staleness
+from ...scene import animation, skin
+from ...scene.check import checks
+from ...scene.check.problem import refuse
 from ...scene.references import key_points, rig_of
 from ...scene.skin import shown_attachments
 from ...scene.skinning import meshes_on
+from ...scene.store import model_store, staleness
 from .. import actions
 from ..bake import writer
 from ..reconcile import reconcile
@@ -54,7 +57,7 @@ class Format:
         return not self.option or getattr(bpy.app.build_options, self.option)
 
 
-def check_place(obj, key: str, path: Path, frames: tuple[int, int]):
+def check_place(obj: bpy.types.Object, key: str, path: Path, frames: tuple[int, int]) -> None:
     """Refuse, before any work, what cannot be written. Raises ExportError, WriteError, SceneError, OSError."""
     chosen = FORMATS[key]
     if not chosen.is_available:
@@ -69,7 +72,7 @@ def check_place(obj, key: str, path: Path, frames: tuple[int, int]):
         )
     writer.check_not_edited(obj)
     if rig_of(obj):
-        checks.refuse(checks.armature_state(rig_of(obj)))
+        refuse(checks.armature_state(rig_of(obj)))
     for mesh in () if chosen.surface else meshes_together(obj):
         writer.check_not_tweaked(mesh)
     shown = (obj, rig_of(obj), *_followers(obj))
@@ -86,7 +89,14 @@ def check_place(obj, key: str, path: Path, frames: tuple[int, int]):
         outputs.try_folder(Path(bpy.app.tempdir))
 
 
-def write_file(obj, key: str, path: Path, frames: tuple[int, int], takes=(), without=()):
+def write_file(
+    obj: bpy.types.Object,
+    key: str,
+    path: Path,
+    frames: tuple[int, int],
+    takes: Sequence[actions.Clip] = (),
+    without: Collection[bpy.types.Object] = (),
+) -> None:
     """Write the character of `obj` as it shows; takes: the clips that are laid out, if each becomes an animation;
     without: meshes that others replace. The earlier file stands until the new one is complete. Raises ExportError,
     OSError, MemoryError.
@@ -123,7 +133,9 @@ def _last_line(text: str) -> str:
     return lines[-1].removeprefix("Error: ") if lines else ""
 
 
-def _size(obj, chosen: Format, frames: tuple[int, int], without=()) -> int:
+def _size(
+    obj: bpy.types.Object, chosen: Format, frames: tuple[int, int], without: Collection[bpy.types.Object] = ()
+) -> int:
     """About how many bytes the file has at least: those of positions, single precision, and of the keys' values; or
     those of the model.
     """
@@ -145,13 +157,13 @@ def _size(obj, chosen: Format, frames: tuple[int, int], without=()) -> int:
     return size
 
 
-def check_settings(obj, key: str):
+def check_settings(obj: bpy.types.Object, key: str) -> None:
     """Refuse, before any work, settings that the format cannot have. Raises ExportError."""
     if check := FORMATS[key].check:
         check(obj)
 
 
-def check_bake(obj, key: str):
+def check_bake(obj: bpy.types.Object, key: str) -> None:
     """Refuse a missing bake, or one in a form that the format cannot write; where it needs none, a model that is out of
     date. Raises ExportError, SceneError.
     """
@@ -207,29 +219,29 @@ def named(path: Path, key: str) -> Path:
 # Around the exporters ----------------------------------------------------------------------------------------------
 
 
-def meshes_together(obj) -> list:
+def meshes_together(obj: bpy.types.Object) -> list:
     """The meshes of the character that Blender shows: its own, those that its bake moves, and all others that its
     armature skins or carries.
     """
     return [mesh for mesh in _meshes_of(obj) if mesh.visible_get()]
 
 
-def left_out(obj) -> list:
+def left_out(obj: bpy.types.Object) -> list:
     """The armature and the meshes of the character that are hidden."""
     return [each for each in (rig_of(obj), *_meshes_of(obj)) if each and not each.visible_get()]
 
 
-def _meshes_of(obj) -> list:
+def _meshes_of(obj: bpy.types.Object) -> list:
     rig = rig_of(obj)
     return list(dict.fromkeys((obj, *_followers(obj), *(meshes_on(rig) if rig else ()))))
 
 
-def _followers(obj) -> list:
+def _followers(obj: bpy.types.Object) -> list:
     """Those that are in some scene: an attachment keeps the data of one that was deleted."""
     return [mesh for mesh in shown_attachments(obj) if mesh.users_scene]
 
 
-def _together(obj, without=()) -> list:
+def _together(obj: bpy.types.Object, without: Collection[bpy.types.Object] = ()) -> list:
     """The character: its meshes, its armature, and their parents; without: meshes that others replace."""
     meshes = [mesh for mesh in meshes_together(obj) if mesh not in without]
     found, rig = dict.fromkeys((obj, *filter(None, [rig_of(obj)]), *meshes)), rig_of(obj)
@@ -241,7 +253,7 @@ def _together(obj, without=()) -> list:
     return list(found)
 
 
-def _parents(obj) -> list:
+def _parents(obj: bpy.types.Object) -> list:
     found = []
     while obj.parent:
         obj = obj.parent
@@ -250,7 +262,7 @@ def _parents(obj) -> list:
 
 
 @contextmanager
-def frames_kept():
+def frames_kept() -> Iterator[None]:
     """Restore the scene's frame and range afterward."""
     scene = bpy.context.scene
     frame, ends = (scene.frame_current, scene.frame_subframe), (scene.frame_start, scene.frame_end)
@@ -262,7 +274,7 @@ def frames_kept():
 
 
 @contextmanager
-def _morphs_named_apart(obj, without=()):
+def _morphs_named_apart(obj: bpy.types.Object, without: Collection[bpy.types.Object] = ()) -> Iterator[None]:
     """Let the bake's keys of another soft skin of the character have its name before theirs: engines that merge the
     meshes of one armature play morph targets of one name alike.
     """
@@ -288,7 +300,7 @@ def _morphs_named_apart(obj, without=()):
 
 
 @contextmanager
-def _collected(obj, without=()):
+def _collected(obj: bpy.types.Object, without: Collection[bpy.types.Object] = ()) -> Iterator[str]:
     """The name of a collection with the character alone, for the exporters; it is in no scene.
 
     `obj` is the active object meanwhile, because the glTF exporter makes the active one leave its mode.
@@ -306,7 +318,7 @@ def _collected(obj, without=()):
 
 
 @contextmanager
-def stand_ins(meshes):
+def stand_ins(meshes: Sequence[bpy.types.Object]) -> Iterator[list[bpy.types.Object]]:
     """Copies of mesh objects, by name, that can be changed and written: the originals stay as they are."""
     layer, actions_before = bpy.context.view_layer, set(bpy.data.actions)
     names = [(block, block.name) for mesh in meshes for block in (mesh, mesh.data)]

@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
+import bpy
+
 from ...core.message import Message, listed
-from ...scene import animation, colliders, identity
+from ...scene import animation
+from ...scene.motion import colliders
+from ...scene.read import identity
 from ...scene.references import armature_modifiers, rig_of
 from ...scene.skin import attached_meshes, shown_attachments, unit_scale
 from ...scene.skinning import Skinning, deforming_bones
@@ -20,7 +24,7 @@ INHERITED = {"FULL", "FIX_SHEAR"}  # Inherit Scale of bones as files have it
 MOST_BONES = 4  # per vertex that glTF writes
 
 
-def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
+def losses(obj: bpy.types.Object, key: str, takes: str = "SCENE") -> Iterator[str]:
     """What the format will not show as Blender does, as sentences; takes: as for `export`. Reads the scene only."""
     if not FORMATS[key].needs_bake:
         yield from _soft_skin_losses(obj)
@@ -51,13 +55,13 @@ def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
         yield Message("'{name}' is hidden, so Blender does not export it: unhide it", name=hidden.name)
 
 
-def _planned_keys(obj) -> int:
+def _planned_keys(obj: bpy.types.Object) -> int:
     """The largest number of keys that the clips of all Actions take together."""
     settings = obj.dynamorph
     return settings.output.keys or len(settings.modes) + max(len(settings.targets) - 1, 0)
 
 
-def _soft_skin_losses(obj) -> Iterator[str]:
+def _soft_skin_losses(obj: bpy.types.Object) -> Iterator[str]:
     settings, inside = obj.dynamorph, {obj, *attached_meshes(obj)}
     names = ", ".join(f"'{each.name}'" for each in meshes_together(obj) if each not in inside)
     if names:
@@ -73,7 +77,7 @@ def _soft_skin_losses(obj) -> Iterator[str]:
         yield Message("A soft skin file has no Amount: all motion of '{name}' shows in full", name=obj.name)
 
 
-def _skinning_losses(obj, key: str) -> Iterator[str]:
+def _skinning_losses(obj: bpy.types.Object, key: str) -> Iterator[str]:
     label, skinning = FORMATS[key].label, Skinning.of(obj)
     modifiers = skinning.modifiers
     if not modifiers:
@@ -98,7 +102,7 @@ def _skinning_losses(obj, key: str) -> Iterator[str]:
         )
 
 
-def _modifier_losses(obj, key: str, skinning) -> Iterator[str]:
+def _modifier_losses(obj: bpy.types.Object, key: str, skinning: Sequence[bpy.types.Modifier]) -> Iterator[str]:
     """skinning: those of the modifiers that the format has as bones."""
     for modifier in obj.modifiers:
         if modifier in skinning or modifier.type == "COLLISION" or not (modifier.show_viewport or modifier.show_render):
@@ -124,7 +128,7 @@ def _modifier_losses(obj, key: str, skinning) -> Iterator[str]:
         )
 
 
-def _render_losses(obj, key: str) -> Iterator[str]:
+def _render_losses(obj: bpy.types.Object, key: str) -> Iterator[str]:
     """Surfaces are written as renders show them, but for the last subdivision."""
     label = FORMATS[key].label
     if obj.hide_render:
@@ -149,7 +153,7 @@ def _render_losses(obj, key: str) -> Iterator[str]:
             )
 
 
-def _scale_losses(rig, key: str) -> Iterator[str]:
+def _scale_losses(rig: bpy.types.Object, key: str) -> Iterator[str]:
     """Files have each bone's transform within its parent's, so that it inherits all of that one's scale."""
     scaled = _scaled_bones(rig)
     alone = [
@@ -168,7 +172,7 @@ def _scale_losses(rig, key: str) -> Iterator[str]:
         )
 
 
-def _scaled_bones(rig) -> set[str]:
+def _scaled_bones(rig: bpy.types.Object) -> set[str]:
     """The bones of an armature object that have a scale now, or that curves or drivers scale."""
     data = rig.animation_data
     curves = [*animation.played(data), *data.drivers] if data else []
@@ -190,7 +194,7 @@ def _unit_losses(key: str) -> Iterator[str]:
         )
 
 
-def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
+def _key_losses(obj: bpy.types.Object, key: str, planned: int | None) -> Iterator[str]:
     """planned: the number of keys that will replace those of the bake, if any."""
     moving, baked = animation.moving_keys(obj), animation.baked_keys(obj)
     others = [name for name in moving if name not in baked]
@@ -226,7 +230,7 @@ def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
         )
 
 
-def _crowded_vertices(obj) -> int:
+def _crowded_vertices(obj: bpy.types.Object) -> int:
     bones = {bone.name for bone in deforming_bones(obj, rig_of(obj))}
     groups = {group.index for group in obj.vertex_groups if group.name in bones}
     return sum(
@@ -235,7 +239,7 @@ def _crowded_vertices(obj) -> int:
     )
 
 
-def _unsaved_images(obj) -> list[str]:
+def _unsaved_images(obj: bpy.types.Object) -> list[str]:
     slots = [slot for mesh in meshes_together(obj) for slot in mesh.material_slots]
     trees = [slot.material.node_tree for slot in slots if slot.material and slot.material.node_tree]
     images = [getattr(node, "image", None) for tree in trees for node in tree.nodes]

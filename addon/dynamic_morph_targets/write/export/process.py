@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import bpy
 
@@ -28,7 +29,7 @@ EXPRESSION = "float('Dynamorph asks whether Python may run'.isprintable())"
 ADD_ON = __package__.rsplit(".", 2)[0]
 
 
-def export(format: str, collection: str, path: Path, frames: tuple[int, int], **options):
+def export(format: str, collection: str, path: Path, frames: tuple[int, int], **options: Any) -> None:
     """Write a collection of the scene to `path`, and read it back at the first and last frame; format: alembic or usd;
     options: of its exporter. Raises RuntimeError with what was said when that failed, OSError when the scene cannot be
     copied, MemoryError.
@@ -99,7 +100,7 @@ def _has_python() -> bool:
     )
 
 
-def _copy(collection, blend: Path):
+def _copy(collection: bpy.types.Collection, blend: Path) -> None:
     """Write the scene with what it needs as a .blend, without calling a handler. Raises OSError."""
     for obj in collection.objects:
         obj.update_from_editmode()
