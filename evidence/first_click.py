@@ -31,6 +31,7 @@ import table  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.core import engine  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.live import live  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.run.work import task  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.work.child import Child  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.tools.first_look import FirstLook  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job  # noqa: E402
@@ -45,7 +46,7 @@ FRAMES = 250  # of the bake
 
 def _steps(work: FirstLook) -> Iterator[None]:
     """Of the work as in a window, which looks now and then."""
-    batch.worker_for = Child
+    task.worker_for = Child
     for _ in work.steps():
         yield
         time.sleep(0.005)

@@ -33,6 +33,7 @@ from dynamic_morph_targets.run.bake import batch
 from dynamic_morph_targets.run.bake.job import Job
 from dynamic_morph_targets.run.live import live
 from dynamic_morph_targets.run.tools.first_look import FirstLook
+from dynamic_morph_targets.run.work import task
 from dynamic_morph_targets.run.work.child import Child
 from mathutils import Vector
 from measured import measured_at
@@ -167,7 +168,7 @@ def measure(vertices: int, setting: str) -> int:
         bpy.ops.dynamorph.add_soft_skin()
         SETTINGS[setting](body)
         work = FirstLook(body)
-        batch.worker_for = Child  # as in a window
+        task.worker_for = Child  # as in a window
         steps = paced(work.steps())
         any(work.shows for _ in steps)  # until there is a draft
         if not work.shows:  # Full Quality has none

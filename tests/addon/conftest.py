@@ -14,7 +14,7 @@ import addon_utils  # noqa: E402
 import bpy  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.core.model import build  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.core.motion import simulate  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.run.bake import batch  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.run.work import task  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store  # noqa: E402
 from threaded import Threaded  # noqa: E402
@@ -85,7 +85,7 @@ def stand_in(addon, monkeypatch):
         for name in names:
             monkeypatch.setattr(module, name, partial(_call, engine, name))
     monkeypatch.setattr(model_store, "Model", engine.Model)
-    monkeypatch.setattr(batch, "Child", Threaded)
+    monkeypatch.setattr(task, "Child", Threaded)
     opened.models.clear()
     return engine
 
@@ -93,7 +93,7 @@ def stand_in(addon, monkeypatch):
 @pytest.fixture
 def apart(monkeypatch):
     """Work is computed elsewhere, as in a window, so that a test can do something meanwhile."""
-    monkeypatch.setattr(batch, "worker", lambda *args, **options: batch.Child(*args, **options))
+    monkeypatch.setattr(task, "worker_for", lambda *args, **options: task.Child(*args, **options))
 
 
 def _call(engine, name, *arguments, **options):

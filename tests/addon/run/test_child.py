@@ -20,7 +20,7 @@ from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
 from bl_ext.user_default.dynamic_morph_targets.run import remembered
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
 from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
-from bl_ext.user_default.dynamic_morph_targets.run.work import child
+from bl_ext.user_default.dynamic_morph_targets.run.work import child, task
 from bl_ext.user_default.dynamic_morph_targets.run.work.child import Child, Here
 from bl_ext.user_default.dynamic_morph_targets.run.work.computation import Draft, Errand
 from installed import MODULE
@@ -117,7 +117,7 @@ def baked_by(obj, kind, folder, meanwhile=lambda _work: None):
     """A bake of `obj` that is computed by such a worker."""
     with pytest.MonkeyPatch.context() as patch:
         if kind is Child:
-            patch.setattr(batch, "worker", Child)
+            patch.setattr(task, "worker_for", Child)
         job = Job(obj, "BAKE", rebuild=True, folder=folder)
         work = batch.Batch([job], "BAKE")
         try:

@@ -12,6 +12,7 @@ from bl_ext.user_default.dynamic_morph_targets.run import remembered
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
 from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
 from bl_ext.user_default.dynamic_morph_targets.run.live import live as live_module
+from bl_ext.user_default.dynamic_morph_targets.run.work import task
 from bl_ext.user_default.dynamic_morph_targets.scene.motion import colliders
 from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from builders import activate, evaluated_points, make_arm, rig_of
@@ -178,7 +179,7 @@ def test_a_body_that_touches_nothing_is_refused(arms):
 
 def test_another_process_simulates_both_to_the_last_byte(arms, monkeypatch):
     here = [baked.digest(job.outcome.bake) for job in bake_all(*arms)]
-    monkeypatch.setattr(batch, "worker", batch.Child)
+    monkeypatch.setattr(task, "worker_for", task.Child)
     assert [baked.digest(job.outcome.bake) for job in bake_all(*arms)] == here
 
 

@@ -7,6 +7,7 @@ from bl_ext.user_default.dynamic_morph_targets.core import errors, message
 from bl_ext.user_default.dynamic_morph_targets.run import remembered
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
 from bl_ext.user_default.dynamic_morph_targets.run.tools import weight_curves
+from bl_ext.user_default.dynamic_morph_targets.run.work import task as task_module
 from bl_ext.user_default.dynamic_morph_targets.run.work.task import Task, elsewhere
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import jobs
 from builders import rig_of
@@ -90,7 +91,7 @@ def half(report):
 @pytest.mark.parametrize("place", ["here", "threaded"])
 def test_what_work_reports_and_returns_is_the_task_s(soft_arm, monkeypatch, place):
     if place == "threaded":
-        monkeypatch.setattr(batch, "worker", Threaded)
+        monkeypatch.setattr(task_module, "worker_for", Threaded)
     task = Task(soft_arm, "CHECK_TARGETS", elsewhere(half, "Checking targets", "Arm", reports=True))
     batch.run_all(task)
     assert task.result == "done"

@@ -20,10 +20,11 @@ from ...core.motion.rig_samples import RigSamples
 from ...core.time_left import TimeLeft
 from ...scene import events
 from ..remembered import work
+from ..work import task
 from ..work.child import Child, Here
 from ..work.computation import Computations, Draft, checked
 from ..work.job_data import Outcome
-from ..work.task import UNDONE, W, Work, worker_for
+from ..work.task import UNDONE, W, Work
 from . import together
 from .bake_input import handles
 from .bake_result import write_all
@@ -87,7 +88,7 @@ class Batch:
                 yield from self._turn(reading=True)
         bakes = all(job.input.is_bake for job in self.jobs)
         self._groups = together.groups(self.jobs) if bakes else [[job] for job in self.jobs]
-        self.worker = worker_for(Computations, [job.input for job in self.jobs], heard=self._hear, name=self.name)
+        self.worker = task.worker_for(Computations, [job.input for job in self.jobs], heard=self._hear, name=self.name)
         if self.worker.object:
             for job, computation in zip(self.jobs, self.worker.object.each, strict=True):
                 job.computation = computation

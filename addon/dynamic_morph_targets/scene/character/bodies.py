@@ -27,7 +27,7 @@ from ..read.mesh_data import VertexGroups
 from ..read.nearest import nearest
 from ..read.source import Source
 from ..read.worlds import world_now
-from ..skin import attached_meshes, attachments_of, own_attachments
+from ..skin import attachments_of, own_attachments
 from ..skinning import Skinning, meshes_on
 
 # Body sizes; within the first distance, other meshes take over the whole sculpt of the skin, beyond the second none.
@@ -39,7 +39,7 @@ def joined(source: Source, single: Character) -> Character:
     SceneError.
     """
     obj = source.obj
-    meshes = [source.attachment(Skinning.of(each)) for each in attached_meshes(obj)]
+    meshes = source.meshes
     ends = np.cumsum([len(single.vertices), *(len(mesh.points) for mesh in meshes)]).tolist()
     slices = [slice(begin, end) for begin, end in zip([0, *ends], ends, strict=False)]
     whole = _Whole(source, single, meshes, slices)

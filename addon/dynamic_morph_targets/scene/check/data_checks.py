@@ -13,8 +13,6 @@ from ...core.geometry import turned
 from ..plain import fits, plain, wanted
 from ..read.source import Source
 from ..references import key_points
-from ..skin import attached_meshes
-from ..skinning import Skinning
 from . import checks
 from .checks import active_targets
 from .problem import Problem
@@ -38,9 +36,9 @@ def of_soft_skin(source: Source, without_targets: bool = False) -> Iterator[Prob
     yield from regions(source)
     yield from poses(source)
     yield from cage(obj)
-    for mesh in map(Skinning.of, attached_meshes(obj)):
-        yield from checks.attachment_problems(source.skinning, mesh)
-        yield from checks.skinning_problems(mesh)
+    for mesh in source.meshes:
+        yield from checks.attachment_problems(source.skinning, mesh.skinning)
+        yield from checks.skinning_problems(mesh.skinning)
 
 
 def settings(obj: bpy.types.Object) -> Iterator[Problem]:

@@ -16,6 +16,7 @@ import numpy as np
 from ...core.character import Skeleton
 from ...core.geometry import inverse
 from ..references import rest_skeleton
+from ..skin import attached_meshes
 from ..skinning import Skinning
 from .identity import body_points
 from .mesh_data import VertexGroups, bone_segments, carried, mesh_triangles, modifier_weights, stretch
@@ -129,6 +130,11 @@ class Source:
     def bone_segments(self, bones: Iterable[bpy.types.Bone]) -> np.ndarray:
         """Heads and tails (D, 2, 3) of bones of the rig at rest, bind space."""
         return bone_segments(bones, inverse(self.world) @ self.rig_world, self.to_bind)
+
+    @cached_property
+    def meshes(self) -> list[Source]:
+        """The other meshes in the cage of a soft skin."""
+        return [self.attachment(Skinning.of(each)) for each in attached_meshes(self.obj)]
 
     # An attachment ---------------------------------------------------------------------------------------------------
 
