@@ -20,7 +20,8 @@ def run() -> int:
     try:
         import bpy
     except ImportError as error:
-        print(f"dynamorph: error: Blender's Python module is missing ({error}): pip install bpy", file=sys.stderr)
+        remedy = "pip install 'bpy==4.5.*' (Python 3.11) or 'bpy==5.2.*' (Python 3.13)"
+        print(f"dynamorph: error: Blender's Python module is missing ({error}): {remedy}", file=sys.stderr)
         return 2
     from . import register
     from .cli import main

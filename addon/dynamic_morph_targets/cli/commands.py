@@ -37,6 +37,7 @@ from ..scene.store import model_store
 from ..write.bake import writer
 from ..write.export import blend_file, exports, losses, process
 from . import collision, names, signals
+from .help import without_buttons
 from .parsers import number
 from .record import Done, ProgressPrinter, print_table
 
@@ -47,16 +48,9 @@ NOT_ALIKE = {
     "use_friction",
 }  # fmt: skip
 # All other properties of the panels are options of the same name. Of the model's, those that the engine knows.
-SETTINGS = {
-    "model": tuple(field.name for field in fields(ModelSettings)),
-    **{
-        part: tuple(name for name in group.__annotations__ if name not in NOT_ALIKE)
-        for part, group in (
-            ("simulation", DynamorphSimulation),
-            ("collision", DynamorphCollision),
-            ("output", DynamorphOutput),
-        )
-    },
+PANELS = {"simulation": DynamorphSimulation, "collision": DynamorphCollision, "output": DynamorphOutput}
+SETTINGS = {"model": tuple(field.name for field in fields(ModelSettings))} | {
+    part: tuple(name for name in group.__annotations__ if name not in NOT_ALIKE) for part, group in PANELS.items()
 }
 
 
@@ -159,7 +153,7 @@ def say(done: Done) -> None:
     for file in () if done.skipped else done.job.outcome.model_files:
         print(f"{name}: model written to {file}")
     for warning in done.warnings:
-        print(f"{name}: warning: {warning}", file=sys.stderr, flush=True)
+        print(f"{name}: warning: {without_buttons(warning)}", file=sys.stderr, flush=True)
 
 
 def apply_settings(args: argparse.Namespace, obj: bpy.types.Object) -> None:
@@ -302,7 +296,7 @@ def set_property(obj: bpy.types.Object, change: str) -> None:
         raise InputError(f"--set {change}: a target has no '{field}': there are {', '.join(SETTABLE)}")
     try:
         setattr(target, field, number(target.bl_rna.properties[field])(text))
-    except (ValueError, argparse.ArgumentTypeError) as error:
+    except argparse.ArgumentTypeError as error:
         raise InputError(f"--set {change}: {error}") from error
 
 
@@ -338,7 +332,7 @@ def run_check(args: argparse.Namespace) -> None:
                 problems = [errors.sentence(error)]
         for kind, texts in (("error", problems), ("warning", notes)):
             for text in texts:
-                print(f"{obj.name}: {kind}: {text}")
+                print(f"{obj.name}: {kind}: {without_buttons(text)}")
         if not problems:
             print(f"{obj.name}: can be built")
         in_the_way += len(problems)

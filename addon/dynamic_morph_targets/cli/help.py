@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from typing import NoReturn
 
 import bpy
@@ -20,6 +21,27 @@ EXAMPLES = {
     "delete-bake": "--all --in-place",
     "info": "--all",
 }
+
+
+# What a message tells an artist to do, and what does it here.
+INSTEAD = {
+    "press Build Model": "run dynamorph build",
+    "press Bake": "run dynamorph bake",
+    "press Delete Bake": "run dynamorph delete-bake",
+    "press Add Soft Skin": "press Add Soft Skin in Blender",
+}
+
+
+def without_buttons(text: str) -> str:
+    """A message in the words of the command line."""
+    return re.sub(rf"\b({'|'.join(INSTEAD)})\b", lambda found: INSTEAD[found[1]], text)
+
+
+class Parser(argparse.ArgumentParser):
+    """It says what is wrong in one line, without all options."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: error: {message} ({self.prog} --help lists what there is)\n")
 
 
 class Version(argparse.Action):

@@ -48,7 +48,7 @@ from .commands import (
     run_job,
     run_report,
 )
-from .help import Version, add_parser, epilog
+from .help import Parser, Version, add_parser, epilog, without_buttons
 from .info import run_info
 from .parsers import file_of, name_of, number, path_of
 from .record import record
@@ -64,7 +64,7 @@ def main(argv: Sequence[str], opens_file: bool = False) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         args = parser(opens_file).parse_args(argv)
-    except SystemExit as end:  # argparse has printed why; Blender must not be ended by it
+    except SystemExit as end:  # the parser has printed why; Blender must not be ended by it
         return end.code if isinstance(end.code, int) else BAD_INPUT
     args.command = list(argv)
     with signals.raised(), silenced(args.quiet):
@@ -92,7 +92,7 @@ def _run(args: argparse.Namespace, opens_file: bool) -> int:
     except (OSError, MemoryError) as failure:
         code, error = outcome(failure)
     except engine.expected_errors() as failure:
-        code, error = BAD_INPUT, f"error: {errors.sentence(failure)}"
+        code, error = BAD_INPUT, f"error: {without_buttons(errors.sentence(failure))}"
     except Exception as fault:  # a bug: the report is written nevertheless
         with suppress(OSError):
             traceback.print_exc()
@@ -148,7 +148,7 @@ def outcome(failure: OSError | MemoryError | errors.WriteError) -> tuple[int, st
 
 
 def parser(opens_file: bool) -> argparse.ArgumentParser:
-    root = argparse.ArgumentParser(
+    root = Parser(
         prog="python -m dynamic_morph_targets" if opens_file else "dynamorph",
         description="Dynamic morph targets: soft skin for rigged characters.",
         epilog=epilog("bake", opens_file),

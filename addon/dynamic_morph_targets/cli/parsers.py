@@ -15,7 +15,11 @@ def number(setting: bpy.types.Property) -> Callable[[str], float]:
     """A parser that refuses numbers which Blender would silently clamp to the setting's range."""
 
     def parse(text: str) -> float:
-        value: float = {"INT": int, "FLOAT": float}[setting.type](text)
+        try:
+            value: float = {"INT": int, "FLOAT": float}[setting.type](text)
+        except ValueError as error:
+            kind = "whole number" if setting.type == "INT" else "number"
+            raise argparse.ArgumentTypeError(f"{text!r} is no {kind}, such as {setting.default:g}") from error
         if not setting.hard_min <= value <= setting.hard_max:
             raise argparse.ArgumentTypeError(f"{text} is not between {setting.hard_min:g} and {setting.hard_max:g}")
         return value

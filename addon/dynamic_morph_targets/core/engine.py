@@ -30,6 +30,7 @@ REMEDIES = {
     "Security, and restart",
     r"DLL load failed": "Let the virus scanner allow it. If that does not help, install the Dynamorph extension made "
     "for this processor, and restart",
+    "DYNAMORPH_ISA": "Unset this variable, or name one of these",
     r"map segment|Cannot allocate memory": "Memory is short: close other programs or raise the limit (ulimit -v), "
     "and restart",
 }

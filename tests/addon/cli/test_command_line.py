@@ -3,6 +3,7 @@
 
 import io
 import json
+import math
 import os
 import platform
 import re
@@ -15,7 +16,7 @@ from pathlib import Path
 
 import bpy
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.cli import main
+from bl_ext.user_default.dynamic_morph_targets.cli import help, main
 from bl_ext.user_default.dynamic_morph_targets.core import errors as core_errors
 from bl_ext.user_default.dynamic_morph_targets.core import memory
 from bl_ext.user_default.dynamic_morph_targets.io import disk, paths, report_page
@@ -491,7 +492,7 @@ def test_wedges_set_what_targets_are_made_of(shot, run, stand_in):
         ("nope.stiffness=1e4", "no target named 'nope': it has Neutral, flexed\n"),
         ("Flexd.stiffness=1", "it has Neutral, flexed. Did you mean 'flexed'?"),
         ("flexed.color=1", "a target has no 'color': there are stiffness"),
-        ("flexed.stiffness=soft", "could not convert"),
+        ("flexed.stiffness=soft", "'soft' is no number, such as 20000"),
         ("flexed.stiffness=-4", "-4 is not between 1 and"),
         ("stiffness", "no target named ''"),
     ],
@@ -499,6 +500,32 @@ def test_wedges_set_what_targets_are_made_of(shot, run, stand_in):
 def test_wrong_wedges_are_refused(shot, run, change, words):
     code, _, errors = run("bake", shot, "--object", "Arm", "--set", change, "-o", shot.parent / "baked.blend")
     assert code == 2 and words in errors
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (("--sped", "1"), "unrecognized arguments: --sped 1"),
+        (("--speed", "soft"), "'soft' is no number, such as 1"),
+        (("--modes", "2.5"), "'2.5' is no whole number, such as 120"),
+        (("--modes", "1000"), "1000 is not between 1 and 400"),
+        (("--format", "obj"), "invalid choice: 'obj'"),
+        (("--all",), "not allowed with argument --object"),
+    ],
+)
+def test_a_wrong_option_is_one_line(shot, run, words, said):
+    code, out, errors = run("bake", shot, "--object", "Arm", *words, "-o", shot.parent / "baked.blend")
+    assert code == 2 and said in errors and errors.count("\n") == 1 and not out
+
+
+def test_messages_name_commands_instead_of_buttons(shot, run):
+    swing, times = shot.parent / "swing.csv", [step / 50 for step in range(200)]
+    swing.write_text("\n".join(f"{time},{math.exp(-time) * math.cos(10 * time)},0,0" for time in times))
+    code, _, errors = run("fit", shot, "--object", "Arm", "--target", "flexed", "--oscillation", swing, "--in-place")
+    assert code == 2 and "run dynamorph build first" in errors and "press" not in errors
+    labels = {getattr(bpy.ops.dynamorph, name).get_rna_type().name for name in dir(bpy.ops.dynamorph)}
+    assert {button.removeprefix("press ") for button in help.INSTEAD} <= labels | {"Bake"}  # it has a longer label
+    assert help.without_buttons("press Bake, or press Baked") == "run dynamorph bake, or press Baked"
 
 
 @pytest.mark.fault("B01")

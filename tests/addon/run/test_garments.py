@@ -70,6 +70,7 @@ def dressed(arm):
     arm.dynamorph.attachments["Sleeve"].attached_by = "OWN_CAGE"
     arm_built.give(arm, 10)
     make_soft_skin(sleeve)
+    sleeve.dynamorph.targets[0].stiffness = 1.4e4  # or only the first sleeve would get what its build measures
     sleeve_built.give(sleeve, 10)
     return arm, sleeve
 

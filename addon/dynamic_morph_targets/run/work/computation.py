@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+import weakref
 from collections.abc import Callable, Iterator, Sequence, Set
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
@@ -66,7 +67,12 @@ class Computations:
 
     def __init__(self, inputs: Sequence[BakeInput], news: News):
         self._news = news
-        self.each = [Computation(given, self._tell, partial(self._offer, k)) for k, given in enumerate(inputs)]
+        # Not itself: the engine's simulations ask for their progress, and Python does not see such a circle.
+        this = weakref.proxy(self)
+        self.each = [
+            Computation(given, lambda: this._tell(), partial(Computations._offer, this, k))
+            for k, given in enumerate(inputs)
+        ]
 
     def make_cage(self, number: int) -> Model:
         """What must exist before the rig of a job is read."""
