@@ -350,6 +350,10 @@ def try_outputs(args: argparse.Namespace) -> None:
     output = getattr(args, "output", None)
     if output and output.suffix.lower() != ".blend":
         raise InputError(f"-o {output}: the name of a Blender file ends in .blend")
+    blend = Path(args.file) if getattr(args, "in_place", False) else output
+    if blend and blend.is_symlink() and blend.resolve().parent != blend.parent.resolve():
+        text = "'{blend}' is a link to a file in another folder, which needs others beside it: name the file itself"
+        raise InputError(text.format(blend=blend))
     for name in ("page", "output", "json"):
         try_file(getattr(args, name, None), makes_folder=name == "page")
     if getattr(args, "page", None):

@@ -7,6 +7,7 @@ import math
 import os
 import platform
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -197,6 +198,25 @@ def test_all_in_place(shot, run, stand_in):
     assert run("bake", shot, "--all", "--in-place")[0] == 0
     assert stand_in.built == 2
     assert bake_of(shot, "Arm") and bake_of(shot, "Leg")
+
+
+@pytest.mark.parametrize("how", ["--in-place", "-o"])
+def test_a_link_to_the_latest_version_is_followed(shot, run, stand_in, how):
+    link, latest = shot.with_name("latest.blend"), shot.rename(shot.with_name("shot_v012.blend"))
+    link.symlink_to(latest.name)
+    opened, place = (link, [how]) if how == "--in-place" else (shutil.copy(latest, shot), [how, link])
+    assert run("bake", opened, "--object", "Arm", *place)[0] == 0
+    assert link.is_symlink() and not latest.is_symlink() and bake_of(latest, "Arm")
+
+
+def test_a_link_into_another_folder_is_refused(shot, run, stand_in, tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    link = tmp_path / "elsewhere" / "shot.blend"
+    link.symlink_to(shot)
+    before = shot.read_bytes()
+    code, _, errors = run("bake", link, "--object", "Arm", "--in-place")
+    assert code == 2 and "is a link to a file in another folder" in errors and stand_in.built == 0
+    assert link.is_symlink() and shot.read_bytes() == before
 
 
 def test_inside_blender_the_open_file_is_used(shot, run, tmp_path):

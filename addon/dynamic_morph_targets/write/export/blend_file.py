@@ -38,8 +38,10 @@ FLAGS, COMPRESSED = 48, 2  # where the block of global settings has flags, and t
 def save(path: Path) -> None:
     """Save a copy, which is the open file itself if that has this path. Like Blender, keep earlier versions as .blend1
     and so on, as many as the preferences say, and compress it if the open file is compressed, or a new file would be.
-    Raises OSError.
+    A link, as to the latest version of a shot, is followed. Raises OSError.
     """
+    if path.is_symlink():
+        path = Path(os.path.realpath(path))
     with _blender_keeping_none() as versions:
         # The time is in the name, because the file has the times of what it is a link to.
         earlier = path.with_name(f"{path.stem}.{int(time.time()):08x}{secrets.token_hex(4)}.earlier{path.suffix}")
