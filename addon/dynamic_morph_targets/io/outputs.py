@@ -13,8 +13,10 @@ import re
 import secrets
 import shutil
 import stat
+import sys
+import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from ..core.errors import ExportError
@@ -98,7 +100,7 @@ def replacing(path: Path, in_folder: bool = False) -> Iterator[Path]:
     remove_abandoned(path)
     partial = partial_of(path)
     written = partial / path.name if in_folder else partial
-    with disk.named(path, partial):
+    with disk.named(path, partial), _printed_of(path, partial):
         try:
             if in_folder:
                 partial.mkdir(mode=0o777 if os.name == "nt" else 0o700)  # Windows' rights would go with what is moved
@@ -111,6 +113,30 @@ def replacing(path: Path, in_folder: bool = False) -> Iterator[Path]:
             disk.replace(written, path)
         finally:
             disk.remove(partial)
+
+
+@contextmanager
+def _printed_of(path: Path, partial: Path) -> Iterator[None]:
+    """What other code prints in the block of the file that it writes has the name that the file will have."""
+    with ExitStack() as ends:
+        try:
+            sys.stdout.flush()
+            printed = ends.enter_context(tempfile.TemporaryFile())
+            kept = os.dup(1)
+        except (OSError, AttributeError):  # nobody reads it, or there is no room for it
+            yield
+            return
+        os.dup2(printed.fileno(), 1)
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                sys.stdout.flush()
+            os.dup2(kept, 1)
+            os.close(kept)
+            printed.seek(0)
+            with suppress(OSError):
+                os.write(1, printed.read().replace(partial.name.encode(), path.name.encode()))
 
 
 @contextmanager
