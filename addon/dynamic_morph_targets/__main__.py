@@ -3,6 +3,7 @@
 
 import os
 import sys
+import threading
 
 try:
     here = os.getcwd()  # noqa: PTH109 - pathlib may be in there too
@@ -12,10 +13,33 @@ if __name__ == "__main__" and sys.path[:1] == [here]:
     del sys.path[0]  # a stranger's .blend may have brought a bpy.py into the current folder
 
 
+THREADS = 5 + (os.cpu_count() or 1)  # about as many as Blender starts
+
+
+def can_start(count: int) -> bool:
+    """Whether the system gives so many threads. Without them, Blender ends its process with no word that helps."""
+    ends, started = threading.Event(), []
+    try:
+        for _ in range(count):
+            thread = threading.Thread(target=ends.wait)
+            thread.start()
+            started.append(thread)
+    except RuntimeError:
+        return False
+    finally:
+        ends.set()
+        for thread in started:
+            thread.join()
+    return True
+
+
 def run() -> int:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed: a file that is opened later would take its place
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 - as long as this runs
+    if not can_start(THREADS):
+        print("dynamorph: error: the system gives no more threads or processes (ulimit -u): try again", file=sys.stderr)
+        return 75
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded, whose last digits depend on it
     try:
         import bpy

@@ -77,7 +77,7 @@ def mesh_body(
     Returns the cage's vertices (C, 3) and outward triangles (D, 3), and the TetMesh. Raises ValueError on wrong shapes
     or indices. Raises Error, which says what to do, when the mesh cannot be used, or when the mesher crashes, hangs or
     needs too much memory at all resolutions near the requested one. Raises MemoryError when the system kills the
-    mesher, and Cancelled when progress returns False.
+    mesher, OSError when it gives no processes or threads, and Cancelled when progress returns False.
     """
     with Meshing(
         vertices,
@@ -368,6 +368,8 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
         name = signal.Signals(-code).name if code < 0 else f"{code:#x}"
         raise _MesherFailed(f"The mesher crashed on this mesh ({name}). {TRY_THIS}")
     last_line = message.rpartition("\n")[2]
+    if "start new thread" in last_line:  # the system has no more
+        raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN), "the mesher")
     raise Error(f"The mesher failed on this mesh (exit code {code}: {last_line}). {TRY_THIS}")
 
 

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bakes that are killed and resume in another process with the same bytes; models that processes share."""
 
+import importlib
 import json
 import os
 import random
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -86,3 +88,20 @@ def test_killed_at_any_moment_nothing_is_lost(shot, tmp_path):
     assert found["steps"] == undisturbed["steps"]
     assert not list(caches.glob("*.unfinished"))  # it is saved now
     assert len(list(caches.glob("*.dynamorph"))) == 1
+
+
+@pytest.mark.parametrize("given", [0, 3])
+def test_without_threads_it_says_to_try_again(monkeypatch, capsys, given):
+    """Blender would end the process while it is loaded."""
+    command = importlib.import_module("dynamic_morph_targets.__main__")
+    start, started = threading.Thread.start, []
+
+    def limited(thread):
+        if len(started) == given:
+            raise RuntimeError("can't start new thread")
+        started.append(thread)
+        start(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", limited)
+    assert command.run() == 75 and "no more threads or processes" in capsys.readouterr().err
+    assert not any(thread.is_alive() for thread in started)

@@ -71,7 +71,8 @@ def test_scripting_runs_as_a_script_of_the_wheel(scene, tmp_path):
     ):
         assert text in done.stdout
     assert (tmp_path / "limb.glb").stat().st_size > 1e5
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "sample_blends/bulging_cylinder_baked.blend"))
+    assert [path.name for path in (tmp_path / "sample_blends").iterdir()] == ["bulging_cylinder.blend"]
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "baked/bulging_cylinder.blend"))
     assert bpy.data.objects["Limb"].dynamorph.bake.summary.startswith("20 frames")
 
 
