@@ -48,6 +48,7 @@ PAGES = {
     "materials.md": ("addon/dynamic_morph_targets/core/material/presets.py",),
     "platforms.md": ("cpp", "CMakeLists.txt", "tools/wheels.py", "evidence/platforms_page.py"),
     "reliability.md": (*ENGINE, "addon/dynamic_morph_targets", "tests/faults.toml"),
+    "window.md": (*ENGINE, "addon/dynamic_morph_targets", "evidence/gaps.py", "evidence/window/gaps.py"),
     "evidence/window_test.md": (*ENGINE, "addon/dynamic_morph_targets", "evidence/window", "evidence/gui_test.py"),
 }  # fmt: skip
 PAGES |= {

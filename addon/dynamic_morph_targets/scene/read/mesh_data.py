@@ -77,11 +77,11 @@ def group_weights(obj: bpy.types.Object, names: Sequence[str], absent: float = 0
 
 class VertexGroups:
     """The vertex groups of an object, read once, when they are first asked for: Blender hands them out vertex by
-    vertex.
+    vertex. names: of all of them.
     """
 
     def __init__(self, obj: bpy.types.Object) -> None:
-        self._obj = obj
+        self._obj, self.names = obj, obj.vertex_groups.keys()
 
     @cached_property
     def _elements(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -28,7 +28,7 @@ _READ: ContextVar[Sources | None] = ContextVar("read", default=None)  # within `
 
 @contextmanager
 def read_once() -> Iterator[None]:
-    """Each mesh is read once within, whoever asks, until `read_again` says that what sources read has changed."""
+    """Each mesh is read once within, whoever asks, until `read_again` says that some may have other vertex groups."""
     token = _READ.set({})
     try:
         yield
@@ -37,8 +37,12 @@ def read_once() -> Iterator[None]:
 
 
 def read_again() -> None:
-    if read := _READ.get():
-        read.clear()
+    """Forget those whose vertex groups have changed, and which meshes belong to others."""
+    read = _READ.get() or {}
+    for key, source in [*read.items()]:
+        vars(source).pop("meshes", None)
+        if source.groups.names != source.obj.vertex_groups.keys():
+            del read[key]
 
 
 @dataclass(frozen=True, eq=False)
