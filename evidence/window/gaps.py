@@ -44,16 +44,26 @@ def pressed(name: str) -> None:
         getattr(bpy.ops.dynamorph, name)("INVOKE_DEFAULT")
 
 
+def rest(*drawn: bpy.types.Area) -> Iterator[None]:
+    """Nothing runs; as often as with a progress bar, these areas are drawn."""
+    ends, last_drawn = time.perf_counter() + REST, 0.0
+    while time.perf_counter() < ends:
+        if time.perf_counter() > last_drawn + 0.1:
+            last_drawn = time.perf_counter()
+            for area in drawn:
+                area.tag_redraw()
+        yield
+
+
 def steps() -> Iterator[None]:
     global stage
-    for area in bpy.context.window_manager.windows[0].screen.areas:
-        area.type = "PROPERTIES"  # without a graphics card, drawing a 3D view takes longer than what is measured
-    ends = time.perf_counter() + REST
-    while time.perf_counter() < ends:
-        yield
-    stage, ends = "Nothing runs", time.perf_counter() + REST
-    while time.perf_counter() < ends:
-        yield
+    areas = bpy.context.window_manager.windows[0].screen.areas
+    for area in areas:  # without a graphics card, drawing a 3D view takes longer than what is measured
+        area.type = "PROPERTIES" if area == areas[0] else "CONSOLE"
+    yield from rest()
+    for title in ("Nothing runs", "Panels are drawn"):
+        stage = title
+        yield from rest(*(areas[:1] if title == "Panels are drawn" else ()))
     for title, name in (
         ("Add Soft Skin", "add_soft_skin"),
         ("Build", "build"),

@@ -46,3 +46,5 @@ class Threaded:
     def end(self):
         """The thread ends at its next report; a process would at once."""
         self._ended = True
+
+    leave = end

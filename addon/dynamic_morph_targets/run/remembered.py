@@ -15,13 +15,15 @@ from ..core import states
 
 @dataclass
 class Work:
-    """running: whose progress the panels draw. spare: a process that waits for work, at most one. errors: those of
+    """running: whose progress the panels draw. spare: a process that waits for work, at most one. leaving: processes
+    that have done theirs. errors: those of
     models that were measured, by what they depend on; measuring: what is measured one after the other by `steps`, the
     first now, in `child`. seconds: of a step in the last bake in Full Quality.
     """
 
     running: Any = None
     spare: list[Any] = field(default_factory=list)
+    leaving: list[Any] = field(default_factory=list)
     errors: dict[str, float] = field(default_factory=dict)
     measuring: list[Any] = field(default_factory=list)
     child: Any = None

@@ -229,6 +229,7 @@ def meanwhile(obj, act):
             act()
 
     pressed = Pressed(obj, before_tick=look)
+    child.dismiss()  # or what is done may still remove its files
     assert done[0].ended and not done[0].folder.exists()
     return pressed
 

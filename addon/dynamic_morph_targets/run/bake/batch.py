@@ -76,7 +76,7 @@ class Batch:
         yield from self.compute(seconds)
         yield from self.write()
         if self.worker:
-            self.worker.end()
+            self.worker.leave()
 
     def read(self, seconds: float = np.inf) -> Iterator[None]:
         """The first part of the work: all that the jobs begin with, and the first chunk of their rigs."""

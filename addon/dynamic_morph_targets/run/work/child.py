@@ -37,6 +37,7 @@ from ..remembered import work
 News: TypeAlias = Callable[[Any], None]  # is called with what an object reports
 Answer: TypeAlias = Generator[None, None, Any]  # yields until the answer is there, and returns it
 
+PATIENCE = 5.0  # seconds for a process to remove its files
 SLICE = 2**25  # bytes that are read or written at once, in about 10 ms
 OFTEN = 0.05  # seconds from one report to the next
 IDLE = 600.0  # seconds after which a process that got no work ends
@@ -69,6 +70,9 @@ class Here:
     def end(self) -> None:
         """Nothing runs between two calls."""
 
+    def leave(self) -> None:
+        """The same."""
+
 
 class Child:
     """kind(*args, news): an object in a process of its own. All of these are pickled. heard: gets its news, while a
@@ -89,6 +93,7 @@ class Child:
         self._news = 0  # how many lasting reports were heard
         self._told = 0.0  # when the last passing one was written
         self._died = 0
+        self._left = False
 
     def call(self, name: str, *args: Any) -> Answer:
         """What its method `name` returns, or raises. Raises ProcessError, OSError."""
@@ -123,8 +128,14 @@ class Child:
 
     def end(self) -> None:
         """End the process, whatever it does, and remove its files."""
-        self._process.end()
-        shutil.rmtree(self.folder, ignore_errors=True)
+        if not self._left:
+            self._process.end()
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+    def leave(self) -> None:
+        """Its work is done: let the process remove its files and end, for which nobody waits."""
+        self._left = True
+        self._process.leave()
 
     def _listen(self) -> Answer:
         """Pass on what was reported since the last time."""
@@ -203,6 +214,7 @@ def prepare() -> None:
     """Start the process of the next `Child` now, because that takes half a second. It ends by itself if it gets no
     work.
     """
+    _let_go(wait=False)
     if not (work.spare and work.spare[0].waits):
         dismiss()
         with contextlib.suppress(DynamorphError):  # `Child` will say so
@@ -210,9 +222,18 @@ def prepare() -> None:
 
 
 def dismiss() -> None:
-    """End what `prepare` started."""
+    """End what `prepare` started, and see that those which were left have ended."""
+    _let_go(wait=True)
     while work.spare:
         work.spare.pop().end()
+
+
+def _let_go(wait: bool) -> None:
+    """Forget the processes that were left and have ended. wait: all of them."""
+    for process in [*work.leaving]:
+        if wait or process.ended:
+            work.leaving.remove(process)
+            process.end(PATIENCE)
 
 
 def take() -> Process:
@@ -275,8 +296,15 @@ class Process:
         self._said.seek(0)
         return self._said.read().decode("utf-8", "replace")
 
-    def end(self) -> None:
-        """End it, whatever it does."""
+    def leave(self) -> None:
+        """Tell it that nobody needs it any more."""
+        self._process.stdin.close()  # type: ignore[union-attr]
+        work.leaving.append(self)
+
+    def end(self, patience: float = 0.0) -> None:
+        """End it, whatever it does; patience: seconds for it to end by itself."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(patience)
         self._process.kill()
         self._process.wait()
         self._process.stdin.close()  # type: ignore[union-attr]

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any
 from zlib import crc32
 
+import bmesh
 import bpy
 import numpy as np
 
@@ -85,15 +86,18 @@ class VertexGroups:
 
     @cached_property
     def _elements(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Vertex, group and weight of all elements."""
-        flat = [
-            part
-            for vertex, of_vertex in enumerate(self._obj.data.vertices)
-            for element in of_vertex.groups
-            for part in (vertex, element.group, element.weight)
-        ]
-        vertices, groups, weights = np.array(flat, np.float64).reshape(-1, 3).T
-        return vertices.astype(np.int64), groups.astype(np.int64), weights
+        """Vertex, group and weight of all elements. A mesh would hand them out in twice the time."""
+        mesh = bmesh.new()
+        try:
+            mesh.from_mesh(self._obj.data, face_normals=False, vertex_normals=False)
+            layer = mesh.verts.layers.deform.active
+            of_vertices = [vertex[layer].items() for vertex in mesh.verts] if layer else []
+        finally:
+            mesh.free()
+        flat = [part for elements in of_vertices for element in elements for part in element]
+        groups, weights = np.array(flat, np.float64).reshape(-1, 2).T
+        vertices = np.repeat(np.arange(len(of_vertices)), [len(elements) for elements in of_vertices])
+        return vertices, groups.astype(np.int64), weights
 
     def weights(self, names: Sequence[str], absent: float = 0.0) -> np.ndarray:
         """As `group_weights`. Raises SceneError."""

@@ -27,8 +27,8 @@ from ...write.display import beside, live_key
 from .. import messages
 from ..base import SoftSkinOperator, at_work, reconciled, report_errors, reported
 
-TICK = 0.05  # seconds from one turn of a job to the next
-SLICE = 0.035  # seconds of a turn that may block the window, approximately
+TICK = 0.02  # seconds from one turn of a job to the next
+SLICE = 0.018  # seconds of a turn that may block the window, approximately
 SHOWN = 0.1  # seconds between two updates of the progress bar
 
 
