@@ -74,6 +74,16 @@ def test_the_skin_is_pushed_as_particles_are(soft_arm, kind, settings, shape):
     np.testing.assert_allclose(field.pull(0, POINTS), forces, atol=2e-5 * np.abs(forces).max())
 
 
+def test_an_animated_field_prints_nothing(soft_arm, capfd):
+    """Where a scene has no rigid bodies, Blender prints an error for each."""
+    bpy.ops.rigidbody.world_add()  # the artist's scene has one
+    add_field("WIND").keyframe_insert("field.strength", frame=1)
+    bpy.context.view_layer.update()
+    capfd.readouterr()
+    rig_motion.sample_rig(soft_arm, 1, 3, 2)
+    assert "RIGIDBODY" not in "".join(capfd.readouterr())
+
+
 def test_the_noise_is_blender_s(addon):
     points = np.random.default_rng(1).uniform(-300.0, 300.0, (500, 3)).astype(np.float32).astype(float)
     theirs = [blender.noise(tuple(point), noise_basis="PERLIN_NEW") for point in points]

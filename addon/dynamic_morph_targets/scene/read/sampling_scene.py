@@ -145,6 +145,9 @@ def _fill(
         follower.constraints.new("COPY_TRANSFORMS").target = obj
     if probe:
         probe.dress(follower, obj)
+    if any(each.field and each.field.type != "NONE" and each.animation_data for each in others):
+        with bpy.context.temp_override(scene=scene):  # an empty one; without, Blender prints an error for each of them
+            bpy.ops.rigidbody.world_add()
     for each in dict.fromkeys((rig, follower, *others)):  # the rig may be one of the others
         scene.collection.objects.link(each)
 
