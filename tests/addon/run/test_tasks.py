@@ -21,8 +21,9 @@ OPS = bpy.ops.dynamorph
 
 @pytest.fixture
 def slow(monkeypatch):
-    """A window's turn ends after each piece."""
+    """A window's turn ends after each piece, and none is for the progress bar alone."""
     monkeypatch.setattr(jobs, "SLICE", 0.0)
+    monkeypatch.setattr(jobs, "SHOWN", float("inf"))
     monkeypatch.setattr(weight_curves, "SLICE", 0.0)
 
 

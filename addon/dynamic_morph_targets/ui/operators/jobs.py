@@ -106,21 +106,26 @@ class JobOperator(SoftSkinOperator):
         expected_error.cancel()  # the job needs the computer, and outdates what is measured
         self.batch = remembered.work.running = self._batch(reconciled(mesh_in(context)))
         self.steps = self.batch.steps(SLICE)
-        self.shown = 0.0  # when
+        self._show(context)
         self.timer = context.window_manager.event_timer_add(TICK, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
+    def _show(self, context: bpy.types.Context) -> None:
+        """Have the progress drawn."""
+        self.shown = time.monotonic()
+        events.redraw(events.PANELS)
+        events.redraw_status(context)
+
     def _tick(self, context: bpy.types.Context) -> set[str]:
         batch = self.batch
+        if time.monotonic() - self.shown > SHOWN:  # a turn of its own: drawing the panels takes as long as a slice
+            self._show(context)
+            return {"RUNNING_MODAL"}
         try:
             next(self.steps)
         except StopIteration:
             return self._done(batch)
-        if time.monotonic() - self.shown > SHOWN:
-            self.shown = time.monotonic()
-            events.redraw(events.PANELS)
-            events.redraw_status(context)
         return {"RUNNING_MODAL"}
 
     def _end(self, context: bpy.types.Context) -> None:
