@@ -34,7 +34,7 @@ INSTEAD = {
 
 def without_buttons(text: str) -> str:
     """A message in the words of the command line."""
-    return re.sub(rf"\b({'|'.join(INSTEAD)})\b", lambda found: INSTEAD[found[1]], text)
+    return re.sub(rf"\b({'|'.join(INSTEAD)})\b(?! in Blender)", lambda found: INSTEAD[found[1]], text)
 
 
 class Parser(argparse.ArgumentParser):

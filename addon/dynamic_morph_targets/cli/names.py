@@ -44,7 +44,7 @@ def objects(args: argparse.Namespace) -> list[bpy.types.Object]:
     found = skin.soft_skins(shown.objects)
     if not args.object:
         if not found:
-            raise InputError(f"scene '{shown.name}' has no soft skin: press Add Soft Skin first")
+            raise InputError(f"scene '{shown.name}' has no soft skin: press Add Soft Skin in Blender first")
         return _reconciled(found)
     for name in args.object:
         if name not in shown.objects:

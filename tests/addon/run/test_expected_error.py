@@ -15,7 +15,7 @@ from bl_ext.user_default.dynamic_morph_targets.core.motion import rig_samples, s
 from bl_ext.user_default.dynamic_morph_targets.core.settings import SimulationSettings
 from bl_ext.user_default.dynamic_morph_targets.run import remembered
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch, expected_error
-from bl_ext.user_default.dynamic_morph_targets.run.work.child import GENTLE
+from bl_ext.user_default.dynamic_morph_targets.run.work.answering import GENTLE
 from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from builders import activate
