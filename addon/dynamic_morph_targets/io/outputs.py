@@ -136,7 +136,7 @@ def _printed_of(path: Path, partial: Path) -> Iterator[None]:
             os.close(kept)
             printed.seek(0)
             with suppress(OSError):
-                os.write(1, printed.read().replace(partial.name.encode(), path.name.encode()))
+                os.write(1, printed.read().replace(os.fsencode(partial.name), os.fsencode(path.name)))
 
 
 @contextmanager
