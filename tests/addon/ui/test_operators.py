@@ -18,6 +18,7 @@ from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
 from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion, run_settings
 from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
 from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
+from bl_ext.user_default.dynamic_morph_targets.ui.operators import jobs
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from builders import StandInShot, activate, fingerprint, hand_made_bake, make_arm, make_soft, refused, rig_of
@@ -283,6 +284,13 @@ def test_modal_bake(soft_arm, stand_in):
     pressed = Pressed(soft_arm, ["MOUSEMOVE", "TIMER"])
     assert pressed.result == {"FINISHED"} and len(soft_arm.dynamorph.bake.keys) == 3
     assert "20 frames" in pressed.reports[-1][1] and "built first: there was no model" in pressed.reports[-1][1]
+
+
+def test_work_goes_on_however_long_the_panels_take_to_draw(soft_arm, stand_in, monkeypatch):
+    """As without a graphics card."""
+    monkeypatch.setattr(jobs, "SHOWN", 0.0)
+    pressed = Pressed(soft_arm)
+    assert pressed.result == {"FINISHED"} and pressed.turns < 1000
 
 
 def test_escape_ends_a_bake_at_once_whatever_the_engine_does(soft_arm, stand_in):

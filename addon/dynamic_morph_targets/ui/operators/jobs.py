@@ -113,15 +113,18 @@ class JobOperator(SoftSkinOperator):
 
     def _show(self, context: bpy.types.Context) -> None:
         """Have the progress drawn."""
-        self.shown = time.monotonic()
+        self.shown, self.worked = time.monotonic(), False
         events.redraw(events.PANELS)
         events.redraw_status(context)
 
     def _tick(self, context: bpy.types.Context) -> set[str]:
         batch = self.batch
-        if time.monotonic() - self.shown > SHOWN:  # a turn of its own: drawing the panels takes as long as a slice
+        # A turn of its own, because drawing the panels takes as long as a slice; after it, work goes on however long
+        # that took.
+        if self.worked and time.monotonic() - self.shown > SHOWN:
             self._show(context)
             return {"RUNNING_MODAL"}
+        self.worked = True
         try:
             next(self.steps)
         except StopIteration:
