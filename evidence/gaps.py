@@ -30,11 +30,13 @@ PAGE_TEXT = """# Does Blender's window wait?
 
 Builds, bakes and comparisons are computed by a process of their own ([architecture](architecture.md#the-extension)), so
 that Blender's window goes on meanwhile. This page measures the gaps between two turns of the window's event loop while
-a character of {vertices:,} vertices becomes a soft skin, is built, shown by *Live*, and baked over {frames} frames. A
-gap that you feel has 50 ms or more. The window shows panels and no 3D view, because without a graphics card drawing one
-takes longer than all else.
+a character of {vertices:,} vertices becomes a soft skin, is built, shown by *Live*, and baked over {frames} frames. You
+feel a gap of 50 ms or more. The window shows panels and no 3D view, because without a graphics card drawing one takes
+longer than all else. The row *Panels are drawn* is what such a drawing takes here, with nothing to compute.
 
-`make -C evidence gaps` measures and writes this page; nothing on it is typed by hand. {measured}
+`make -C evidence gaps` measures and writes this page; nothing on it is typed by hand.
+
+{measured}
 
 ![Gaps of the window's event loop](images/window/gaps.svg)
 
@@ -86,15 +88,14 @@ def measured() -> dict:
 
 
 def write_page(kept: dict) -> None:
-    tables = "".join(
-        f"{name.capitalize()}, in milliseconds:\n\n{table(kept[name]['stages'])}\n"
-        for name in sorted(kept, reverse=True)
+    tables = "\n".join(
+        f"{name.capitalize()}, in milliseconds:\n\n{table(kept[name]['stages'])}" for name in sorted(kept, reverse=True)
     )
     draw(kept)
     text = PAGE_TEXT.format(
         vertices=VERTICES,
         frames=FRAMES,
-        measured=" ".join(f"{name.capitalize()}: {kept[name]['measured']}." for name in sorted(kept, reverse=True)),
+        measured="\n".join(f"- {name.capitalize()}: {kept[name]['measured']}." for name in sorted(kept, reverse=True)),
         tables=tables,
         longest=longest(kept[NOW]["stages"] if NOW in kept else {}),
     )
