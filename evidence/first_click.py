@@ -29,17 +29,13 @@ import numpy as np  # noqa: E402
 import rig_families  # noqa: E402
 import table  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.core import engine  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.run import remembered  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.live import live  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.work import task  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.work.child import Child  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.tools.first_look import FirstLook  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job  # noqa: E402
-
-try:
-    from bl_ext.user_default.dynamic_morph_targets.run import remembered
-except ImportError:  # in a checkout of before
-    remembered = None
 
 FRAMES = 250  # of the bake
 
@@ -140,7 +136,7 @@ def painted(body) -> float:
     group.add(list(range(len(height))), 0.5, "REPLACE")
     group.add(np.flatnonzero(height < np.median(height)).tolist(), 0.4, "REPLACE")
     began = time.perf_counter()
-    sessions = remembered.live.sessions if remembered else live.state.sessions
+    sessions = remembered.live.sessions
     del sessions[body.session_uid]  # as `live` does after a stroke
     live.refresh(body)
     assert live.problem(body) == ""

@@ -13,7 +13,8 @@ if __name__ == "__main__" and sys.path[:1] == [here]:
     del sys.path[0]  # a stranger's .blend may have brought a bpy.py into the current folder
 
 
-THREADS = 5 + (os.cpu_count() or 1)  # about as many as Blender starts
+CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+THREADS = 5 + CORES  # about as many as Blender starts
 
 
 def can_start(count: int) -> bool:

@@ -515,6 +515,19 @@ def test_a_mesher_that_the_system_kills_is_short_of_memory(monkeypatch):
         dynamorph.mesh_body(*box(), 300)
 
 
+def test_a_mesher_without_threads_may_be_tried_again(monkeypatch):
+    """Where a system gives no more (ulimit -u), the mesh is not blamed."""
+    code = 'import threading\nraise RuntimeError("can\'t start new thread")'
+
+    class Limited(subprocess.Popen):
+        def __init__(self, command, **options):
+            super().__init__([command[0], "-c", code], **options)
+
+    monkeypatch.setattr(subprocess, "Popen", Limited)
+    with pytest.raises(BlockingIOError, match="unavailable"):
+        dynamorph.mesh_body(*box(), 300)
+
+
 def test_reports_of_a_windows_child_are_understood(monkeypatch):
     """Their lines end otherwise, and a message from a library may have letters of any encoding."""
     code = f"import os; os.write(2, b'0.5\\r\\nThe cage \\x81 is \\xc3\\xbc\\r\\n'); os._exit({meshing.EXIT_ERROR})"

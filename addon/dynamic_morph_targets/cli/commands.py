@@ -100,13 +100,14 @@ def work_on(
     options = {"rebuild": rebuild, "cache_dir": caches, "cache_files": files}
     jobs = args.jobs = [Job(obj, goal, frames, args.substeps, folder, **options) for obj in objects]
     if args.goal == "BUILD" and not goes_into_blend(args) and fits_shot(objects[0]):  # it would go nowhere
-        yield from (Done(job, [bake_input.FITTED], skipped=True) for job in jobs)
+        yield from (Done(job, [without_buttons(bake_input.FITTED)], skipped=True) for job in jobs)
         return
     tick = ProgressPrinter(args.progress == "openjd")
     batch.run_all(batch.Batch(jobs, goal), tick)
     for obj, job in zip(objects, jobs, strict=True):
         beside |= job.outcome.beside
-        yield Done(job, [*job.warnings, *_worked(args, obj, job, tick, files)])
+        warnings = [*job.warnings, *_worked(args, obj, job, tick, files)]
+        yield Done(job, [without_buttons(text) for text in warnings])
 
 
 def _worked(
@@ -153,7 +154,7 @@ def say(done: Done) -> None:
     for file in () if done.skipped else done.job.outcome.model_files:
         print(f"{name}: model written to {file}")
     for warning in done.warnings:
-        print(f"{name}: warning: {without_buttons(warning)}", file=sys.stderr, flush=True)
+        print(f"{name}: warning: {warning}", file=sys.stderr, flush=True)
 
 
 def apply_settings(args: argparse.Namespace, obj: bpy.types.Object) -> None:

@@ -13,6 +13,7 @@ from ..scene import skin
 from ..scene.character import extract
 from ..scene.store import model_store, staleness
 from . import names
+from .help import without_buttons
 
 
 def run_info(args: argparse.Namespace) -> None:
@@ -26,7 +27,7 @@ def run_info(args: argparse.Namespace) -> None:
         try:
             reasons = "; ".join(model_store.stale_reasons(obj, extract.character(obj))) or "up to date"
         except engine.expected_errors() as error:
-            reasons = errors.sentence(error)
+            reasons = without_buttons(errors.sentence(error))
         print(f"  state: {reasons}")
         print(f"  files beside the .blend: {', '.join(_files(obj)) or 'none'}")
         if not settings.bake.exists:

@@ -353,7 +353,7 @@ def try_outputs(args: argparse.Namespace) -> None:
     blend = Path(args.file) if getattr(args, "in_place", False) else output
     if blend and blend.is_symlink() and blend.resolve().parent != blend.parent.resolve():
         text = "'{blend}' is a link to a file in another folder, which needs others beside it: name the file itself"
-        raise InputError(text.format(blend=blend))
+        raise InputError(text, blend=blend)
     for name in ("page", "output", "json"):
         try_file(getattr(args, name, None), makes_folder=name == "page")
     if getattr(args, "page", None):

@@ -546,6 +546,7 @@ def test_messages_name_commands_instead_of_buttons(shot, run):
     labels = {getattr(bpy.ops.dynamorph, name).get_rna_type().name for name in dir(bpy.ops.dynamorph)}
     assert {button.removeprefix("press ") for button in help.INSTEAD} <= labels | {"Bake"}  # it has a longer label
     assert help.without_buttons("press Bake, or press Baked") == "run dynamorph bake, or press Baked"
+    assert help.without_buttons("press Add Soft Skin in Blender first") == "press Add Soft Skin in Blender first"
 
 
 @pytest.mark.fault("B01")
