@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import types
 from functools import partial
 from pathlib import Path
 
@@ -296,6 +297,20 @@ def test_the_next_process_waits_for_work(addon):
     (spare,) = remembered.work.spare
     child.dismiss()
     assert remembered.work.spare == [] and spare.ended
+
+
+def test_nobody_waits_for_a_process_that_has_done_its_work(addon):
+    errand = Child(Errand, heard=lambda _news: None)
+    assert ask(errand, "run", partial(abs, -2), False) == 2
+    process = types.SimpleNamespace(ended=False, end=lambda _patience: pytest.fail("the next one waits for it"))
+    remembered.work.leaving.append(process)
+    child.prepare()
+    child.take().end()
+    assert remembered.work.leaving == [process]
+    remembered.work.leaving.clear()
+    errand.leave()
+    child.dismiss()
+    assert errand.ended and not errand.folder.exists() and remembered.work.leaving == []
 
 
 def test_a_program_that_does_not_start_is_named(addon, monkeypatch):

@@ -209,7 +209,7 @@ def prepare() -> None:
     """
     _let_go(wait=False)
     if not (work.spare and work.spare[0].waits):
-        dismiss()
+        _end_spare()
         with contextlib.suppress(DynamorphError):  # `Child` will say so
             work.spare.append(Process())
 
@@ -217,6 +217,10 @@ def prepare() -> None:
 def dismiss() -> None:
     """End what `prepare` started, and see that those which were left have ended."""
     _let_go(wait=True)
+    _end_spare()
+
+
+def _end_spare() -> None:
     while work.spare:
         work.spare.pop().end()
 
@@ -233,7 +237,7 @@ def take() -> Process:
     """A process that waits for work. Raises ProcessError."""
     if work.spare and work.spare[0].waits:
         return work.spare.pop()
-    dismiss()
+    _end_spare()
     return Process()
 
 

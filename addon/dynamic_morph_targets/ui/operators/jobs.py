@@ -136,8 +136,7 @@ class JobOperator(SoftSkinOperator):
         remembered.work.running = None
         child.prepare()  # for what comes next
         context.window_manager.event_timer_remove(self.timer)
-        events.redraw(events.PANELS)
-        events.redraw_status(context)
+        self._show(context)
 
     def _done(self, batch: Any) -> set[str]:
         expected_error.begin(batch.jobs)
