@@ -105,13 +105,52 @@ void bind_grabs(py::module_& m) {
            "stiffness (K): N/m.");
 }
 
+using EdgesArray = Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor>;
+
+EdgesArray edges_array(const std::vector<Edge>& edges) {
+  EdgesArray out(Eigen::Index(edges.size()), 2);
+  for (std::size_t e = 0; e < edges.size(); ++e) out.row(Eigen::Index(e)) << edges[e].first, edges[e].second;
+  return out;
+}
+
+std::vector<Edge> edges_of(const EdgesArray& array) {
+  std::vector<Edge> out;
+  for (const auto& row : array.rowwise()) out.emplace_back(row(0), row(1));
+  return out;
+}
+
+/// What limits look at, on its way to another process, and there.
+py::tuple pickled(const LimitedTissue& tissue) {
+  py::list edges;
+  for (const BoneEdges& of_bone : tissue.edges)
+    edges.append(py::make_tuple(edges_array(of_bone.critical), edges_array(of_bone.between), of_bone.stiffness));
+  return py::make_tuple(tissue.square_frequency, tissue.chosen, tissue.area, tissue.pulled, tissue.pulled_mass, edges);
+}
+
+/// Throws std::invalid_argument for a state that `pickled` did not make. Whether it is of a skin, MotionLimit checks.
+LimitedTissue unpickled(const py::tuple& state) {
+  try {
+    LimitedTissue tissue{state[0].cast<double>(),   state[1].cast<std::vector<int>>(),
+                         state[2].cast<VectorXd>(), state[3].cast<std::vector<int>>(),
+                         state[4].cast<VectorXd>(), {}};
+    for (const auto& of_bone : state[5].cast<std::vector<std::tuple<EdgesArray, EdgesArray, double>>>())
+      tissue.edges.push_back({edges_of(std::get<0>(of_bone)), edges_of(std::get<1>(of_bone)), std::get<2>(of_bone)});
+    return tissue;
+  } catch (const std::exception&) {  // those of pybind11 have no class in common
+    throw std::invalid_argument("state: it is none of a limited tissue");
+  }
+}
+
 void bind_limit(py::module_& m) {
+  py::class_<LimitedTissue>(m, "LimitedTissue",
+                            "Which points and edges of a skin the limits of its motion look at, and what moves there.")
+      .def(py::pickle(&pickled, &unpickled));
   py::class_<Either<MotionLimit>>(m, "MotionLimit",
                                   "How far a moving rig may drive the skin of a model. Simulations may share it.")
       .def(py::init([](const EitherModel& model, const FloatArray& rest, const Embedding& embedding,
                        const IndexArray& triangles, const MatrixXd& weights, const VectorXd& distances,
                        const std::optional<MatrixXd>& groups, const std::optional<VectorXd>& painted, double stretch,
-                       int edges_between) {
+                       int edges_between, const std::optional<LimitedTissue>& tissue) {
              SkinLimits limits{as_points(flat_points("rest", rest, -1)),
                                embedding,
                                to_indices<Triangles>(triangles, "triangles"),
@@ -125,24 +164,30 @@ void bind_limit(py::module_& m) {
              check_finite("groups", limits.groups);
              return without_gil([&] {
                return make_either<MotionLimit>(model, [&](const auto& own) {
-                 return std::make_shared<MotionLimit<std::decay_t<decltype(*own)>>>(own, limits);
+                 return std::make_shared<MotionLimit<std::decay_t<decltype(*own)>>>(own, limits, tissue);
                });
              });
            }),
            "model"_a.none(false), "rest"_a, "embedding"_a, "triangles"_a, "weights"_a, "distances"_a,
            "groups"_a = py::none(), "painted"_a = py::none(), py::kw_only(), "stretch"_a = LimitConstants().stretch,
-           "edges_between"_a = LimitConstants().edges_between,
+           "edges_between"_a = LimitConstants().edges_between, "tissue"_a = py::none(),
            "rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the "
            "soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' "
            "shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise "
            "None. painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for "
            "ones. The others are LimitConstants, which docs/limit.md tables: stretch, of an edge's length, by which "
-           "it may change; edges_between, how many more than the most stretched are pulled back. Raises "
-           "ValueError for those below zero, and Error if the tissue has no stiffness at rest.")
+           "it may change; edges_between, how many more than the most stretched are pulled back. tissue: that of "
+           "a limit that differs from this in its distances alone, or None to find it, which takes most of the time. "
+           "Raises ValueError for constants below zero and a tissue of another skin, and Error if the tissue has no "
+           "stiffness at rest.")
       .def_property_readonly(
           "frequency",
           [](const Either<MotionLimit>& limit) { return limit.visit([](const auto& own) { return own.frequency(); }); },
           "Of the neutral tissue, 1/s (angular).")
+      .def_property_readonly(
+          "tissue",
+          [](const Either<MotionLimit>& limit) { return limit.visit([](const auto& own) { return own.tissue(); }); },
+          "What was found of the skin. It can be pickled.")
       .def_property_readonly(
           "numbers",
           [](const Either<MotionLimit>& limit) { return limit.visit([](const auto& own) { return own.numbers(); }); },

@@ -192,7 +192,7 @@ def calls() -> dict[str, tuple[object, dict]]:
     points = {"rest": s.points, "embedding": s.embedding, "weights": np.ones((len(s.points), 1)),
               "residual_shapes": np.zeros((2, len(s.points), 3))}  # fmt: skip
     own_limits = s.limits | {"groups": s.groups, "painted": s.painted, "stretch": 0.4,
-                             "edges_between": 100}  # fmt: skip
+                             "edges_between": 100, "tissue": s.limit.tissue}  # fmt: skip
     found = {
         "TetMesh": (lib, {"nodes": s.nodes, "tets": s.tets}),
         "Embedding": (lib, {"nodes": s.embedding.nodes, "weights": s.embedding.weights}),

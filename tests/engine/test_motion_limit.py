@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+import pickle
 
 import dynamorph
 import numpy as np
@@ -534,3 +535,41 @@ def test_a_report_names_the_bone_that_was_held_back_most(limited):
     free = made.simulation()
     free.start(frames[0], frames[1], made.neutral)
     assert free.advance(frames[1:], np.repeat(made.neutral[None], 59, axis=0)).excess_bone == -1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_was_found_of_a_skin_serves_other_distances_and_processes(kind):
+    made = Bar(kind)
+    painted = np.linspace(0.3, 1.0, len(made.nodes))
+    found = pickle.loads(pickle.dumps(made.limit(1.0, painted).tissue))
+    frames = moving(0.3 * np.sin(np.arange(40) / 3.0))
+    again, anew = (made.simulation(limit=made.limit(0.02, painted, tissue=tissue)) for tissue in (found, None))
+    for simulation in (again, anew):
+        made.run(simulation, frames)
+    assert anew.excess.max() > 1.0
+    np.testing.assert_array_equal(again.coordinates, anew.coordinates)
+    np.testing.assert_array_equal(again.excess, anew.excess)
+
+
+def test_what_was_found_of_another_skin_is_refused():
+    made = Bar("responses")
+    good = made.limit(0.02).tissue.__getstate__()
+    bone = good[5][0]
+    bad = {
+        0: (0.0, np.nan),
+        1: ([-1, *good[1][1:]], [2**30, *good[1][1:]], good[1][1:]),
+        2: (np.full_like(good[2], np.nan), good[2][1:]),
+        3: ([2**30, *good[3][1:]], good[3][1:]),
+        4: (np.full_like(good[4], np.inf), good[4][1:]),
+        5: (good[5][1:], [(bone[0] + 2**30, *bone[1:]), *good[5][1:]], [(*bone[:2], np.nan), *good[5][1:]],
+            [(bone[0], np.zeros((1, 2), np.int32), bone[2]), *good[5][1:]]),
+    }  # fmt: skip
+    for k, parts in bad.items():
+        for part in parts:
+            other = dynamorph.LimitedTissue.__new__(dynamorph.LimitedTissue)
+            other.__setstate__((*good[:k], part, *good[k + 1 :]))
+            with pytest.raises(ValueError, match="tissue: it is of another skin"):
+                made.limit(0.02, tissue=other)
+    for state in ((), good[:5], (*good[:1], "text", *good[2:]), (*good[:5], None)):
+        with pytest.raises(ValueError, match="state: it is none of a limited tissue"):
+            dynamorph.LimitedTissue.__new__(dynamorph.LimitedTissue).__setstate__(state)

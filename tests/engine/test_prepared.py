@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Players of one soft skin share what takes long to make; another skin never gets it."""
 
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import replace
@@ -64,6 +65,25 @@ def test_other_constants_do_not(model, monkeypatch):
     monkeypatch.setattr(dynamorph, "MotionLimit", partial(dynamorph.MotionLimit, stretch=0.8))
     other = prepared(model, bar(), SETTINGS)
     assert other.limit is not first.limit and prepared(model, bar(), SETTINGS) is other
+
+
+def test_what_limits_look_at_goes_along_to_other_processes(model, monkeypatch):
+    """And what another material, or another quality, has there is found anew."""
+    found = []
+
+    def limit(*args, tissue):
+        found.append(tissue is not None)
+        return dynamorph._core.MotionLimit(*args, tissue=tissue)
+
+    monkeypatch.setattr(dynamorph, "MotionLimit", limit)
+    built = replace(model)
+    prepared(built, bar(), SETTINGS)
+    there, character = pickle.loads(pickle.dumps((built, bar())))
+    first, other = prepared(built, bar(), SETTINGS), prepared(there, character, replace(SETTINGS, max_displacement=0.1))
+    prepared(there, softer(), SETTINGS)
+    prepared(there.with_settings(replace(model.settings, solver="FULL")), character, SETTINGS)
+    assert found == [False, True, False, False]
+    assert other.limit is not first.limit and other.limit.frequency == first.limit.frequency
 
 
 def test_only_the_latest_are_kept(model):

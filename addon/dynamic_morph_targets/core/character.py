@@ -9,7 +9,7 @@ scale applied, so its lengths are meters, *world* is Blender's world space in me
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
 from itertools import count
 from typing import Any, NamedTuple
@@ -270,3 +270,18 @@ class Attachment:
     points: np.ndarray
     from_body: np.ndarray
     members: slice
+
+
+def same(one: Any, other: Any) -> bool:
+    """Whether plain values are equal: records, sequences and arrays by their contents."""
+    if one is other:
+        return True
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other)
+    if is_dataclass(one):
+        return all(same(getattr(one, field.name), getattr(other, field.name)) for field in fields(one))
+    if isinstance(one, tuple):
+        return len(one) == len(other) and all(map(same, one, other))
+    return one == other

@@ -8,7 +8,7 @@ import numpy.typing
 import scipy.sparse
 import typing
 import typing_extensions
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Contact', 'Coupling', 'Deformation', 'Embedding', 'Error', 'FullModel', 'Grabs', 'Integrator', 'LocalResponses', 'MaterialModel', 'MeshCut', 'MorphTarget', 'MotionLimit', 'PoseSpace', 'ReducedModel', 'ReducedTables', 'ResponseBasis', 'SelfContact', 'Simulation', 'Skin', 'SoftBody', 'State', 'StepReport', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'measure_deformation', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'unpack_model']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Contact', 'Coupling', 'Deformation', 'Embedding', 'Error', 'FullModel', 'Grabs', 'Integrator', 'LimitedTissue', 'LocalResponses', 'MaterialModel', 'MeshCut', 'MorphTarget', 'MotionLimit', 'PoseSpace', 'ReducedModel', 'ReducedTables', 'ResponseBasis', 'SelfContact', 'Simulation', 'Skin', 'SoftBody', 'State', 'StepReport', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'measure_deformation', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'unpack_model']
 class Error(RuntimeError):
     """
     A body that cannot be simulated. The message says what to do.
@@ -648,13 +648,21 @@ class Grabs:
         """
         skin: of the simulation's model. points (K): of the skin. goals (S, K, 3): meters, world space, at the end of each step. stiffness (K): N/m.
         """
+class LimitedTissue:
+    """
+    Which points and edges of a skin the limits of its motion look at, and what moves there.
+    """
+    def __getstate__(self) -> tuple:
+        ...
+    def __setstate__(self, arg0: tuple) -> None:
+        ...
 class MotionLimit:
     """
     How far a moving rig may drive the skin of a model. Simulations may share it.
     """
-    def __init__(self, model: FullModel | ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], distances: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], groups: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None = None, painted: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None, *, stretch: typing.SupportsFloat | typing.SupportsIndex = 0.4, edges_between: typing.SupportsInt | typing.SupportsIndex = 400) -> None:
+    def __init__(self, model: FullModel | ReducedModel, rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], distances: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], groups: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None = None, painted: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None, *, stretch: typing.SupportsFloat | typing.SupportsIndex = 0.4, edges_between: typing.SupportsInt | typing.SupportsIndex = 400, tissue: LimitedTissue | None = None) -> None:
         """
-        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for ones. The others are LimitConstants, which docs/limit.md tables: stretch, of an edge's length, by which it may change; edges_between, how many more than the most stretched are pulled back. Raises ValueError for those below zero, and Error if the tissue has no stiffness at rest.
+        rest (P, 3): meters, bind space. embedding: of the P points in the body's mesh. triangles (T, 3): of the soft skin. weights (P, G): skin weights of the bones. distances (P): the largest from the targets' shape, meters. groups (free nodes, G): the bones' parts in nodes with transforms of their own, otherwise None. painted (P) in (0, 1]: factors on the distances from which points are pulled back, or None for ones. The others are LimitConstants, which docs/limit.md tables: stretch, of an edge's length, by which it may change; edges_between, how many more than the most stretched are pulled back. tissue: that of a limit that differs from this in its distances alone, or None to find it, which takes most of the time. Raises ValueError for constants below zero and a tissue of another skin, and Error if the tissue has no stiffness at rest.
         """
     @property
     def frequency(self) -> float:
@@ -665,6 +673,11 @@ class MotionLimit:
     def numbers(self) -> int:
         """
         How many numbers of a static answer are looked at.
+        """
+    @property
+    def tissue(self) -> LimitedTissue:
+        """
+        What was found of the skin. It can be pickled.
         """
 class State:
     """

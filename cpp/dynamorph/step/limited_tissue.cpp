@@ -380,6 +380,26 @@ void make_unique(std::vector<int>& numbers) {
   numbers.erase(std::unique(numbers.begin(), numbers.end()), numbers.end());
 }
 
+SkinWeights carried_by_bones(const SoftBody& body, const SkinLimits& limits) {
+  return limits.groups.size() > 0 ? SkinWeights(limits.groups.sparseView()) : body.skin;
+}
+
+LimitedTissue looked_at(const Tissue& tissue) {
+  LimitedTissue out{tissue.square_frequency, tissue.chosen, tissue.area, tissue.pulled, tissue.pulled_mass, {}};
+  for (const CriticalEdges& critical : tissue.edges) {
+    BoneEdges edges;
+    for (int e : critical.edges) edges.critical.push_back(tissue.skin.edges[std::size_t(e)]);
+    double stretched = double(critical.edges.size());
+    for (const auto& [e, stretch] : critical.between) {
+      edges.between.push_back(tissue.skin.edges[std::size_t(e)]);
+      stretched += stretch * stretch;
+    }
+    if (critical.any()) edges.stiffness = kPull * critical.energy / stretched;
+    out.edges.push_back(std::move(edges));
+  }
+  return out;
+}
+
 Embedding of_points(const Embedding& all, const std::vector<int>& chosen) {
   return {all.nodes(chosen, Eigen::all), all.weights(chosen, Eigen::all), VectorXd::Zero(Index(chosen.size()))};
 }
@@ -402,33 +422,33 @@ template <class Model>
 Tissue tissue_of(const Neutral<Model>& neutral, const SkinLimits& limits) {
   const Model& model = neutral.model;
   Tissue out;
-  out.mass = neutral.mass;
+  const VectorXd& mass = neutral.mass;
   // The static answers to accelerations of the whole body, and the frequency of what follows from them by one inverse
   // iteration (Rayleigh's quotient).
   std::array<VectorXd, 3> of_body;
   out.square_frequency = kInfinity;
   for (int axis = 0; axis < 3; ++axis) {
     VectorXd u, again;
-    of_body[std::size_t(axis)] = neutral.answer(accelerated(out.mass, axis));
+    of_body[std::size_t(axis)] = neutral.answer(accelerated(mass, axis));
     model.displacement(of_body[std::size_t(axis)], u);
-    const VectorXd load = at_coordinates(out.mass).cwiseProduct(u);
+    const VectorXd load = at_coordinates(mass).cwiseProduct(u);
     model.displacement(neutral.answer(load), again);
-    const double quotient = again.dot(load) / again.cwiseAbs2().dot(at_coordinates(out.mass));
+    const double quotient = again.dot(load) / again.cwiseAbs2().dot(at_coordinates(mass));
     out.square_frequency = std::min(out.square_frequency, quotient);
   }
-  out.carried = limits.groups.size() > 0 ? SkinWeights(limits.groups.sparseView()) : model.body().skin;
-  out.carried_mass = out.carried.transpose() * out.mass;
+  const SkinWeights carried = carried_by_bones(model.body(), limits);
+  const VectorXd carried_mass = carried.transpose() * mass;
   out.skin = soft_skin(limits);
   const Mirror mirror(limits, out.skin);
   Sampling sampling(limits.rest, out.skin.areas, mirror);
   sampling.add(kLimitedPoints);
   std::vector<int> with_tissue;
-  for (Index b = 0; b < out.carried_mass.size(); ++b)
-    if (out.carried_mass(b) > kBoneOfTissue * out.mass.sum()) with_tissue.push_back(int(b));
-  out.edges.resize(std::size_t(out.carried_mass.size()));
+  for (Index b = 0; b < carried_mass.size(); ++b)
+    if (carried_mass(b) > kBoneOfTissue * mass.sum()) with_tissue.push_back(int(b));
+  out.edges.resize(std::size_t(carried_mass.size()));
   run_tasks(int(with_tissue.size()), {}, [&](int k, const ProgressFn&) {
     const int b = with_tissue[std::size_t(k)];
-    const VectorXd part = out.carried.col(b).cwiseProduct(out.mass);
+    const VectorXd part = carried.col(b).cwiseProduct(mass);
     out.edges[std::size_t(b)] = critical_edges(neutral, limits, out.skin, limits.weights.col(b), part, of_body);
   });
   std::vector<double> strain(out.skin.edges.size(), 0.0);
@@ -449,7 +469,7 @@ Tissue tissue_of(const Neutral<Model>& neutral, const SkinLimits& limits) {
   if (limits.painted.size() > 0) sampling.add((1 - limits.painted.array()).matrix(), kPaintedPoints);
   out.pulled = sampling.chosen();
   out.pulled_mass =
-      mirror.evened(out.pulled, sums_at_nearest(limits.rest(out.pulled, Eigen::all), model.body().rest, out.mass));
+      mirror.evened(out.pulled, sums_at_nearest(limits.rest(out.pulled, Eigen::all), model.body().rest, mass));
   return out;
 }
 

@@ -78,10 +78,7 @@ struct Neutral {
 
 /// All that the limits are made of.
 struct Tissue {
-  VectorXd mass;            ///< of the free nodes
   double square_frequency;  ///< w^2
-  SkinWeights carried;      ///< (free, G): the bones' parts of the nodes
-  VectorXd carried_mass;    ///< (G)
   SoftSkin skin;
   std::vector<int> chosen;           ///< points of the skin that say how far a load carries it
   VectorXd area;                     ///< of the skin that is nearest to each of them
@@ -92,6 +89,12 @@ struct Tissue {
 
 template <class Model>
 Tissue tissue_of(const Neutral<Model>& neutral, const SkinLimits& limits);
+
+/// What of it stays in use.
+LimitedTissue looked_at(const Tissue& tissue);
+
+/// (free, G): the bones' parts of the free nodes.
+SkinWeights carried_by_bones(const SoftBody& body, const SkinLimits& limits);
 
 /// Sorts numbers, each of which stays once.
 void make_unique(std::vector<int>& numbers);

@@ -43,6 +43,27 @@ void check(const SkinLimits& limits, const SoftBody& body) {
                                 " bones, got " + std::to_string(limits.weights.cols()));
 }
 
+/// Throws std::invalid_argument unless it is of such a skin.
+void check(const LimitedTissue& tissue, const SkinLimits& limits) {
+  const Index P = limits.rest.rows();
+  const auto is_point = [&](int p) { return p >= 0 && p < P; };
+  const auto are_edges = [&](const std::vector<Edge>& edges) {
+    return std::all_of(edges.begin(), edges.end(), [&](const Edge& edge) {
+      return is_point(edge.first) && is_point(edge.second) &&
+             limits.rest.row(edge.first) != limits.rest.row(edge.second);
+    });
+  };
+  bool fits = tissue.square_frequency > 0 && std::isfinite(tissue.square_frequency) &&
+              std::all_of(tissue.chosen.begin(), tissue.chosen.end(), is_point) &&
+              std::all_of(tissue.pulled.begin(), tissue.pulled.end(), is_point) &&
+              tissue.area.size() == Index(tissue.chosen.size()) &&
+              tissue.pulled_mass.size() == Index(tissue.pulled.size()) && tissue.area.allFinite() &&
+              tissue.pulled_mass.allFinite() && Index(tissue.edges.size()) == limits.weights.cols();
+  for (const BoneEdges& of_bone : tissue.edges)
+    fits = fits && are_edges(of_bone.critical) && are_edges(of_bone.between) && std::isfinite(of_bone.stiffness);
+  if (!fits) throw std::invalid_argument("tissue: it is of another skin");
+}
+
 /// The numbers over few points, and which points (P) these are.
 std::pair<PointRows, std::vector<int>> packed(const PointRows& numbers) {
   std::vector<int> used;
@@ -100,14 +121,14 @@ void add_stretch(const SkinLimits& limits, const Edge& edge, int a, int b, Point
 }
 
 /// numbers: over the skin's points (P), three of each chosen point, then one of each edge.
-std::vector<LimitedBone> limited_bones(const Tissue& tissue, const SkinLimits& limits, const SoftBody& body,
+std::vector<LimitedBone> limited_bones(const LimitedTissue& tissue, const SkinLimits& limits, const SoftBody& body,
                                        PointRows& numbers) {
   for (int p : tissue.chosen)
     for (int axis = 0; axis < 3; ++axis) {
       numbers.add_row();
       numbers.add(p, Vector3d::Unit(axis) / limits.distances(p));
     }
-  const MatrixXd volumes = tissue.carried.transpose() * body.volumes;  // (G, S)
+  const MatrixXd volumes = carried_by_bones(body, limits).transpose() * body.volumes;  // (G, S)
   std::vector<LimitedBone> out(tissue.edges.size());
   for (std::size_t b = 0; b < out.size(); ++b) {
     LimitedBone& bone = out[b];
@@ -128,10 +149,7 @@ std::vector<LimitedBone> limited_bones(const Tissue& tissue, const SkinLimits& l
       bone.radius = box.diagonal().norm() / 2;
     }
     bone.first_edge = numbers.size();
-    for (int e : tissue.edges[b].edges) {
-      const Edge& edge = tissue.skin.edges[std::size_t(e)];
-      add_stretch(limits, edge, edge.first, edge.second, numbers);
-    }
+    for (const Edge& edge : tissue.edges[b].critical) add_stretch(limits, edge, edge.first, edge.second, numbers);
     bone.last_edge = numbers.size();
   }
   return out;
@@ -139,8 +157,9 @@ std::vector<LimitedBone> limited_bones(const Tissue& tissue, const SkinLimits& l
 
 /// What is pulled back, and its numbers over `points`: of a mesh the free nodes, of few coordinates the pulled points
 /// with the mass of the nodes nearby; then the ends of the edges.
-std::vector<Pull> pulls_of(const Tissue& tissue, const SkinLimits& limits, const SoftBody& body, bool nodal,
-                           PointRows& numbers, Embedding& points) {
+/// node_mass: of the free nodes.
+std::vector<Pull> pulls_of(const LimitedTissue& tissue, const SkinLimits& limits, const SoftBody& body, bool nodal,
+                           const VectorXd& node_mass, PointRows& numbers, Embedding& points) {
   const double pull = kPull * tissue.square_frequency;
   points = nodal ? free_nodes(body) : of_points(limits.embedding, tissue.pulled);
   const auto at_points = [&](const VectorXd& of_skin) {
@@ -149,7 +168,7 @@ std::vector<Pull> pulls_of(const Tissue& tissue, const SkinLimits& limits, const
   const VectorXd distances = at_points(limits.distances);
   VectorXd painted = VectorXd::Ones(distances.size());
   if (limits.painted.size() > 0) painted = at_points(limits.painted);
-  const VectorXd& mass = nodal ? tissue.mass : tissue.pulled_mass;
+  const VectorXd& mass = nodal ? node_mass : tissue.pulled_mass;
   std::vector<Pull> out;
   for (int p = 0; p < int(points.nodes.rows()); ++p) {
     out.push_back({numbers.size(), 3, painted(p) * distances(p), pull / painted(p) * mass(p)});
@@ -159,21 +178,14 @@ std::vector<Pull> pulls_of(const Tissue& tissue, const SkinLimits& limits, const
     }
   }
   std::vector<int> ends;
-  for (const CriticalEdges& critical : tissue.edges) {
-    std::vector<int> pulled(critical.edges.begin(), critical.edges.end());
-    double stretched = double(pulled.size());
-    for (const auto& [e, stretch] : critical.between) {
-      pulled.push_back(e);
-      stretched += stretch * stretch;
-    }
-    for (int e : pulled) {
-      const Edge& edge = tissue.skin.edges[std::size_t(e)];
-      const int first = int(points.nodes.rows() + Index(ends.size()));
-      out.push_back({numbers.size(), 1, 1, kPull * critical.energy / stretched});
-      add_stretch(limits, edge, first, first + 1, numbers);
-      ends.insert(ends.end(), {edge.first, edge.second});
-    }
-  }
+  for (const BoneEdges& of_bone : tissue.edges)
+    for (const std::vector<Edge>* edges : {&of_bone.critical, &of_bone.between})
+      for (const Edge& edge : *edges) {
+        const int first = int(points.nodes.rows() + Index(ends.size()));
+        out.push_back({numbers.size(), 1, 1, of_bone.stiffness});
+        add_stretch(limits, edge, first, first + 1, numbers);
+        ends.insert(ends.end(), {edge.first, edge.second});
+      }
   append(of_points(limits.embedding, ends), points);
   return out;
 }
@@ -227,7 +239,8 @@ void NodalAnswers::multiply(const MatrixX2d& loads, std::vector<float>& scratch,
 }
 
 template <class Model>
-MotionLimit<Model>::MotionLimit(std::shared_ptr<const Model> model, const SkinLimits& limits)
+MotionLimit<Model>::MotionLimit(std::shared_ptr<const Model> model, const SkinLimits& limits,
+                                std::optional<LimitedTissue> tissue)
     : model_(std::move(model)), groups_(limits.groups), pull_points_(model_->skin_points({})) {
   check(limits, model_->body());
   Neutral<Model> neutral(*model_);
@@ -235,21 +248,20 @@ MotionLimit<Model>::MotionLimit(std::shared_ptr<const Model> model, const SkinLi
   for (std::size_t j = 0; j < model_->targets().size(); ++j)
     if (const MorphTarget& target = model_->targets()[j]; neutral.weights(Index(j)) == 1)
       neutral_stiffness_(target.set) = target.lame.mu;
-  const Tissue tissue = tissue_of(neutral, limits);
-  frequency_ = std::sqrt(tissue.square_frequency);
-  sampled_ = int(tissue.chosen.size());
-  sampled_rest_ = limits.rest(tissue.chosen, Eigen::all);
-  sampled_distances_ = limits.distances(tissue.chosen);
+  if (tissue) check(*tissue, limits);
+  tissue_ = tissue ? std::move(*tissue) : looked_at(tissue_of(neutral, limits));
+  sampled_rest_ = limits.rest(tissue_.chosen, Eigen::all);
+  sampled_distances_ = limits.distances(tissue_.chosen);
   group_shares_ = groups_;
   for (Index b = 0; b < groups_.cols(); ++b) group_shares_.col(b) /= std::max(groups_.col(b).sum(), 1e-300);
 
   PointRows numbers;
-  bones_ = limited_bones(tissue, limits, model_->body(), numbers);
+  bones_ = limited_bones(tissue_, limits, model_->body(), numbers);
   const auto [few, used] = packed(numbers);
   typename Model::SkinPoints::Rows rows, pulled;
   model_->skin_points(of_points(limits.embedding, used)).rows(few, rows);
   Embedding points;
-  pulls_ = pulls_of(tissue, limits, model_->body(), kNodal, pull_numbers_, points);
+  pulls_ = pulls_of(tissue_, limits, model_->body(), kNodal, neutral.mass, pull_numbers_, points);
   pull_points_ = model_->skin_points(points);
   pull_points_.rows(pull_numbers_, pulled);
   if constexpr (kNodal) {
@@ -264,7 +276,7 @@ MotionLimit<Model>::MotionLimit(std::shared_ptr<const Model> model, const SkinLi
 template <class Model>
 void MotionLimit<Model>::drive(const VectorXd& load, const VectorXd& weights, const Transforms& acceleration, double h,
                                const DrivenLoad& before, Scratch& scratch, DrivenLoad& out) const {
-  const std::complex<double> k = std::exp(std::complex(-kLoadDamping, 1.0) * h * frequency_);
+  const std::complex<double> k = std::exp(std::complex(-kLoadDamping, 1.0) * h * frequency());
   const double kept = std::abs(k), turn = k.imag();
   out.swing.resize(load.size(), 2);
   out.swing.col(0) = k.real() * before.swing.col(0) - turn * before.swing.col(1) + (1 - k.real()) * load;
@@ -321,7 +333,7 @@ void MotionLimit<Model>::reach(const MatrixX2d& swing, const VectorXd& weights, 
   const auto& targets = model_->targets();
   for (std::size_t j = 0; j < targets.size(); ++j)
     stiffness(targets[j].set) += weights(Index(j)) * targets[j].lame.mu / neutral_stiffness_(targets[j].set);
-  for (int p = 0; p < sampled_; ++p) answers(p) = answers.segment<3>(3 * p).norm();
+  for (int p = 0; p < int(sampled_distances_.size()); ++p) answers(p) = answers.segment<3>(3 * p).norm();
   out.resize(bones());
   for (Index b = 0; b < bones(); ++b) {
     const LimitedBone& bone = bones_[std::size_t(b)];

@@ -39,12 +39,14 @@
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <memory>
 #include <optional>
 #include <type_traits>
 #include <vector>
 
 #include "dynamorph/elastic/sparse_cholesky.hpp"
+#include "dynamorph/mesh/surface.hpp"
 #include "dynamorph/models/full_model.hpp"
 #include "dynamorph/reduced/reduced_model.hpp"
 #include "dynamorph/simd/lane_vector.hpp"
@@ -68,6 +70,23 @@ struct SkinLimits {
   MatrixXd groups;
   VectorXd painted;  ///< (P) in (0, 1]: factors on L where points are pulled back; empty for ones
   LimitConstants constants = {};
+};
+
+/// Edges of the skin, as pairs of its points, that say how far loads on a bone stretch it.
+struct BoneEdges {
+  std::vector<Edge> critical;  ///< that its loads stretch most
+  std::vector<Edge> between;   ///< that are pulled back beside those
+  double stiffness = 0;        ///< with which each of these is, J: twice the factor of E_e
+};
+
+/// What the limits look at in a skin of P points, for which static answers are found: that takes a while.
+struct LimitedTissue {
+  double square_frequency = 0;   ///< w^2
+  std::vector<int> chosen;       ///< points that say how far a load carries the skin
+  VectorXd area;                 ///< of the skin that is nearest to each of them
+  std::vector<int> pulled;       ///< points that are pulled back: the same, and more where L is painted smaller
+  VectorXd pulled_mass;          ///< of the nodes that are nearest to each of these
+  std::vector<BoneEdges> edges;  ///< of each bone (G)
 };
 
 using MatrixX2d = Eigen::Matrix<double, Eigen::Dynamic, 2>;
@@ -127,14 +146,15 @@ struct DrivenLoad {
 template <class Model>
 class MotionLimit {
  public:
-  /// Throws std::invalid_argument unless the limits' arrays fit each other and the model, and Error if the tissue has
-  /// no stiffness at rest.
-  MotionLimit(std::shared_ptr<const Model> model, const SkinLimits& limits);
+  /// tissue: that of such a limit of this model and skin, whatever its distances, or none, to find it. Throws
+  /// std::invalid_argument unless all of it fits each other and the model, and Error if there is no stiffness at rest.
+  MotionLimit(std::shared_ptr<const Model> model, const SkinLimits& limits, std::optional<LimitedTissue> tissue = {});
 
   const Model& model() const { return *model_; }
-  Eigen::Index bones() const { return Eigen::Index(bones_.size()); }  ///< G
-  double frequency() const { return frequency_; }                     ///< w, of the neutral tissue, 1/s
-  Eigen::Index numbers() const { return answers_->size(); }           ///< of a static answer that are looked at
+  const LimitedTissue& tissue() const { return tissue_; }
+  Eigen::Index bones() const { return Eigen::Index(bones_.size()); }        ///< G
+  double frequency() const { return std::sqrt(tissue_.square_frequency); }  ///< w, of the neutral tissue, 1/s
+  Eigen::Index numbers() const { return answers_->size(); }                 ///< of a static answer that are looked at
 
   /// Nothing is allocated after the first time.
   struct Scratch {
@@ -174,13 +194,12 @@ class MotionLimit {
   double percentile(const LimitedBone& bone, Scratch& scratch) const;
 
   std::shared_ptr<const Model> model_;
+  LimitedTissue tissue_;
   std::vector<LimitedBone> bones_;
-  int sampled_ = 0;  ///< points, whose three numbers each come first
-  Points sampled_rest_;
+  Points sampled_rest_;             ///< of the chosen points, whose three numbers each come first
   VectorXd sampled_distances_;      ///< L
   MatrixXd groups_, group_shares_;  ///< (T, G); columns of the second add up to one
   VectorXd neutral_stiffness_;      ///< mu of each set's neutral target
-  double frequency_ = 0;
   std::unique_ptr<Answers> answers_;
   std::vector<Pull> pulls_;
   PointRows pull_numbers_;

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .. import max_distance
-from ..character import Character
+from ..character import Character, same
 from ..engine import dynamorph
 from ..geometry import diagonal
 from ..model.model import EngineModel, Model
@@ -36,7 +36,8 @@ def motion_limit(model: Model, engine: EngineModel, character: Character, settin
     if not np.isfinite(distances).all() or not len(soft):
         return None
     painted = max_distance.pulled(character.max_distance)
-    return dynamorph.MotionLimit(
+    known = _looked_at(model, character)
+    limit = dynamorph.MotionLimit(
         engine,
         character.bind_points,
         model.embedding,
@@ -45,7 +46,24 @@ def motion_limit(model: Model, engine: EngineModel, character: Character, settin
         distances,
         model.node_weights[model.free] if character.probed else None,
         painted if (painted < 1.0).any() else None,
+        tissue=known,
     )
+    if known is None:
+        model.made[_made(model)] = character, limit.tissue
+    return limit
+
+
+def _looked_at(model: Model, character: Character) -> Any:
+    """What the engine found of the character's skin; None where it is to look. It takes a while, so it is kept with the
+    model.
+    """
+    of, found = model.made.get(_made(model), (None, None))
+    return found if same(of, character) else None
+
+
+def _made(model: Model) -> tuple[str, ...]:
+    """By what it is kept. The engine's class is named with its constants, which docs/limit.md compares."""
+    return "limited", model.settings.solver, str(dynamorph.MotionLimit)
 
 
 @dataclass(frozen=True)

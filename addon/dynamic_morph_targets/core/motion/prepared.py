@@ -8,12 +8,10 @@ them in its thread for those that play next.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
-import numpy as np
-
-from ..character import Character
+from ..character import Character, same
 from ..engine import dynamorph
 from ..model.model import EngineModel, Model
 from ..settings import SimulationSettings
@@ -43,7 +41,7 @@ def prepared(model: Model, character: Character, settings: SimulationSettings) -
     """What was made of these before, or made now. Raises SceneError if the model is not the character's."""
     limits = dynamorph.MotionLimit, settings.max_displacement, settings.max_thickness
     for known in _kept[:]:  # other threads prepare others
-        if known.limits == limits and _is_model(known.model, model) and _same(known.character, character):
+        if known.limits == limits and _is_model(known.model, model) and same(known.character, character):
             return known
     engine = model.engine(character, character.probed)
     made = Prepared(model, character, limits, engine, motion_limit(model, engine, character, settings))
@@ -58,19 +56,4 @@ def forget() -> None:
 
 def _is_model(one: Model, other: Model) -> bool:
     names = [field.name for field in fields(Model) if field.init and field.name != "summary"]  # how it was built
-    return all(_same(getattr(one, name), getattr(other, name)) for name in names)
-
-
-def _same(one: Any, other: Any) -> bool:
-    """Whether plain values are equal: records, sequences and arrays by their contents."""
-    if one is other:
-        return True
-    if type(one) is not type(other):
-        return False
-    if isinstance(one, np.ndarray):
-        return np.array_equal(one, other)
-    if is_dataclass(one):
-        return all(_same(getattr(one, field.name), getattr(other, field.name)) for field in fields(one))
-    if isinstance(one, tuple):
-        return len(one) == len(other) and all(map(_same, one, other))
-    return one == other
+    return all(same(getattr(one, name), getattr(other, name)) for name in names)

@@ -92,8 +92,9 @@ def read(request: Request) -> BakeInput:
     character = extract.read(source, without_targets=request.goal == "BUILD_CAGE")
     given = BakeInput(request.name, request.goal, character, cache_files=dict(request.cache_files))
     given.drafts = request.drafts
-    if given.goal == "BUILD" and (given.drafts or obj.dynamorph.live.key.name):
-        given.live = run_settings.simulation_settings(obj, bpy.context.scene)
+    if given.goal == "BUILD" and (given.drafts or obj.dynamorph.live.key.name or not bpy.app.background):
+        with suppress(SceneError):  # Live will say so
+            given.live = run_settings.simulation_settings(obj, bpy.context.scene)
     if given.is_bake:
         check_bake(obj)
         for each in handles(character.attachments):

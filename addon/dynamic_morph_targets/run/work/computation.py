@@ -26,6 +26,7 @@ from ...core.model import build
 from ...core.model.model import Model
 from ...core.motion import baked, contact, rig_samples, simulate
 from ...core.motion.baked import Bake
+from ...core.motion.prepared import prepared
 from ...core.motion.rig_samples import RigSamples
 from ...core.motion.simulate import Shot, play_together
 from ...core.result import judge
@@ -221,9 +222,11 @@ class Computation:
     def _prepare(self, model: Model, character: Character) -> None:
         """Make here what Live would make next, while the window waits for it."""
         live = self.given.live
-        if live and live.collision and model.settings.method != "STATIC":
+        if live and model.settings.method != "STATIC":
             with suppress(*engine.expected_errors()):  # Live says what prevents it
-                contact.make_kept(model, character, live.self_collision)
+                prepared(model, character, live)
+                if live.collision:
+                    contact.make_kept(model, character, live.self_collision)
 
     def _take_model(self, model: Model) -> None:
         with self.progress.stage("store model"):
