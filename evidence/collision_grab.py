@@ -21,7 +21,7 @@ from contact_sheet import quiet
 from dynamic_morph_targets.core.motion.grab import FIRM, Grab, pinch
 from dynamic_morph_targets.core.motion.player import Player
 from dynamic_morph_targets.core.settings import SimulationSettings
-from dynamic_morph_targets.run.live.grabbing import RADIUS
+from dynamic_morph_targets.run.tools.grabbing import RADIUS
 
 ROUNDS, SUBSTEPS, FPS = 40, 5, 24.0
 WAYS = ("none", "idle", "holds")

@@ -31,7 +31,7 @@ import table  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.core import engine  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run import remembered  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch  # noqa: E402
-from bl_ext.user_default.dynamic_morph_targets.run.live import live  # noqa: E402
+from bl_ext.user_default.dynamic_morph_targets.run import live  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.work import task  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.work.child import Child  # noqa: E402
 from bl_ext.user_default.dynamic_morph_targets.run.tools.first_look import FirstLook  # noqa: E402

@@ -29,9 +29,9 @@ import bpy
 import dynamic_morph_targets
 from bench import machine
 from contact_sheet import quiet
+from dynamic_morph_targets.run import live
 from dynamic_morph_targets.run.bake import batch
 from dynamic_morph_targets.run.bake.job import Job
-from dynamic_morph_targets.run.live import live
 from dynamic_morph_targets.run.tools.first_look import FirstLook
 from dynamic_morph_targets.run.work import task
 from dynamic_morph_targets.run.work.child import Child

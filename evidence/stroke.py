@@ -18,7 +18,7 @@ import dynamic_morph_targets
 import numpy as np
 from dynamic_morph_targets.core.material import fit
 from dynamic_morph_targets.core.model import build
-from dynamic_morph_targets.run.live import session
+from dynamic_morph_targets.run.playing import session
 from dynamic_morph_targets.scene.character import extract
 from dynamic_morph_targets.scene.store import model_store
 

@@ -17,9 +17,9 @@ import dynamic_morph_targets
 import dynamorph
 import pytest
 import real_character
+from dynamic_morph_targets.run import live
 from dynamic_morph_targets.run.bake import batch, job
 from dynamic_morph_targets.run.bake.job import Job
-from dynamic_morph_targets.run.live import live
 from dynamic_morph_targets.scene import events
 from dynamic_morph_targets.scene.character import extract
 from dynamic_morph_targets.scene.read import sampling_scene

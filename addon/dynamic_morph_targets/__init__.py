@@ -11,7 +11,7 @@ from types import ModuleType
 
 def _modules() -> tuple[ModuleType, ...]:
     from . import preferences
-    from .run.live import live
+    from .run import live
     from .run.tools import watch, weight_curves
     from .scene.properties import object_properties as properties
     from .ui import languages

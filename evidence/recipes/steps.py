@@ -175,7 +175,7 @@ def grab(hands: Hands, body: bpy.types.Object) -> None:
 def drag(body: bpy.types.Object) -> None:
     """Play once, and meanwhile pull the belly forward and let go: what the mouse does with the tool."""
     package = type(body.dynamorph).__module__.rpartition(".scene.")[0]
-    grabbing = importlib.import_module(f"{package}.run.live.grabbing")
+    grabbing = importlib.import_module(f"{package}.run.tools.grabbing")
     scene, hand, number, place = bpy.context.scene, None, 0, np.array(NAVEL)
     for frame in range(scene.frame_start, scene.frame_end + 1):
         if frame == DRAG[0]:

@@ -299,11 +299,11 @@ def finish_sculpting():
     sculpt = skin().active_shape_key
     assert sculpt.value == 1.0, "the sculpt does not show in its pose"
     yield from sidebar.press("dynamorph.live")  # which builds first
-    yield from until(lambda: addon("run.live.live").is_on(skin()), "Live to be on", 60.0)
+    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on", 60.0)
     task.done()
     assert not addon("scene.store.staleness").model_age(skin()) and sculpt.value == 0.0 and sculpt.mute
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: not addon("run.live.live").is_on(skin()), "Live to be off")
+    yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
     yield from sidebar.press("dynamorph.go_to_pose")
     yield from until(lambda: sculpt.value == 1.0, "the sculpt in its pose")
     yield from frames.click(limb.FLEXED)

@@ -148,10 +148,10 @@ def live_over_the_bake():
     bpy.context.scene.frame_set(limb.FLEXED + 1)
     before, shown = keys(), shown_at(limb.FLEXED + 1)
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: addon("run.live.live").is_on(skin()), "Live to be on")
+    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on")
     assert baked() and np.abs(shown_at(limb.FLEXED + 1) - shown).max() > 1e-5
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: not addon("run.live.live").is_on(skin()), "Live to be off")
+    yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
     assert keys() == before and np.array_equal(shown_at(limb.FLEXED + 1), shown)
 
 

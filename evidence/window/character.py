@@ -84,15 +84,15 @@ def build():
 @step("Play it live")
 def live():
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: addon("run.live.live").is_on(skin()), "Live to be on")
-    with frames.timed(addon("run.live.live"), "follow") as follow:
+    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on")
+    with frames.timed(addon("run.live"), "follow") as follow:
         yield from measured("Live")
     measure("Live's own share of a frame", f"{np.median(follow):.1f} ms, mean {np.mean(follow):.1f} ms")
     seconds, problem = yield from frames.latency(skin(), settings().targets[0], 2.0 * settings().targets[0].stiffness)
     assert not problem
     measure("Stiffness to the next picture", f"{seconds:.2f} s")
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: not addon("run.live.live").is_on(skin()), "Live to be off")
+    yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
 
 
 @step("Bake it")

@@ -63,13 +63,13 @@ def collide():
     yield from properties.press("dynamorph.collide")
     yield from until(lambda: settings().collision.use, "Collision to be on")
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: addon("run.live.live").is_on(skin()), "Live to be on", 60)
+    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on", 60)
     with frames.Playback() as playback:
         yield from frames.start()
         yield from until(lambda: len(playback.evaluated) > limb.PRESSES + 5, "the ball to press", 60)
     task.done()
     yield from frames.stop()
-    assert not addon("run.live.live").problem(skin())
+    assert not addon("run.live").problem(skin())
     pressed, deep = shown(), depth()
     measure("A ball in Live", f"{1e3 * limb.PRESSED:.0f} mm deep, the skin {1e3 * deep:.2f} mm in it")
     assert -0.01 < deep < 1e-3 and np.abs(pressed - shown_at(1)).max() > 0.5 * limb.PRESSED
@@ -100,7 +100,7 @@ def add_floor():
 def two_bodies():
     settings().collision.property_unset("distance")
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: not addon("run.live.live").is_on(skin()), "Live to be off")
+    yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
     bpy.data.objects["Floor"].hide_viewport = bpy.data.objects["Ball"].hide_viewport = True
     other = limb.make_other(skin())
     for obj in (other, skin()):
@@ -112,11 +112,11 @@ def two_bodies():
     yield from driver.drawn()
     driver.photograph("pair_panel", properties.box)
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: addon("run.live.live").is_on(skin()), "Live to be on", 60)
+    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on", 60)
     bpy.context.view_layer.objects.active = other
     yield from driver.drawn()
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: addon("run.live.live").is_on(other), "Live of the other one to be on", 60)
+    yield from until(lambda: addon("run.live").is_on(other), "Live of the other one to be on", 60)
     yield from frames.click(1)
     with frames.Playback() as playback:
         yield from frames.start()
@@ -127,7 +127,7 @@ def two_bodies():
     measure("Two bodies in Live", f"{len(sessions[skin().session_uid].group.names)} simulated together")
     assert len(sessions[skin().session_uid].group.names) == 2
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: not addon("run.live.live").is_on(other), "Live of the other one to be off")
+    yield from until(lambda: not addon("run.live").is_on(other), "Live of the other one to be off")
     bpy.data.objects.remove(other)
     skin().modifiers.remove(skin().modifiers["Collision"])
     bpy.context.view_layer.objects.active = skin()
@@ -138,7 +138,7 @@ def two_bodies():
 def without():
     """The next part has the arm alone again."""
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: not addon("run.live.live").is_on(skin()), "Live to be off")
+    yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
     assert keys() == before
     for name in ("Ball", "Floor"):
         bpy.data.objects.remove(bpy.data.objects[name])

@@ -125,7 +125,7 @@ def latency(skin, target, stiffness: float):
 
     Also why Live does not play, or ''.
     """
-    live = addon("run.live.live")
+    live = addon("run.live")
     with Playback() as playback:
         yield from start()
         yield from until(lambda: len(playback.drawn) > 3, "the first pictures", 60)

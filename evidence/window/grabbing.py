@@ -56,7 +56,7 @@ def choose():
     yield from physics("advanced", "solver")
     yield from frames.click(limb.FIRST)
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: addon("run.live.live").is_on(skin()), "Live to be on")
+    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on")
     view.area.spaces.active.show_region_toolbar = True
     with viewport.context():
         bpy.ops.wm.tool_set_by_id(name="dynamorph.grab_object")
@@ -119,7 +119,7 @@ def playing():
     yield from release(PULLED)
     yield from until(lambda: not hands(), "the hand to let go")
     yield from frames.stop()
-    assert not addon("run.live.live").problem(skin())
+    assert not addon("run.live").problem(skin())
 
 
 @step("Record Drags, and see them again")
@@ -148,5 +148,5 @@ def without():
         bpy.ops.wm.tool_set_by_id(name="builtin.select_box")
     view.area.spaces.active.show_region_toolbar = False
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: not addon("run.live.live").is_on(skin()), "Live to be off")
+    yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
     assert keys() == before

@@ -76,7 +76,7 @@ def modes():
     yield from close("detail")
     yield from physics("modes")
     yield from properties.press("dynamorph.play_mode")
-    yield from until(lambda: addon("run.live.preview").is_running("dynamorph.play_mode"), "the mode to play")
+    yield from until(lambda: addon("run.tools.preview").is_running("dynamorph.play_mode"), "the mode to play")
     yield from until(lambda: np.abs(shown() - still).max() > 5e-3, "the mode to swing")
     yield from viewport.key("ESC")
     yield from until(lambda: keys() == before, "the preview to end")
@@ -93,20 +93,20 @@ def live():
     yield from frames.click(limb.FIRST)
     begin = time.perf_counter()
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: addon("run.live.live").is_on(skin()), "Live to be on")
+    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on")
     measure("Live, turned on after", f"{time.perf_counter() - begin:.2f} s")
     assert keys()[-1] == "Dynamorph Live"
 
 
 @step("Play it live")
 def play_live():
-    with frames.timed(addon("run.live.live"), "follow") as follow:
+    with frames.timed(addon("run.live"), "follow") as follow:
         played = yield from frames.play(limb.FLEXED - limb.FIRST + 5)
     assert len(follow) >= len(played.evaluated)
     measure("Playback with Live", f"{played.fps:.0f} of {bpy.context.scene.render.fps} frames/s")
     measure("Live, a frame of the arm", f"{np.mean(follow):.1f} ms, at most {max(follow):.0f} ms")
     assert moved(limb.FLEXED + 1, limb.FLEXED + 4) > 1e-4, "the skin does not swing"
-    assert not addon("run.live.live").problem(skin())
+    assert not addon("run.live").problem(skin())
 
 
 @step("Change the stiffness while it plays")
@@ -139,7 +139,7 @@ def shown_by_click(frame: int):
 def shake():
     yield from sidebar.unfold("DYNAMORPH_PT_shake_test")
     rested, stood = shown(), rig().matrix_world.copy()
-    running = lambda: addon("run.live.preview").is_running("dynamorph.shake_test")  # noqa: E731
+    running = lambda: addon("run.tools.preview").is_running("dynamorph.shake_test")  # noqa: E731
     hop = "dynamorph.shake_test(kind='HOP')"
     yield from sidebar.press(hop)
     yield from until(running, "the shake test")
@@ -174,7 +174,7 @@ def slots():
 @step("Live off")
 def live_off():
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: not addon("run.live.live").is_on(skin()), "Live to be off")
+    yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
     assert keys() == ["Basis", "flexed", "Pose 1"]
     assert not any(block.mute for block in skin().data.shape_keys.key_blocks)
     assert moved(limb.FLEXED + 1, limb.FLEXED + 4) == 0.0

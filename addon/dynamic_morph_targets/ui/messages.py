@@ -12,12 +12,12 @@ from ..core.errors import RecordError
 from ..core.message import Message, joined
 from ..core.model.model import CAGE, HOLD, MODES
 from ..core.result import judge
-from ..run import remembered
+from ..run import live, remembered
 from ..run.bake import bake_time
-from ..run.live import live
+from ..scene import cuts
 from ..scene.check import body_checks, checks
 from ..scene.check.problem import Problem
-from ..scene.motion import colliders, cuts, run_settings
+from ..scene.motion import colliders, run_settings
 from ..scene.skinning import Skinning
 from ..scene.store import staleness
 from ..write.display import comparison

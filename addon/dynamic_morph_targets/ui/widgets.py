@@ -11,7 +11,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.message import translated
 from ..core.time_left import clock
-from ..run.live import grabbing
+from ..run.tools import grabbing
 from ..run.work.task import Work
 from ..scene.check.problem import Problem
 

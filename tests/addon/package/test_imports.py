@@ -10,9 +10,10 @@ PACKAGE = Path(__file__).parents[3] / "addon" / "dynamic_morph_targets"
 # A module may import those of its own folder and of those before it. The package's own files come last.
 FOLDERS = [
     "core", "core/model", "core/material", "core/motion", "core/result", "io", "preferences",
-    "scene", "scene/properties", "scene/read", "scene/check", "scene/motion", "scene/character", "scene/store",
+    "scene", "scene/properties", "scene/read", "scene/check", "scene/motion", "scene/cuts",
+    "scene/character", "scene/store",
     "write", "write/bake", "write/authoring", "write/display", "write/export",
-    "run", "run/work", "run/bake", "run/live", "run/tools",
+    "run", "run/work", "run/bake", "run/playing", "run/live", "run/tools",
     "ui", "ui/operators", "ui/overlays", "ui/panels", "cli", "",
 ]  # fmt: skip
 WITHOUT_BLENDER = {"core", "io"}

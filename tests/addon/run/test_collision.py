@@ -13,12 +13,12 @@ import real_character
 from bl_ext.user_default.dynamic_morph_targets.core.errors import SceneError
 from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
 from bl_ext.user_default.dynamic_morph_targets.io.cache_dir import CacheDir
+from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
 from bl_ext.user_default.dynamic_morph_targets.run import remembered
 from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_input, batch, full_comparison
 from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
-from bl_ext.user_default.dynamic_morph_targets.run.live import live as run_live
-from bl_ext.user_default.dynamic_morph_targets.run.live import preview
-from bl_ext.user_default.dynamic_morph_targets.run.live.tissue import Tissue
+from bl_ext.user_default.dynamic_morph_targets.run.playing.tissue import Tissue
+from bl_ext.user_default.dynamic_morph_targets.run.tools import preview
 from bl_ext.user_default.dynamic_morph_targets.scene import animation
 from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store, staleness
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport as overlays

@@ -8,10 +8,10 @@ from bl_ext.user_default.dynamic_morph_targets.cli import main
 from bl_ext.user_default.dynamic_morph_targets.core import records
 from bl_ext.user_default.dynamic_morph_targets.core.errors import Cancelled, SceneError
 from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
+from bl_ext.user_default.dynamic_morph_targets.run import live as live_module
 from bl_ext.user_default.dynamic_morph_targets.run import remembered
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
 from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
-from bl_ext.user_default.dynamic_morph_targets.run.live import live as live_module
 from bl_ext.user_default.dynamic_morph_targets.run.work import task
 from bl_ext.user_default.dynamic_morph_targets.scene.motion import colliders
 from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness

@@ -8,9 +8,10 @@ from bl_ext.user_default.dynamic_morph_targets.core import records
 from bl_ext.user_default.dynamic_morph_targets.core.errors import RecordError
 from bl_ext.user_default.dynamic_morph_targets.core.motion.grab import Grab, as_text, from_text
 from bl_ext.user_default.dynamic_morph_targets.io.cache_dir import CacheDir
+from bl_ext.user_default.dynamic_morph_targets.run import live
 from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_input, batch
 from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
-from bl_ext.user_default.dynamic_morph_targets.run.live import grabbing, live
+from bl_ext.user_default.dynamic_morph_targets.run.tools import grabbing
 from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from builders import activate, evaluated_points, refused, rig_of

@@ -8,8 +8,8 @@ from bl_ext.user_default.dynamic_morph_targets.core.errors import Cancelled, Sce
 from bl_ext.user_default.dynamic_morph_targets.core.model import build
 from bl_ext.user_default.dynamic_morph_targets.core.motion import prepared
 from bl_ext.user_default.dynamic_morph_targets.io import model_file
-from bl_ext.user_default.dynamic_morph_targets.run import remembered
-from bl_ext.user_default.dynamic_morph_targets.run.live import live, preview
+from bl_ext.user_default.dynamic_morph_targets.run import live, remembered
+from bl_ext.user_default.dynamic_morph_targets.run.tools import preview
 from bl_ext.user_default.dynamic_morph_targets.run.tools.first_look import FirstLook
 from bl_ext.user_default.dynamic_morph_targets.scene import events, references
 from bl_ext.user_default.dynamic_morph_targets.scene.character import extract

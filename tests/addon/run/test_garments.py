@@ -5,9 +5,9 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import records
+from bl_ext.user_default.dynamic_morph_targets.run import live as live_module
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
 from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
-from bl_ext.user_default.dynamic_morph_targets.run.live import live as live_module
 from bl_ext.user_default.dynamic_morph_targets.scene.motion import colliders
 from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from builders import activate, evaluated_points, make_arm, make_mesh, rig_of

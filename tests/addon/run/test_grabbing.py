@@ -5,8 +5,8 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core.errors import SceneError
-from bl_ext.user_default.dynamic_morph_targets.run import remembered
-from bl_ext.user_default.dynamic_morph_targets.run.live import grabbing, live
+from bl_ext.user_default.dynamic_morph_targets.run import live, remembered
+from bl_ext.user_default.dynamic_morph_targets.run.tools import grabbing
 from bl_ext.user_default.dynamic_morph_targets.scene import events
 from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import hands

@@ -8,10 +8,9 @@ import addon_utils
 import bpy
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.run import remembered
+from bl_ext.user_default.dynamic_morph_targets.run import live, remembered
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch as run_batch
 from bl_ext.user_default.dynamic_morph_targets.run.bake import job
-from bl_ext.user_default.dynamic_morph_targets.run.live import live
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer
 from builders import evaluated_points, fingerprint
 from installed import MODULE

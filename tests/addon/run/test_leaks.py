@@ -9,7 +9,7 @@ import bpy
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.motion import player
-from bl_ext.user_default.dynamic_morph_targets.run.live import live
+from bl_ext.user_default.dynamic_morph_targets.run import live
 from bl_ext.user_default.dynamic_morph_targets.scene import events
 from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
 from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.motion.player import Player
+from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
 from bl_ext.user_default.dynamic_morph_targets.run import remembered
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
 from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
-from bl_ext.user_default.dynamic_morph_targets.run.live import live as run_live
-from bl_ext.user_default.dynamic_morph_targets.run.live import preview as run_preview
-from bl_ext.user_default.dynamic_morph_targets.run.live import session as run_session
-from bl_ext.user_default.dynamic_morph_targets.run.live import tissue as run_tissue
+from bl_ext.user_default.dynamic_morph_targets.run.playing import session as run_session
+from bl_ext.user_default.dynamic_morph_targets.run.playing import tissue as run_tissue
+from bl_ext.user_default.dynamic_morph_targets.run.tools import preview as run_preview
 from bl_ext.user_default.dynamic_morph_targets.run.tools.heat import displacements
 from bl_ext.user_default.dynamic_morph_targets.scene import animation, references
 from bl_ext.user_default.dynamic_morph_targets.scene import events as scene_events

@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.run import remembered
-from bl_ext.user_default.dynamic_morph_targets.run.live import live_surface
+from bl_ext.user_default.dynamic_morph_targets.run.playing import live_surface
 from bl_ext.user_default.dynamic_morph_targets.scene import events
 from bl_ext.user_default.dynamic_morph_targets.write.display import live_key
 from builders import evaluated_points, rig_of

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.material import presets
+from bl_ext.user_default.dynamic_morph_targets.run import live
 from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_time, batch
 from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
-from bl_ext.user_default.dynamic_morph_targets.run.live import live
 from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
 from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
 from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store, staleness

@@ -5,8 +5,8 @@ import json
 
 import bpy
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.run.live import live as run_live
-from bl_ext.user_default.dynamic_morph_targets.run.live import preview
+from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
+from bl_ext.user_default.dynamic_morph_targets.run.tools import preview
 from bl_ext.user_default.dynamic_morph_targets.scene import animation, events
 from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from bl_ext.user_default.dynamic_morph_targets.write import storage

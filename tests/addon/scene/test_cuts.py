@@ -3,7 +3,8 @@
 
 import bpy
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.scene.motion import colliders, cuts
+from bl_ext.user_default.dynamic_morph_targets.scene import cuts
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import colliders
 from builders import make_box, rig_of, soon
 from layout import drawn
 from mathutils import Matrix

@@ -12,11 +12,10 @@ from bl_ext.user_default.dynamic_morph_targets.core import settings
 from bl_ext.user_default.dynamic_morph_targets.core.motion import loops, simulate
 from bl_ext.user_default.dynamic_morph_targets.core.motion.player import Player
 from bl_ext.user_default.dynamic_morph_targets.core.result import compare
-from bl_ext.user_default.dynamic_morph_targets.run import remembered
+from bl_ext.user_default.dynamic_morph_targets.run import live, remembered
 from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_input
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch as run_batch
 from bl_ext.user_default.dynamic_morph_targets.run.bake import job as run_job
-from bl_ext.user_default.dynamic_morph_targets.run.live import live
 from bl_ext.user_default.dynamic_morph_targets.scene import animation, references, skinning
 from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
 from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion

@@ -13,8 +13,8 @@ from bl_ext.user_default.dynamic_morph_targets.core.model import build
 from bl_ext.user_default.dynamic_morph_targets.core.model.cage import Stages, make_cage
 from bl_ext.user_default.dynamic_morph_targets.core.motion import simulate
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch, job
-from bl_ext.user_default.dynamic_morph_targets.run.live import preview
-from bl_ext.user_default.dynamic_morph_targets.run.live.tissue import Tissue
+from bl_ext.user_default.dynamic_morph_targets.run.playing.tissue import Tissue
+from bl_ext.user_default.dynamic_morph_targets.run.tools import preview
 from bl_ext.user_default.dynamic_morph_targets.scene import animation
 from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
 from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion, run_settings

@@ -9,7 +9,7 @@ import types
 import bpy
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import engine, errors, logger
-from bl_ext.user_default.dynamic_morph_targets.run.live import live
+from bl_ext.user_default.dynamic_morph_targets.run import live
 from bl_ext.user_default.dynamic_morph_targets.ui import base as ui_base
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport as overlays_viewport
 from bl_ext.user_default.dynamic_morph_targets.write.bake import writer

@@ -9,10 +9,9 @@ from bl_ext.user_default.dynamic_morph_targets.core import engine
 from bl_ext.user_default.dynamic_morph_targets.core.motion.contact import Touched
 from bl_ext.user_default.dynamic_morph_targets.core.motion.limits import Held
 from bl_ext.user_default.dynamic_morph_targets.core.result import judge
-from bl_ext.user_default.dynamic_morph_targets.run import remembered
+from bl_ext.user_default.dynamic_morph_targets.run import live, remembered
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch as run_batch
 from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
-from bl_ext.user_default.dynamic_morph_targets.run.live import live
 from bl_ext.user_default.dynamic_morph_targets.run.work import job_data
 from bl_ext.user_default.dynamic_morph_targets.scene import events
 from bl_ext.user_default.dynamic_morph_targets.scene.properties import object_properties as properties

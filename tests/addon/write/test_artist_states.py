@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import round_trips
 from bl_ext.user_default.dynamic_morph_targets.core import errors
-from bl_ext.user_default.dynamic_morph_targets.run.live import live
+from bl_ext.user_default.dynamic_morph_targets.run import live
 from bl_ext.user_default.dynamic_morph_targets.scene import animation, references
 from bl_ext.user_default.dynamic_morph_targets.scene.check import checks
 from bl_ext.user_default.dynamic_morph_targets.write import reconcile

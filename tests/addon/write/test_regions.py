@@ -11,9 +11,9 @@ import pytest
 import scenes
 from bl_ext.user_default.dynamic_morph_targets.cli import main as cli_main
 from bl_ext.user_default.dynamic_morph_targets.core.settings import Material
+from bl_ext.user_default.dynamic_morph_targets.run import live
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
 from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
-from bl_ext.user_default.dynamic_morph_targets.run.live import live
 from bl_ext.user_default.dynamic_morph_targets.run.tools import weight_curves
 from bl_ext.user_default.dynamic_morph_targets.scene import references
 from bl_ext.user_default.dynamic_morph_targets.scene.character import extract

@@ -15,11 +15,11 @@ from ...core.errors import SceneError, WriteError
 from ...core.model.model import Model
 from ...scene import events
 from ...scene.remembered import opened
-from .. import remembered
+from .. import live, remembered
 from ..bake.bake_result import store_materials
 from ..bake.batch import Batch
 from ..bake.job import Job
-from ..live import live, preview
+from . import preview
 
 
 class FirstLook(Batch):

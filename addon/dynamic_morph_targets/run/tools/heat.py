@@ -21,8 +21,7 @@ from ...scene.read import mesh_data
 from ...scene.remembered import opened
 from ...scene.store import model_store
 from ...write.bake import reading
-from .. import remembered
-from ..live import live
+from .. import live, remembered
 
 LIMIT = 0.05  # of the body's size; used when Max Displacement is 0
 # Colors from 0 to 1, also for people who confuse red and green, and the color beyond 1.

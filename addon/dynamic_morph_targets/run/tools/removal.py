@@ -8,7 +8,7 @@ import bpy
 from ...write import storage
 from ...write.authoring import regions, targets
 from ...write.bake import muting, writer
-from ..live import live
+from .. import live
 
 
 def remove_soft_skin(obj: bpy.types.Object) -> None:

@@ -10,9 +10,9 @@ from bpy.app.handlers import persistent
 
 from ...core import states
 from ...core.motion import prepared
-from ...scene import events, skin
+from ...scene import cuts, events, skin
 from ...scene.check import body_checks
-from ...scene.motion import colliders, cuts
+from ...scene.motion import colliders
 from ...scene.read import sampling_scene
 from ...scene.references import rig_of
 from ...scene.remembered import opened
@@ -22,8 +22,8 @@ from ...write import storage
 from ...write.authoring import targets
 from ...write.bake import influence
 from ...write.reconcile import reconcile
+from .. import live
 from ..bake import batch, expected_error
-from ..live import live
 from ..remembered import work
 from ..work import child
 

@@ -9,7 +9,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
 from ...core.errors import SceneError
-from ...run.live import live
+from ...run import live
 from ...scene import skin
 from ...scene.registration import of_classes
 from ...write.authoring import attachments

@@ -13,8 +13,8 @@ from mathutils import Quaternion, Vector
 
 from ...core import records
 from ...core.errors import WriteError
-from ...run.live import live
-from ...run.live.preview import end_preview
+from ...run import live
+from ...run.tools.preview import end_preview
 from ...scene import events, skin
 from ...scene.registration import of_classes
 from ...scene.remembered import opened

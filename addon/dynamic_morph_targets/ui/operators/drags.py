@@ -7,7 +7,8 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
-from ...run.live import grabbing, live
+from ...run import live
+from ...run.tools import grabbing
 from ...scene import skin
 from ...scene.registration import of_classes
 from ..base import SoftSkinOperator

@@ -15,7 +15,7 @@ from bpy.types import Operator
 from ...core.errors import SceneError
 from ...core.material.feel import FEELS, Feel
 from ...core.result import judge
-from ...run.live import live
+from ...run import live
 from ...scene.properties.target_properties import DynamorphTarget
 from ...scene.registration import of_classes
 from ..base import SoftSkinOperator

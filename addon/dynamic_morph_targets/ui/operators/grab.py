@@ -14,7 +14,7 @@ from bpy_extras.view3d_utils import region_2d_to_location_3d, region_2d_to_origi
 from mathutils import Vector
 
 from ...run import remembered
-from ...run.live import grabbing
+from ...run.tools import grabbing
 from ...scene import events, registration, skin
 from ...scene.read import mesh_data
 from ...scene.registration import of_classes

@@ -12,11 +12,10 @@ from bpy.app.translations import pgettext_tip as tip_
 from bpy.types import Operator
 
 from ...core.message import Message, joined, translated
-from ...run import remembered
+from ...run import live, remembered
 from ...run.bake import batch, expected_error, full_comparison
 from ...run.bake.batch import run_all
 from ...run.bake.job import Job
-from ...run.live import live
 from ...run.work import child
 from ...scene import events
 from ...scene.registration import of_classes

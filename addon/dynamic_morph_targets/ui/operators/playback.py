@@ -22,11 +22,11 @@ from ...core.errors import SceneError
 from ...core.motion.rig_samples import RigSamples
 from ...core.motion.shake import SECONDS
 from ...core.result import compare
-from ...run import remembered
-from ...run.live import live, preview
-from ...run.live.preview import SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
-from ...run.live.tissue import Tissue
+from ...run import live, remembered
+from ...run.playing.tissue import Tissue
+from ...run.tools import preview
 from ...run.tools.first_look import FirstLook
+from ...run.tools.preview import SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
 from ...run.work import task
 from ...scene import animation, events, skin
 from ...scene.motion import rig_motion

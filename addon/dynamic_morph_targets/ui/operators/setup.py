@@ -12,13 +12,12 @@ from bpy.types import Operator
 from ...core.errors import SceneError, sentence
 from ...core.material.feel import FEELS
 from ...core.message import translated
-from ...run.live import live
+from ...run import live
 from ...run.tools.removal import remove_soft_skin
 from ...run.work import child
-from ...scene import references, skin
+from ...scene import cuts, references, skin
 from ...scene.character import extract
 from ...scene.check import body_checks, checks
-from ...scene.motion import cuts
 from ...scene.properties import scripted, target_properties
 from ...scene.read.source import read_again, read_once
 from ...scene.read.worlds import world_now

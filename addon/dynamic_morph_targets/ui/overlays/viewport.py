@@ -22,7 +22,8 @@ from mathutils import Matrix, Vector
 from ...core import engine, errors, logger, states
 from ...core.model.model import Model
 from ...core.motion.rig_samples import RigSamples
-from ...run.live import live, touching
+from ...run import live
+from ...run.playing import touching
 from ...run.tools import heat
 from ...scene import events, references, registration, skin
 from ...scene.check import checks

@@ -9,7 +9,7 @@ import bpy
 from bpy.types import UIList
 
 from ...run import remembered
-from ...run.live import preview
+from ...run.tools import preview
 from ...scene.motion import rig_motion
 from ...scene.properties import scripted
 from ...scene.properties.model_properties import DynamorphMode

@@ -7,8 +7,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ...core import engine
-from ...run import remembered
-from ...run.live import live
+from ...run import live, remembered
 from ...scene import events, skin
 from ...scene.check import checks
 from ...scene.skinning import Skinning

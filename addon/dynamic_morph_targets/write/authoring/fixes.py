@@ -12,9 +12,8 @@ import numpy as np
 from mathutils.kdtree import KDTree
 
 from ...core.errors import SceneError
-from ...scene import references, skinning
+from ...scene import cuts, references, skinning
 from ...scene.check import body_checks, checks
-from ...scene.motion import cuts
 from ...scene.read.source import Source
 from ...scene.skin import unit_scale
 from ..bake import writer

@@ -18,9 +18,8 @@ from ...scene import events, references, skin
 from ...scene.motion import rig_motion
 from ...write.bake import muting
 from ...write.display import live_key
-from .. import remembered
-from . import live
-from .tissue import Tissue
+from .. import live, remembered
+from ..playing.tissue import Tissue
 
 SWING = 0.05  # body sizes: a mode that plays
 DELTAS = ("delta_location", "delta_rotation_euler", "delta_rotation_quaternion")

@@ -12,15 +12,15 @@ import bpy
 import numpy as np
 from mathutils.bvhtree import BVHTree
 
-from ...core.message import listed
-from .. import events
-from ..check.problem import Problem
-from ..read.mesh_data import mesh_triangles
-from ..references import rig_of
-from ..remembered import opened
-from ..skin import shown_objects
-from ..skinning import meshes_on
-from .colliders import colliders, of_body
+from ..core.message import listed
+from . import events
+from .check.problem import Problem
+from .motion.colliders import colliders, of_body
+from .read.mesh_data import mesh_triangles
+from .references import rig_of
+from .remembered import opened
+from .skin import shown_objects
+from .skinning import meshes_on
 
 LOOKED_AT = 20_000  # triangles of a mesh near the other one, at most; of more, evenly many, which a cut still crosses
 SOLID = {"SOLID", "TEXTURED"}  # display of objects that are not helpers

@@ -12,23 +12,23 @@ from contextlib import suppress
 import bpy
 from bpy.app.handlers import persistent
 
-from ...core import engine, errors, logger, states
-from ...core.message import Message, joined
-from ...core.motion.coupling import refusal
-from ...core.settings import SimulationSettings
-from ...scene import events, references
-from ...scene.motion import colliders
-from ...scene.remembered import opened
-from ...scene.skin import shown_attachments, soft_skins
-from ...scene.store import staleness
-from ...write import reconcile
-from ...write.bake import muting
-from ...write.display import live_key
-from .. import remembered
-from . import live_surface
-from .live_group import LiveGroup
-from .session import Session, painted, way_to_skin
-from .tissue import simulation_settings
+from ..core import engine, errors, logger, states
+from ..core.message import Message, joined
+from ..core.motion.coupling import refusal
+from ..core.settings import SimulationSettings
+from ..scene import events, references
+from ..scene.motion import colliders
+from ..scene.remembered import opened
+from ..scene.skin import shown_attachments, soft_skins
+from ..scene.store import staleness
+from ..write import reconcile
+from ..write.bake import muting
+from ..write.display import live_key
+from . import remembered
+from .playing import live_surface
+from .playing.live_group import LiveGroup
+from .playing.session import Session, painted, way_to_skin
+from .playing.tissue import simulation_settings
 
 STROKE = 0.2  # seconds without an edit after which a stroke of paint shows
 SCRUBBED = 0.02  # seconds between two checks whether the artist still drags through the timeline

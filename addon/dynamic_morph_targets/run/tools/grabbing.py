@@ -20,9 +20,8 @@ from ...core.model.model import Model
 from ...core.motion.grab import FIRM, Grab, as_text, from_text, pinch, together
 from ...core.motion.player import Frame, Player, changed
 from ...scene import events, skin
-from .. import remembered
-from . import live
-from .session import Session
+from .. import live, remembered
+from ..playing.session import Session
 
 RADIUS = 0.03  # of the body's size: of what a hand takes hold of
 FARTHEST = 0.25  # of the size: that a hand leads the skin away from where it took hold
