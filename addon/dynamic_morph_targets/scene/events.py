@@ -14,6 +14,7 @@ from ..core.errors import SceneError
 
 PANELS = {("VIEW_3D", "UI"), ("PROPERTIES", "WINDOW")}  # types of area and region
 VIEWS = {("VIEW_3D", "WINDOW")}
+OURS = __package__.rpartition(".")[0]  # how our modules' names begin
 EVALUATED = ("frame_change_pre", "frame_change_post", "depsgraph_update_pre", "depsgraph_update_post")
 
 
@@ -65,15 +66,39 @@ def without_handlers() -> Iterator[None]:
     take its frames for the artist's, and ours do not need them. What is added in the block stays, after the others.
     See docs/decisions/0011.
     """
+    with _without(lambda _: True):
+        yield
+
+
+@contextmanager
+def without_ours() -> Iterator[None]:
+    """Only other add-ons' handlers, and those of the file's texts, are called in the block."""
+    with _without(is_ours):
+        yield
+
+
+def is_ours(handler: Callable) -> bool:
+    return str(getattr(handler, "__module__", "")).startswith(OURS)
+
+
+def others() -> list[Callable]:
+    """The handlers of others that Blender calls when the frame changes."""
+    found = [*bpy.app.handlers.frame_change_pre, *bpy.app.handlers.frame_change_post]
+    return [handler for handler in found if not is_ours(handler)]
+
+
+@contextmanager
+def _without(chosen: Callable[[Callable], bool]) -> Iterator[None]:
     lists = [getattr(bpy.app.handlers, name) for name in EVALUATED]
     kept = [list(handlers) for handlers in lists]
     for handlers in lists:
-        handlers.clear()
+        handlers[:] = [handler for handler in handlers if not chosen(handler)]
+    left = [list(handlers) for handlers in lists]
     try:
         yield
     finally:
-        for handlers, before in zip(lists, kept, strict=True):
-            handlers[:0] = before
+        for handlers, before, still in zip(lists, kept, left, strict=True):
+            handlers[:] = [*before, *(handler for handler in handlers if handler not in still)]
 
 
 def soon(look: Callable, seconds: float) -> None:

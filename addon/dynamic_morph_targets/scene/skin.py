@@ -105,6 +105,20 @@ def shown_objects(view_layer: bpy.types.ViewLayer | None = None) -> list:
     return [obj for obj in (view_layer or bpy.context.view_layer).objects if obj is not None]
 
 
+def is_rendered(obj: bpy.types.Object) -> bool:
+    """Whether renders of the view layer show an object: neither it nor all collections that it is in are off."""
+    return not obj.hide_render and any(
+        obj.name in layer.collection.objects for layer in _rendered_layers(bpy.context.view_layer.layer_collection)
+    )
+
+
+def _rendered_layers(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.LayerCollection]:
+    if not layer.exclude and not layer.collection.hide_render:
+        yield layer
+        for child in layer.children:
+            yield from _rendered_layers(child)
+
+
 def soft_skins(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
     """Those of `objects` that carry a soft skin."""
     return [obj for obj in objects if obj.type == "MESH" and obj.dynamorph.targets]

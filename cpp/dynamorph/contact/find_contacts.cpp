@@ -132,6 +132,11 @@ struct ContactFinder::Plane {
   double most = kInfinity;   ///< how far it pushes in this step
 };
 
+/// How deep something reaches, meters: along -N, and under its own surface there.
+struct ContactFinder::Below {
+  double along = -kInfinity, under = -kInfinity;
+};
+
 class ContactFinder::Search {
  public:
   Search(const Collider& collider, const Posed& posed, double near, double margin)
@@ -150,7 +155,7 @@ class ContactFinder::Search {
     return (sample.to - sample.from - drift_).norm() > sample.thickness + size_;
   }
   Vector3d let_out(const Vector3d& x, const Vector3d& point, const Vector3d& normal) const;
-  double last_below(const Vector3d& unmoved, const Sample& sample) const;
+  Below last_below(const Vector3d& unmoved, const Sample& sample) const;
   void run(const Sample& sample);
   void appear(const Sample& sample);
 
@@ -304,10 +309,11 @@ bool ContactFinder::Search::open(const Vector3d& point, const Vector3d& normal) 
   return !collider_.contains(end_, x, collider_.nearest(end_, x));
 }
 
-/// How deep the collider reaches along -N from where bones and targets alone put a sample: under a small one that has
-/// gone past, that is deeper than under its plane. What begins only beyond the middle of the body, one thickness below
-/// the skin, presses on its other side, as a belt does, or the thumb of a hand that grips.
-double ContactFinder::Search::last_below(const Vector3d& unmoved, const Sample& sample) const {
+/// How deep the collider reaches below where bones and targets alone put a sample: under a small one that has gone
+/// past, that is deeper than under its plane. Skin that stands on a floor does not press there with its sides. What
+/// begins only beyond the middle of the body, one thickness below the skin, presses on its other side, as a belt does,
+/// or the thumb of a hand that grips.
+ContactFinder::Below ContactFinder::Search::last_below(const Vector3d& unmoved, const Sample& sample) const {
   const auto below = [&](double thicknesses) -> Vector3d {
     return unmoved - thicknesses * sample.thickness * sample.normal;
   };
@@ -317,7 +323,10 @@ double ContactFinder::Search::last_below(const Vector3d& unmoved, const Sample& 
   Vector3d from = below(kSeen);
   if (const ColliderPoint other = first(below(1), from)) from = other.point + nudge_ * sample.normal;
   const ColliderPoint last = first(from, below(kFadeBegins));
-  return last ? sample.normal.dot(unmoved - last.point) : -kInfinity;
+  if (!last) return {};
+  const Vector3d normal = (last.front ? 1 : -1) * collider_.normal(end_, last.triangle);
+  if (normal.dot(sample.normal) > kIntoSkin) return {};
+  return {sample.normal.dot(unmoved - last.point), normal.dot(last.point - unmoved)};
 }
 
 // --- All -------------------------------------------------------------------------------------------------------------
@@ -420,19 +429,19 @@ void ContactFinder::touch(const Collider& collider, int number, const Posed& pos
     const Vector3d unmoved = posed.from_end.to_own(samples.unmoved.row(row)), was = posed.from_end.to_own(before);
     for (int i = 0; i < search.count; ++i) {
       const Plane& found = search.planes[i];
-      double depth = found.normal.dot(found.at.point - unmoved);
-      if (collider.solid()) depth = std::max(depth, search.last_below(unmoved, sample));
-      const double fade = (depth / thickness - kFadeBegins) / (kFadeEnds - kFadeBegins);
+      const double depth = found.normal.dot(found.at.point - unmoved);
+      const Below below = collider.solid() ? search.last_below(unmoved, sample) : Below();
+      const double fade = (std::max(depth, below.along) / thickness - kFadeBegins) / (kFadeEnds - kFadeBegins);
       const double at_first = found.normal.dot(was - found.at.point);
       const double at_last = found.normal.dot(sample.to - found.at.point);
       const Vector3d point = found.at.point - std::max(0.0, -std::max(at_first, at_last) - found.most) * found.normal;
       const bool still = posed.begin == posed.end;
       const Vector3d came = posed.from_begin.to_world(still ? found.at.point : collider.at(*posed.begin, found.at));
       const Vector3d gets = posed.from_end.to_world(still ? found.at.point : collider.at(*posed.end, found.at));
-      contacts.push_back({p, number, posed.from_end.to_world(point), (posed.from_end.turn * found.normal).normalized(),
-                          before, jumps || !posed.came ? Vector3d(Vector3d::Zero()) : Vector3d(gets - came),
-                          1 - smooth_step(fade), std::min(depth, found.depth) - kFadeBegins * thickness,
-                          std::min(at_first, at_last)});
+      contacts.push_back(
+          {p, number, posed.from_end.to_world(point), (posed.from_end.turn * found.normal).normalized(), before,
+           jumps || !posed.came ? Vector3d(Vector3d::Zero()) : Vector3d(gets - came), 1 - smooth_step(fade),
+           std::min(std::max(depth, below.under), found.depth) - kFadeBegins * thickness, std::min(at_first, at_last)});
     }
   }
 }

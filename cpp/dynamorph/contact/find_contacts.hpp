@@ -109,6 +109,7 @@ class ContactFinder {
 
   struct Sample;
   struct Plane;
+  struct Below;
   class Search;
 
   void touch(const Collider& collider, int number, const Posed& posed, bool known, const SampleStep& samples,

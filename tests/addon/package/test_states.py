@@ -118,5 +118,6 @@ def test_other_caches_are_of_values_alone():
         "core/records",
         "core/result/judge",
         "core/states",
+        "scene/check/animation_checks",
         "scene/references",
     }

@@ -478,7 +478,7 @@ def zero_scale(obj):
         (same_pose, "'flexed' and 'smile' have the same pose"),
         (neutral_pose, "'smile' has no bones.*Capture Pose"),
         (bone_removed, "bone 'lower' of target 'flexed' is gone|'lower'"),
-        (subdivided_first, "'Subdivision' comes before the Armature: move it below"),
+        (subdivided_first, "'Subdivision' comes before the Armature: apply it"),
         (edit_mode, "'Arm' is in Edit Mode"),
         (firmness_removed, "'Arm'.*'Firm'.*gone"),
         (no_faces, "'Arm' has no faces"),

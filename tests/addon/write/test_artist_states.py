@@ -324,6 +324,6 @@ def test_sculpting_leaves_the_other_armature_modifier_as_it_was(soft_arm):
 
 def test_modifiers_move_below_an_armature_that_is_pinned_to_last(soft_arm):
     soft_arm.modifiers["Armature"].use_pin_to_last = True
-    soft_arm.modifiers.new("Subdivision", "SUBSURF")
+    soft_arm.modifiers.new("Mask", "MASK")
     OPS.fix(problem="MOVE_BELOW")
-    assert soft_arm.modifiers.keys() == ["Armature", "Subdivision"]
+    assert soft_arm.modifiers.keys() == ["Armature", "Mask"]

@@ -152,6 +152,63 @@ def test_a_driver_by_its_curve(scene, arm):
     assert angles(arm, arm.dynamorph.active_target) == pytest.approx({"lower": 40.0}, abs=0.1)
 
 
+def chained(obj, *owners):
+    """Property by property: the first is driven by a bone, each other by the one before, the key by the last."""
+    read = None
+    for owner, path in owners:
+        if path.startswith("["):
+            owner[path[2:-2]] = 0.0
+        elif path.startswith("pose"):
+            rig_of(obj).pose.bones["upper"]["bend"] = 0.0
+        driver = owner.driver_add(path).driver
+        variable = driver.variables.new()
+        variable.name, driver.expression = "a", "a"
+        follow(obj, variable, read)
+        read = owner, path
+    driver = drive(obj, "smile", "a / 1.2")
+    variable = driver.variables.new()
+    variable.name = "a"
+    follow(obj, variable, read)
+
+
+def follow(obj, variable, read):
+    target = variable.targets[0]
+    if read is None:
+        variable.type, target.id, target.bone_target = "TRANSFORMS", rig_of(obj), "lower"
+        target.transform_type, target.transform_space = "ROT_X", "LOCAL_SPACE"
+    else:
+        target.id_type, target.id, target.data_path = read[0].id_type, *read
+
+
+@pytest.mark.parametrize("steps", [["rig"], ["data"], ["bone"], ["other"], ["key"], ["data", "rig"], ["key", "other"]])
+def test_drivers_are_followed_through_properties(scene, arm, steps):
+    OPS.add_soft_skin()
+    other = bpy.data.objects.new("Other", None)
+    scene.collection.objects.link(other)
+    rig = rig_of(arm)
+    owners = {
+        "rig": (rig, '["bend"]'), "data": (rig.data, '["bend"]'), "bone": (rig, 'pose.bones["upper"]["bend"]'),
+        "other": (other, '["bend"]'), "key": (arm.data.shape_keys, 'key_blocks["flexed"].value'),
+    }  # fmt: skip
+    chained(arm, *(owners[step] for step in steps))
+    if "key" in steps:
+        arm.data.shape_keys.key_blocks["flexed"].slider_max = 3.0
+    OPS.suggest_targets()
+    target = next(each for each in arm.dynamorph.targets if each.name == "smile")
+    assert angles(arm, target) == pytest.approx({"lower": np.degrees(1.2)}, abs=2.6)
+
+
+def test_drivers_in_a_circle_end(arm):
+    OPS.add_soft_skin()
+    rig = rig_of(arm)
+    rig["one"] = rig["two"] = 0.0
+    for path, read in (('["one"]', '["two"]'), ('["two"]', '["one"]')):
+        variable = rig.driver_add(path).driver.variables.new()
+        follow(arm, variable, (rig, read))
+    drive(arm, "smile", "a", a='["one"]')
+    refused(OPS.suggest_targets, "no shape key, besides targets, whose driver reads bones of 'Arm Rig'")
+
+
 def test_what_drivers_do_not_suggest(arm, capfd):
     OPS.add_soft_skin()
     refused(OPS.suggest_targets, "no shape key, besides targets, whose driver reads bones of 'Arm Rig'")

@@ -27,7 +27,8 @@ from ...io import outputs, paths
 from ...io.cache_dir import CacheDir
 from ...scene import animation
 from ...scene.character import extract
-from ...scene.motion import collider_state, colliders, rig_motion, run_settings
+from ...scene.check import animation_checks
+from ...scene.motion import collider_state, colliders, handler_check, rig_motion, run_settings
 from ...scene.read import probe
 from ...scene.read.source import Source
 from ...scene.skin import ObjectHandle, SceneHandle
@@ -100,6 +101,9 @@ def read(request: Request) -> BakeInput:
         for each in handles(character.attachments):
             check_bake(each.find(), obj)
     given.notes = extract.warnings(source)
+    if given.is_bake:  # what the bake lacks for that stays said when the keys are gone
+        given.warnings += [problem.text for problem in animation_checks.keyed_settings(obj)]
+        given.notes = [text for text in given.notes if text not in given.warnings]
     if given.is_bake and request.stored:
         _read_output(given, obj, request.folder)
     fits = _read_model(given, obj, request)
@@ -241,6 +245,8 @@ def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: boo
             model = model.with_settings(given.simulated.settings)
             given.resumed = given.cache_dir.unfinished(given.kept, model, len(given.settings.times))
     given.frames_per_chunk = _frames_per_chunk(given, obj)
+    if given.is_bake:
+        given.warnings += handler_check.warnings(obj, given.settings.first, given.settings.frame_end)
     if given.resumed:
         first = given.settings.first
         given.first = rig_motion.sample_rig(obj, first, first, 1)

@@ -17,14 +17,9 @@ from .. import animation
 from ..references import is_armature
 from ..skin import cache_modifier, edited_elsewhere
 from ..skinning import Skinning, armature_for
+from . import animation_checks, modifier_order
 from .problem import Problem, refuse
 
-# Modifiers that may change the number of vertices. Before the Armature they break the match with the shape keys.
-GENERATING = {
-    "ARRAY", "BEVEL", "BOOLEAN", "BUILD", "DECIMATE", "EDGE_SPLIT", "MASK", "MESH_TO_VOLUME", "MIRROR", "MULTIRES",
-    "NODES", "OCEAN", "PARTICLE_INSTANCE", "REMESH", "SCREW", "SKIN", "SOLIDIFY", "SUBSURF", "VOLUME_TO_MESH", "WELD",
-    "WIREFRAME",
-}  # fmt: skip
 DEFORMING = {
     "CAST", "CLOTH", "CORRECTIVE_SMOOTH", "CURVE", "DISPLACE", "HOOK", "LAPLACIANDEFORM", "LAPLACIANSMOOTH", "LATTICE",
     "MESH_CACHE", "MESH_DEFORM", "MESH_SEQUENCE_CACHE", "SHRINKWRAP", "SIMPLE_DEFORM", "SMOOTH", "SOFT_BODY",
@@ -42,7 +37,7 @@ def problems(obj: bpy.types.Object) -> Iterator[Problem]:
     missing = list(skinning_problems(skinning))
     yield from missing
     if not missing:
-        yield from order(skinning)
+        yield from modifier_order.problems(skinning)
         for modifier in skinning.modifiers:
             yield from _modifier(skinning.obj, modifier)
         for armature in dict.fromkeys((skinning.rig, *(modifier.object for modifier in skinning.modifiers))):
@@ -84,14 +79,15 @@ def notes(obj: bpy.types.Object) -> Iterator[Problem]:
     skinning = Skinning.of(obj)
     obj = skinning.obj
     for modifier in skinning.modifiers[-1:]:
-        for before in _modifiers_before(obj, modifier):
+        for before in modifier_order.before(obj, modifier):
             if before.type in DEFORMING and before != cache_modifier(obj):
                 yield Problem(
                     "'{name}': modifier '{modifier}' before the Armature is not simulated",
                     name=obj.name,
                     modifier=before.name,
                 )
-        yield from _scene_drivers(modifier.object)
+        yield from animation_checks.standing_drivers(obj, modifier.object)
+    yield from animation_checks.keyed_settings(obj)
     if skinning.beyond_bones:
         yield Problem(
             "'{name}' is skinned with {reason}, which takes longer to bake and to play than plain bones",
@@ -119,20 +115,6 @@ def notes(obj: bpy.types.Object) -> Iterator[Problem]:
             "UNPIN",
             name=obj.name,
         )
-
-
-def _scene_drivers(armature: bpy.types.Object) -> Iterator[Problem]:
-    """Drivers of the rig that read a scene. The rig is sampled in a scene of its own, where they stand still."""
-    owners = (owner.animation_data for owner in (armature, armature.data) if owner.animation_data)
-    for variable in (each for owner in owners for curve in owner.drivers for each in curve.driver.variables):
-        if variable.type == "CONTEXT_PROP" or any(target.id_type == "SCENE" for target in variable.targets):
-            yield Problem(
-                "A driver of '{name}' reads '{path}' of the scene, which does not change during a bake: write 'frame' "
-                "in its expression, or keep the property on the armature",
-                name=armature.name,
-                path=variable.targets[0].data_path,
-            )
-            return
 
 
 def outgrown(obj: bpy.types.Object) -> str:
@@ -212,11 +194,6 @@ def active_targets(obj: bpy.types.Object) -> list:
     return [target for i, target in enumerate(obj.dynamorph.targets) if i == 0 or not target.mute]
 
 
-def generating_before(obj: bpy.types.Object, modifier: bpy.types.Modifier) -> list:
-    """The modifiers before the Armature that may change the number of vertices."""
-    return [before for before in _modifiers_before(obj, modifier) if before.type in GENERATING]
-
-
 def no_mesh(obj: bpy.types.Object) -> Iterator[Problem]:
     """Yields nothing when `obj` is a mesh object."""
     if obj is None or obj.type != "MESH":
@@ -232,24 +209,6 @@ def mesh(obj: bpy.types.Object) -> Iterator[Problem]:
         yield Problem(edited_elsewhere(obj))
     elif not obj.data.polygons:
         yield Problem("Mesh '{name}' has no faces: model some, or choose the right object", name=obj.name)
-
-
-def order(skinning: Skinning) -> Iterator[Problem]:
-    """Yields nothing when no modifier before the Armature changes the number of vertices."""
-    obj = skinning.obj
-    for before in generating_before(obj, skinning.modifiers[-1]):
-        yield Problem(
-            "'{name}': modifier '{modifier}' comes before the Armature: move it below",
-            "MOVE_BELOW",
-            name=obj.name,
-            modifier=before.name,
-        )
-
-
-def _modifiers_before(obj: bpy.types.Object, modifier: bpy.types.Modifier) -> list:
-    """The modifiers that change the mesh before the Armature modifier does."""
-    before = obj.modifiers[: obj.modifiers.find(modifier.name)]
-    return [modifier for modifier in before if modifier.show_viewport or modifier.show_render]
 
 
 def _modifier(obj: bpy.types.Object, modifier: bpy.types.Modifier) -> Iterator[Problem]:

@@ -191,6 +191,14 @@ def outdated(obj: bpy.types.Object) -> list[str]:
     return found + record.lost.splitlines()
 
 
+def baked_samples(obj: bpy.types.Object) -> int:
+    """Samples Per Frame of the bake of `obj`; 1 without one."""
+    with suppress(RecordError):
+        record = obj.dynamorph.bake.inputs
+        return int(records.bake_inputs(record).get("simulation", {}).get("samples", 1)) if record else 1
+    return 1
+
+
 def _kept_range(then: dict, now: dict, is_patch: bool) -> dict:
     """The ends of the range that are as good as those of the bake: it has all frames up to there, unless it is a loop,
     which its range is part of. is_patch: the range is that of the next patch.

@@ -13,10 +13,11 @@ from mathutils.kdtree import KDTree
 
 from ...core.errors import SceneError
 from ...scene import cuts, references, skinning
-from ...scene.check import body_checks, checks
+from ...scene.check import body_checks, checks, modifier_order
 from ...scene.read.source import Source
 from ...scene.skin import unit_scale
 from ..bake import writer
+from . import applying
 from .collision import add_collision
 
 
@@ -101,7 +102,9 @@ def _parent_as_object(obj: bpy.types.Object) -> None:
 def _move_below(obj: bpy.types.Object) -> None:
     *_, armature = references.armature_modifiers(obj)
     armature.use_pin_to_last = False  # nothing can be below one that is pinned
-    for modifier in reversed(checks.generating_before(obj, armature)):  # each moves next to it, which keeps the order
+    for modifier in reversed(
+        modifier_order.hiding_before(obj, armature)
+    ):  # each moves next to it, which keeps the order
         obj.modifiers.move(obj.modifiers.find(modifier.name), obj.modifiers.find(armature.name))
 
 
@@ -188,9 +191,14 @@ FIXES = {
     ),
     "MOVE_BELOW": Fix(
         "Move below Armature",
-        "Move the modifiers that change the number of vertices below the Armature modifier, where they work on the "
-        "posed mesh",
+        "Move the modifiers that hide vertices below the Armature modifier, where they hide the same ones",
         _move_below,
+    ),
+    "APPLY": Fix(
+        "Apply",
+        "Put what the modifiers before the Armature do into the mesh. Shape keys stay, with their values, drivers and "
+        "animation",
+        applying.apply_before_armature,
     ),
     "ENABLE_MODIFIER": Fix(
         "Enable Modifier", "Show the Armature modifier in viewports", _in_modifier(show_viewport=True)

@@ -107,12 +107,34 @@ def _axes_read(
         if block is None or block.name in taken:
             continue
         axes: dict = {}
-        for variable in curve.driver.variables:
+        for variable in _variables(curve):
             for bone, turned_about in _turns_read(variable, rig, world_axes):
                 axes.setdefault(bone, []).extend(turned_about)
         if axes:
             read[block.name] = axes
     return read
+
+
+def _variables(curve: bpy.types.FCurve) -> Iterator[bpy.types.DriverVariable]:
+    """Those of a driver, and of the drivers of the properties that they read, and so on."""
+    waiting, known = [curve], [curve]
+    while waiting:
+        for variable in waiting.pop().driver.variables:
+            yield variable
+            read = [each for target in variable.targets for each in _drivers_of(target)]
+            new = [each for each in read if each not in known]
+            waiting, known = waiting + new, known + new
+
+
+def _drivers_of(target: bpy.types.DriverTarget) -> list[bpy.types.FCurve]:
+    """The drivers of the property that a variable reads, if it has some."""
+    animation = target.id and getattr(target.id, "animation_data", None)
+    path = target.data_path.replace("'", '"')
+    return [
+        curve
+        for curve in (animation.drivers if animation and path else ())
+        if path in (curve.data_path, f"{curve.data_path}[{curve.array_index}]")
+    ]
 
 
 def _turns_read(

@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 
 from ...io import glb
+from ...scene.store import staleness
 from ..actions import Clip
 from ..bake import writer
 from . import process
@@ -43,10 +44,12 @@ def write_fbx(
 
 
 def write_alembic(
-    _obj: bpy.types.Object, collection: str, path: Path, frames: tuple[int, int], _takes: Sequence[Clip]
+    obj: bpy.types.Object, collection: str, path: Path, frames: tuple[int, int], _takes: Sequence[Clip]
 ) -> None:
+    samples = staleness.baked_samples(obj)
     process.export(
         "alembic", collection, path, frames, start=frames[0], end=frames[1], uvs=True, normals=False,
+        xsamples=samples, gsamples=samples,
         as_background_job=False, export_custom_properties=False,  # Blender crashes on bytes such as a model's
     )  # fmt: skip
 

@@ -35,9 +35,9 @@ class Format:
     """suffix: of its files; write(obj, collection, path, frames, takes), collection: the name of the one that holds the
     character, raises RuntimeError, OSError, MemoryError; skins: whether it contains armature and keys, and so a clip
     for each Action; surface: whether it contains the resulting surface; has_parts: whether other files belong to it;
-    scenes: whether its frames are those of the scene, which must not be before 0; option: of bpy.app.build_options that
-    it needs; needs_bake: whether it is made of a bake, not of the built model; check(obj): refuses settings that it
-    cannot have, raises ExportError.
+    scenes: whether its frames are those of the scene, which must not be before 0; samples: whether it has those between
+    frames; option: of bpy.app.build_options that it needs; needs_bake: whether it is made of a bake, not of the built
+    model; check(obj): refuses settings that it cannot have, raises ExportError.
     """
 
     label: str
@@ -48,6 +48,7 @@ class Format:
     surface: bool = False
     has_parts: bool = False
     scenes: bool = False
+    samples: bool = False
     option: str = ""
     needs_bake: bool = True
     check: Callable | None = None
@@ -79,6 +80,13 @@ def check_place(obj: bpy.types.Object, key: str, path: Path, frames: tuple[int, 
     hidden = next((other for other in shown if other and not other.visible_get()), None)
     if hidden:
         raise ExportError("'{name}' is hidden, so Blender does not export it: unhide it", name=hidden.name)
+    if chosen.surface and not skin.is_rendered(obj):
+        raise ExportError(
+            "'{name}' is off in renders, and {format} has what renders have: turn it and its collection on there (the "
+            "camera in the Outliner)",
+            name=obj.name,
+            format=chosen.label,
+        )
     if not path.parent.is_dir():
         raise ExportError(
             "The folder '{folder}' for '{name}' does not exist: choose another", folder=path.parent, name=path.name
@@ -142,13 +150,14 @@ def _size(
     if not chosen.needs_bake:
         return own_formats.model_size(obj)
     count, size = frames[1] - frames[0] + 1, 0
+    samples = staleness.baked_samples(obj) if chosen.samples else 1
     moving = obj, *shown_attachments(obj)
     for mesh in meshes_together(obj):
         point = 12 * len(mesh.data.vertices)
         if mesh in without:
             continue
         if chosen.surface:
-            size += point * (count if mesh in moving else 1)
+            size += point * (count * samples if mesh in moving else 1)
             continue
         size += point
         for key in mesh.data.shape_keys.key_blocks[1:] if mesh.data.shape_keys else ():
@@ -201,7 +210,7 @@ FORMATS = {
     "FBX": Format("FBX", ".fbx", "Morph targets and bones, for engines and other packages", blender_formats.write_fbx,
                   skins=True, scenes=True),
     "ALEMBIC": Format("Alembic", ".abc", "The posed surface at every frame", blender_formats.write_alembic,
-                      surface=True, option="alembic"),
+                      surface=True, samples=True, option="alembic"),
     "USD": Format("USD", ".usdc", "The posed surface at every frame", blender_formats.write_usd, surface=True,
                   has_parts=True, scenes=True, option="usd"),
     "SOFT_SKIN": Format("Soft Skin", ".dynamorph", "The built model, for programs that simulate it. It needs no bake",

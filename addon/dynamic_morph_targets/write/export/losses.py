@@ -13,8 +13,9 @@ from ...scene import animation
 from ...scene.motion import colliders
 from ...scene.read import identity
 from ...scene.references import armature_modifiers, rig_of
-from ...scene.skin import attached_meshes, shown_attachments, unit_scale
+from ...scene.skin import attached_meshes, is_rendered, shown_attachments, unit_scale
 from ...scene.skinning import Skinning, deforming_bones
+from ...scene.store import staleness
 from .exports import FORMATS, left_out, meshes_together, surface_formats
 
 MORPHS = 8  # morph targets that common engines and viewers blend at once
@@ -50,9 +51,24 @@ def losses(obj: bpy.types.Object, key: str, takes: str = "SCENE") -> Iterator[st
                 name=name,
                 format=FORMATS[key].label,
             )
+    samples = staleness.baked_samples(obj)
+    if samples > 1 and not FORMATS[key].samples:
+        yield Message(
+            "'{name}' is baked with {count} samples per frame, and {format} has those at frames alone, so that motion "
+            "blur will be straight. Use {others}",
+            name=obj.name,
+            count=samples,
+            format=FORMATS[key].label,
+            others=_formats_with_samples(),
+        )
     yield from _unit_losses(key)
     for hidden in left_out(obj):
         yield Message("'{name}' is hidden, so Blender does not export it: unhide it", name=hidden.name)
+
+
+def _formats_with_samples() -> str:
+    labels = [each.label for each in FORMATS.values() if each.samples and each.is_available]
+    return " or ".join(labels) or "a Blender that exports Alembic"
 
 
 def _planned_keys(obj: bpy.types.Object) -> int:
@@ -131,7 +147,7 @@ def _modifier_losses(obj: bpy.types.Object, key: str, skinning: Sequence[bpy.typ
 def _render_losses(obj: bpy.types.Object, key: str) -> Iterator[str]:
     """Surfaces are written as renders show them, but for the last subdivision."""
     label = FORMATS[key].label
-    if obj.hide_render:
+    if not is_rendered(obj):
         yield Message("'{name}' is off in renders, so {format} leaves it out: turn it on", name=obj.name, format=label)
         return
     shown = [modifier for modifier in obj.modifiers if modifier.show_viewport or modifier.show_render]
