@@ -6,6 +6,7 @@ As in `body_checks`, `known` returns what `look` found last, and asks for anothe
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import bpy
@@ -23,12 +24,13 @@ from .skin import shown_objects
 from .skinning import meshes_on
 
 LOOKED_AT = 20_000  # triangles of a mesh near the other one, at most; of more, evenly many, which a cut still crosses
+MOST_INSTANCES = 20_000  # that are looked at
 SOLID = {"SOLID", "TEXTURED"}  # display of objects that are not helpers
 
 
 def known(obj: bpy.types.Object) -> Iterator[Problem]:
     """What the last look at the soft skin `obj` found. Reads no mesh: fit for drawing."""
-    when, found = opened.cuts.get(obj.session_uid, ((), []))
+    when, found, instances = opened.cuts.get(obj.session_uid, ((), [], []))
     if when != _now() and obj.mode == "OBJECT" and not events.is_playing():
         events.emit(events.Event.LOOK_ASKED, look, obj)
     stopping = {other.name for other in colliders(obj)} if found else set()
@@ -41,11 +43,22 @@ def known(obj: bpy.types.Object) -> Iterator[Problem]:
             names=listed(left),
             body=obj.name,
         )
+    for name, instancer in instances:
+        if instancer in bpy.data.objects:
+            yield Problem(
+                "'{name}' cuts '{body}', but is an instance by '{instancer}', and instances stop nothing: make them "
+                "real (Object > Apply > Make Instances Real)",
+                name=name,
+                body=obj.name,
+                instancer=instancer,
+            )
 
 
 def look(obj: bpy.types.Object) -> None:
     """Find out what cuts the soft skin `obj` now, for `known`."""
-    opened.cuts[obj.session_uid] = _now(), [other.name for other in cutting(obj)] if obj.dynamorph.targets else []
+    soft = bool(obj.dynamorph.targets)
+    names = [other.name for other in cutting(obj)] if soft else []
+    opened.cuts[obj.session_uid] = _now(), names, cutting_instances(obj) if soft else []
 
 
 def cutting(obj: bpy.types.Object) -> list:
@@ -56,8 +69,28 @@ def cutting(obj: bpy.types.Object) -> list:
     near = [(other, shared) for other, shared in boxes if (shared[0] <= shared[1]).all()]
     if not near:
         return []
-    body = _Surface(obj.evaluated_get(depsgraph))
-    return [other for other, shared in near if body.meets(_Surface(other.evaluated_get(depsgraph)), shared)]
+    body = _surface(obj.evaluated_get(depsgraph))
+    return [other for other, shared in near if body.meets(_surface(other.evaluated_get(depsgraph)), shared)]
+
+
+def cutting_instances(obj: bpy.types.Object) -> list[tuple[str, str]]:
+    """The names of instanced meshes that do the same, by collections, particles or Geometry Nodes, each once with the
+    name of what instances it.
+    """
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    evaluated, mine = obj.evaluated_get(depsgraph), of_body(obj)
+    box, body, found = _box(evaluated), None, {}
+    for each in itertools.islice(depsgraph.object_instances, MOST_INSTANCES):  # valid until the next one
+        if not each.is_instance or each.object.type != "MESH" or not each.parent or mine(each.parent.original):
+            continue
+        world, names = np.array(each.matrix_world), (each.object.name, each.parent.name)
+        shared = _shared(box, _box(each.object, world))
+        if names in found or not (shared[0] <= shared[1]).all():
+            continue
+        body = body or _surface(evaluated)
+        if body.meets(_Surface(each.object.data, world), shared):
+            found[names] = None
+    return list(found)
 
 
 def outdate() -> None:
@@ -87,8 +120,9 @@ def _others(obj: bpy.types.Object) -> list:
 Box = np.ndarray  # (2, 3): its lower and its upper corner, world space
 
 
-def _box(evaluated: bpy.types.Object) -> Box:
-    world = np.array(evaluated.matrix_world)
+def _box(evaluated: bpy.types.Object, world: np.ndarray | None = None) -> Box:
+    """world (4, 4): of an instance, instead of the object's own."""
+    world = np.array(evaluated.matrix_world) if world is None else world
     corners = np.array(evaluated.bound_box) @ world[:3, :3].T + world[:3, 3]
     return np.array([corners.min(axis=0), corners.max(axis=0)])
 
@@ -98,18 +132,20 @@ def _shared(first: Box, second: Box) -> Box:
     return np.array([np.maximum(first[0], second[0]), np.minimum(first[1], second[1])])
 
 
-class _Surface:
-    """The triangles of an evaluated object, world space."""
+def _surface(evaluated: bpy.types.Object) -> _Surface:
+    try:
+        return _Surface(evaluated.to_mesh(), np.array(evaluated.matrix_world))
+    finally:
+        evaluated.to_mesh_clear()
 
-    def __init__(self, evaluated: bpy.types.Object):
-        mesh = evaluated.to_mesh()
-        try:
-            points = np.empty((len(mesh.vertices), 3), np.float32)
-            mesh.attributes["position"].data.foreach_get("vector", points.ravel())
-            triangles = mesh_triangles(mesh)
-        finally:
-            evaluated.to_mesh_clear()
-        world = np.array(evaluated.matrix_world)
+
+class _Surface:
+    """The triangles of an evaluated mesh, world space. world (4, 4): its transform."""
+
+    def __init__(self, mesh: bpy.types.Mesh, world: np.ndarray):
+        points = np.empty((len(mesh.vertices), 3), np.float32)
+        mesh.attributes["position"].data.foreach_get("vector", points.ravel())
+        triangles = mesh_triangles(mesh)
         self._corners = (points @ world[:3, :3].T + world[:3, 3]).astype(np.float32)[triangles]
         first, second, third = self._corners.transpose(1, 2, 0).copy()  # (3, T), which is quickly compared
         self._low = np.minimum(np.minimum(first, second), third)

@@ -26,7 +26,7 @@ class OpenFile:
     models: dict[tuple[int, str], Model] = field(default_factory=dict)
     drafts: dict[int, tuple[Model, Character]] = field(default_factory=dict)
     bodies: dict[int, tuple[tuple, list[Any]]] = field(default_factory=dict)
-    cuts: dict[int, tuple[tuple, list[str]]] = field(default_factory=dict)
+    cuts: dict[int, tuple[tuple, list[str], list[tuple[str, str]]]] = field(default_factory=dict)
     edits: int = 0
     key_hashes: dict[tuple, tuple] = field(default_factory=dict)
     asked: set[tuple[Callable, int]] = field(default_factory=set)

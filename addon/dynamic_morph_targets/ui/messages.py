@@ -58,7 +58,9 @@ def _all_messages(obj: bpy.types.Object) -> Iterator[tuple[Problem, str]]:
             yield Problem(text), "ERROR"
         for problem in colliders.problems(obj):
             yield problem, "ERROR"
-        for problem in (*checks.next_steps(obj), *_quality(obj), *_head(skinning), *cuts.known(obj)):
+        for problem in (
+            *checks.next_steps(obj), *_quality(obj), *_head(skinning), *colliders.idle(obj), *cuts.known(obj),
+        ):  # fmt: skip
             yield problem, "INFO"
     for problem in checks.notes(skinning):
         yield problem, "INFO"

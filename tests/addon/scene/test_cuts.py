@@ -5,7 +5,7 @@ import bpy
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.scene import cuts
 from bl_ext.user_default.dynamic_morph_targets.scene.motion import colliders
-from builders import make_box, rig_of, soon
+from builders import make_box, refused, rig_of, soon
 from layout import drawn
 from mathutils import Matrix
 
@@ -147,3 +147,74 @@ def test_a_fine_mesh_is_thinned_out(soft_arm, box, monkeypatch):
         modifier.subdivision_type, modifier.levels = "SIMPLE", levels
     bpy.context.view_layer.update()
     assert cuts.cutting(soft_arm) == [box]
+
+
+# Instances -----------------------------------------------------------------------------------------------------------
+
+
+def collection_instance(box):
+    kit = bpy.data.collections.new("Set")
+    (home,) = box.users_collection
+    home.objects.unlink(box)
+    kit.objects.link(box)
+    instancer = bpy.data.objects.new("Instancer", None)
+    instancer.instance_type, instancer.instance_collection = "COLLECTION", kit
+    return instancer
+
+
+def geometry_nodes(box):
+    group = bpy.data.node_groups.new("Nodes", "GeometryNodeTree")
+    group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    read, out = group.nodes.new("GeometryNodeObjectInfo"), group.nodes.new("NodeGroupOutput")
+    read.inputs["Object"].default_value, read.inputs["As Instance"].default_value = box, True
+    group.links.new(read.outputs["Geometry"], out.inputs[0])
+    instancer = bpy.data.objects.new("Instancer", bpy.data.meshes.new("Empty"))
+    instancer.modifiers.new("Nodes", "NODES").node_group = group
+    box.hide_viewport = box.hide_render = True
+    instancer.location = box.location
+    return instancer
+
+
+def faces(box):
+    instancer = bpy.data.objects.new("Instancer", bpy.data.meshes.new("One"))
+    x, y, z = box.location
+    instancer.data.from_pydata([(x - 0.1, y, z), (x, y + 0.1, z), (x + 0.1, y, z), (x, y - 0.1, z)], [], [(0, 1, 2, 3)])
+    instancer.instance_type = "FACES"
+    box.parent, box.location = instancer, (0.0, 0.0, 0.0)
+    return instancer
+
+
+@pytest.mark.parametrize("kind", [collection_instance, geometry_nodes, faces])
+def test_instances_that_cut_the_body_are_named_with_what_helps(soft_arm, box, kind):
+    instancer = kind(box)
+    bpy.context.scene.collection.objects.link(instancer)
+    soft_arm.dynamorph.collision.use = True
+    said = messages_of(soft_arm)
+    assert "'Crate' cuts 'Arm', but is an instance by 'Instancer'" in said
+    assert "Make Instances Real" in said
+    instancer.location.x += 1.0
+    bpy.context.view_layer.update()
+    cuts.outdate()
+    assert "is an instance" not in messages_of(soft_arm)
+
+
+def test_a_collider_that_is_off_in_viewports_is_named(soft_arm, box):
+    box.modifiers.new("Collision", "COLLISION")
+    box.hide_viewport = soft_arm.dynamorph.collision.use = True
+    text = "'Crate' has Collision, but is disabled in viewports, so it stops nothing"
+    assert text in messages_of(soft_arm) and not colliders.colliders(soft_arm)
+    box.hide_render = True  # it is in no picture
+    assert text not in messages_of(soft_arm)
+
+
+@pytest.mark.parametrize("kind, words", [("CURVE", "is no mesh: convert it"), ("EMPTY", "make them real first")])
+def test_the_button_says_what_a_selected_object_needs(soft_arm, kind, words):
+    if kind == "CURVE":
+        other = bpy.data.objects.new("Other", bpy.data.curves.new("Other", "CURVE"))
+    else:
+        other = bpy.data.objects.new("Other", None)
+        other.instance_type, other.instance_collection = "COLLECTION", bpy.data.collections.new("Set")
+    bpy.context.scene.collection.objects.link(other)
+    bpy.context.view_layer.update()
+    other.select_set(True)
+    refused(bpy.ops.dynamorph.collide, words)

@@ -128,6 +128,23 @@ def of_body(obj: bpy.types.Object) -> Callable[[bpy.types.Object], bool]:
     return belongs
 
 
+def idle(obj: bpy.types.Object) -> Iterator[Problem]:
+    """Objects that would be colliders of `obj`, and render, but are off in viewports. As for Blender's own Cloth, they
+    stop nothing. Reads no mesh: fit for drawing.
+    """
+    settings, mine = obj.dynamorph.collision, of_body(obj)
+    if not settings.use:
+        return
+    among = settings.collection.all_objects if settings.collection else shown_objects()
+    for other in among:
+        if other.hide_viewport and not other.hide_render and is_collider(other) and not mine(other):
+            yield Problem(
+                "'{name}' has Collision, but is disabled in viewports, so it stops nothing: enable it there (the "
+                "screen in the Outliner)",
+                name=other.name,
+            )
+
+
 def problems(obj: bpy.types.Object) -> Iterator[Problem]:
     """What prevents the colliders of `obj` from being read. Reads no mesh: fit for drawing."""
     for other in colliders(obj):

@@ -7,10 +7,13 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
+from ...core.message import Message
 from ...scene import skin
 from ...scene.registration import of_classes
 from ...write.authoring import collision
 from ..base import SoftSkinOperator, listed
+
+CONVERTIBLE = {"CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"}  # into meshes
 
 
 class DYNAMORPH_OT_collide(SoftSkinOperator, Operator):
@@ -22,7 +25,7 @@ class DYNAMORPH_OT_collide(SoftSkinOperator, Operator):
     @classmethod
     def disabled_reason(cls, context: bpy.types.Context) -> str:
         reason = super().disabled_reason(context)
-        return reason or ("" if _others(context) else "Select other mesh objects too")
+        return reason or ("" if _others(context) else _why_none(context))
 
     def apply(self, obj: bpy.types.Object) -> None:
         names = collision.add_collision(obj, _others(bpy.context))
@@ -34,6 +37,17 @@ def _others(context: bpy.types.Context) -> list:
     """The selected meshes beside that of the context."""
     obj = skin.mesh_in(context)
     return [other for other in context.selected_objects if other.type == "MESH" and other != obj]
+
+
+def _why_none(context: bpy.types.Context) -> str:
+    """What to do before the selected objects can collide, if there are some."""
+    for other in context.selected_objects:
+        if other.type == "EMPTY" and other.instance_type == "COLLECTION":
+            text = "'{name}' has instances: make them real first (Object > Apply > Make Instances Real)"
+            return Message(text, name=other.name)
+        if other.type in CONVERTIBLE:
+            return Message("'{name}' is no mesh: convert it first (Object > Convert > Mesh)", name=other.name)
+    return "Select other mesh objects too"
 
 
 class DYNAMORPH_OT_add_floor(SoftSkinOperator, Operator):
