@@ -11,7 +11,7 @@ from bl_ext.user_default.dynamic_morph_targets.core.model import rigid
 from bl_ext.user_default.dynamic_morph_targets.run.bake import export_actions
 from bl_ext.user_default.dynamic_morph_targets.run.bake.batch import Batch
 from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
-from bl_ext.user_default.dynamic_morph_targets.run.playing import problem
+from bl_ext.user_default.dynamic_morph_targets.run.live import problem
 from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
 from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store, staleness

@@ -4,7 +4,7 @@
 import bpy
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.run.playing import is_on
+from bl_ext.user_default.dynamic_morph_targets.run.live import is_on
 from builders import activate, make_arm, make_soft
 from layout import Layout, drawn, is_there
 from robustness import CALLS, CHANGING_NOTHING, OPS, coarse, motion

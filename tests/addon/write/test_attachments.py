@@ -479,6 +479,51 @@ def test_many_loose_parts_are_grouped_by_material(scene):
     assert counts == [8, 160, 80]
 
 
+CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+BOX_SIDES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+
+
+def box(x, y, z, along_x, along_y, along_z):
+    """From a corner, with these sides, at the skin of the arm, which is at x = 0.3."""
+    return CORNERS * [along_x, along_y, along_z] + [x, y, z], BOX_SIDES
+
+
+def card(x, y, z, out, wide):
+    return np.array([(x, y, z), (x, y + wide, z), (x + out, y + wide, z), (x + out, y, z)]), [(0, 1, 2, 3)]
+
+
+@pytest.mark.parametrize(
+    "part, rides",
+    [
+        (card(0.302, 0.0, 0.6, 0.05, 0.02), True),  # a hair, a feather, a scale: just above the skin
+        (box(0.302, -0.02, 0.4, 0.004, 0.04, 0.5), True),  # a strap
+        (card(0.4, 0.0, 0.6, 0.05, 0.02), False),  # away from it
+        (box(0.302, -0.005, 0.6, 0.3, 0.01, 0.02), False),  # a dagger, which stands out
+        (box(0.302, -0.01, 0.6, 0.01, 0.02, 0.02), False),  # a buckle
+    ],
+    ids=["card", "strap", "away", "dagger", "buckle"],
+)
+@pytest.mark.parametrize("own_mesh", [False, True])
+def test_thin_parts_ride_on_the_skin_below(scene, part, rides, own_mesh):
+    """Whichever bone moves them: here the lower one alone, on skin of the upper one."""
+    points, faces = part
+    vertices, polygons = scenes.tube()
+    weights = scenes.two_bone_weights(vertices)
+    rig, hard = make_rig(scene, "Arm Rig"), np.tile([0.0, 1.0], (len(points), 1))
+    if own_mesh:
+        arm, other = make_mesh(scene, "Arm", vertices, polygons), make_mesh(scene, "Part", points, faces)
+        skin(arm, rig, weights)
+        skin(other, rig, hard)
+    else:
+        moved = [[len(vertices) + corner for corner in face] for face in faces]
+        arm = make_mesh(scene, "Arm", np.concatenate([vertices, points]), [*polygons, *moved])
+        skin(arm, rig, np.concatenate([weights, hard]))
+    activate(arm)
+    OPS.add_soft_skin()
+    attached = [piece.attached_by for piece in arm.dynamorph.attachments]
+    assert attached == (["WITH_BODY"] if own_mesh else []) if rides else attached == ["RIGID"]
+
+
 @pytest.mark.fault("M21")
 def test_loose_parts_that_a_mask_hides_are_outside_the_cage(scene):
     """As MakeHuman's geometry for fitting clothes. What a mask hides of the body itself stays in the cage."""

@@ -9,9 +9,11 @@ import re
 import numpy as np
 
 from ..character import Skeleton
-from ..geometry import connected_parts, determinant, loose_parts, vertex_areas
+from ..geometry import connected_parts, determinant, loose_parts, triangle_areas, vertex_areas
 
 RIGID = 0.99  # of its weight; a vertex that has more from one bone follows it rigidly
+SMALL = 0.02  # of the area of the largest part
+THIN = 0.12  # of its width: mean thickness of a part that bends with what it lies on
 NEARLY_ALL = 0.95  # of its vertices; more of them follow the bone of a rigid part
 COINCIDE = 1e-5  # of the body's size; points nearer than this are at one place
 SOFT_SHARE = 0.12  # of the volume of its parts; a wholly hard character has less soft volume
@@ -74,6 +76,24 @@ def rigid_parts(labels: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np
     same = np.abs(weights - (sums / sizes[:, None])[labels]).max(axis=1, initial=0.0) < 1.0 - RIGID
     nearly_all = [np.bincount(labels, follows, count) >= NEARLY_ALL * sizes for follows in (one, same)]
     return nearly_all[0] | nearly_all[1], bones
+
+
+def thin_parts(points: np.ndarray, triangles: np.ndarray, labels: np.ndarray, largest: float) -> np.ndarray:
+    """Which (P,) of the loose parts are thin, and small beside a part of the area `largest`: cards of hair, feathers
+    and scales, and straps. labels (V,): the part's number.
+    """
+    count = labels.max(initial=-1) + 1
+    sizes = np.maximum(np.bincount(labels, minlength=count), 1)
+    areas = np.bincount(labels[triangles[:, 0]], triangle_areas(points, triangles), count)
+    middles = np.column_stack([np.bincount(labels, axis, count) / sizes for axis in points.T])
+    off = points - middles[labels]
+    corners = off[triangles]
+    volumes = np.abs(np.bincount(labels[triangles[:, 0]], determinant(corners) / 6.0, count))
+    spread = np.zeros((count, 3, 3))
+    np.add.at(spread, labels, off[:, :, None] * off[:, None, :])
+    width = np.sqrt(12.0 * np.linalg.eigvalsh(spread / sizes[:, None, None])[:, 1].clip(0.0))
+    thickness = 2.0 * volumes / np.maximum(areas, 1e-300)
+    return (areas < SMALL * largest) & (thickness < THIN * width)
 
 
 def joined_to_soft(labels: np.ndarray, rigid: np.ndarray, first: np.ndarray) -> np.ndarray:

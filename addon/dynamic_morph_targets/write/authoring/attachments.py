@@ -19,6 +19,7 @@ from ...scene import references
 from ...scene.check import checks, modifier_order
 from ...scene.properties.model_properties import DynamorphAttachment
 from ...scene.read import mesh_data
+from ...scene.read.nearest import nearest
 from ...scene.read.source import Source
 from ...scene.references import armature_modifiers, rig_of
 from ...scene.skin import attachments_of
@@ -29,6 +30,7 @@ PREFIX = "Dynamorph Attachment "  # prefix of the vertex groups for loose parts
 FEW = 8  # up to so many loose parts are separate attachments
 LARGE = 0.02  # fraction of the body's area; larger loose parts are separate attachments
 ACCESSORY = 0.05  # of the soft area of a character's softest mesh; a mesh with less is not the intended soft skin
+ROOT, LIES = 0.005, 0.02  # of the size: distances from soft skin of the nearest point of what lies on it, and of half
 FEW_BONES = 3  # names listed in a reason
 FEWEST_BONES = 3  # bones that carry the parts of a wholly hard character
 
@@ -56,6 +58,7 @@ def find(obj: bpy.types.Object) -> list[str]:
             choice = "OWN_CAGE" if other.dynamorph.targets else "RIGID"
             added.append(_add(obj, other, "", choice, refusal))
     _leave_something_soft(found)
+    _let_ride(found)
     for each, touches in zip(found, _touching(found), strict=True):
         whole = each.obj != obj and bool(each.hard.all()) and len(set(each.bones.tolist())) == 1
         if each.obj != obj and each.obj not in listed:
@@ -241,9 +244,41 @@ def _leave_something_soft(found: list[_Found]) -> None:
     bones = {bone for each in found for bone in each.bones.tolist()}
     if len(bones) >= FEWEST_BONES or not all(each.hard.all() for each in found):
         return
-    areas = [np.bincount(each.labels, vertex_areas(each.points, each.triangles)) for each in found]
+    areas = [_areas(each) for each in found]
     largest = max(range(len(found)), key=lambda k: areas[k].max())
     found[largest].hard[areas[largest].argmax()] = False
+
+
+def _areas(each: _Found) -> np.ndarray:
+    """Of the parts (P,)."""
+    return np.bincount(each.labels, vertex_areas(each.points, each.triangles))
+
+
+def _let_ride(found: list[_Found]) -> None:
+    """Thin parts that lie on soft skin, or grow on it, move with that, whichever bone carries them: cards of hair and
+    feathers, straps.
+    """
+    largest = max(float(_areas(each).max()) for each in found)
+    parts = [
+        each.hard & ~each.hidden & rigid.thin_parts(each.points, each.triangles, each.labels, largest) for each in found
+    ]
+    starts = np.cumsum([0, *(len(each.points) for each in found)])[:-1]
+    soft = [each.triangles[~each.hard[each.labels[each.triangles[:, 0]]]] for each in found]
+    triangles = np.concatenate([faces + start for faces, start in zip(soft, starts, strict=True)])
+    if not len(triangles) or not any(chosen.any() for chosen in parts):
+        return
+    points = np.concatenate([each.points for each in found])
+    size = diagonal(points)
+    for each, chosen in zip(found, parts, strict=True):
+        vertices = np.flatnonzero(chosen[each.labels])
+        if not len(vertices):
+            continue
+        away = nearest(each.points[vertices], points, triangles).distances / size
+        numbers, count = np.unique(each.labels[vertices], return_counts=True)
+        order = np.lexsort((away, each.labels[vertices]))  # part by part, the nearest first
+        least = np.cumsum(count) - count
+        rides = (away[order[least]] <= ROOT) & (away[order[least + (count - 1) // 2]] <= LIES)
+        each.hard[numbers[rides]] = False
 
 
 def _all_together(found: list[_Found]) -> tuple:
