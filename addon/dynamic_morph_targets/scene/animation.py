@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Collection, Iterable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -117,6 +118,12 @@ STRIP_FIELDS = (
     "frame_start", "frame_end", "action_frame_start", "action_frame_end", "scale", "repeat", "use_reverse",
     "blend_type", "extrapolation", "blend_in", "blend_out", "influence",
 )  # fmt: skip
+# Of a strip that plays its Action as it is. Its influence then is what Blender makes of the others.
+PLAIN = {
+    "blend_type": "REPLACE", "extrapolation": "HOLD", "use_animated_influence": False, "blend_in": 0.0,
+    "blend_out": 0.0, "repeat": 1.0, "use_reverse": False, "use_animated_time": False,
+}  # fmt: skip
+SAME_TIME = 1e-3  # frames
 USUAL = {"use_nla": True, "action_blend_type": "REPLACE", "action_extrapolation": "HOLD", "action_influence": 1.0}
 
 
@@ -169,7 +176,9 @@ def _followed(mover: bpy.types.Object) -> list:
 
 
 def animation_hash(data: bpy.types.AnimData | None) -> str:
-    """Of the F-curves and NLA strips that animation data, or None, play."""
+    """Of the F-curves and NLA strips that animation data, or None, play. An Action that was pushed down, and moves what
+    it did, has the hash that it had.
+    """
     if data is None:
         return ""
     digest = hashlib.blake2b(digest_size=8)
@@ -177,16 +186,41 @@ def animation_hash(data: bpy.types.AnimData | None) -> str:
     unusual |= {track.name: "solo" for track in data.nla_tracks if track.is_solo}
     digest.update(repr(unusual).encode() if unusual else b"")
     playing = strips(data.nla_tracks, muted=False)
+    if not data.action and not unusual and len(playing) == 1 and _is_plain(playing[0]):
+        _add_curves(playing[0], digest, playing[0])
+        return digest.hexdigest()
     for strip in playing:
         fields = [name for name in STRIP_FIELDS if not (name == "influence" and strip.use_animated_influence)]
         digest.update(repr([getattr(strip, name) for name in fields]).encode())
     for player in (data, *playing):
-        for curve in (*curves(player.action, player.action_slot), *getattr(player, "fcurves", ())):
-            digest.update(f"{curve.data_path}[{curve.array_index}] {curve.extrapolation} {curve.mute}".encode())
-            for name, width in (("co", 2), ("handle_left", 2), ("handle_right", 2), ("interpolation", 1)):
-                values = np.empty(width * len(curve.keyframe_points), np.float32 if width == 2 else np.int32)
-                curve.keyframe_points.foreach_get(name, values)
-                digest.update(values.tobytes())
-            for modifier in curve.modifiers:
-                digest.update(repr(plain(modifier, skip=("active", "show_expanded"))).encode())
+        _add_curves(player, digest)
     return digest.hexdigest()
+
+
+def _is_plain(strip: bpy.types.NlaStrip) -> bool:
+    """Whether a strip plays its Action as that would play by itself, but for when and how fast."""
+    changed = [name for name, usual in PLAIN.items() if getattr(strip, name) != usual]
+    own = [curve for curve in strip.fcurves if len(curve.keyframe_points)]
+    played = curves(strip.action, strip.action_slot)
+    if strip.type != "CLIP" or changed or own or len(strip.modifiers) or not played:
+        return False
+    if any(len(curve.modifiers) or curve.extrapolation != "CONSTANT" for curve in played):
+        return False
+    times = [key.co.x for curve in played for key in curve.keyframe_points]
+    return min(times) >= strip.action_frame_start - SAME_TIME and max(times) <= strip.action_frame_end + SAME_TIME
+
+
+def _add_curves(player: Any, digest: Any, strip: bpy.types.NlaStrip | None = None) -> None:
+    """Add the F-curves of animation data or a strip to a hash. strip: in whose time their keys are."""
+    for curve in (*curves(player.action, player.action_slot), *getattr(player, "fcurves", ())):
+        if strip and curve.id_data != strip.action:
+            continue
+        digest.update(f"{curve.data_path}[{curve.array_index}] {curve.extrapolation} {curve.mute}".encode())
+        for name, width in (("co", 2), ("handle_left", 2), ("handle_right", 2), ("interpolation", 1)):
+            values = np.empty(width * len(curve.keyframe_points), np.float32 if width == 2 else np.int32)
+            curve.keyframe_points.foreach_get(name, values)
+            if strip and width == 2 and (strip.scale, strip.frame_start) != (1.0, strip.action_frame_start):
+                values[::2] = strip.frame_start + strip.scale * (values[::2] - strip.action_frame_start)
+            digest.update(values.tobytes())
+        for modifier in curve.modifiers:
+            digest.update(repr(plain(modifier, skip=("active", "show_expanded"))).encode())

@@ -86,6 +86,64 @@ def key_plainly(rig):
             point.interpolation = "LINEAR"
 
 
+def pushed(action, curve, rig, strip):
+    """Nothing but pushed down."""
+
+
+def retimed(action, curve, rig, strip):
+    """To half speed, with the keys brought back in the Action."""
+    for each in animation.curves(action, action.slots[0]):
+        for key in each.keyframe_points:
+            for point in (key.co, key.handle_left, key.handle_right):
+                point.x = FIRST + (point.x - FIRST) / 2.0
+    strip.action_frame_end = FIRST + (LAST - FIRST) / 2.0
+    strip.scale = 2.0
+
+
+def half_speed(action, curve, rig, strip):
+    strip.scale = 2.0
+
+
+def shifted(action, curve, rig, strip):
+    strip.frame_start_ui += 5
+
+
+def cut(action, curve, rig, strip):
+    strip.action_frame_end = 12
+
+
+def cycled(action, curve, rig, strip):
+    curve.modifiers.new("CYCLES")
+
+
+def extrapolated(action, curve, rig, strip):
+    curve.extrapolation = "LINEAR"
+
+
+def twice(action, curve, rig, strip):
+    strip_of(rig, action, 8)
+
+
+@pytest.mark.parametrize(
+    "change, same",
+    [(pushed, True), (retimed, True), (half_speed, False), (shifted, False), (cut, False), (cycled, False),
+     (extrapolated, False), (twice, False), (faded, False), (backward, False)],
+)  # fmt: skip
+def test_a_strip_is_another_animation_where_it_moves_otherwise(swaying, change, same):
+    obj, action = swaying
+    rig = rig_of(obj)
+    rig.animation_data.action = action
+    rig.animation_data.action_slot = action.slots[0]
+    before = dict(animation.animation(skinning_of(obj)))
+    rig.animation_data.action = None
+    if change in (faded, backward):
+        change(rig, action)
+    else:
+        strip = strip_of(rig, action)
+        change(action, animation.curves(action, action.slots[0])[0], rig, strip)
+    assert (dict(animation.animation(skinning_of(obj))) == before) == same
+
+
 @pytest.mark.parametrize("playing", [scaled_and_extended, backward, several_times, nothing_before_and_after, faded])
 def test_a_rig_that_strips_move_is_baked_as_one_that_is_keyed(swaying, playing):
     obj, action = swaying
