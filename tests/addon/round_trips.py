@@ -36,7 +36,7 @@ def shown(name: str, frames) -> np.ndarray:
     """World positions as Blender shows them."""
     surfaces = []
     for frame in frames:
-        bpy.context.scene.frame_set(int(frame))
+        bpy.context.scene.frame_set(int(frame), subframe=frame % 1.0)
         mesh = bpy.data.objects[name].evaluated_get(bpy.context.evaluated_depsgraph_get())
         points = np.empty((len(mesh.data.vertices), 3), np.float32)
         mesh.data.attributes["position"].data.foreach_get("vector", points.ravel())

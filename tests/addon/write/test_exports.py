@@ -10,16 +10,17 @@ import bpy
 import numpy as np
 import pytest
 import round_trips
-from bl_ext.user_default.dynamic_morph_targets.core import errors
+from bl_ext.user_default.dynamic_morph_targets.core import errors, records
 from bl_ext.user_default.dynamic_morph_targets.core.result import keys
 from bl_ext.user_default.dynamic_morph_targets.io import disk, point_cache
 from bl_ext.user_default.dynamic_morph_targets.run.bake import export_actions
-from bl_ext.user_default.dynamic_morph_targets.scene import references
-from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
+from bl_ext.user_default.dynamic_morph_targets.scene import animation, references
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import run_settings
+from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store, staleness
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import export as operators_export
 from bl_ext.user_default.dynamic_morph_targets.write.bake import influence, writer
 from bl_ext.user_default.dynamic_morph_targets.write.export import exports, losses
-from builders import activate, fingerprint, hand_made_bake, keys_of, make_arm, make_soft, rig_of
+from builders import activate, fingerprint, hand_made_bake, keys_of, make_arm, make_soft, rig_of, skinning_of
 from built import SmallModel
 from layout import Layout
 from round_trips import farthest
@@ -333,6 +334,60 @@ def test_export_check_says_where_surfaces_are_those_of_renders(baked, tmp_path, 
     (text,) = losses.losses(obj, key)
     assert "'Arm' is off in renders" in text
     assert not any("off in renders" in text for text in losses.losses(obj, "GLTF"))
+
+
+def off_itself(obj):
+    obj.hide_render = True
+
+
+def in_a_collection_that_is_off(obj):
+    home = bpy.data.collections.new("Low")
+    outer = bpy.data.collections.new("Outer")
+    bpy.context.scene.collection.children.link(outer)
+    outer.children.link(home)
+    for collection in obj.users_collection:
+        collection.objects.unlink(obj)
+    home.objects.link(obj)
+    outer.hide_render = True
+
+
+@pytest.mark.parametrize("hide", [off_itself, in_a_collection_that_is_off])
+def test_what_is_off_in_renders_is_refused_where_files_have_what_renders_have(baked, tmp_path, hide):
+    """And the disk is not blamed."""
+    obj, _ = baked
+    hide(obj)
+    for key in ("ALEMBIC", "USD"):
+        assert any("'Arm' is off in renders" in text for text in losses.losses(obj, key))
+        with pytest.raises(errors.ExportError, match="'Arm' is off in renders, and .* has what renders have"):
+            written(obj, key, tmp_path)
+        assert not list(tmp_path.iterdir())
+    assert written(obj, "GLTF", tmp_path).exists()
+    other = bpy.data.collections.new("Shown")
+    bpy.context.scene.collection.children.link(other)
+    other.objects.link(obj)
+    obj.hide_render = False
+    assert written(obj, "ALEMBIC", tmp_path).exists()
+
+
+def test_samples_between_frames_are_in_alembic_and_others_say_that_they_lack_them(scene, soft_arm, tmp_path):
+    """A bake whose keys wave within each frame."""
+    soft_arm.dynamorph.simulation.samples = 4
+    settings = run_settings.simulation_settings(soft_arm, scene)
+    bake = hand_made_bake(soft_arm, frames=np.arange(1.0, 20.01, 0.25))
+    writer.write_keys(soft_arm, bake)
+    inputs = staleness.bake_inputs(skinning_of(soft_arm), settings)
+    animated = {"animation": animation.animation(skinning_of(soft_arm)), "content_id": "", "painted": ""}
+    soft_arm.dynamorph.bake.inputs = records.text(inputs | animated)
+    for key in ("GLTF", "FBX", "USD", "ALEMBIC"):
+        lacks = [text for text in losses.losses(soft_arm, key) if "4 samples per frame" in text]
+        assert len(lacks) == (key != "ALEMBIC")
+    halves = np.arange(1.5, 19.5)
+    exact = round_trips.shown("Arm", frames=halves)
+    whole = round_trips.shown("Arm", frames=EVERY)
+    straight = 0.5 * (whole[:-2] + whole[1:-1])
+    read = round_trips.ALEMBIC(written(soft_arm, "ALEMBIC", tmp_path), "Arm", halves)
+    assert np.abs(straight - exact).max() > 0.01
+    assert np.abs(read - exact).max() < CLOSE
 
 
 def test_keys_of_two_soft_skins_have_different_names_in_a_file(scene, baked, tmp_path):
