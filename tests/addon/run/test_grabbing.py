@@ -9,6 +9,7 @@ from bl_ext.user_default.dynamic_morph_targets.run import live, remembered
 from bl_ext.user_default.dynamic_morph_targets.run.tools import grabbing
 from bl_ext.user_default.dynamic_morph_targets.scene import events
 from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
+from bl_ext.user_default.dynamic_morph_targets.ui.operators import grab
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import hands
 from builders import KEPT, evaluated_points, rig_of
 from built import BuiltOnce
@@ -231,3 +232,13 @@ def test_nothing_is_left_in_the_file(live_arm):
     bpy.ops.dynamorph.live()
     assert blocks() == before
     assert np.abs(evaluated_points(live_arm) - points).max() < 0.05
+
+
+def test_a_hand_that_is_left_is_let_go_by_escape(live_arm):
+    assert not bpy.ops.dynamorph.let_go.poll()
+    hand, number = held_at(live_arm, softest(live_arm), led=0.05)
+    ticks(hand, 2)
+    assert bpy.ops.dynamorph.let_go.poll() and bpy.ops.dynamorph.let_go() == {"FINISHED"}
+    assert number not in hand.holds and not bpy.ops.dynamorph.let_go.poll()
+    keys = [(name, how["type"]) for name, how, _ in grab.DYNAMORPH_TOOL_grab_object.bl_keymap]
+    assert ("dynamorph.let_go", "ESC") in keys

@@ -45,6 +45,18 @@ def test_without_others_selected_the_button_is_gray(soft_arm):
     refused(bpy.ops.dynamorph.collide, "Select other mesh objects too")
 
 
+def test_the_sidebar_has_the_button_while_something_else_is_selected(soft_arm):
+    shown = lambda: "dynamorph.collide" in drawn(soft_arm)  # noqa: E731
+    ball, shirt = make_box("Ball", collision=False), make_box("Shirt", collision=False)
+    soft_arm.dynamorph.attachments.add().object = shirt
+    select(soft_arm, shirt)
+    assert not shown()
+    select(soft_arm, ball)
+    assert shown()
+    bpy.ops.dynamorph.collide()
+    assert not shown()
+
+
 @pytest.mark.fault("X11")
 def test_what_belongs_to_the_body_is_refused(soft_arm):
     shirt = make_box("Shirt", collision=False)

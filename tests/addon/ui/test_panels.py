@@ -25,7 +25,7 @@ from layout import Layout, controls, drawn, layout_of, region
 from settings_shown import settings_shown
 
 SIDEBAR, PHYSICS, DATA = "DYNAMORPH_PT_sidebar", "DYNAMORPH_PT_physics", "DYNAMORPH_PT_object_data"
-BUTTONS = ["dynamorph.live", "Live", "dynamorph.build", "dynamorph.bake", "Bake", "dynamorph.delete_bake"]
+BUTTONS = ["dynamorph.live", "Live", "dynamorph.bake", "Bake", "dynamorph.build", "dynamorph.delete_bake"]
 
 
 def test_through_the_workflow(arm, stand_in):
@@ -164,10 +164,34 @@ def test_progress_takes_the_row_of_the_state(soft_arm, stand_in):
         remembered.work.running = None
 
 
+def test_what_live_plays_is_not_out_of_date_in_live(soft_arm):
+    """A stroke of Firmness, and opening the map to paint it, which changes nothing yet."""
+    pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+    soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 200, 6
+    soft_arm.dynamorph.model.hold = "THICKNESS"
+    bpy.ops.dynamorph.build()
+    bpy.ops.dynamorph.live()
+    bpy.ops.dynamorph.paint_firmness()
+    bpy.ops.dynamorph.paint_firmness()
+    assert drawn(soft_arm)[0] == "Live is on"
+    group = soft_arm.vertex_groups[soft_arm.dynamorph.firmness_group]
+    group.add([0, 1, 2], 0.9, "REPLACE")
+    assert drawn(soft_arm)[0] == "Live is on" and "Build updates Live" not in drawn(soft_arm)
+    soft_arm.dynamorph.model.modes += 1
+    assert drawn(soft_arm)[0] == "Live out of date" and "Build updates Live" in drawn(soft_arm)
+
+
+def test_without_other_targets_the_settings_are_of_the_whole_body(soft_arm):
+    soft_arm.dynamorph.active_target_index = 0
+    assert "Neutral" in drawn(soft_arm) and "Whole Body" not in drawn(soft_arm)
+    soft_arm.dynamorph.targets.remove(1)
+    assert drawn(soft_arm).count("Whole Body") == 2  # of Feel and Material
+
+
 # Where things are ----------------------------------------------------------------------------------------------------
 
 
-TOP = ["dynamorph.live", "dynamorph.build", "dynamorph.bake", "dynamorph.delete_bake"]
+TOP = ["dynamorph.live", "dynamorph.bake", "dynamorph.build", "dynamorph.delete_bake"]
 
 
 def test_a_new_soft_skin_shows_twelve_controls_at_most(arm, stand_in):

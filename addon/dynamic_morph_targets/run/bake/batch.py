@@ -139,7 +139,10 @@ class Batch:
             if len(group) > 1:
                 together.note_inputs(group)
         writers = [job.writer() for job in self.jobs]
-        write_all([writer for writer in writers if writer.request.stored])
+        with ExitStack() as turns:
+            for job in self.jobs:
+                turns.enter_context(job.progress.turn())
+            write_all([writer for writer in writers if writer.request.stored])
 
     def _sampled(self, job: Job, seconds: float) -> Iterator[None]:
         self._at = job

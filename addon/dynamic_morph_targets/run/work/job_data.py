@@ -37,17 +37,22 @@ class Progress:
         self.message = ""
         self.canceled = False  # by the user
         self.seconds: dict[str, float] = {}  # by stage
-        self.waited = 0.0  # seconds of the job's turns, with all that Blender did between their slices
+        self._waited, self._began = 0.0, 0.0  # seconds of the turns that have ended, and when the present one began
         self._changed = changed
 
     @contextmanager
     def turn(self) -> Iterator[None]:
         """Measure the seconds that somebody waits for the job."""
-        began = time.perf_counter()
+        self._began = time.perf_counter()
         try:
             yield
         finally:
-            self.waited += time.perf_counter() - began
+            self._waited, self._began = self.waited, 0.0
+
+    @property
+    def waited(self) -> float:
+        """Seconds of the job's turns until now, with all that Blender did between their slices."""
+        return self._waited + (time.perf_counter() - self._began if self._began else 0.0)
 
     def part(self, begin: float, end: float) -> Callable[[float, str], bool]:
         """progress(fraction, message) -> True for a part of the work."""

@@ -17,7 +17,7 @@ CONVERTIBLE = {"CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLU
 
 
 class DYNAMORPH_OT_collide(SoftSkinOperator, Operator):
-    """Give the other selected meshes Blender's Collision, and let the soft skin collide with them"""
+    """Select other meshes beside the soft skin first: they get Blender's Collision, and it collides with them"""
 
     bl_idname = "dynamorph.collide"
     bl_label = "Collide with Selected"
@@ -51,7 +51,7 @@ def _why_none(context: bpy.types.Context) -> str:
 
 
 class DYNAMORPH_OT_add_floor(SoftSkinOperator, Operator):
-    """Add a plane with Blender's Collision below the soft skin as it stands now"""
+    """Add a plane with Blender's Collision below the soft skin as it stands now. Nothing else needs to be selected"""
 
     bl_idname = "dynamorph.add_floor"
     bl_label = "Add Floor"

@@ -10,7 +10,12 @@ import bpy
 import numpy as np
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Operator, WorkSpaceTool
-from bpy_extras.view3d_utils import region_2d_to_location_3d, region_2d_to_origin_3d, region_2d_to_vector_3d
+from bpy_extras.view3d_utils import (
+    location_3d_to_region_2d,
+    region_2d_to_location_3d,
+    region_2d_to_origin_3d,
+    region_2d_to_vector_3d,
+)
 from mathutils import Vector
 
 from ...run import remembered
@@ -22,6 +27,7 @@ from ..base import report_errors
 from ..widgets import draw_drags
 
 TAP, TAP_PIXELS = 0.4, 4  # a press that is shorter in seconds, and moves less, slaps
+HAND_PIXELS = 12  # from the middle of a hand: a press there lets it go
 NOTCH = 0.01  # of the body's size: by which the wheel moves the hand away from the viewer, or nearer
 
 
@@ -41,6 +47,10 @@ class DYNAMORPH_OT_grab(Operator):
 
     def _take(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         obj, mouse = skin.mesh_in(context), (event.mouse_region_x, event.mouse_region_y)
+        if (held := _held_at(context, obj, mouse)) is not None:
+            remembered.live.hands.let_go(held)
+            events.redraw(events.VIEWS)
+            return {"FINISHED"}
         hit, normal = _under(context, obj, mouse)
         if hit is None:
             return {"CANCELLED", "PASS_THROUGH"}
@@ -104,6 +114,35 @@ class DYNAMORPH_OT_grab(Operator):
             self.grabbing.let_go(self.hold)
 
 
+class DYNAMORPH_OT_let_go(Operator):
+    """Let go of all hands that hold the soft skin"""
+
+    bl_idname = "dynamorph.let_go"
+    bl_label = "Let Go of Soft Skin"
+    bl_options = {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        return bool(remembered.live.hands and remembered.live.hands.holds)
+
+    def execute(self, _context: bpy.types.Context) -> set[str]:
+        remembered.live.hands.let_go_of_all()
+        events.redraw(events.VIEWS)
+        return {"FINISHED"}
+
+
+def _held_at(context: bpy.types.Context, obj: bpy.types.Object, mouse: tuple[int, int]) -> int | None:
+    """The number of a hand on `obj` that holds it under the mouse."""
+    hands = remembered.live.hands
+    for number, hold in hands.holds.items() if hands and hands.is_of(obj) else ():
+        if hold.frames is not None:  # a slap
+            continue
+        shown = location_3d_to_region_2d(context.region, context.region_data, hold.goal.tolist())
+        if shown and (shown - Vector(mouse)).length < HAND_PIXELS:
+            return number
+    return None
+
+
 def _under(context: bpy.types.Context, obj: bpy.types.Object, mouse: tuple[int, int]) -> tuple[Vector | None, Vector]:
     """The place on the soft skin `obj` under the mouse, and its normal: world space; None where something else is."""
     origin = region_2d_to_origin_3d(context.region, context.region_data, mouse)
@@ -121,7 +160,8 @@ class GrabTool(WorkSpaceTool):
     bl_label = "Grab Soft Skin"
     bl_description = (
         "Drag the soft skin while Live is on, and let go.\n"
-        "A tap slaps it. The wheel moves the hand in depth; Shift at the release leaves it there; Esc lets go of all"
+        "A tap slaps it. The wheel moves the hand in depth; Shift at the release leaves it there; a click on it, or "
+        "Esc, lets go"
     )
     bl_icon = "brush.uv_sculpt.grab"
 
@@ -131,9 +171,12 @@ class GrabTool(WorkSpaceTool):
         if obj is not None and obj.dynamorph.targets:
             draw_drags(layout, obj)
 
-    bl_keymap = tuple(
-        (DYNAMORPH_OT_grab.bl_idname, {"type": "LEFTMOUSE", "value": "PRESS", "shift": shift}, None)
-        for shift in (False, True)
+    bl_keymap = (
+        (DYNAMORPH_OT_let_go.bl_idname, {"type": "ESC", "value": "PRESS"}, None),
+        *(
+            (DYNAMORPH_OT_grab.bl_idname, {"type": "LEFTMOUSE", "value": "PRESS", "shift": shift}, None)
+            for shift in (False, True)
+        ),
     )
 
 
@@ -148,7 +191,7 @@ class DYNAMORPH_TOOL_grab_pose(GrabTool):
 
 
 TOOLS = (DYNAMORPH_TOOL_grab_object, DYNAMORPH_TOOL_grab_pose)
-_register, _unregister = of_classes((DYNAMORPH_OT_grab,))
+_register, _unregister = of_classes((DYNAMORPH_OT_grab, DYNAMORPH_OT_let_go))
 
 
 def register() -> None:

@@ -11,12 +11,26 @@ from ...scene.motion import colliders
 from ..widgets import draw_message, draw_setting
 
 
+def is_beside(obj: bpy.types.Object) -> bool:
+    """Whether something is selected that may be meant to collide with the soft skin `obj`."""
+    return any(
+        other.type == "MESH" and not (colliders.of_body(obj)(other) or other in colliders.colliders(obj))
+        for other in bpy.context.selected_objects
+    )
+
+
+def draw_beside(layout: bpy.types.UILayout, _context: bpy.types.Context, _obj: bpy.types.Object) -> None:
+    """In the sidebar, while other meshes are selected."""
+    layout.enabled = remembered.work.running is None
+    layout.operator("dynamorph.collide", icon="MOD_PHYSICS")
+
+
 def draw_collision(layout: bpy.types.UILayout, context: bpy.types.Context, obj: bpy.types.Object) -> None:
     settings = obj.dynamorph.collision
     layout.enabled = remembered.work.running is None
     buttons = layout.column(align=True)
     buttons.operator("dynamorph.collide", icon="MOD_PHYSICS")
-    buttons.operator("dynamorph.add_floor", icon="MESH_PLANE")
+    buttons.operator("dynamorph.add_floor", icon="MESH_GRID")
     found = [other.name for other in colliders.colliders(obj)]
     if found:
         draw_message(layout, Message("Collides with: {names}", names=listed(found)), icon="CHECKMARK")

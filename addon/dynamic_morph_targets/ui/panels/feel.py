@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
 from ...core.material import feel
 from ...core.painted_map import FIRMNESS, MAX_DISTANCE, PaintedMap
@@ -25,8 +26,13 @@ def draw_feel(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: bpy.
     column.prop(settings.simulation, "amount", slider=True)
     target = settings.active_target
     if target:
-        layout.label(text=target.name, icon=icon_of(obj, target), translate=False)
+        layout.label(text=name_of(obj, target), icon=icon_of(obj, target), translate=False)
         draw_swing(layout, target)
+
+
+def name_of(obj: bpy.types.Object, target: DynamorphTarget) -> str:
+    """What the settings below are of; without other targets, the neutral one needs no name."""
+    return target.name if len(obj.dynamorph.targets) > 1 else iface_("Whole Body")
 
 
 def icon_of(obj: bpy.types.Object, target: DynamorphTarget) -> str:
@@ -57,7 +63,7 @@ def draw_material(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: 
     layout.enabled = remembered.work.running is None
     if target is None:
         return
-    layout.label(text=target.name, icon=icon_of(obj, target), translate=False)
+    layout.label(text=name_of(obj, target), icon=icon_of(obj, target), translate=False)
     column = layout.column(align=True)
     for name in ("stiffness", "poisson", "density", "mass_damping"):
         column.prop(target, name)

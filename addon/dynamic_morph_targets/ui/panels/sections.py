@@ -20,7 +20,7 @@ from ..widgets import draw_message, is_narrow, progress_text
 from .advanced import DYNAMORPH_UL_modes, draw_advanced, draw_cage, draw_detail, draw_modes, draw_solver, has_modes
 from .attachments import DYNAMORPH_UL_attachments, attachments_title, draw_attachments
 from .bake import draw_bake, draw_details, draw_export, draw_result, draw_setup, is_baked
-from .collision import draw_collision
+from .collision import draw_beside, draw_collision, is_beside
 from .compare import draw_compare, draw_shake_test
 from .feel import draw_feel, draw_firmness, draw_material, draw_max_distance
 from .status import draw_messages, draw_top
@@ -106,6 +106,7 @@ SIDEBAR_SECTIONS = (
     Section("compare", "Compare", "sidebar", draw_compare),
     Section("result", "Result", "sidebar", draw_result, closed=False, needed=is_baked),
     Section("details", "Details", "result", draw_details),
+    Section("beside", "Selected Beside", "sidebar", draw_beside, closed=False, needed=is_beside),
     Section("messages", "Messages", "sidebar", draw_messages, closed=False, before=True),
 )
 # Once.

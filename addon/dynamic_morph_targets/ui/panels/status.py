@@ -28,10 +28,11 @@ def draw_top(layout: bpy.types.UILayout, context: bpy.types.Context, obj: bpy.ty
     playing = live.is_on(obj)
     buttons = layout.column(align=True)
     row = buttons.row(align=True)
+    # Side by side, because a tooltip covers what is below.
     row.operator("dynamorph.live", text="Live", icon="PAUSE" if playing else "PLAY", depress=playing)
-    row.operator("dynamorph.build", icon="NONE" if is_narrow() else "MOD_LATTICE")
-    row = buttons.row(align=True)
     row.operator("dynamorph.bake", text="Bake", icon="REC")
+    row = buttons.row(align=True)
+    row.operator("dynamorph.build", icon="NONE" if is_narrow() else "MOD_LATTICE")
     row.operator("dynamorph.delete_bake", icon="NONE" if is_narrow() else "TRASH")
     hint = "" if remembered.work.running else next_step(obj)
     hint = iface_(hint)
@@ -69,7 +70,7 @@ def state(obj: bpy.types.Object) -> tuple[str, str]:
     if remembered.live.preview and remembered.live.preview.object.session_uid == obj.session_uid:
         return iface_(remembered.live.preview.label), "PLAY"
     if live.is_on(obj):
-        if live.problem(obj) or is_outdated(obj):
+        if live.problem(obj) or is_beyond_live(obj):
             return iface_("Live out of date"), "ERROR"
         return iface_("Live over the bake" if baked else "Live is on"), "PLAY"
     if baked:
@@ -89,7 +90,7 @@ def next_step(obj: bpy.types.Object) -> str:
         return ""
     if comparison.is_plain(obj) or obj.dynamorph.sculpt.active:
         return ""
-    if live.is_on(obj) and is_outdated(obj):
+    if live.is_on(obj) and is_beyond_live(obj):
         return "Build updates Live"
     if not live.is_on(obj) and baked and staleness.outdated(obj):
         return "Bake updates it"
@@ -106,6 +107,11 @@ def is_outdated(obj: bpy.types.Object) -> bool:
     """Whether the model of `obj` must be built again."""
     model = obj.dynamorph.model
     return bool(model.content_id and (staleness.model_age(obj) or checks.outgrown(obj)))
+
+
+def is_beyond_live(obj: bpy.types.Object) -> bool:
+    """Whether the same is so for Live, which plays a Firmness map without that."""
+    return bool(obj.dynamorph.model.content_id and (staleness.live_age(obj) or checks.outgrown(obj)))
 
 
 # Messages ------------------------------------------------------------------------------------------------------------
