@@ -94,6 +94,7 @@ def test_operators_that_change_data_are_undone(operators):
         "dynamorph.export_actions",
         "dynamorph.export_check",
         "dynamorph.grab",
+        "dynamorph.let_go",
         "dynamorph.play_mode",
         "dynamorph.save_setup",
         "dynamorph.shake_test",
