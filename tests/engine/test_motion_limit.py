@@ -543,12 +543,12 @@ def test_what_was_found_of_a_skin_serves_other_distances_and_processes(kind):
     painted = np.linspace(0.3, 1.0, len(made.nodes))
     found = pickle.loads(pickle.dumps(made.limit(1.0, painted).tissue))
     frames = moving(0.3 * np.sin(np.arange(40) / 3.0))
-    again, anew = (made.simulation(limit=made.limit(0.02, painted, tissue=tissue)) for tissue in (found, None))
-    for simulation in (again, anew):
+    given, looked_for = (made.simulation(limit=made.limit(0.02, painted, tissue=tissue)) for tissue in (found, None))
+    for simulation in (given, looked_for):
         made.run(simulation, frames)
-    assert anew.excess.max() > 1.0
-    np.testing.assert_array_equal(again.coordinates, anew.coordinates)
-    np.testing.assert_array_equal(again.excess, anew.excess)
+    assert looked_for.excess.max() > 1.0
+    np.testing.assert_array_equal(given.coordinates, looked_for.coordinates)
+    np.testing.assert_array_equal(given.excess, looked_for.excess)
 
 
 def test_what_was_found_of_another_skin_is_refused():

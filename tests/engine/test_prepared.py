@@ -68,7 +68,7 @@ def test_other_constants_do_not(model, monkeypatch):
 
 
 def test_what_limits_look_at_goes_along_to_other_processes(model, monkeypatch):
-    """And what another material, or another quality, has there is found anew."""
+    """And what another material, or another quality, has there is looked for again."""
     found = []
 
     def limit(*args, tissue):
