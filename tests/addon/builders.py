@@ -305,7 +305,7 @@ class StandInShot:
 
         return Held()
 
-    touched = None
+    touched = poses = None
 
     def play(self, rig):
         engine, settings = self.engine, self.settings

@@ -10,7 +10,9 @@ import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors, records
 from bl_ext.user_default.dynamic_morph_targets.core.motion.contact import Touched
 from bl_ext.user_default.dynamic_morph_targets.core.motion.limits import Held
-from bl_ext.user_default.dynamic_morph_targets.core.result.judge import Limits, Verdict, parsed, quantiles
+from bl_ext.user_default.dynamic_morph_targets.core.result.judge import Limits, Verdict, judge, parsed, quantiles
+from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
+from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
 from bl_ext.user_default.dynamic_morph_targets.run.tools import heat
 from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.ui.operators import jobs
@@ -68,6 +70,54 @@ def test_a_verdict_is_read(addon):
     older = {name: value for name, value in json.loads(FAR.record).items() if name != "touched"}
     assert parsed(json.dumps(older)) == replace(FAR, touched=None)
     assert FAR.factor == pytest.approx((0.08 / 0.05) ** 0.75)
+
+
+QUIET = replace(FAR, displacement=0.028, percentile=0.028, stretch=(0.9, 1.1), touched=None)
+
+
+@pytest.mark.parametrize(
+    "changes, fault",
+    [
+        ({}, ""),
+        ({"stretch": (0.61, 1.1)}, "is squeezed too far"),  # a limit of .6, of which the bones take a part
+        ({"stretch": (0.5, 1.1)}, "is squeezed too far"),
+        ({"stretch": (0.9, 1.64)}, "is stretched too far"),
+        ({"percentile": 0.06}, "moves farther than Max Displacement allows"),
+        ({"displacement": 0.1}, "moves farther than Max Displacement allows"),
+        ({"over_thickness": 0.7}, "moves farther than its thickness allows"),
+        ({"percentile": 0.06, "over_thickness": 1.2}, "moves farther than its thickness allows"),
+        ({"inverted": 0.01}, "is pressed inside out"),
+    ],
+)
+def test_a_verdict_names_what_is_exceeded(addon, changes, fault):
+    found = replace(QUIET, **changes)
+    expected = f"The skin {fault} at frame 7" if fault else "The skin moves believably, most at frame 7"
+    assert found.text == expected and found.is_believable == (not fault)
+
+
+def test_edges_are_measured_as_they_are_posed(soft_arm):
+    """A shear, which slants edges by little in bind space, squeezes those that bones have folded flat."""
+    pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+    soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 200, 6
+    job = Job(soft_arm, "BAKE")
+    batch.run(job)
+    outcome, settings = job.outcome, job.input.settings
+    character, count = outcome.character, len(outcome.bake.frames)
+    shear = np.zeros_like(character.bind_points)
+    shear[:, 0] = -character.bind_points[:, 2]
+    coordinates = np.zeros((count, 1))
+    coordinates[count // 2] = 0.5
+    modes = shear[None] @ np.linalg.inv(character.to_bind.T)
+    bake = replace(outcome.bake, modes=modes, coordinates=coordinates, static=0.0 * coordinates, node_modes=None)
+    unfolded = np.tile(np.eye(3, 4), (count, character.weights.shape[1], 1, 1))
+    flat = unfolded.copy()
+    flat[:, :, 2, 2] = 0.1
+    verdicts = [
+        judge(outcome.model, character, bake, settings, Held(), None, poses) for poses in (None, unfolded, flat)
+    ]
+    bind, same, posed = (verdict.stretch[0] for verdict in verdicts)
+    assert bind > 0.65 and same == pytest.approx(bind, abs=0.05)
+    assert posed < 0.55 and "is squeezed too far" in verdicts[2].text
 
 
 @pytest.mark.parametrize("count", [1, 2, 49, 50, 5000])

@@ -26,6 +26,7 @@ from .rig_samples import RigSamples
 
 LOST = 1e-3  # of a motion, RMS: what a bake may lack beside the targets' shapes where most modes hardly move
 NEGLIGIBLE = 1e-5  # of a motion, RMS: what an exact bake may lack
+POSES_BYTES = 2**28  # of a shot's poses, which longer ones do without
 CHECKED = 10  # frames that are checked for inverted tetrahedra: those with the largest coordinates
 
 
@@ -97,6 +98,7 @@ class Shot:
         self._coordinates: list[np.ndarray] = []  # one entry per chunk, like the next two
         self._weights: list[np.ndarray] = []
         self._steps: list[np.ndarray] = []
+        self._poses: list[np.ndarray] = []
         self._loop: dict = {}
         self._warnings: list[str] = []
         self._seconds = 0.0
@@ -112,6 +114,7 @@ class Shot:
         if self.is_complete:
             return
         began, player = time.perf_counter(), self.player
+        self._see_poses(rig)
         if player.settings.loop:
             frames, gap = cycle(player, rig)
             self._loop, self._warnings = {"gap": gap}, loop_warnings(player, rig, gap)
@@ -119,6 +122,24 @@ class Shot:
             frames, rig, numbers = self.begun(rig)
             frames += player.play(rig, numbers)
         self.take(frames, time.perf_counter() - began)
+
+    def _see_poses(self, rig: RigSamples) -> None:
+        """Keep where the bones are at the frames of a chunk, as it comes."""
+        player, settings = self.player, self.player.settings
+        size = 4 * 12 * len(settings.times) * player.character.weights.shape[1]
+        if not player.probed and size <= POSES_BYTES:
+            stride = settings.substeps // settings.samples
+            at_frames = replace(rig, tracks=())[stride - 1 if self.done else 0 :: stride]
+            self._poses.append(player.posing.frames(at_frames).astype(np.float32))
+
+    @property
+    def poses(self) -> np.ndarray | None:
+        """The bones (F, B + 1, 3, 4), bind to world space, at what was played without the run-up; None where they were
+        not kept.
+        """
+        settings = self.player.settings
+        found = np.concatenate(self._poses) if self._poses else np.zeros((0, 0, 3, 4))
+        return found[settings.run_up * settings.samples :] if len(found) == self.done else None
 
     def begun(self, rig: RigSamples) -> tuple[list[Frame], RigSamples, range]:
         """The first frame, unless that is done, and what is left of the chunk: its rig, and the frames' numbers."""
@@ -210,6 +231,8 @@ def play_together(
     garments: (clothes, body), names of those that lie on others.
     """
     began = time.perf_counter()
+    for shot, rig in zip(shots, rigs, strict=True):
+        shot._see_poses(rig)
     firsts, rests, numbers = zip(*map(Shot.begun, shots, rigs), strict=True)
     players = {shot.player.character.name: shot.player for shot in shots}
     coupling = Coupling(list(players.values()), [(players[clothes], players[body]) for clothes, body in garments])

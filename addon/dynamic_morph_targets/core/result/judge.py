@@ -28,6 +28,7 @@ LOOKED_AT = 32  # at most so many frames, those that move most
 CHECKED = 10  # of these, frames whose tetrahedra are checked
 SHRUNK, STRETCHED = 0.6, 1.6  # of their length at rest; edges beyond that look torn
 TURNED = 1e-3  # share of the skin that may be flipped, and of the volume that may be inverted
+FOLDED = 0.3  # of their length at rest; edges that bones make shorter are not used to measure what motion adds
 FLICKERS = 0.1  # of `flicker`; what turns more often flickers, a slow swing is near -1
 HELD_BACK = 2.0  # of the largest excess of a load; below, the artist is not told
 SHOWS = 1.05  # of the limits; a bake that exceeds them by more is not as requested
@@ -51,7 +52,8 @@ class Verdict:
 
     held: where the limits worked hardest. displacement: the largest, of the size; percentile: its 99.9th percentile in
     the worst frame; over_thickness: 99th percentile over the skin of each point's largest displacement over the
-    thickness there; stretch: 0.1th and 99.9th percentile of edges' length over that at rest; flipped: share of the skin
+    thickness there; stretch: 0.1th and 99.9th percentile of edges' length over that at rest, in bind space and, where
+    that is worse, over what the bones alone make of it; flipped: share of the skin
     turned over; inverted: share of the volume turned inside out; flicker: how often the motion turns, see `flicker_of`;
     frame: the worst; vertices: of the character's own mesh, at its worst place. touched: of a bake with Collision.
     """
@@ -72,21 +74,27 @@ class Verdict:
     @property
     def excess(self) -> float:
         """The factor by which the motion is too large. 0 without limits."""
+        return max(self._exceeded.values(), default=0.0)
+
+    @property
+    def _exceeded(self) -> dict[str, float]:
+        """The factors by which each limit is exceeded, by what the skin does then; none without limits."""
         limits = self.limits
         if not (limits.displacement or limits.thickness):
-            return 0.0
-        ratios = [0.0]
-        if limits.displacement:
-            ratios += [self.percentile / limits.displacement, self.displacement / (1.8 * limits.displacement)]
-        if limits.thickness:
-            ratios.append(self.over_thickness / limits.thickness)
+            return {}
         low, high = self.stretch
         # Where the bones alone shorten an edge, the motion may only add what SHRUNK leaves.
-        ratios += [(high - 1.0) / (STRETCHED - 1.0), (1.0 - low) / (1.0 - SHRUNK) / 0.9]
+        found = {"is squeezed too far": (1.0 - low) / (1.0 - SHRUNK) / 0.9}
+        found["is stretched too far"] = (high - 1.0) / (STRETCHED - 1.0)
+        if limits.displacement:
+            relative = max(self.percentile, self.displacement / 1.8) / limits.displacement
+            found["moves farther than Max Displacement allows"] = relative
+        if limits.thickness:
+            found["moves farther than its thickness allows"] = self.over_thickness / limits.thickness
         turned = max(self.flipped, self.inverted) / TURNED
         if turned > 1.0:  # volumes decrease much faster than displacements
-            ratios.append(min(1.05 * turned**0.25, 1.5))
-        return max(ratios)
+            found["is turned over"] = min(1.05 * turned**0.25, 1.5)
+        return found
 
     @property
     def is_wreckage(self) -> bool:
@@ -118,7 +126,8 @@ class Verdict:
         elif low < SHRUNK:
             fault = "is squeezed too far"
         elif self.is_too_large:
-            fault = "moves farther than Max Displacement allows"
+            exceeded = self._exceeded
+            fault = max(exceeded, key=lambda name: exceeded[name])
         else:
             return "The skin flickers: it turns at every other frame, or more often"
         return f"The skin {fault} at frame {self.frame:g}"
@@ -193,8 +202,11 @@ def judge(
     settings: SimulationSettings,
     held: Held,
     touched: Touched | None = None,
+    poses: np.ndarray | None = None,
 ) -> Verdict:
-    """The verdict on a bake of `character` with `model` and these settings. It covers all the character's vertices."""
+    """The verdict on a bake of `character` with `model` and these settings. It covers all the character's vertices.
+    poses (F, B + 1, 3, 4): the bones at its frames, bind to world space, where they are known.
+    """
     limits = Limits(settings.max_displacement, settings.max_thickness)
     triangles = character.soft_triangles
     if not len(bake.modes) or not len(triangles):
@@ -208,13 +220,18 @@ def judge(
     largest, flipped = found.largest.max(), found.flipped.max()
     worst = int(chosen[(found.largest / max(largest, 1e-300) + found.flipped / max(flipped, TURNED)).argmax()])
     u = (motion[worst] @ modes).reshape(-1, 3)
+    stretch = float(found.shortest.min()), float(found.longest.max())
+    if poses is not None and len(poses) == len(motion):
+        liveliest = chosen[np.argsort(-displacement[chosen])[:CHECKED]]
+        posed = [skin.posed_stretch(character, bake, frame, poses[frame], motion, modes) for frame in liveliest]
+        stretch = min(stretch[0], *(low for low, _ in posed)), max(stretch[1], *(high for _, high in posed))
     return Verdict(
         limits,
         held,
         displacement=float(largest) / skin.size,
         percentile=float(found.percentile.max()) / skin.size,
         over_thickness=skin.over_thickness(found.farthest),
-        stretch=(float(found.shortest.min()), float(found.longest.max())),
+        stretch=stretch,
         flipped=float(flipped),
         flicker=_flicker(motion[:: settings.samples], modes, skin.areas),
         inverted=_inverted(model, bake, chosen[np.argsort(-displacement[chosen])[:CHECKED]]),
@@ -243,6 +260,30 @@ class _Skin:
         """What displacements by motion (F, r) of modes (r, 3V) do to it, in meters."""
         shapes = modes.reshape(len(modes), -1, 3)
         return dynamorph.measure_deformation(self.rest, self.triangles, self.edges, motion, shapes)
+
+    def posed_stretch(
+        self, character: Character, bake: Bake, frame: int, bones: np.ndarray, motion: np.ndarray, modes: np.ndarray
+    ) -> tuple[float, float]:
+        """The 0.1th and 99.9th percentile of edges' length over what the bones and the targets' shapes alone make of it
+        at a frame: what bones have folded already is squeezed sooner.
+        """
+        shape = self.rest + (bake.static[frame] @ modes).reshape(-1, 3)
+        shape += np.tensordot(bake.weights[frame], bake.residual_shapes, 1) @ character.to_bind.T
+        moves = np.tensordot(character.weights, bones, 1)  # (V, 3, 4)
+        alone = np.einsum("vij,vj->vi", moves[:, :, :3], shape) + moves[:, :, 3]
+        moved = alone + np.einsum("vij,vj->vi", moves[:, :, :3], (motion[frame] @ modes).reshape(-1, 3))
+        low, high = [1.0], [1.0]
+        for edges in self.edges:
+            rest, folded, now = (
+                np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+                for points in (self.rest, alone, moved)
+            )
+            told = folded > FOLDED * rest
+            if told.any():
+                found = np.quantile(now[told] / folded[told], [0.001, 0.999])
+                low.append(float(found[0]))
+                high.append(float(found[1]))
+        return min(low), max(high)
 
     def over_thickness(self, farthest: np.ndarray) -> float:
         """The 99th percentile of displacement over thickness; farthest (V,): largest displacements, meters."""

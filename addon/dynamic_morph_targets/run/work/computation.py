@@ -38,6 +38,7 @@ from .job_data import BakeInput, Outcome, Progress
 
 CAGE = 0.1  # fraction of a job for a cage that is needed before the rig is read
 READ = 0.2  # fraction of a job after which the rig is read
+PRESSED = "{verdict}, with objects that press it: keep them farther out, raise Distance (Collision), or paint Firmness"
 FADE = 5  # frames over which a part that is baked again blends into the rest
 
 
@@ -256,7 +257,7 @@ class Computation:
             outcome.bake, outcome.report = shot.bake(exact=given.output is None or given.output.format != "MODES")
         check_finite(given.name, outcome.bake)
         with self.progress.stage("judge"):
-            found = shot.held, shot.touched
+            found = shot.held, shot.touched, shot.poses
             outcome.verdict = judge.judge(outcome.model, outcome.character, outcome.bake, given.settings, *found)
         outcome.report["inverted_volume"] = outcome.verdict.inverted
 
@@ -318,7 +319,9 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
         )
     outcome.warnings += outcome.verdict.contact_texts
     if outcome.verdict.is_too_large:
-        text = "{verdict}. Raise Bounce or Cage Nodes, or paint Firmness"
+        touched = outcome.verdict.touched
+        pressed = touched is not None and touched.penetration > 0.0
+        text = PRESSED if pressed else "{verdict}. Raise Bounce or Cage Nodes, or paint Firmness"
         outcome.warnings.append(Message(text, verdict=outcome.verdict.text))
 
 
