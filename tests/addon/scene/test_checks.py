@@ -130,8 +130,8 @@ def test_one_button_puts_it_right_and_undo_brings_it_back(soft_arm, spoil, fix):
 
 def test_every_fix_is_tried_here():
     tried = {fix for _, fix in PUT_RIGHT} | {"ADD_BASIS", "PERSON_SIZE", "WEIGHT_LIKE_NEAREST", "LOCK_INTERFACE"}
-    # test_collision_section.py, test_cuts.py, test_bodies.py, test_applying.py
-    elsewhere = {"FULL_QUALITY", "COLLIDE", "NO_HEAD", "APPLY"}
+    # test_collision_section.py, test_cuts.py, test_bodies.py, test_applying.py, test_copies.py
+    elsewhere = {"FULL_QUALITY", "COLLIDE", "NO_HEAD", "APPLY", "LEAVE_ATTACHMENTS"}
     assert tried | elsewhere == set(FIXES)
 
 

@@ -14,8 +14,8 @@ import bpy
 
 from ...core.message import Message
 from .. import animation
-from ..references import is_armature
-from ..skin import cache_modifier, edited_elsewhere
+from ..references import is_armature, rig_of
+from ..skin import attached_meshes, cache_modifier, edited_elsewhere, soft_skins
 from ..skinning import Skinning, armature_for
 from . import animation_checks, modifier_order
 from .problem import Problem, refuse
@@ -45,6 +45,31 @@ def problems(obj: bpy.types.Object) -> Iterator[Problem]:
                 yield from armature_state(armature)
                 yield from _bones(skinning, armature)
     yield from _keys(skinning.obj)
+    yield from left_with_another(skinning.obj)
+
+
+def left_with_another(obj: bpy.types.Object) -> Iterator[Problem]:
+    """The attachments of a copy that stayed with the body it was copied from."""
+    for other in attached_meshes(obj):
+        if owner := owner_of(other, obj):
+            yield Problem(
+                "'{name}' belongs to '{owner}': leave it there, or delete '{body}' and duplicate all of '{owner}'",
+                "LEAVE_ATTACHMENTS",
+                name=other.name,
+                owner=owner.name,
+                body=obj.name,
+            )
+
+
+def owner_of(other: bpy.types.Object, obj: bpy.types.Object) -> bpy.types.Object | None:
+    """The body to which a mesh belongs that is listed as an attachment of the soft skin `obj`, if it is another one:
+    that which it follows, or whose armature moves it.
+    """
+    rig, mover, follows = rig_of(obj), rig_of(other), other.dynamorph.follows
+    if follows in (None, obj) and mover == rig:
+        return None
+    bodies = (each for each in soft_skins(bpy.data.objects) if each != obj and other in attached_meshes(each))
+    return next((body for body in bodies if body == follows or (rig_of(body) == mover and mover != rig)), None)
 
 
 def next_steps(obj: bpy.types.Object) -> Iterator[Problem]:

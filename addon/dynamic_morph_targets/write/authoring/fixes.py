@@ -154,6 +154,16 @@ def _weight_like_nearest(obj: bpy.types.Object) -> None:
             obj.vertex_groups[names[column]].add([int(vertex)], weights[nearest, column], "REPLACE")
 
 
+def _leave_attachments(obj: bpy.types.Object) -> None:
+    """Take those from the list that belong to the body of which this is a copy."""
+    attachments = obj.dynamorph.attachments
+    for index in reversed(range(len(attachments))):
+        other = attachments[index].object
+        if other and checks.owner_of(other, obj):
+            attachments.remove(index)
+    obj.dynamorph.active_attachment_index = 0
+
+
 def _lock_interface(_obj: bpy.types.Object) -> None:
     bpy.context.scene.render.use_lock_interface = True
 
@@ -224,6 +234,10 @@ FIXES = {
         "Weight Like Nearest",
         "Give every vertex without a bone weight the weights of the nearest vertex that has some",
         _weight_like_nearest,
+    ),
+    "LEAVE_ATTACHMENTS": Fix(
+        "Leave It", "Remove from the Attachments of this copy what belongs to the body that it was copied from",
+        _leave_attachments,
     ),
     "LOCK_INTERFACE": Fix(
         "Lock Interface", "Lock Blender's interface during renders, so that Live can move the skin",
