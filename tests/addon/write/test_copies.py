@@ -110,7 +110,7 @@ def separated(arm, _sleeve, _rig):
     bpy.ops.mesh.select_all(action="DESELECT")
     bpy.ops.object.mode_set(mode="OBJECT")
     for vertex in arm.data.vertices:
-        vertex.select = vertex.co.z > 1.6
+        vertex.select = vertex.co.z > 0.8
     bpy.ops.object.mode_set(mode="EDIT")
     bpy.ops.mesh.select_mode(type="VERT")
     bpy.ops.mesh.separate(type="SELECTED")
