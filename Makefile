@@ -22,7 +22,7 @@ define configure
 endef
 compile = $(python) tools/compile.py $(jobs) "$(filter-out build modules module,$(MAKECMDGOALS))"
 # numpy.bool: the same stub with NumPy 1, which has no such name.
-stubgen = for module in _core _mesher; do $(python) -W ignore -m pybind11_stubgen dynamorph.$$module --exit-code \
+stubgen = for module in _core _mesher; do $(python) -W ignore tools/stubs.py dynamorph.$$module --exit-code \
 	--enum-class-locations '.*:dynamorph._core' --ignore-unresolved-names 'numpy\.bool' -o $(1) || exit 1; done
 
 # What can be made; `make -C evidence help` lists what makes the pages.

@@ -3,6 +3,7 @@
 
 from importlib import metadata
 
+from dynamorph import classes as classes  # before the others, because it completes what they use
 from dynamorph._core import *  # noqa: F403
 from dynamorph.meshing import Meshing as Meshing
 from dynamorph.meshing import dismiss_mesher as dismiss_mesher
