@@ -79,7 +79,8 @@ def cutting_instances(obj: bpy.types.Object) -> list[tuple[str, str]]:
     """
     depsgraph = bpy.context.evaluated_depsgraph_get()
     evaluated, mine = obj.evaluated_get(depsgraph), of_body(obj)
-    box, body, found = _box(evaluated), None, {}
+    box, body = _box(evaluated), None
+    found: dict[tuple[str, str], None] = {}
     for each in itertools.islice(depsgraph.object_instances, MOST_INSTANCES):  # valid until the next one
         if not each.is_instance or each.object.type != "MESH" or not each.parent or mine(each.parent.original):
             continue
