@@ -31,7 +31,7 @@ from ..core import engine, errors
 from ..core.errors import InputError
 from ..core.settings import VARIANTS
 from ..io import disk, outputs, paths
-from ..write.export import exports
+from ..write.export import blend_file, exports
 from . import collision, names, signals
 from .commands import (
     SETTINGS,
@@ -343,6 +343,7 @@ def open_file(args: argparse.Namespace, opens_file: bool) -> None:
             text = f"'{bpy.data.filepath}' was saved by Blender {newer}, and {running} keeps only a part of it"
             raise InputError(f"{text}: use that Blender, or say -o with another file")
         outputs.try_file(Path(bpy.data.filepath))
+        blend_file.keep_abandoned(Path(os.path.realpath(bpy.data.filepath)))
 
 
 def try_outputs(args: argparse.Namespace) -> None:

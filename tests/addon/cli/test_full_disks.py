@@ -574,6 +574,21 @@ def test_earlier_versions_of_a_blend_are_kept(shot, run, stand_in):  # noqa: F81
     assert [shot.with_name(f"{shot.name}{number}").read_bytes() for number in ("", 1, 2)] == contents[:0:-1]
 
 
+@pytest.mark.parametrize("replaced", [False, True])
+def test_what_a_killed_process_left_is_an_earlier_version_at_the_next_start(shot, run, stand_in, replaced):  # noqa: F811
+    """It was killed before it had replaced the file, or after that."""
+    left = shot.with_name(f"{shot.stem}.{'0123456789abcdef'}.earlier.blend")
+    if replaced:
+        left.write_bytes(b"the version before")
+    else:
+        os.link(shot, left)
+    run("build", shot, "--object", "Nobody", "--in-place")  # which ends before it saves
+    assert not left.exists()
+    assert shot.with_name(f"{shot.name}1").exists() == replaced
+    if replaced:
+        assert shot.with_name(f"{shot.name}1").read_bytes() == b"the version before"
+
+
 def test_a_save_that_fails_leaves_the_earlier_versions(soft_arm, tmp_path, monkeypatch):
     path, files, disk = tmp_path / "shot.blend", bpy.context.preferences.filepaths, io_disk
     before, files.save_version = files.save_version, 2

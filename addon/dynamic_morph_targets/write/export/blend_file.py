@@ -14,7 +14,6 @@ import secrets
 import shutil
 import struct
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from itertools import count
@@ -42,9 +41,9 @@ def save(path: Path) -> None:
     """
     if path.is_symlink():
         path = Path(os.path.realpath(path))
+    keep_abandoned(path)
     with _blender_keeping_none() as versions:
-        # The time is in the name, because the file has the times of what it is a link to.
-        earlier = path.with_name(f"{path.stem}.{int(time.time()):08x}{secrets.token_hex(4)}.earlier{path.suffix}")
+        earlier = path.with_name(f"{path.stem}.{secrets.token_hex(8)}.earlier{path.suffix}")
         try:
             with outputs.replacing(path) as partial:
                 _write_whole(partial, path)
@@ -55,7 +54,6 @@ def save(path: Path) -> None:
             raise
         if earlier.exists():
             _keep(earlier, path, versions)
-        _keep_abandoned(path, versions)
 
 
 def damage(path: Path) -> str:
@@ -172,13 +170,13 @@ def _link(path: Path, name: Path) -> None:
         shutil.copy2(path, name)
 
 
-def _keep_abandoned(path: Path, versions: int) -> None:
-    """`_keep` for what a process that was killed before has left, an hour later: until then it may be at it."""
-    ours = re.compile(rf"{re.escape(path.stem)}\.([0-9a-f]{{8}})[0-9a-f]{{8}}\.earlier{re.escape(path.suffix)}")
+def keep_abandoned(path: Path) -> None:
+    """`_keep` for what a process that was killed before has left; of what it had not replaced yet, nothing."""
+    versions = bpy.context.preferences.filepaths.save_version
+    ours = re.compile(rf"{re.escape(path.stem)}\.[0-9a-f]{{16}}\.earlier{re.escape(path.suffix)}")
     with suppress(OSError):
         for left in sorted(path.parent.iterdir()):
-            found = ours.fullmatch(left.name)
-            if found and time.time() - int(found[1], 16) > disk.ABANDONED:
+            if ours.fullmatch(left.name):
                 names = [Path(f"{path}{number}") for number in range(1, versions + 1)]
                 newer = [name for name in names if name.exists() and name.stat().st_mtime >= left.stat().st_mtime]
                 if left.samefile(path) or (names and newer == names):
