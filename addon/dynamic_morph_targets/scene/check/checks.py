@@ -45,13 +45,14 @@ def problems(obj: bpy.types.Object) -> Iterator[Problem]:
                 yield from armature_state(armature)
                 yield from _bones(skinning, armature)
     yield from _keys(skinning.obj)
-    yield from left_with_another(skinning.obj)
+    yield from left_with_another(skinning)
 
 
-def left_with_another(obj: bpy.types.Object) -> Iterator[Problem]:
+def left_with_another(skinning: Skinning) -> Iterator[Problem]:
     """The attachments of a copy that stayed with the body it was copied from."""
+    obj = skinning.obj
     for other in attached_meshes(obj):
-        if owner := owner_of(other, obj):
+        if owner := owner_of(other, skinning):
             yield Problem(
                 "'{name}' belongs to '{owner}': leave it there, or delete '{body}' and duplicate all of '{owner}'",
                 "LEAVE_ATTACHMENTS",
@@ -61,15 +62,17 @@ def left_with_another(obj: bpy.types.Object) -> Iterator[Problem]:
             )
 
 
-def owner_of(other: bpy.types.Object, obj: bpy.types.Object) -> bpy.types.Object | None:
-    """The body to which a mesh belongs that is listed as an attachment of the soft skin `obj`, if it is another one:
-    that which it follows, or whose armature moves it.
+def owner_of(other: bpy.types.Object, skinning: Skinning) -> bpy.types.Object | None:
+    """The body to which a mesh belongs that is listed as an attachment of a soft skin, if it is another one: that which
+    it follows, or whose armature moves it.
     """
-    rig, mover, follows = rig_of(obj), rig_of(other), other.dynamorph.follows
-    if follows in (None, obj) and mover == rig:
-        return None
-    bodies = (each for each in soft_skins(bpy.data.objects) if each != obj and other in attached_meshes(each))
-    return next((body for body in bodies if body == follows or (rig_of(body) == mover and mover != rig)), None)
+    obj, follows = skinning.obj, other.dynamorph.follows
+    for body in soft_skins(bpy.data.objects):
+        if body == obj or other not in attached_meshes(body):
+            continue
+        if body == follows or (rig_of(body) == rig_of(other) != skinning.rig):
+            return body
+    return None
 
 
 def next_steps(obj: bpy.types.Object) -> Iterator[Problem]:

@@ -30,7 +30,7 @@ def problems(skinning: Skinning) -> Iterator[Problem]:
             name=obj.name,
             modifier=each.name,
         )
-    for each in to_apply(obj):
+    for each in to_apply(skinning):
         if each.type in GENERATING:
             yield Problem(
                 "'{name}': modifier '{modifier}' comes before the Armature: apply it",
@@ -58,14 +58,14 @@ def hiding_before(obj: bpy.types.Object, modifier: bpy.types.Modifier) -> list:
     return [each for each in before(obj, modifier) if each.type in HIDING]
 
 
-def to_apply(obj: bpy.types.Object) -> list:
+def to_apply(obj: bpy.types.Object | Skinning) -> list:
     """The modifiers before the Armature that must be in the mesh itself: those that make vertices or bone weights, and
     all before them.
     """
     skinning = Skinning.of(obj)
     if not skinning.modifiers:
         return []
-    above = [each for each in before(obj, skinning.modifiers[-1]) if each.type not in HIDING]
+    above = [each for each in before(skinning.obj, skinning.modifiers[-1]) if each.type not in HIDING]
     needed = [each for each in above if each.type in GENERATING or _makes_weights(skinning, each)]
     return above[: above.index(needed[-1]) + 1] if needed else []
 

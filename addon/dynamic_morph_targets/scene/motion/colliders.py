@@ -132,9 +132,10 @@ def idle(obj: bpy.types.Object) -> Iterator[Problem]:
     """Objects that would be colliders of `obj`, and render, but are off in viewports. As for Blender's own Cloth, they
     stop nothing. Reads no mesh: fit for drawing.
     """
-    settings, mine = obj.dynamorph.collision, of_body(obj)
+    settings = obj.dynamorph.collision
     if not settings.use:
         return
+    mine = of_body(obj)
     among = settings.collection.all_objects if settings.collection else shown_objects()
     for other in among:
         if other.hide_viewport and not other.hide_render and is_collider(other) and not mine(other):

@@ -156,10 +156,10 @@ def _weight_like_nearest(obj: bpy.types.Object) -> None:
 
 def _leave_attachments(obj: bpy.types.Object) -> None:
     """Take those from the list that belong to the body of which this is a copy."""
-    attachments = obj.dynamorph.attachments
+    attachments, skinned = obj.dynamorph.attachments, skinning.Skinning.of(obj)
     for index in reversed(range(len(attachments))):
         other = attachments[index].object
-        if other and checks.owner_of(other, obj):
+        if other and checks.owner_of(other, skinned):
             attachments.remove(index)
     obj.dynamorph.active_attachment_index = 0
 
