@@ -269,6 +269,17 @@ def test_one_collider_on_both_sides_presses_as_its_parts_do(belly, parts):
     np.testing.assert_allclose(moved[0], moved[1], atol=1e-5)
 
 
+@pytest.mark.parametrize("depth, thickness", [(0.01, 0.022), (0.03, 0.05), (0.03, 0.022)])
+def test_skin_that_stands_on_a_floor_is_as_deep_as_it_was_lowered(floor, depth, thickness):
+    """Also its edges, whose normals slant: along those the floor is much farther away."""
+    nodes, tets = bar((4, 4, 2), (0.3, 0.3, 0.15))
+    made = touching(nodes - [0.15, 0.15, 0.0], tets, nodes[:, 2] > 0.14, thickness=thickness)
+    simulation = simulated(made)
+    heights = [placed(0, 0, z) for z in np.r_[np.linspace(-0.001, depth, 12), [depth] * 6]]
+    found = [step(simulation, floor, pair).too_deep for pair in itertools.pairwise(heights)]
+    assert max(found) == pytest.approx(max(depth - 0.7 * thickness, 0.0), abs=1e-9)
+
+
 @pytest.mark.fault("X04")
 def test_where_the_bones_leave_no_room_it_gives_way_and_says_so(belly, floor):
     """Half of the body is under a floor: bounded, converged and reported."""
