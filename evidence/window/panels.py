@@ -31,8 +31,8 @@ PANELS: dict[str, tuple[Region, tuple[str | tuple[str, float], ...]]] = {
         sidebar,
         (
             ("dynamorph.live", LEFT),
-            ("dynamorph.build", RIGHT),
-            ("dynamorph.bake", LEFT),
+            ("dynamorph.bake", RIGHT),
+            ("dynamorph.build", LEFT),
             ("dynamorph.delete_bake", RIGHT),
         ),
     ),
