@@ -39,8 +39,9 @@ def standing_drivers(obj: bpy.types.Object, armature: bpy.types.Object) -> Itera
                 )
                 curves = []
     for curve in curves:
-        expression = curve.driver.expression
-        if curve.driver.type == "SCRIPTED" and any(map(_asks_blender, _functions(expression))):
+        driver, expression = curve.driver, curve.driver.expression
+        needs_python = driver.type == "SCRIPTED" and not driver.is_simple_expression
+        if needs_python and any(map(_asks_blender, _functions(expression))):
             yield Problem(
                 "A driver of '{name}', \"{expression}\", asks Blender by Python for what does not change during a "
                 "bake: write 'frame' in its expression, or use variables",
@@ -64,7 +65,7 @@ def _functions(expression: str) -> list[Any]:
     return [known[name] for name in _names(expression) if name in known]
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=4096)
 def _names(expression: str) -> tuple[str, ...]:
     try:
         tree = ast.parse(expression.strip(), mode="eval")
