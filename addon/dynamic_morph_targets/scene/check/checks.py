@@ -50,29 +50,28 @@ def problems(obj: bpy.types.Object) -> Iterator[Problem]:
 
 def left_with_another(skinning: Skinning) -> Iterator[Problem]:
     """The attachments of a copy that stayed with the body it was copied from."""
-    obj = skinning.obj
-    for other in attached_meshes(obj):
-        if owner := owner_of(other, skinning):
-            yield Problem(
-                "'{name}' belongs to '{owner}': leave it there, or delete '{body}' and duplicate all of '{owner}'",
-                "LEAVE_ATTACHMENTS",
-                name=other.name,
-                owner=owner.name,
-                body=obj.name,
-            )
+    for other, owner in of_others(skinning):
+        yield Problem(
+            "'{name}' belongs to '{owner}': leave it there, or delete '{body}' and duplicate all of '{owner}'",
+            "LEAVE_ATTACHMENTS",
+            name=other.name,
+            owner=owner.name,
+            body=skinning.obj.name,
+        )
 
 
-def owner_of(other: bpy.types.Object, skinning: Skinning) -> bpy.types.Object | None:
-    """The body to which a mesh belongs that is listed as an attachment of a soft skin, if it is another one: that which
-    it follows, or whose armature moves it.
+def of_others(skinning: Skinning) -> Iterator[tuple[bpy.types.Object, bpy.types.Object]]:
+    """Meshes that are listed as attachments of a soft skin, but belong to another body, with that: which they follow,
+    or whose armature moves them.
     """
-    obj, follows = skinning.obj, other.dynamorph.follows
-    for body in soft_skins(bpy.data.objects):
-        if body == obj or other not in attached_meshes(body):
-            continue
-        if body == follows or (rig_of(body) == rig_of(other) != skinning.rig):
-            return body
-    return None
+    meshes = attached_meshes(skinning.obj)
+    bodies = [body for body in soft_skins(bpy.data.objects) if body != skinning.obj] if meshes else []
+    for other in meshes:
+        for body in bodies:
+            follows = body == other.dynamorph.follows
+            if other in attached_meshes(body) and (follows or rig_of(body) == rig_of(other) != skinning.rig):
+                yield other, body
+                break
 
 
 def next_steps(obj: bpy.types.Object) -> Iterator[Problem]:

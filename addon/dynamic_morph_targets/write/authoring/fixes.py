@@ -156,10 +156,10 @@ def _weight_like_nearest(obj: bpy.types.Object) -> None:
 
 def _leave_attachments(obj: bpy.types.Object) -> None:
     """Take those from the list that belong to the body of which this is a copy."""
-    attachments, skinned = obj.dynamorph.attachments, skinning.Skinning.of(obj)
+    attachments = obj.dynamorph.attachments
+    theirs = [other for other, _ in checks.of_others(skinning.Skinning.of(obj))]
     for index in reversed(range(len(attachments))):
-        other = attachments[index].object
-        if other and checks.owner_of(other, skinned):
+        if attachments[index].object in theirs:
             attachments.remove(index)
     obj.dynamorph.active_attachment_index = 0
 
