@@ -87,6 +87,7 @@ def bake_options():
     """Into the armature's Action, and then into one of its own again."""
     yield from physics("bake")
     settings().output.bake_to_action = True  # not by hand: the dialog begins with it
+    yield from driver.drawn()  # the panel says so now, above the button
     yield from properties.pop_up("dynamorph.bake_options")
     yield from properties.key("RET")
     yield from job_done()
