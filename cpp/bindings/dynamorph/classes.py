@@ -24,10 +24,11 @@ LONGEST = 60  # characters of a value that an error shows
 
 def _complete(core: Any) -> None:
     for name, found in [*vars(core).items()]:
-        if isinstance(found, type) and not issubclass(found, BaseException) and not _is_enum(found):
-            _set(found, "__init__", _with_short_errors(found.__init__, name, core))
-            _set(found, "__repr__", _shown)
+        if isinstance(found, type) and not issubclass(found, BaseException):
             _set(found, "__reduce_ex__", _reduced if hasattr(found, "__setstate__") else _refuse_pickling)
+            if not _is_enum(found):
+                _set(found, "__init__", _with_short_errors(found.__init__, name, core))
+                _set(found, "__repr__", _shown)
         elif callable(found) and not isinstance(found, type):
             setattr(core, name, _with_short_errors(found, name, core))
 
