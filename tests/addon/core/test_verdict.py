@@ -79,7 +79,7 @@ QUIET = replace(FAR, displacement=0.028, percentile=0.028, stretch=(0.9, 1.1), t
     "changes, fault",
     [
         ({}, ""),
-        ({"stretch": (0.61, 1.1)}, "is squeezed too far"),  # a limit of .6, of which the bones take a part
+        ({"stretch": (0.61, 1.1)}, "is squeezed too far"),  # the limit is .6, and the bones take a part of it
         ({"stretch": (0.5, 1.1)}, "is squeezed too far"),
         ({"stretch": (0.9, 1.64)}, "is stretched too far"),
         ({"percentile": 0.06}, "moves farther than Max Displacement allows"),

@@ -155,7 +155,7 @@ def _weight_like_nearest(obj: bpy.types.Object) -> None:
 
 
 def _leave_attachments(obj: bpy.types.Object) -> None:
-    """Take those from the list that belong to the body of which this is a copy."""
+    """Take those from the list that belong to the body that was copied."""
     attachments = obj.dynamorph.attachments
     theirs = [other for other, _ in checks.of_others(skinning.Skinning.of(obj))]
     for index in reversed(range(len(attachments))):
