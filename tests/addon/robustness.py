@@ -307,7 +307,7 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "swap_slot": (two_slots, {}),
     "use_selected_bones": (bones_selected, {}),
 }
-BY_MOUSE = {"grab"}  # of a tool
+BY_MOUSE = {"let_go", "grab"}  # of a tool
 CHANGING_NOTHING = {  # nothing that is saved or undone
     "cancel": (target_selected, {}),
     "export": (baked, {"format": "GLTF", "filepath": str(FOLDER / "clip.glb")}),
