@@ -106,6 +106,13 @@ def state(obj):
     }
 
 
+def seen(obj):
+    """The same without what Blender hides, as the scene of a rig that is read in several turns."""
+    found = state(obj)
+    found["names"] = [[name for name in kind if not name.startswith(".")] for kind in found["names"]]
+    return found
+
+
 def exported(obj, folder, key="GLTF"):
     path = folder / f"arm{exports.FORMATS[key].suffix}"
     export_actions.export(obj, key, path, (1, 1), takes="ACTIONS")
@@ -292,7 +299,7 @@ def test_in_a_window_the_artist_s_animation_is_there_between_two_turns(game_arm,
     pressed = Pressed(
         obj,
         operator="DYNAMORPH_OT_export_actions",
-        before_tick=lambda _batch: between.append(state(obj) == before),
+        before_tick=lambda _batch: between.append(seen(obj) == before),
         format="GLTF",
         filepath=str(tmp_path / "arm.glb"),
     )

@@ -245,7 +245,7 @@ def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: boo
             model = model.with_settings(given.simulated.settings)
             given.resumed = given.cache_dir.unfinished(given.kept, model, len(given.settings.times))
     given.frames_per_chunk = _frames_per_chunk(given, obj)
-    if given.is_bake:
+    if given.is_bake and request.stored:  # otherwise the scene may play something else for a moment
         given.warnings += handler_check.warnings(obj, given.settings.first, given.settings.frame_end)
     if given.resumed:
         first = given.settings.first
