@@ -221,7 +221,7 @@ def judge(
     worst = int(chosen[(found.largest / max(largest, 1e-300) + found.flipped / max(flipped, TURNED)).argmax()])
     u = (motion[worst] @ modes).reshape(-1, 3)
     stretch = float(found.shortest.min()), float(found.longest.max())
-    if poses is not None and len(poses) == len(motion):
+    if poses is not None and len(poses) == len(motion) and touched is None:  # a press squeezes where it presses
         liveliest = chosen[np.argsort(-displacement[chosen])[:CHECKED]]
         posed = [skin.posed_stretch(character, bake, frame, poses[frame], motion, modes) for frame in liveliest]
         stretch = min(stretch[0], *(low for low, _ in posed)), max(stretch[1], *(high for _, high in posed))
