@@ -66,39 +66,21 @@ def without_handlers() -> Iterator[None]:
     take its frames for the artist's, and ours do not need them. What is added in the block stays, after the others.
     See docs/decisions/0011.
     """
-    with _without(lambda _: True):
-        yield
-
-
-@contextmanager
-def without_ours() -> Iterator[None]:
-    """Only other add-ons' handlers, and those of the file's texts, are called in the block."""
-    with _without(is_ours):
-        yield
-
-
-def is_ours(handler: Callable) -> bool:
-    return str(getattr(handler, "__module__", "")).startswith(OURS)
-
-
-def others() -> list[Callable]:
-    """The handlers of others that Blender calls when the frame changes."""
-    found = [*bpy.app.handlers.frame_change_pre, *bpy.app.handlers.frame_change_post]
-    return [handler for handler in found if not is_ours(handler)]
-
-
-@contextmanager
-def _without(chosen: Callable[[Callable], bool]) -> Iterator[None]:
     lists = [getattr(bpy.app.handlers, name) for name in EVALUATED]
     kept = [list(handlers) for handlers in lists]
     for handlers in lists:
-        handlers[:] = [handler for handler in handlers if not chosen(handler)]
-    left = [list(handlers) for handlers in lists]
+        handlers.clear()
     try:
         yield
     finally:
-        for handlers, before, still in zip(lists, kept, left, strict=True):
-            handlers[:] = [*before, *(handler for handler in handlers if handler not in still)]
+        for handlers, before in zip(lists, kept, strict=True):
+            handlers[:0] = before
+
+
+def others() -> list[Callable]:
+    """What other add-ons and the file's texts let Blender call when the frame changes."""
+    called = (*bpy.app.handlers.frame_change_pre, *bpy.app.handlers.frame_change_post)
+    return [handler for handler in called if not str(getattr(handler, "__module__", "")).startswith(OURS)]
 
 
 def soon(look: Callable, seconds: float) -> None:

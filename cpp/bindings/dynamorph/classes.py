@@ -25,20 +25,16 @@ LONGEST = 60  # characters of a value that an error shows
 def _complete(core: Any) -> None:
     for name, found in [*vars(core).items()]:
         if isinstance(found, type) and not issubclass(found, BaseException):
-            _set(found, "__reduce_ex__", _reduced if hasattr(found, "__setstate__") else _refuse_pickling)
-            if not _is_enum(found):
-                _set(found, "__init__", _with_short_errors(found.__init__, name, core))
-                _set(found, "__repr__", _shown)
+            kind: Any = found
+            kind.__reduce_ex__ = _reduced if hasattr(kind, "__setstate__") else _refuse_pickling
+            if not _is_enum(kind):
+                kind.__init__, kind.__repr__ = _with_short_errors(kind.__init__, name, core), _shown
         elif callable(found) and not isinstance(found, type):
             setattr(core, name, _with_short_errors(found, name, core))
 
 
 def _is_enum(kind: type) -> bool:
     return hasattr(kind, "__members__")
-
-
-def _set(kind: type, name: str, value: Any) -> None:
-    setattr(kind, name, value)
 
 
 # Errors --------------------------------------------------------------------------------------------------------------

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
 from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import events
 from bl_ext.user_default.dynamic_morph_targets.scene.check import checks
-from bl_ext.user_default.dynamic_morph_targets.scene.motion import handler_check
-from builders import rig_of, skinning_of
+from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
+from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
+from builders import rig_of, skinning_of, soon
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -66,6 +66,22 @@ def test_a_driver_that_asks_blender_is_named(scene, soft_arm, namespace, express
     assert text.startswith(f"A driver of '{driven.name}', \"{expression}\", asks Blender by Python")
 
 
+def test_of_many_drivers_the_first_of_each_kind_is_named(scene, soft_arm, namespace):
+    lower = rig_of(soft_arm).pose.bones["lower"]
+    for index in range(2):
+        lower.driver_add("rotation_euler", index).driver.expression = "sway() + 0 * frame"
+        driver = lower.driver_add("location", index).driver
+        for name in ("a", "b"):
+            variable = driver.variables.new()
+            variable.name, variable.targets[0].id_type = name, "SCENE"
+            variable.targets[0].id, variable.targets[0].data_path = scene, "gravity[2]"
+        driver.expression = "a + b"
+    assert [text.split(",")[0] for text in notes_of(soft_arm)] == [
+        "A driver of 'Arm Rig' reads 'gravity[2]' of the scene",
+        "A driver of 'Arm Rig'",
+    ]
+
+
 @pytest.mark.parametrize("expression", ["0.1 * sin(frame)", "pure(frame)", "clamp(frame, 0, 1)", "lambda (", ""])
 def test_other_drivers_are_not(soft_arm, namespace, expression):
     rig_of(soft_arm).pose.bones["lower"].driver_add("rotation_euler", 0).driver.expression = expression
@@ -91,30 +107,77 @@ def harmless(scene, *_):
     scene["seen"] = scene.frame_current
 
 
+@pytest.fixture
+def called(request):
+    """Adds a handler of the test's choice until its end."""
+
+    def add(when, handler):
+        handlers = getattr(bpy.app.handlers, when)
+        handlers.append(handler)
+        request.addfinalizer(lambda: handlers.remove(handler))
+
+    return add
+
+
+def told_of_handlers(obj):
+    return [text for text in notes_of(obj) if "handler" in text]
+
+
+def play(scene):
+    for frame in range(1, 21):
+        scene.frame_set(frame)
+
+
 @pytest.mark.parametrize("when", ["frame_change_pre", "frame_change_post"])
 @pytest.mark.parametrize("handler, told", [(spring, True), (harmless, False)])
-def test_bones_that_a_handler_moves_are_named_by_the_bake(scene, still, when, handler, told):
-    handlers = getattr(bpy.app.handlers, when)
-    handlers.append(handler)
+def test_bones_that_a_handler_moves_are_named_once_the_bake_is_played(scene, still, called, when, handler, told):
+    called(when, handler)
     scene.frame_set(7)
-    before = [list(getattr(bpy.app.handlers, name)) for name in events.EVALUATED]
-    job = Job(still, "BAKE")
-    try:
-        batch.run(job)
-    finally:
-        after = [list(getattr(bpy.app.handlers, name)) for name in events.EVALUATED]
-        handlers.remove(handler)
-    assert before == after and scene.frame_current == 7
-    found = [text for text in still.dynamorph.bake.warnings.split("\n") if "handler" in text]
+    batch.run(Job(still, "BAKE"))
+    assert scene.frame_current == 7 and told_of_handlers(still) == []
+    play(scene)
+    found = told_of_handlers(still)
     assert len(found) == told
     if told:
         assert found[0].startswith("Bone 'lower' of 'Arm Rig' is moved by an add-on's or script's handler (test_unfol")
+        getattr(bpy.app.handlers, when).remove(spring)  # as after Bake Action
+        batch.run(Job(still, "BAKE"))
+        play(scene)
+        getattr(bpy.app.handlers, when).append(spring)
+        assert told_of_handlers(still) == []
 
 
-def test_without_handlers_of_others_the_scene_stays_at_its_frame(scene, still, monkeypatch):
-    seen = []
-    monkeypatch.setattr(type(scene), "frame_set", lambda *_args, **_more: seen.append(1), raising=False)
-    assert handler_check.warnings(still, 1, 20) == [] and not seen
+def test_a_bake_leaves_a_pose_without_keys_and_does_not_take_it_for_a_handler_s(scene, still, called):
+    called("frame_change_pre", harmless)
+    rig = rig_of(still)
+    rig.pose.bones["upper"].keyframe_insert("rotation_euler", frame=1)
+    rig.pose.bones["upper"].rotation_euler.y = 0.3
+    batch.run(Job(still, "BAKE"))
+    assert rig.pose.bones["upper"].rotation_euler.y == pytest.approx(0.3)
+    rig.pose.bones["lower"].rotation_euler.x = 0.5
+    play(scene)
+    assert told_of_handlers(still) == []
+
+
+def test_keys_that_are_edited_later_are_not_taken_for_a_handler_s(scene, still, called):
+    called("frame_change_pre", harmless)
+    batch.run(Job(still, "BAKE"))
+    lower = rig_of(still).pose.bones["lower"]
+    with soon():
+        for frame, angle in ((1, 0.0), (20, 1.0)):
+            lower.rotation_euler.x = angle
+            lower.keyframe_insert("rotation_euler", frame=frame)
+        bpy.context.view_layer.update()
+        play(scene)
+    assert told_of_handlers(still) == [] and staleness.outdated(still)
+    play(scene)
+    assert told_of_handlers(still) == []
+
+
+def test_a_bake_keeps_poses_of_some_of_its_frames(scene, still):
+    batch.run(Job(still, "BAKE", frames=(3, 20)))
+    read = opened.read_poses[still.session_uid]
+    assert list(read.frames) == [8, 16] and read.frames[8].shape == (len(read.bones), 3, 4)
 
 
 # Settings ------------------------------------------------------------------------------------------------------------

@@ -125,6 +125,14 @@ def test_weights_that_move_no_skin_are_left_alone(soft_arm):
     assert not any("weights" in text for text in problems_of(soft_arm))
 
 
+def test_what_only_renders_show_is_applied_too(soft_arm):
+    first(soft_arm, "ARRAY", count=3).show_viewport = False
+    had = len(soft_arm.data.vertices)
+    OPS.fix(problem="APPLY")
+    assert [modifier.type for modifier in soft_arm.modifiers] == ["ARMATURE"]
+    assert len(soft_arm.data.vertices) == 3 * had
+
+
 def test_deforming_modifiers_above_go_along_and_others_stay(soft_arm):
     first(soft_arm, "MIRROR", use_axis=(False, True, False), use_mirror_merge=False)
     first(soft_arm, "CAST", factor=0.2)

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What all players of one soft skin share: the engine's model and the limits of its motion. Never touches bpy.
 
-Both take long to make, and Live, its tests and the first bake play the same skin one after the other. A build makes
-them in its thread for those that play next.
-"""
+Both take long to make, and Live, its tests and the first bake play the same skin one after the other."""
 
 from __future__ import annotations
 

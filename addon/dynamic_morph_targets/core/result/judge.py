@@ -53,9 +53,9 @@ class Verdict:
     held: where the limits worked hardest. displacement: the largest, of the size; percentile: its 99.9th percentile in
     the worst frame; over_thickness: 99th percentile over the skin of each point's largest displacement over the
     thickness there; stretch: 0.1th and 99.9th percentile of edges' length over that at rest, in bind space and, where
-    that is worse, over what the bones alone make of it; flipped: share of the skin
-    turned over; inverted: share of the volume turned inside out; flicker: how often the motion turns, see `flicker_of`;
-    frame: the worst; vertices: of the character's own mesh, at its worst place. touched: of a bake with Collision.
+    that is worse, over what the bones alone make of it; flipped: share of the skin turned over; inverted: share of the
+    volume turned inside out; flicker: how often the motion turns, see `flicker_of`; frame: the worst; vertices: of the
+    character's own mesh, at its worst place. touched: of a bake with Collision.
     """
 
     limits: Limits = Limits()

@@ -28,7 +28,7 @@ from ...io.cache_dir import CacheDir
 from ...scene import animation
 from ...scene.character import extract
 from ...scene.check import animation_checks
-from ...scene.motion import collider_state, colliders, handler_check, rig_motion, run_settings
+from ...scene.motion import collider_state, colliders, rig_motion, run_settings
 from ...scene.read import probe
 from ...scene.read.source import Source
 from ...scene.skin import ObjectHandle, SceneHandle
@@ -245,8 +245,6 @@ def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: boo
             model = model.with_settings(given.simulated.settings)
             given.resumed = given.cache_dir.unfinished(given.kept, model, len(given.settings.times))
     given.frames_per_chunk = _frames_per_chunk(given, obj)
-    if given.is_bake and request.stored:  # otherwise the scene may play something else for a moment
-        given.warnings += handler_check.warnings(obj, given.settings.first, given.settings.frame_end)
     if given.resumed:
         first = given.settings.first
         given.first = rig_motion.sample_rig(obj, first, first, 1)

@@ -15,6 +15,7 @@ from ...core.model.model import Model
 from ...core.motion.rig_samples import RigSamples
 from ...io import disk
 from ...scene import events
+from ...scene.motion import handler_check
 from ...scene.skin import ObjectHandle, SceneHandle
 from ..work.computation import CAGE, READ, Computation, needs_cage
 from ..work.job_data import BakeInput, Outcome, Progress
@@ -74,6 +75,8 @@ class Job:
         with self.request.scene.as_context():
             self.input = bake_input.read(self.request)
             self._cage = self.input.previous
+            if self.input.is_bake and self.request.stored:
+                handler_check.forget(self.request.target.find())
             self._reader = RigReader(self.request, self.input)
             self.begin_chunk(len(self.input.resumed.get("coordinates", ())))
 
@@ -110,7 +113,12 @@ class Job:
     def end_chunk(self) -> RigSamples | None:
         """The chunk that was read; None for a job that needs no rig. Raises SceneError."""
         sampling = self._reader.end_chunk()
-        return sampling.samples() if sampling else None
+        if sampling is None:
+            return None
+        samples = sampling.samples()
+        if self.input.is_bake and self.request.stored:
+            handler_check.remember(self.request.target.find(), sampling.start, samples.pose[:: sampling.substeps])
+        return samples
 
     def take_outcome(self, outcome: Outcome) -> None:
         self.outcome = outcome

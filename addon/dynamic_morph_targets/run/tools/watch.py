@@ -12,7 +12,7 @@ from ...core import states
 from ...core.motion import prepared
 from ...scene import cuts, events, skin
 from ...scene.check import body_checks
-from ...scene.motion import colliders
+from ...scene.motion import colliders, handler_check
 from ...scene.read import sampling_scene
 from ...scene.references import rig_of
 from ...scene.remembered import opened
@@ -148,19 +148,22 @@ def _look_at_animations() -> float | None:
             staleness.look_at_animation(obj)
             staleness.look_at_colliders(obj)
             staleness.look_for_caches(obj)
+            if staleness.outdated(obj):
+                handler_check.forget(obj)
             influence.share_strip(obj)
     events.redraw(events.PANELS)
     return None
 
 
 @persistent
-def _leave_pose(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    """frame_change_post: a sculpt belongs to one pose, and the frame may have brought another."""
+def _frame_changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    """frame_change_post: a sculpt belongs to one pose, and the frame may have brought another; so may other add-ons."""
     if scene != bpy.context.scene or live.holds_still(scene):  # reading a rig changes frames too, elsewhere
         return
     for obj in skin.soft_skins(scene.objects):
         if obj.dynamorph.sculpt.shown.name and obj.library is None:
             targets.hide_out_of_pose(obj, depsgraph)
+        handler_check.look(obj, scene.frame_float, depsgraph)
 
 
 @persistent
@@ -192,7 +195,7 @@ HANDLERS = {
     "redo_post": _after_undo,
     "save_pre": _before_save,
     "depsgraph_update_post": _changed,
-    "frame_change_post": _leave_pose,
+    "frame_change_post": _frame_changed,
     "animation_playback_pre": _playback_changed,
     "animation_playback_post": _playback_changed,
 }

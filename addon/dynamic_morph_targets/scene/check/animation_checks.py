@@ -28,27 +28,21 @@ def standing_drivers(obj: bpy.types.Object, armature: bpy.types.Object) -> Itera
     owners = [armature, armature.data, *_parents(armature), obj, *_parents(obj)]
     data = [owner.animation_data for owner in dict.fromkeys(owners) if owner.animation_data]
     curves = [curve for each in data for curve in each.drivers]
-    for curve in curves:
-        for variable in curve.driver.variables:
-            if variable.type == "CONTEXT_PROP" or any(target.id_type == "SCENE" for target in variable.targets):
-                yield Problem(
-                    "A driver of '{name}' reads '{path}' of the scene, which does not change during a bake: write "
-                    "'frame' in its expression, or keep the property on the armature",
-                    name=curve.id_data.name,
-                    path=variable.targets[0].data_path,
-                )
-                curves = []
-    for curve in curves:
-        driver, expression = curve.driver, curve.driver.expression
-        needs_python = driver.type == "SCRIPTED" and not driver.is_simple_expression
-        if needs_python and any(map(_asks_blender, _functions(expression))):
-            yield Problem(
-                "A driver of '{name}', \"{expression}\", asks Blender by Python for what does not change during a "
-                "bake: write 'frame' in its expression, or use variables",
-                name=curve.id_data.name,
-                expression=expression if len(expression) <= SHOWN else f"{expression[:SHOWN]}...",
-            )
-            return
+    for curve in [curve for curve in curves if _scene_paths(curve.driver)][:1]:
+        yield Problem(
+            "A driver of '{name}' reads '{path}' of the scene, which does not change during a bake: write 'frame' in "
+            "its expression, or keep the property on the armature",
+            name=curve.id_data.name,
+            path=_scene_paths(curve.driver)[0],
+        )
+    for curve in [curve for curve in curves if _needs_blender(curve.driver)][:1]:
+        expression = curve.driver.expression
+        yield Problem(
+            "A driver of '{name}', \"{expression}\", asks Blender by Python for what does not change during a bake: "
+            "write 'frame' in its expression, or use variables",
+            name=curve.id_data.name,
+            expression=expression if len(expression) <= SHOWN else f"{expression[:SHOWN]}...",
+        )
 
 
 def _parents(obj: bpy.types.Object) -> list:
@@ -57,6 +51,20 @@ def _parents(obj: bpy.types.Object) -> list:
         obj = obj.parent
         found.append(obj)
     return found
+
+
+def _scene_paths(driver: bpy.types.Driver) -> list[str]:
+    """The properties of a scene that a driver reads."""
+    return [
+        variable.targets[0].data_path
+        for variable in driver.variables
+        if variable.type == "CONTEXT_PROP" or any(target.id_type == "SCENE" for target in variable.targets)
+    ]
+
+
+def _needs_blender(driver: bpy.types.Driver) -> bool:
+    needs_python = driver.type == "SCRIPTED" and not driver.is_simple_expression
+    return needs_python and any(map(_asks_blender, _functions(driver.expression)))
 
 
 def _functions(expression: str) -> list[Any]:

@@ -15,6 +15,7 @@ import bpy
 from ...core.message import Message
 from .. import animation
 from ..references import is_armature, rig_of
+from ..remembered import opened
 from ..skin import attached_meshes, cache_modifier, edited_elsewhere, soft_skins
 from ..skinning import Skinning, armature_for
 from . import animation_checks, modifier_order
@@ -115,6 +116,9 @@ def notes(obj: bpy.types.Object) -> Iterator[Problem]:
                 )
         yield from animation_checks.standing_drivers(obj, modifier.object)
     yield from animation_checks.keyed_settings(obj)
+    read = opened.read_poses.get(obj.session_uid)
+    if read and read.found and obj.dynamorph.bake.exists:
+        yield Problem(read.found)
     if skinning.beyond_bones:
         yield Problem(
             "'{name}' is skinned with {reason}, which takes longer to bake and to play than plain bones",

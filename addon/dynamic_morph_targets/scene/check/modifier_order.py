@@ -11,12 +11,12 @@ from ..skinning import Skinning
 from .problem import Problem
 
 # Modifiers that may change the number of vertices. Before the Armature they break the match with the shape keys.
-HIDING = {"BUILD", "MASK"}
 GENERATING = {
     "ARRAY", "BEVEL", "BOOLEAN", "DECIMATE", "EDGE_SPLIT", "MESH_TO_VOLUME", "MIRROR", "MULTIRES",
     "NODES", "OCEAN", "PARTICLE_INSTANCE", "REMESH", "SCREW", "SKIN", "SOLIDIFY", "SUBSURF", "VOLUME_TO_MESH", "WELD",
     "WIREFRAME",
 }  # fmt: skip
+HIDING = {"BUILD", "MASK"}  # do so too, but hide the same vertices below it
 WEIGHING = {"VERTEX_WEIGHT_EDIT", "VERTEX_WEIGHT_MIX", "VERTEX_WEIGHT_PROXIMITY"}
 
 
@@ -54,7 +54,7 @@ def before(obj: bpy.types.Object, modifier: bpy.types.Modifier) -> list:
 
 
 def hiding_before(obj: bpy.types.Object, modifier: bpy.types.Modifier) -> list:
-    """The modifiers before the Armature that hide vertices, and do the same below it."""
+    """Those of `HIDING` before the Armature."""
     return [each for each in before(obj, modifier) if each.type in HIDING]
 
 
@@ -73,7 +73,8 @@ def to_apply(obj: bpy.types.Object | Skinning) -> list:
 def _makes_weights(skinning: Skinning, modifier: bpy.types.Modifier) -> bool:
     """Whether a modifier makes weights of bones, which the mesh itself then does not have."""
     if modifier.type == "DATA_TRANSFER":
-        return modifier.object and modifier.use_vert_data and "VGROUP_WEIGHTS" in modifier.data_types_verts
+        gives = modifier.use_vert_data and "VGROUP_WEIGHTS" in modifier.data_types_verts
+        return bool(modifier.object) and gives
     if modifier.type not in WEIGHING:
         return False
     group = modifier.vertex_group_a if modifier.type == "VERTEX_WEIGHT_MIX" else modifier.vertex_group

@@ -1,52 +1,79 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether other add-ons move a rig when the frame changes, as spring bones do. A bake does not see that, because no
-handler is called for the scene in which it samples the rig.
+"""Whether other add-ons move a rig when the frame changes, as spring bones do. A bake does not have that, because no
+handler is called for the scene in which it reads the rig: what it read is compared with what the artist is shown.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import bpy
 import numpy as np
 
+from ...core.character import Skeleton
 from ...core.message import Message
-from .. import events
+from ..events import others
 from ..references import rest_skeleton, rig_of
+from ..remembered import opened
 from . import rig_motion
 
-TRIED = (0.25, 0.5, 0.75)  # of a shot
-APART = 0.01  # of the rig's size, or of a rotation: bones that are farther from where they are sampled are moved
+EVERY = 8  # frames: a part of a bake's poses is enough to tell
+APART = 0.01  # of the rig's size, or of a rotation: bones that are farther from where a bake has them are moved
 
 
-def warnings(obj: bpy.types.Object, first: int, last: int) -> list[Message]:
-    """That a bone of `obj` is elsewhere at some frames of a shot when others' handlers have been called. Where there
-    are some, the scene goes to these frames and back. Raises SceneError.
+@dataclass
+class ReadPoses:
+    """What a bake read of a rig: each bone's transform relative to its parent (B, 3, 4), by frame. first: how far the
+    first of these frames was from that when it was shown, which a pose without keys explains. found: what to tell.
     """
-    handlers = events.others()
-    if not handlers or events.render_runs():
-        return []
-    scene, rig = bpy.context.scene, rig_of(obj)
+
+    bones: tuple[str, ...]
+    frames: dict[int, np.ndarray] = field(default_factory=dict)
+    first: np.ndarray | None = None
+    found: Message | None = None
+
+
+def forget(obj: bpy.types.Object) -> None:
+    """Another bake of `obj` begins, or its animation was edited since."""
+    opened.read_poses.pop(obj.session_uid, None)
+
+
+def remember(obj: bpy.types.Object, start: int, poses: np.ndarray) -> None:
+    """Frames that a bake of `obj` has read, one after the other. poses (F, B, 4, 4): armature space."""
+    skeleton = rest_skeleton(rig_of(obj).data)
+    read = opened.read_poses.setdefault(obj.session_uid, ReadPoses(skeleton.names))
+    read.frames |= {start + k: _local(skeleton, poses[k]) for k in range(-start % EVERY, len(poses), EVERY)}
+
+
+def look(obj: bpy.types.Object, frame: float, depsgraph: bpy.types.Depsgraph) -> None:
+    """Compare what `obj` is shown with at a frame with what the last bake read there, if others have handlers."""
+    read, rig = opened.read_poses.get(obj.session_uid), rig_of(obj)
+    if read is None or read.found or frame not in read.frames or rig is None or not others():
+        return
     skeleton = rest_skeleton(rig.data)
-    order, tried = rig_motion.pose_order(rig, skeleton), [round(first + part * (last - first)) for part in TRIED]
-    sampled = [rig_motion.sample_rig(obj, frame, frame, 1).pose[0] for frame in tried]
-    shown, now = [], (scene.frame_current, scene.frame_subframe)
-    with events.without_ours():
-        for frame in tried:
-            scene.frame_set(frame)
-            evaluated = rig.evaluated_get(bpy.context.evaluated_depsgraph_get())
-            shown.append(rig_motion.pose_matrices(evaluated, order))
-        scene.frame_set(now[0], subframe=now[1])
+    if skeleton.names != read.bones:
+        return
+    order = rig_motion.pose_order(rig, skeleton)
+    shown = _local(skeleton, rig_motion.pose_matrices(rig.evaluated_get(depsgraph), order))
+    apart = shown - read.frames[int(frame)]
+    read.first = apart if read.first is None else read.first
     size = np.ptp(skeleton.rest[:, :3, 3], axis=0).max(initial=0.0) or 1.0
-    apart = np.abs(np.array(shown) - np.array(sampled))[:, :, :3] / [1.0, 1.0, 1.0, size]
-    moved = apart.max(axis=(0, 2, 3)) > APART
-    if not moved.any():
-        return []
-    names = dict.fromkeys(str(getattr(handler, "__module__", "") or handler) for handler in handlers)
-    return [
-        Message(
-            "Bone '{bone}' of '{rig}' is moved by an add-on's or script's handler ({names}) when the frame changes, "
-            "which the bake does not have: bake it to keyframes (Pose > Animation > Bake Action), and bake again",
-            bone=skeleton.names[int(moved.argmax())],
-            rig=rig.name,
-            names=", ".join(names),
-        )
-    ]
+    moved = (np.abs(apart - read.first) / [1.0, 1.0, 1.0, size]).max(axis=(1, 2))
+    if (moved > APART).any():
+        read.found = _message(rig, skeleton.names[int(np.nanargmax(moved))])
+
+
+def _local(skeleton: Skeleton, pose: np.ndarray) -> np.ndarray:
+    with np.errstate(divide="ignore", invalid="ignore"):  # below bones that are scaled to zero
+        return skeleton.local_transforms(pose)[:, :3].astype(np.float32)
+
+
+def _message(rig: bpy.types.Object, bone: str) -> Message:
+    names = dict.fromkeys(str(getattr(handler, "__module__", "") or handler) for handler in others())
+    return Message(
+        "Bone '{bone}' of '{rig}' is moved by an add-on's or script's handler ({names}) when the frame changes, "
+        "which the bake does not have: bake it to keyframes (Pose > Animation > Bake Action), and bake again",
+        bone=bone,
+        rig=rig.name,
+        names=", ".join(names),
+    )

@@ -13,10 +13,11 @@ from ..widgets import draw_message, draw_setting
 
 def is_beside(obj: bpy.types.Object) -> bool:
     """Whether something is selected that may be meant to collide with the soft skin `obj`."""
-    return any(
-        other.type == "MESH" and not (colliders.of_body(obj)(other) or other in colliders.colliders(obj))
-        for other in bpy.context.selected_objects
-    )
+    selected = [other for other in bpy.context.selected_objects if other.type == "MESH" and other != obj]
+    if not selected:
+        return False
+    mine, known = colliders.of_body(obj), colliders.colliders(obj)
+    return any(not mine(other) and other not in known for other in selected)
 
 
 def draw_beside(layout: bpy.types.UILayout, _context: bpy.types.Context, _obj: bpy.types.Object) -> None:

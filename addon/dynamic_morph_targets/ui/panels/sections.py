@@ -106,7 +106,7 @@ SIDEBAR_SECTIONS = (
     Section("compare", "Compare", "sidebar", draw_compare),
     Section("result", "Result", "sidebar", draw_result, closed=False, needed=is_baked),
     Section("details", "Details", "result", draw_details),
-    Section("beside", "Selected Beside", "sidebar", draw_beside, closed=False, needed=is_beside),
+    Section("beside", "Selected Meshes", "sidebar", draw_beside, closed=False, needed=is_beside),
     Section("messages", "Messages", "sidebar", draw_messages, closed=False, before=True),
 )
 # Once.

@@ -20,8 +20,11 @@ def apply_before_armature(obj: bpy.types.Object) -> None:
     _check(obj, applied)
     mesh, names = obj.data, [modifier.name for modifier in applied]
     alone = obj.copy()  # of the same mesh, but with these modifiers alone
-    for modifier in [each for each in alone.modifiers if each.name not in names]:
-        alone.modifiers.remove(modifier)
+    for modifier in [*alone.modifiers]:
+        if modifier.name in names:
+            modifier.show_viewport = True  # what only renders show is in the mesh too
+        else:
+            alone.modifiers.remove(modifier)
     bpy.context.scene.collection.objects.link(alone)
     try:
         shapes = [_points(alone, number) for number in range(len(mesh.shape_keys.key_blocks) if mesh.shape_keys else 0)]

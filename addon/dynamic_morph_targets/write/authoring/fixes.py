@@ -102,9 +102,8 @@ def _parent_as_object(obj: bpy.types.Object) -> None:
 def _move_below(obj: bpy.types.Object) -> None:
     *_, armature = references.armature_modifiers(obj)
     armature.use_pin_to_last = False  # nothing can be below one that is pinned
-    for modifier in reversed(
-        modifier_order.hiding_before(obj, armature)
-    ):  # each moves next to it, which keeps the order
+    hiding = modifier_order.hiding_before(obj, armature)
+    for modifier in reversed(hiding):  # each moves next to it, which keeps the order
         obj.modifiers.move(obj.modifiers.find(modifier.name), obj.modifiers.find(armature.name))
 
 
