@@ -90,11 +90,13 @@ def found_in(too_deep, collider, unusable=()) -> Touched:
 
 def test_the_deepest_place_is_named_with_its_frames():
     found = found_in([0.0, 0.01, 0.03, 0.02, 0.0, 0.02], [-1, 1, 1, 1, -1, 1])
-    assert found == Touched(pytest.approx(1e-4), 0.03, "thigh.L", "Bench", (11, 13))
+    assert found == Touched(pytest.approx(1e-4), (("thigh.L", "Bench", 0.03, 11, 13),))
 
 
-def test_another_collider_is_another_place():
-    assert found_in([0.01, 0.03, 0.02], [0, 1, 0]).frames == (11, 11)
+def test_another_collider_is_another_place_and_the_worst_is_first():
+    found = found_in([0.01, 0.03, 0.02, 0.0], [0, 1, 0, -1])
+    assert found.too_deep == (("thigh.L", "Bench", 0.03, 11, 11), ("thigh.L", "Ball", 0.02, 12, 12))
+    assert [text.partition(" mm")[0][-2:] for text in found.texts] == ["30", "20"]
 
 
 def test_without_such_a_place_there_is_only_the_penetration():

@@ -171,6 +171,16 @@ def _is_touched(value: object) -> bool:
     )
 
 
+def _is_too_deep(value: object) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == 5
+        and _are_texts(value[:2])
+        and is_number(value[2])
+        and _are_frames(value[3:])
+    )
+
+
 def _is_unusable(value: object) -> bool:
     return isinstance(value, list) and bool(value) and _is_text(value[0]) and _are_frames(value[1:])
 
@@ -227,10 +237,7 @@ HELD: dict[str, Callable[[object], bool]] = {
 }
 TOUCHED: dict[str, Callable[[object], bool]] = {
     "penetration": is_number,
-    "depth": is_number,
-    "bone": _is_text,
-    "collider": _is_text,
-    "frames": _are_frames,
+    "too_deep": lambda value: isinstance(value, list) and all(map(_is_too_deep, value)),
     "unusable": lambda value: isinstance(value, list) and all(map(_is_unusable, value)),
 }
 VERDICT_FIELDS: dict[str, Callable[[object], bool]] = {

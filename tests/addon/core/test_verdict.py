@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.core import errors, records
-from bl_ext.user_default.dynamic_morph_targets.core.motion.contact import Touched
+from bl_ext.user_default.dynamic_morph_targets.core.motion.contact import TooDeep, Touched
 from bl_ext.user_default.dynamic_morph_targets.core.motion.limits import Held
 from bl_ext.user_default.dynamic_morph_targets.core.result.judge import Limits, Verdict, judge, parsed, quantiles
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
@@ -28,7 +28,7 @@ FAR = Verdict(
     Limits(0.05, 0.6), Held("thigh_r", 20.3, (45, 47), 1.25),
     displacement=0.09, percentile=0.08, over_thickness=0.5, stretch=(0.7, 1.2), flipped=1e-4,
     inverted=2e-4, flicker=-0.25, frame=7.0, vertices=(3, 5, 8),
-    touched=Touched(0.00012, 0.018, "thigh_r", "Bench", (40, 52), (("Ball", 3, 5),)),
+    touched=Touched(0.00012, (TooDeep("thigh_r", "Bench", 0.018, 40, 52),), (("Ball", 3, 5),)),
 )  # fmt: skip
 TEXT = "The skin moves farther than Max Displacement allows at frame 7"
 
@@ -167,11 +167,15 @@ def test_what_is_no_verdict_is_a_sentence(baked, text):
         {"held": {"bone": 3, "excess": 1.0, "frames": [1, 2], "reached": 0.0, "pulled": 0.0}}, {"flicker": "often"},
         {"held": {"bone": "a", "excess": 1.0, "frames": [1e300, 2], "reached": 0.0, "pulled": 0.0}},
         {"stretch": [1.0]}, {"stretch": None}, {"stretch": ["a", "b"]}, {"displacement": "far"}, {"inverted": []},
-        {"displacement": 10**400}, {"touched": {}}, {"touched": [0.1]}, {"touched": {"depth": 1.0}},
-        {"touched": {"penetration": "x", "depth": 1.0, "bone": "a", "collider": "b", "frames": [1, 2], "unusable": []}},
+        {"displacement": 10**400}, {"touched": {}}, {"touched": [0.1]}, {"touched": {"penetration": 1.0}},
+        {"touched": {"penetration": "x", "too_deep": [], "unusable": []}},
         *(
-            {"touched": {"penetration": 0, "depth": 1, "bone": "", "collider": "", "frames": [1, 2], "unusable": each}}
+            {"touched": {"penetration": 0, "too_deep": [], "unusable": each}}
             for each in ({}, [7], [[]], [["a"]], [["a", 1, "b"]], [[3, 1, 2]])
+        ),
+        *(
+            {"touched": {"penetration": 0, "too_deep": each, "unusable": []}}
+            for each in ({}, [7], [[]], [["a", "b", 1, 2]], [["a", 3, 1, 2, 3]], [["a", "b", "x", 2, 3]])
         ),
     ],
 )  # fmt: skip

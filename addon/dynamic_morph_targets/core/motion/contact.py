@@ -9,7 +9,7 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -239,19 +239,37 @@ def _motion(collider: Any, first: np.ndarray, track: ColliderTrack) -> Any:
     return dynamorph.ColliderMotion(collider, motion, track.friction, track.active)
 
 
+class TooDeep(NamedTuple):
+    """Where a bone leaves the tissue no room: depth, meters, is how much deeper it takes the skin into a collider than
+    that can give way, at most; first, last: the frames about that one.
+    """
+
+    bone: str
+    collider: str
+    depth: float
+    first: int
+    last: int
+
+    @property
+    def text(self) -> Message:
+        return Message(
+            "Bone '{bone}' pushes the skin {depth:.3g} mm too deep into '{collider}' at {frames}: pose it farther out",
+            bone=self.bone,
+            depth=1000.0 * self.depth,
+            collider=self.collider,
+            frames=named_frames(self.first, self.last),
+        )
+
+
 @dataclass(frozen=True)
 class Touched:
     """How deep a shot went into colliders, and into skin that stops it. penetration: of the skin, after a step, at
-    most, meters. depth: how much deeper the bones took it into `collider` than it can give way, meters, 0 where they
-    never did; bone: which; frames: the first and last about that one. unusable: of each collider that could not stop
-    anything somewhere, the name, and the first frame and the last where it could not.
+    most, meters. too_deep: one of each collider that was the deepest at some time, the worst first. unusable: of each
+    collider that could not stop anything somewhere, the name, and the first frame and the last where it could not.
     """
 
     penetration: float = 0.0
-    depth: float = 0.0
-    bone: str = ""
-    collider: str = ""
-    frames: tuple[int, int] = (0, 0)
+    too_deep: tuple[TooDeep, ...] = ()
     unusable: tuple[tuple[str, int, int], ...] = ()
 
     @property
@@ -259,32 +277,28 @@ class Touched:
         """What did not go as the artist wants it, in sentences."""
         text = "'{name}' does not stop anything at {frames}, because it is scaled to zero there"
         without = [Message(text, name=name, frames=named_frames(*frames)) for name, *frames in self.unusable]
-        return [self.too_deep, *without] if self.too_deep else without
-
-    @property
-    def too_deep(self) -> Message | None:
-        """Where the bones leave the tissue no room, in a sentence; None where they always leave some."""
-        if self.depth <= 0.0:
-            return None
-        return Message(
-            "Bone '{bone}' pushes the skin {depth:.3g} mm too deep into '{collider}' at {frames}: pose it farther out",
-            bone=self.bone,
-            depth=1000.0 * self.depth,
-            collider=self.collider,
-            frames=named_frames(*self.frames),
-        )
+        return [*(each.text for each in self.too_deep), *without]
 
 
 def touched(times: np.ndarray, steps: dict[str, np.ndarray], collision: Collision, bones: Sequence[str]) -> Touched:
     """Of the steps' statistics by name, each (F,), to each of the times (F,). bones: names."""
-    penetration, depth = float(steps["penetration"].max(initial=0.0)), steps["too_deep"]
-    unusable = tuple(_unusable(times, steps["unusable_colliders"], collision))
-    if not (depth > 0.0).any():
-        return Touched(penetration, unusable=unusable)
-    worst, collider = int(depth.argmax()), steps["too_deep_collider"].astype(int)
-    frames = frames_around(worst, (depth <= 0.0) | (collider != collider[worst]), times)
-    names = collision.names(int(steps["too_deep_sample"][worst]), collider[worst], bones)
-    return Touched(penetration, float(depth[worst]), *names, frames, unusable)
+    return Touched(
+        float(steps["penetration"].max(initial=0.0)),
+        tuple(sorted(_too_deep(times, steps, collision, bones), key=lambda each: -each.depth)),
+        tuple(_unusable(times, steps["unusable_colliders"], collision)),
+    )
+
+
+def _too_deep(
+    times: np.ndarray, steps: dict[str, np.ndarray], collision: Collision, bones: Sequence[str]
+) -> Iterator[TooDeep]:
+    """`Touched.too_deep`: of each step only the deepest place is known."""
+    samples, colliders = steps["too_deep_sample"].astype(int), steps["too_deep_collider"].astype(int)
+    for collider in np.unique(colliders[steps["too_deep"] > 0.0]):
+        depth = np.where(colliders == collider, steps["too_deep"], 0.0)
+        worst = int(depth.argmax())
+        names = collision.names(samples[worst], collider, bones)
+        yield TooDeep(*names, float(depth[worst]), *frames_around(worst, depth <= 0.0, times))
 
 
 def as_bits(colliders: Sequence[int]) -> float:

@@ -20,7 +20,7 @@ from ..geometry import determinant, diagonal, unique_edges, vertex_areas
 from ..message import Message, named_frames
 from ..model.model import Model
 from ..motion.baked import Bake
-from ..motion.contact import Touched
+from ..motion.contact import TooDeep, Touched
 from ..motion.limits import THINNEST, Held
 from ..settings import SimulationSettings
 
@@ -188,8 +188,8 @@ def parsed(record: str) -> Verdict | None:
     values = records.verdict(record)
     touched = values.get("touched")
     if touched:
-        unusable = tuple(map(tuple, touched["unusable"]))
-        values["touched"] = Touched(**touched | {"frames": tuple(touched["frames"]), "unusable": unusable})
+        too_deep = tuple(TooDeep(*each) for each in touched["too_deep"])
+        values["touched"] = Touched(touched["penetration"], too_deep, tuple(map(tuple, touched["unusable"])))
     lists = {name: tuple(values[name]) for name in ("stretch", "vertices")}
     held = Held(**values["held"] | {"frames": tuple(values["held"]["frames"])})
     return Verdict(**values | lists | {"limits": Limits(**values["limits"]), "held": held})

@@ -38,7 +38,6 @@ from .job_data import BakeInput, Outcome, Progress
 
 CAGE = 0.1  # fraction of a job for a cage that is needed before the rig is read
 READ = 0.2  # fraction of a job after which the rig is read
-PRESSED = "{verdict}, with objects that press it: keep them farther out, raise Distance (Collision), or paint Firmness"
 FADE = 5  # frames over which a part that is baked again blends into the rest
 
 
@@ -319,9 +318,9 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
         )
     outcome.warnings += outcome.verdict.contact_texts
     if outcome.verdict.is_too_large:
-        touched = outcome.verdict.touched
-        pressed = touched is not None and touched.penetration > 0.0
-        text = PRESSED if pressed else "{verdict}. Raise Bounce or Cage Nodes, or paint Firmness"
+        touched, text = outcome.verdict.touched, "{verdict}. Raise Bounce or Cage Nodes, or paint Firmness"
+        if touched and (touched.penetration > 0.0 or touched.too_deep):
+            text = "{verdict}, where objects press it: move them away, raise Distance (Collision), or paint Firmness"
         outcome.warnings.append(Message(text, verdict=outcome.verdict.text))
 
 
