@@ -42,7 +42,7 @@ measured again: `make -C evidence bakes sections="loops kills"` measures these t
 
 *Body sizes*: of the diagonal of the box around the body at rest. On a person with a size of 2 m, an error of 1e-3 is 2
 mm, and one of 1e-6 is 2 micrometers, which nobody can see. Errors are far larger than that only where you ask for fewer
-keys or allow a tolerance. Who made the characters: [Attribution](attribution.md).
+keys. Who made the characters: [Attribution](attribution.md).
 
 """
 
@@ -144,12 +144,6 @@ sizes. *Seconds*: to write it, without the simulation. Each version of Blender h
 {budgets} The last row has every mode and every target. *Said* is the error that the bake reports, and *shown* the error
 of Blender's evaluated mesh.
 
-### Keys of single frames
-
-{single}
-With a tolerance (in body sizes here) there are keys only where the surface would be off by more without. Some of the
-keys are the targets, for less than the whole motion.
-
 {where}"""
 
 
@@ -171,19 +165,13 @@ def show_round_trips(by_version: dict) -> str:
         (str(row["keys"]), share(row["said"]), *errors("budgets", k), kilobytes(row["bytes"]))
         for k, row in enumerate(newest["budgets"])
     ]
-    single = [
-        (f"off by {row['asked']:g} at most" if "asked" in row else "every frame", f"{row['keys']}", share(row["said"]),
-         *errors("frames", k), kilobytes(row["bytes"]))
-        for k, row in enumerate(newest["frames"])
-    ]  # fmt: skip
     return ROUND_TRIPS.format(
         vertices=newest["vertices"],
         size=newest["size"],
-        frames=newest["frames"][0]["frames"],
+        frames=newest["budgets"][0]["frames"],
         modes=newest["modes"],
         forms=grid(("form", "read by", *head), forms),
         budgets=grid(("keys", "said", *(f"shown, {v}" for v in versions), "bytes"), budgets),
-        single=grid(("keys at", "keys", "said", *(f"shown, {v}" for v in versions), "bytes"), single),
         where=f"Blender {' and '.join(by_version)}; {newest['machine']}.\n",
     )
 

@@ -18,7 +18,7 @@ const JOB_TYPE = {
         },
         {
             key: "format", type: "string", default: "",
-            description: "modes, frames, pc2, gltf, fbx, alembic, usd or soft_skin. If empty, each object uses its own setting",
+            description: "modes, pc2, gltf, fbx, alembic, usd or soft_skin. If empty, each object uses its own setting",
         },
         {
             key: "options", type: "string", default: "",

@@ -294,7 +294,6 @@ FBX, ALEMBIC = by_import("import_scene.fbx", anim_offset=0.0), by_import("wm.ale
 FORMS = (
     Form("Shape Keys", "Blender"),
     Form("Shape Keys, 8", "Blender", keys=8),
-    Form("Shape Key Per Frame", "Blender", format="FRAMES"),
     Form("Point Cache (PC2)", "Blender", format="PC2"),
     Form("PC2, the file", "NumPy", format="PC2", read=point_cache, local=True),
     Form("glTF", "pygltflib", key="GLTF", read=by_pygltflib, same_order=False),

@@ -61,21 +61,6 @@ def test_fewer_keys_are_the_best_and_say_how_far_they_are_off():
     assert same is bake
 
 
-def test_key_frames_keep_the_surface_within_the_tolerance():
-    bake, vertices = shot(frames=200)
-    exact, counts = surface(bake, vertices), []
-    for tolerance in (3.0, 1.0, 0.1):
-        kept = keys.key_frames(bake, tolerance, np.eye(3))
-        between = np.array([
-            [np.interp(np.arange(200), kept, exact[kept, v, c]) for c in range(3)] for v in range(len(vertices))
-        ]).transpose(2, 0, 1)  # fmt: skip
-        assert np.linalg.norm(between - exact, axis=2).max() <= tolerance * (1 + 1e-9)
-        counts.append(len(kept))
-    assert counts == sorted(counts)
-    assert counts[0] < 200
-    assert list(keys.key_frames(shot(frames=1)[0], 0.0, np.eye(3))) == [0]
-
-
 @pytest.mark.parametrize("first, last", [(0, 39), (10, 25), (0, 12), (30, 39)])
 def test_a_patch_takes_the_place_of_its_frames(first, last):
     """Whatever modes it has: where it is far from its seams it shows, and outside the bake is as it was."""

@@ -16,7 +16,7 @@ from dynamic_morph_targets.core import errors, memory
 from dynamic_morph_targets.core.memory import Room, Size
 from dynamic_morph_targets.core.model.build import build
 from dynamic_morph_targets.core.motion import simulate
-from dynamic_morph_targets.core.settings import ModelSettings, OutputSettings, SimulationSettings
+from dynamic_morph_targets.core.settings import ModelSettings, SimulationSettings
 from dynamic_morph_targets.io import model_file
 from test_defects import BODIES, shot, soft
 
@@ -58,7 +58,7 @@ def measured(what: str) -> None:
         pose = np.resize(rig.pose, (1 + 299 * settings.substeps, *rig.pose.shape[1:]))
         worlds = np.resize(rig.rig_world, (len(pose), 4, 4))
         rig = replace(rig, pose=pose, rig_world=worlds, object_world=worlds)
-        estimate = memory.bake_bytes(size, character.settings, settings, None, 300)
+        estimate = memory.bake_bytes(size, character.settings, settings, 300)
         took = taken(lambda: simulate.bake(model, character, rig, settings))
     print(sum(estimate.values()), took)
 
@@ -94,14 +94,13 @@ def test_it_grows_with_everything_that_takes_memory():
         memory.build_bytes(SIZE, replace(settings, modes=60), 4),
     ):
         assert total(more) > 1.1 * built
-    bake = total(memory.bake_bytes(SIZE, settings, SHOT, None, 1000))
+    bake = total(memory.bake_bytes(SIZE, settings, SHOT, 1000))
     for more in (
-        memory.bake_bytes(SIZE._replace(vertices=10**6), settings, SHOT, None, 1000),
-        memory.bake_bytes(SIZE._replace(bones=600), settings, SHOT, None, 1000),
-        memory.bake_bytes(SIZE, replace(settings, modes=80), SHOT, None, 1000),
-        memory.bake_bytes(SIZE, replace(settings, solver="FULL"), SHOT, None, 1000),
-        memory.bake_bytes(SIZE, settings, replace(SHOT, substeps=50), None, 1000),
-        memory.bake_bytes(SIZE, settings, SHOT, OutputSettings(format="FRAMES"), 1000),
+        memory.bake_bytes(SIZE._replace(vertices=10**6), settings, SHOT, 1000),
+        memory.bake_bytes(SIZE._replace(bones=600), settings, SHOT, 1000),
+        memory.bake_bytes(SIZE, replace(settings, modes=80), SHOT, 1000),
+        memory.bake_bytes(SIZE, replace(settings, solver="FULL"), SHOT, 1000),
+        memory.bake_bytes(SIZE, settings, replace(SHOT, substeps=50), 1000),
     ):
         assert total(more) > 1.1 * bake
 
@@ -114,7 +113,7 @@ def test_it_is_a_number_for_all_settings(modes, basis, material_model, solver):
     settings = ModelSettings(modes=modes, basis=basis, material_model=material_model, solver=solver)
     for method in ("DYNAMIC", "STATIC"):
         chosen = replace(settings, method=method)
-        needs = memory.build_bytes(SIZE, chosen, 1) | memory.bake_bytes(SIZE, chosen, SHOT, None, 100)
+        needs = memory.build_bytes(SIZE, chosen, 1) | memory.bake_bytes(SIZE, chosen, SHOT, 100)
         assert needs.keys() <= memory.REMEDIES.keys() and all(0 < need < inf for need in needs.values())
 
 

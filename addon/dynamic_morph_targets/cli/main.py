@@ -210,7 +210,7 @@ def add_bake(command: Callable[..., argparse.ArgumentParser]) -> None:
     collision.add_options(bake)
     add_settings(bake, "collision")
     bake.add_argument("--format", choices=[name.lower() for name in (*bake_formats(), *exports.FORMATS)],
-                      help="the form of the bake: Blender plays modes, frames and pc2, the others are files for "
+                      help="the form of the bake: Blender plays modes and pc2, the others are files for "
                       "other programs; default: the object's own setting")  # fmt: skip
     bake.add_argument("--output-file", type=path_of, metavar="FILE",
                       help=f"the file of such a format; {paths.OBJECT} in it stands for the object's name; default: "

@@ -63,10 +63,6 @@ class InputError(DynamorphError):
     """The command line or the file does not say what to do. The message does."""
 
 
-class KeysError(DynamorphError):
-    """A bake cannot become that. The message says what to do."""
-
-
 class ReportPageError(DynamorphError):
     """Reports are missing or wrong. The message lists them."""
 

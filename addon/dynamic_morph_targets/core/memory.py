@@ -21,7 +21,7 @@ import numpy as np
 
 from .errors import MemoryShortError, SceneError
 from .message import Message
-from .settings import ModelSettings, OutputSettings, SimulationSettings
+from .settings import ModelSettings, SimulationSettings
 
 GIGABYTE = 2**30
 LIGHTEST = 0.01  # as kNegligible of pose/skinning.cpp
@@ -32,7 +32,6 @@ REMEDIES = {
     "modes": Message("lower Detail (Modes)"),
     "frames": Message("bake fewer frames"),
     "rig": Message("lower Substeps Per Frame, or bake fewer frames"),
-    "keys": Message("raise Frame Step or Tolerance, or choose a point cache"),
     "skin": Message("use a mesh with fewer vertices"),
 }
 
@@ -63,9 +62,7 @@ def build_bytes(size: Size, settings: ModelSettings, cores: int) -> dict[str, fl
     return found
 
 
-def bake_bytes(
-    size: Size, settings: ModelSettings, simulation: SimulationSettings, output: OutputSettings | None, chunk: int
-) -> dict[str, float]:
+def bake_bytes(size: Size, settings: ModelSettings, simulation: SimulationSettings, chunk: int) -> dict[str, float]:
     """What a bake takes at most at one time, by the keys of REMEDIES; chunk: frames that are read at once."""
     frames = len(simulation.times)
     samples = min(chunk, len(simulation.simulated)) * simulation.substeps
@@ -83,8 +80,6 @@ def bake_bytes(
             found["modes"] = (12.0 + 4.0 * size.targets) * folded + 24.0 * free * settings.modes
             found["frames"] = 24.0 * frames * settings.modes
     found["skin"] = 120.0 * size.vertices * kept
-    if output and output.format == "FRAMES" and not output.tolerance:
-        found["keys"] = 48.0 * size.vertices * frames / output.frame_step
     return found
 
 

@@ -176,11 +176,7 @@ class SimulationSettings:
 
 @dataclass(frozen=True)
 class OutputSettings:
-    """The form of a bake in Blender. format: MODES, FRAMES or PC2."""
+    """The form of a bake in Blender. format: MODES or PC2."""
 
     format: str = "MODES"
     keys: int = 0  # largest number of keys for MODES; 0: no limit
-    frame_step: int = 1  # for FRAMES: a key at every n-th frame,
-    tolerance: float = (
-        0.0  # or, if this is not 0, only where the surface would otherwise be off by more than this, meters
-    )

@@ -710,7 +710,7 @@ STORED = [  # group, property and a value that no button sets
     ("model", "modes", -1), ("model", "material_model", 99), ("model", "cage_nodes", 0),
     ("model", "pin_radius", float("nan")),
     ("simulation", "amount", float("nan")), ("simulation", "samples", 0), ("simulation", "substeps", -1),
-    ("simulation", "integrator", -1), ("simulation", "gravity", float("inf")), ("output", "frame_step", 0),
+    ("simulation", "integrator", -1), ("simulation", "gravity", float("inf")), ("output", "format", 1),
     ("target", "stiffness", -1.0), ("target", "poisson", 0.5), ("target", "fade_out_angle", float("nan")),
 ]  # fmt: skip
 
@@ -772,8 +772,8 @@ def test_a_format_that_is_a_file_for_other_programs(shot, run, monkeypatch):
     "arguments, words",
     [
         ([], "specify an output"),
-        (["--format", "frames"], "specify an output"),
-        (["--format", "frames", "--output-file", "x", "--in-place"], "needs a --format that is a file"),
+        (["--format", "modes"], "specify an output"),
+        (["--format", "modes", "--output-file", "x", "--in-place"], "needs a --format that is a file"),
         (["--format", "usd", "--clips", "actions"], "--clips actions needs --format gltf"),
         (["--format", "gltf", "--clips", "actions", "--frames", "1", "9"], "leave --frames out"),
         (["--format", "gltf", "--output-file", "x.fbx"], "a file of gltf ends in .glb"),

@@ -13,7 +13,6 @@ from bl_ext.user_default.dynamic_morph_targets.core.model import build
 from bl_ext.user_default.dynamic_morph_targets.core.motion import loops, simulate
 from bl_ext.user_default.dynamic_morph_targets.core.motion.baked import digest
 from bl_ext.user_default.dynamic_morph_targets.core.motion.player import Frame, Player
-from bl_ext.user_default.dynamic_morph_targets.core.result import keys
 from bl_ext.user_default.dynamic_morph_targets.io import cache_dir
 from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_input, batch
 from bl_ext.user_default.dynamic_morph_targets.run.bake import job as run_job
@@ -656,15 +655,14 @@ def test_a_bake_is_made_longer(shot, soft_arm):
     assert np.abs(longer - shown_at(soft_arm, range(1, 25))).max() < 1e-5
 
 
-@pytest.mark.parametrize("kind", ["FRAMES", "PC2"])
-def test_a_range_is_baked_into_other_formats(shot, soft_arm, tmp_path, kind):
+def test_a_range_is_baked_into_another_format(shot, soft_arm, tmp_path):
     before = shown_at(soft_arm, range(1, 21))
     strip = influence.influence_strip(soft_arm)
     strip.influence = 0.0
     influence.show_influence(soft_arm)
     still = shown_at(soft_arm, range(1, 21))
     strip.influence = 1.0
-    soft_arm.dynamorph.output.format = kind
+    soft_arm.dynamorph.output.format = "PC2"
     rebaked(soft_arm, 8, 15, folder=tmp_path)
     assert soft_arm.data.shape_keys.key_blocks["flexed"].mute
     assert np.abs(shown_at(soft_arm, range(1, 21)) - before).max() < 1e-5
@@ -685,7 +683,7 @@ def test_values_that_are_not_numbers_are_refused_before_keys_are_made(shot, soft
 
     monkeypatch.setattr(simulate.Shot, "bake", spoiled)
     before = fingerprint(soft_arm)
-    for kind in ("MODES", "FRAMES", "PC2"):
+    for kind in ("MODES", "PC2"):
         soft_arm.dynamorph.output.format, soft_arm.dynamorph.output.keys = kind, 4
         with pytest.raises(errors.SelfCheckError, match="'Arm': the engine's coordinates are not numbers"):
             batch.run(job.Job(soft_arm, goal="BAKE", folder=tmp_path))
@@ -700,15 +698,6 @@ def test_a_loop_without_finite_numbers_ends(bad):
     assert not loops.repeat_accelerated(loop)
     loops.solve_by_newton(loop)
     assert loop.passes < 20
-
-
-@pytest.mark.fault("K05")
-def test_too_many_keys_are_refused_by_name(shot, soft_arm, monkeypatch):
-    monkeypatch.setattr(keys, "MOST_KEYS", 10)
-    soft_arm.dynamorph.output.format = "FRAMES"
-    words = "'Arm': 20 shape keys are too many, 10 are the most: raise Frame Step"
-    with pytest.raises(errors.SceneError, match=words):
-        batch.run(run_job.Job(soft_arm, goal="BAKE"))
 
 
 def test_what_the_other_frames_were_made_from_is_said(shot, soft_arm):

@@ -132,7 +132,7 @@ def test_it_is_that_of_the_present_settings(coarse, change):
 def test_the_shot_and_what_is_shown_of_it_do_not_matter(coarse):
     error = measured(coarse)
     coarse.dynamorph.simulation.frame_end, coarse.dynamorph.simulation.amount = 99, 0.3
-    coarse.dynamorph.simulation.fields, coarse.dynamorph.output.format = 0.0, "FRAMES"
+    coarse.dynamorph.simulation.fields, coarse.dynamorph.output.format = 0.0, "PC2"
     assert expected_error.known(coarse) == error
 
 

@@ -41,7 +41,6 @@ def all_settings(soft_arm) -> set:
     settings.simulation.drags = "[]"
     settings.collision.use = settings.collision.use_friction = True
     bpy.ops.object.effector_add(type="WIND")
-    settings.output.format = "FRAMES"
     settings.attachments.add()
     activate(soft_arm)
     return found | settings_of(soft_arm)

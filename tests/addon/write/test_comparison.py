@@ -32,7 +32,7 @@ def mutes(obj) -> dict[str, bool]:
     return {block.name: block.mute for block in obj.data.shape_keys.key_blocks}
 
 
-@pytest.mark.parametrize("kind", ["MODES", "FRAMES", "PC2"])
+@pytest.mark.parametrize("kind", ["MODES", "PC2"])
 def test_a_bake_is_hidden_and_comes_back(soft_arm, tmp_path, kind):
     soft_arm.data.shape_keys.key_blocks["smile"].value = 0.5
     plain = shown(soft_arm)

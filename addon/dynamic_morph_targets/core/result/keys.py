@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A bake as other keys, and as bytes for point caches and other programs. NumPy only, never bpy.
+"""A bake as other keys. NumPy only, never bpy.
 
 Surfaces are in the mesh object's local space, before skinning. A bake's surface = vertices + modes . coordinates +
 residual_shapes . weights.
@@ -8,17 +8,14 @@ residual_shapes . weights.
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
-from ..errors import KeysError
 from ..geometry import smooth_step
-from ..motion.baked import CHUNK, Bake, at_rows, displaced, distance, samples_per_frame, surfaces
+from ..motion.baked import Bake, at_rows, displaced, distance, surfaces
 from ..settings import OutputSettings
 
 NOISE = 1e-5  # of the largest displacement by a shape; smaller errors come from keys in float32
-MOST_KEYS = 2000  # keys of single frames; more of them, with their curves, would fill the memory
 
 
 # As other keys -----------------------------------------------------------------------------------------------------
@@ -26,19 +23,8 @@ MOST_KEYS = 2000  # keys of single frames; more of them, with their curves, woul
 
 def as_keys(bake: Bake, output: OutputSettings, to_bind: np.ndarray) -> tuple[Bake, float]:
     """The bake as the shape keys that `output` requires, and the largest error of the surface, meters; to_bind as for
-    `baked.largest_displacement`. A point cache has keys only for what shows without it. Raises KeysError when there
-    would be too many.
+    `baked.largest_displacement`. A point cache has keys only for what shows without it.
     """
-    if output.format == "FRAMES":
-        kept = key_frames(bake, output.tolerance, to_bind) if output.tolerance else every_nth(bake, output.frame_step)
-        if len(kept) > MOST_KEYS:
-            raise KeysError(
-                "{count} shape keys are too many, {most} are the most: raise Frame Step or Tolerance, or choose a "
-                "point cache",
-                count=len(kept),
-                most=MOST_KEYS,
-            )
-        return by_frames(bake, kept), off_between(bake, kept, to_bind)
     if output.format == "PC2":
         return targets_alone(bake), 0.0
     if not output.keys:
@@ -177,75 +163,3 @@ def targets_alone(bake: Bake) -> Bake:
         residual_shapes=residual_shapes,
         key_names=names,
     )
-
-
-def by_frames(bake: Bake, kept: np.ndarray) -> Bake:
-    """The surfaces at the frames `kept`, by index, as keys that blend from one to the next. The targets' shapes are
-    separate keys, for less motion.
-    """
-    shapes = targets_alone(bake)
-    used = np.flatnonzero(np.abs(shapes.residual_shapes).max(axis=(1, 2)) * np.abs(shapes.weights).max(axis=0))
-    count, keys, at = len(bake.frames), len(kept), bake.frames[kept]
-    moved = np.empty((keys, *bake.modes.shape[1:]), np.float32)
-    for first, chunk in zip(range(0, keys, CHUNK), surfaces(at_rows(bake, kept), 0.0), strict=True):
-        moved[first : first + CHUNK] = chunk
-    coordinates, static = np.zeros((2, count, keys + len(used)), np.float32)
-    for k, row in enumerate(kept):
-        before, after = kept[max(k - 1, 0)], kept[min(k + 1, keys - 1)]
-        near, heights = slice(before, after + 1), [k == 0, 1, k == keys - 1]
-        coordinates[near, k] = np.interp(bake.frames[near], bake.frames[[before, row, after]], heights)
-    static[:, keys:] = shapes.weights[:, used]
-    names = [f"Dynamorph Frame {frame:g}" for frame in at]
-    return Bake(
-        frames=bake.frames,
-        coordinates=coordinates,
-        weights=np.zeros((count, 0)),
-        modes=np.concatenate([moved, shapes.residual_shapes[used]]),
-        residual_shapes=np.zeros((0, *bake.modes.shape[1:])),
-        target_names=bake.target_names,
-        static=static,
-        key_names=(*names, *(shapes.key_names[j] for j in used)),
-    )
-
-
-def every_nth(bake: Bake, frames: int) -> np.ndarray:
-    """Indices of every n-th frame of a bake, and of its last."""
-    return np.unique(np.r_[0 : len(bake.frames) : frames * samples_per_frame(bake), len(bake.frames) - 1])
-
-
-def key_frames(bake: Bake, tolerance: float, to_bind: np.ndarray) -> np.ndarray:
-    """Indices of frames between which the surface can be interpolated with an error of at most `tolerance`, meters.
-
-    Each span is divided at its worst frame until all spans are accurate enough (Douglas and Peucker 1973). to_bind: as
-    for `largest_displacement`.
-    """
-    end, rows = len(bake.frames) - 1, np.hstack([bake.coordinates, bake.weights])
-    kept, spans = {0, end}, [(0, end)]
-    while spans:
-        first, last = spans.pop()
-        worst, off = _worst_between(bake, rows, first, last, to_bind)
-        if off > tolerance:
-            kept.add(worst)
-            spans += [(first, worst), (worst, last)]
-    return np.array(sorted(kept))
-
-
-def off_between(bake: Bake, kept: np.ndarray, to_bind: np.ndarray) -> float:
-    """The largest error of the surface, in meters, if it is interpolated between the frames `kept`, by index."""
-    rows = np.hstack([bake.coordinates, bake.weights])
-    return max((_worst_between(bake, rows, *span, to_bind)[1] for span in pairwise(kept)), default=0.0)
-
-
-def _worst_between(bake: Bake, rows: np.ndarray, first: int, last: int, to_bind: np.ndarray) -> tuple[int, float]:
-    """The frame between two others that is farthest from their interpolation, and its distance, meters."""
-    worst, off = first, 0.0
-    for begin in range(first + 1, last, CHUNK):
-        frames = np.arange(begin, min(begin + CHUNK, last))
-        fraction = ((frames - first) / (last - first))[:, None]
-        residual = rows[frames] - (1.0 - fraction) * rows[first] - fraction * rows[last]
-        r = bake.coordinates.shape[1]
-        moved = displaced(residual[:, :r], residual[:, r:], bake.modes, bake.residual_shapes) @ to_bind.T
-        distances = np.linalg.norm(moved, axis=2).max(axis=1)
-        if distances.max() > off:
-            worst, off = int(frames[distances.argmax()]), float(distances.max())
-    return worst, off

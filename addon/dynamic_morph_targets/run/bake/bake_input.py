@@ -138,7 +138,7 @@ def _check_memory(given: BakeInput) -> None:
     if given.has_shot:
         settings = given.simulated.settings
         chunk = given.frames_per_chunk
-        memory.check(given.name, memory.bake_bytes(size, settings, given.settings, given.output, chunk))
+        memory.check(given.name, memory.bake_bytes(size, settings, given.settings, chunk))
 
 
 def _frames_per_chunk(given: BakeInput, obj: bpy.types.Object) -> int:
@@ -156,7 +156,7 @@ def handles(attachments: Sequence[Attachment]) -> list[ObjectHandle]:
 
 def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -> None:
     """The form of the bake in Blender. Raises WriteError."""
-    given.output = run_settings.output_settings(obj)
+    given.output = obj.dynamorph.output.settings()
     check_rig_action(obj)
     if given.output.format != "PC2":
         return

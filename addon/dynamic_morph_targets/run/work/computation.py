@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from ...core import engine, errors
+from ...core import engine
 from ...core.character import Character
-from ...core.errors import SceneError, SelfCheckError
+from ...core.errors import SelfCheckError
 from ...core.material import calibration
 from ...core.message import Message
 from ...core.model import build
@@ -335,10 +335,7 @@ def _make_keys(given: BakeInput, outcome: Outcome, output: OutputSettings) -> No
     character = given.character
     names = character.name, *(each.name for each in character.attachments)
     points_of = character.vertices[character.own_vertices], *(each.points for each in character.attachments)
-    try:
-        whole, outcome.report["keys_error"] = as_keys(outcome.bake, output, character.to_bind)
-    except errors.KeysError as refusal:
-        raise SceneError("'{name}': {refusal}", name=character.name, refusal=refusal) from refusal
+    whole, outcome.report["keys_error"] = as_keys(outcome.bake, output, character.to_bind)
     bakes, all_keys = of_meshes(character, outcome.bake), of_meshes(character, whole)
     for name, points, bake, keys in zip(names, points_of, bakes, all_keys, strict=True):
         file = None

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import bpy
 import numpy as np
 
 from ...core.errors import SceneError
-from ...core.settings import MOST_SUBSTEPS, OutputSettings, SimulationSettings
-from ..skin import unit_scale
+from ...core.settings import MOST_SUBSTEPS, SimulationSettings
 from .colliders import colliders, pressed
 
 
@@ -25,12 +24,6 @@ def bake_solver(obj: bpy.types.Object) -> str:
     if settings.model.method != "STATIC" and collision.bake_full and touches:
         return "FULL"
     return settings.model.solver
-
-
-def output_settings(obj: bpy.types.Object) -> OutputSettings:
-    """The form of the bakes of `obj`, with lengths in meters."""
-    chosen = obj.dynamorph.output.settings()
-    return replace(chosen, tolerance=unit_scale() * chosen.tolerance)
 
 
 def frame_range(obj: bpy.types.Object, scene: bpy.types.Scene, frames: Sequence[int] | None = None) -> tuple[int, int]:

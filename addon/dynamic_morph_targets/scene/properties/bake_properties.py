@@ -262,11 +262,6 @@ class DynamorphOutput(PropertyGroup):
                 "One key and one curve per mode. They are small, editable and suit game engines",
                 0,
             ),
-            (
-                "FRAMES", "Shape Key Per Frame",
-                "Keys that store the surface at single frames, and curves that blend them",
-                1,
-            ),
             ("PC2", "Point Cache (PC2)", "A file with the surface at every frame, played by a Mesh Cache modifier", 2),
         ),
         default=OutputSettings.format, override=OVERRIDE,
@@ -277,18 +272,6 @@ class DynamorphOutput(PropertyGroup):
         "for game engines. 0 is no limit: it makes one per mode",
         default=OutputSettings.keys, min=0, soft_max=32, override=OVERRIDE,
     )  # fmt: skip
-    frame_step: IntProperty(
-        name="Frame Step",
-        description="How many frames there are from one key to the next. Raise it for fewer keys",
-        default=OutputSettings.frame_step, min=1, soft_max=10, override=OVERRIDE,
-    )  # fmt: skip
-    tolerance: FloatProperty(
-        name="Tolerance",
-        description="How far the surface may be off between keys. Keys are then placed where they are needed. "
-        "Raise it for fewer keys. 0 places them at regular frames",
-        default=OutputSettings.tolerance, min=0.0, soft_max=0.01, precision=4, subtype="DISTANCE", override=OVERRIDE,
-    )  # fmt: skip
-
     bake_to_action: BoolProperty(name="Bake to Action", description=TO_ACTION, override=OVERRIDE)
 
     def settings(self) -> OutputSettings:

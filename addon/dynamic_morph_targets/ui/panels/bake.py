@@ -82,12 +82,6 @@ def draw_bake(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: bpy.
             column.prop(simulation, name)
     layout.prop(simulation, "loop")
     draw_setting(layout, output, "format")
-    if output.format == "FRAMES":
-        column = layout.column(align=True)
-        column.prop(output, "tolerance")
-        row = column.row()
-        row.active = output.tolerance == 0.0
-        row.prop(output, "frame_step")
     if baked_action.goes_to_rig(obj):
         draw_message(layout, "Bakes to the armature's Action", icon="ACTION")
     buttons = layout.column(align=True)
