@@ -32,7 +32,8 @@ Builds, bakes and comparisons are computed by a process of their own ([architect
 that Blender's window goes on meanwhile. This page measures the gaps between two turns of the window's event loop while
 a character of {vertices:,} vertices becomes a soft skin, is built, shown by *Live*, and baked over {frames} frames. You
 feel a gap of 50 ms or more. The window shows panels and no 3D view, because without a graphics card drawing one takes
-longer than all else. The row *Panels are drawn* is what such a drawing takes here, with nothing to compute.
+longer than all else. The row *Panels are drawn* is what such a drawing takes here, with nothing to compute. The memory
+is the most during a stage; other processes are the one that computes, its mesher, and one that waits for the next work.
 
 `make -C evidence gaps` measures and writes this page; nothing on it is typed by hand.
 
@@ -103,11 +104,16 @@ def write_page(kept: dict) -> None:
 
 
 def table(stages: dict) -> str:
-    rows = ["| | turns | median | 99 % | longest | over 50 ms |", "| --- | ---: | ---: | ---: | ---: | ---: |"]
+    rows = [
+        "| | turns | median | 99 % | longest | over 50 ms | Blender, MB | other processes, MB |",
+        "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+    ]
     for name, found in stages.items():
         gaps = 1000.0 * np.array(found["gaps"])
         half, most = np.percentile(gaps, [50, 99])
-        rows.append(f"| {name} | {len(gaps)} | {half:.0f} | {most:.0f} | {gaps.max():.0f} | {(gaps > 50).sum()} |")
+        cells = name, len(gaps), *(f"{gap:.0f}" for gap in (half, most, gaps.max())), (gaps > 50).sum()
+        memory = (f"{bytes / 2**20:,.0f}" if bytes else "" for bytes in found["memory"])
+        rows.append(f"| {' | '.join(map(str, (*cells, *memory)))} |")
     return "\n".join(rows) + "\n"
 
 

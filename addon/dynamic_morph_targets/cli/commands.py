@@ -322,7 +322,8 @@ def run_check(args: argparse.Namespace) -> None:
     in_the_way = 0
     for obj in names.objects(args):
         skinning = Skinning.of(obj)
-        problems = [problem.text for problem in (*checks.problems(skinning), *checks.next_steps(obj))]
+        found = *checks.problems(skinning), *colliders.problems(obj), *checks.next_steps(obj)
+        problems = [problem.text for problem in found]
         notes = []
         if not problems:
             try:

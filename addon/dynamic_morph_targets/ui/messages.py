@@ -59,7 +59,7 @@ def _all_messages(obj: bpy.types.Object) -> Iterator[tuple[Problem, str]]:
         for problem in colliders.problems(obj):
             yield problem, "ERROR"
         for problem in (
-            *checks.next_steps(obj), *_quality(obj), *_head(skinning), *colliders.idle(obj), *cuts.known(obj),
+            *checks.next_steps(obj), *_quality(obj), *_head(skinning), *colliders.notes(obj), *cuts.known(obj),
         ):  # fmt: skip
             yield problem, "INFO"
     for problem in checks.notes(skinning):

@@ -184,7 +184,18 @@ def faces(box):
     return instancer
 
 
-@pytest.mark.parametrize("kind", [collection_instance, geometry_nodes, faces])
+def particles(box):
+    """Hair on a small cube where the box was, of small copies of it."""
+    instancer = make_box("Instancer", location=(SURFACE, 0.0, 1.0), collision=False)
+    bpy.context.scene.collection.objects.unlink(instancer)
+    instancer.scale, box.location, box.scale = (0.1, 0.1, 0.1), (5.0, 5.0, 5.0), (0.2, 0.2, 0.2)
+    instancer.modifiers.new("Hair", "PARTICLE_SYSTEM")
+    hair = instancer.particle_systems[0].settings
+    hair.type, hair.count, hair.render_type, hair.instance_object, hair.particle_size = "HAIR", 20, "OBJECT", box, 1.0
+    return instancer
+
+
+@pytest.mark.parametrize("kind", [collection_instance, geometry_nodes, faces, particles])
 def test_instances_that_cut_the_body_are_named_with_what_helps(soft_arm, box, kind):
     instancer = kind(box)
     bpy.context.scene.collection.objects.link(instancer)

@@ -19,6 +19,7 @@ from ...core.painted_map import EXCLUDED, FIRMNESS, MAX_DISTANCE
 from ..check import body_checks, checks, data_checks
 from ..check.checks import active_targets
 from ..check.problem import refuse
+from ..motion import colliders
 from ..read.mesh_data import cages_of, carried, mesh_triangles, painted, target_shape
 from ..read.sampling_scene import rig_scene
 from ..read.source import Source
@@ -67,7 +68,8 @@ def _own_mesh(source: Source) -> Character:
 
 def warnings(source: Source) -> list[str]:
     """What will be ignored, or looks unintended."""
-    found = (*checks.notes(source.skinning), *body_checks.unintended(source, source.points, source.to_bind))
+    unintended = body_checks.unintended(source, source.points, source.to_bind)
+    found = *checks.notes(source.skinning), *colliders.notes(source.obj), *unintended
     return [problem.text for problem in found]
 
 

@@ -20,7 +20,6 @@ from ..skin import shown_objects, soft_skins
 ASSET = "Collider"  # the node group of Blender 5.2
 FRICTION = 0.5  # Coulomb's coefficient where the object does not say
 CLOTH_FRICTION = 0.1  # Coulomb's coefficient of each unit of Blender's friction of cloth
-SIMULATED = {"CLOTH", "SOFT_BODY"}  # modifiers whose result depends on what was before
 
 
 def is_collider(obj: bpy.types.Object) -> bool:
@@ -128,14 +127,16 @@ def of_body(obj: bpy.types.Object) -> Callable[[bpy.types.Object], bool]:
     return belongs
 
 
-def idle(obj: bpy.types.Object) -> Iterator[Problem]:
-    """Objects that would be colliders of `obj`, and render, but are off in viewports. As for Blender's own Cloth, they
-    stop nothing. Reads no mesh: fit for drawing.
-    """
-    settings = obj.dynamorph.collision
-    if not settings.use:
-        return
-    mine = of_body(obj)
+def notes(obj: bpy.types.Object) -> Iterator[Problem]:
+    """Colliders of `obj` that do not act as they render. Reads no mesh: fit for drawing."""
+    if obj.dynamorph.collision.use:
+        yield from _idle(obj)
+        yield from _simulated_by_nodes(obj)
+
+
+def _idle(obj: bpy.types.Object) -> Iterator[Problem]:
+    """What would be a collider, and renders, but is off in viewports. As for Blender's own Cloth, it stops nothing."""
+    settings, mine = obj.dynamorph.collision, of_body(obj)
     among = settings.collection.all_objects if settings.collection else shown_objects()
     for other in among:
         if other.hide_viewport and not other.hide_render and is_collider(other) and not mine(other):
@@ -144,6 +145,26 @@ def idle(obj: bpy.types.Object) -> Iterator[Problem]:
                 "screen in the Outliner)",
                 name=other.name,
             )
+
+
+def _simulated_by_nodes(obj: bpy.types.Object) -> Iterator[Problem]:
+    """Those with a simulation zone. Blender does not say whether that is baked, and what it has not simulated yet is
+    read as it was last.
+    """
+    for other in colliders(obj):
+        for modifier in other.modifiers:
+            if modifier.type == "NODES" and modifier.show_viewport and _has_simulation(modifier.node_group):
+                yield Problem(
+                    "'{name}' collides and is simulated by modifier '{modifier}': bake its Simulation Nodes (Physics "
+                    "tab), or play all frames before you bake",
+                    name=other.name,
+                    modifier=modifier.name,
+                )
+
+
+def _has_simulation(group: bpy.types.NodeTree | None) -> bool:
+    nodes = group.nodes if group else ()
+    return any(node.type == "SIMULATION_OUTPUT" or _has_simulation(getattr(node, "node_tree", None)) for node in nodes)
 
 
 def problems(obj: bpy.types.Object) -> Iterator[Problem]:
@@ -157,13 +178,27 @@ def problems(obj: bpy.types.Object) -> Iterator[Problem]:
                 name=other.name,
             )
         for modifier in other.modifiers:
-            if modifier.type in SIMULATED and modifier.show_viewport and not modifier.point_cache.is_baked:
+            if modifier.show_viewport and not all(cache.is_baked for cache in _caches(modifier)):
                 yield Problem(
                     "'{name}' collides and is simulated by modifier '{modifier}': bake that first, or turn the "
                     "Collision of '{name}' off",
                     name=other.name,
                     modifier=modifier.name,
                 )
+
+
+def _caches(modifier: bpy.types.Modifier) -> list[bpy.types.PointCache]:
+    """Of a modifier whose result depends on what was before."""
+    if modifier.type in {"CLOTH", "SOFT_BODY"}:
+        return [modifier.point_cache]
+    if modifier.type == "DYNAMIC_PAINT" and modifier.canvas_settings:
+        surfaces = modifier.canvas_settings.canvas_surfaces
+        return [each.point_cache for each in surfaces if each.is_active and each.surface_type in {"DISPLACE", "WAVE"}]
+    if modifier.type not in {"EXPLODE", "PARTICLE_INSTANCE"}:
+        return []
+    of_particles = modifier.object if modifier.type == "PARTICLE_INSTANCE" else modifier.id_data
+    systems = of_particles.particle_systems if of_particles else ()
+    return [each.point_cache for each in systems if each.settings.type == "EMITTER"]
 
 
 def deforming_vertices(obj: bpy.types.Object) -> int:

@@ -54,7 +54,7 @@ class SamplingScene:
                 scene = bpy.data.scenes.new(NAME)
                 self._uid, self._content = scene.session_uid, content
                 _fill(scene, obj, rig, probe, others)
-            _keep_time_as(scene.render, bpy.context.scene.render)
+            _keep_as(scene.render, bpy.context.scene.render)
             (follower,) = _own_objects(scene)
             with events.without_handlers():
                 yield scene, follower
@@ -157,9 +157,11 @@ def _own_objects(scene: bpy.types.Scene) -> list:
     return [each for each in scene.collection.objects if each.name.startswith(NAME)]
 
 
-def _keep_time_as(render: bpy.types.RenderSettings, user: bpy.types.Scene) -> None:
-    """Writes only what differs, because writing tags the scene for evaluation."""
-    for field in ("fps", "fps_base", "frame_map_old", "frame_map_new"):
+def _keep_as(render: bpy.types.RenderSettings, user: bpy.types.RenderSettings) -> None:
+    """Time, and how finely objects are subdivided, are those of the artist's scene. Writes only what differs, because
+    writing tags the scene for evaluation.
+    """
+    for field in ("fps", "fps_base", "frame_map_old", "frame_map_new", "use_simplify", "simplify_subdivision"):
         if getattr(render, field) != getattr(user, field):
             setattr(render, field, getattr(user, field))
 
