@@ -22,7 +22,7 @@ class Event(Enum):
     """What properties announce, and what is passed along."""
 
     SHOWN_CHANGED = "what is shown of an object's motion"  # (object)
-    CAGE_CHANGED = "what the cage of a built model depends on"  # ()
+    MESH_CHANGED = "what a built model depends on, but no setting tells: a cage, a map"  # ()
     LOOK_ASKED = "a panel shows a body that nobody has looked at as it is now"  # (look, object): to call look(object)
     WEIGHTS_ASKED = "someone wants to see the weights over the frames"  # ()
 

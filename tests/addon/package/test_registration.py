@@ -40,7 +40,7 @@ asked = set()  # what timers were to call
 
 def left():
     """All that a registration adds to Blender."""
-    events.emit(events.Event.CAGE_CHANGED)  # who listens starts a timer
+    events.emit(events.Event.MESH_CHANGED)  # who listens starts a timer
     timers = [look for look in asked if bpy.app.timers.is_registered(look)]
     owners = [owner for owner in (bpy.types.Object, bpy.types.WindowManager) if hasattr(owner, "dynamorph")]
     # Blender has no public name for what was appended to a header or a menu.

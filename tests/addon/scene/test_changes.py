@@ -42,7 +42,6 @@ SETTINGS = [
     ("targets[1].region", "lower", 'Region of "flexed" changed'),
     ("model.modes", 7, "Detail (Modes) changed"),
     ("model.blending", "FORCES", "Between Targets changed"),
-    ("firmness_group", "lower", "Firmness changed"),
     ("simulation.speed", 0.9, "Speed changed"),  # with as many substeps
     ("simulation.speed", 0.2, "Speed changed"),  # with fewer: nobody set them
     ("simulation.samples", 7, "Samples Per Frame changed"),
@@ -65,6 +64,21 @@ def test_a_setting_is_named_until_it_is_reset(baked, path, value, sentence):
     assert outdated(baked) == [sentence]
     setattr(group, name, before)
     assert outdated(baked) == []
+
+
+@pytest.mark.parametrize("collides", [False, True])
+@pytest.mark.parametrize("group, title", [("max_distance_group", "Max Distance"), ("excluded_group", "Exclude")])
+def test_a_map_is_named_once_it_says_something(baked, group, title, collides):
+    """Another vertex group alone changes nothing, as where Paint has just made it."""
+    if collides:
+        baked.dynamorph.collision.use = True
+        bpy.ops.dynamorph.bake()
+    baked.vertex_groups.new(name="Same")
+    for name in ("Same", "lower", ""):
+        with soon():
+            setattr(baked.dynamorph, group, name)
+        counts = name == "lower" and (collides or title == "Max Distance")
+        assert outdated(baked) == [f"{title} changed"] * counts
 
 
 SCENE = [
@@ -171,7 +185,6 @@ def test_the_model_s_settings_are_named_until_they_are_reset(baked, name, value)
         ("model.cage_nodes", 900, "rebuilds everything"),
         ("model.method", "STATIC", "rebuilds everything"),
         ("model.hold_head", True, "keeps the cage and rebuilds its hold and the modes"),
-        ("firmness_group", "lower", "keeps the cage and rebuilds its hold and the modes"),
         ("model.modes", 7, "keeps the cage and its hold, and rebuilds the modes"),
         ("targets[1].region", "lower", "keeps the cage and its hold, and rebuilds the modes"),
     ],

@@ -564,15 +564,18 @@ def test_painting_makes_the_model_old(coarse_arm):
     with_target(coarse_arm)
     OPS.build()
     OPS.paint_firmness()
-    assert staleness.model_changes(coarse_arm) == ["Firmness changed"]
     OPS.paint_firmness()
-    OPS.bake()
-    assert staleness.model_changes(coarse_arm) == []  # nothing is painted
+    assert staleness.model_age(coarse_arm) == []  # nothing is painted
     OPS.paint_firmness()
     coarse_arm.vertex_groups["Firmness"].add([*range(100)], 0.9, "REPLACE")
     OPS.paint_firmness()
     assert coarse_arm.dynamorph.model.stale == "Firmness changed"
     OPS.build()
+    for chosen, said in (("lower", "Firmness changed"), ("Firmness", "")):
+        with soon():
+            coarse_arm.dynamorph.firmness_group = chosen
+        assert coarse_arm.dynamorph.model.stale == said
+        assert ("Build Model keeps the cage and rebuilds its hold" in " ".join(drawn(coarse_arm))) == bool(said)
     model = model_store.load_model(coarse_arm)
     assert model.stiffness.min() == pytest.approx(1.0, rel=0.1)
     assert model.stiffness.max() == pytest.approx(4.0, rel=0.1) and (model.stiffness <= 4.0 + 1e-6).all()

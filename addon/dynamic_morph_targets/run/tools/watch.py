@@ -202,7 +202,7 @@ HANDLERS = {
 
 
 LISTENERS: dict[events.Event, Callable[..., object]] = {
-    events.Event.CAGE_CHANGED: look_soon,
+    events.Event.MESH_CHANGED: look_soon,
     events.Event.LOOK_ASKED: _ask,
 }
 

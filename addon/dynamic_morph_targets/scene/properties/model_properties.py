@@ -36,7 +36,7 @@ def _is_other_mesh(chosen: DynamorphAttachment | DynamorphModel, obj: bpy.types.
 
 def _cage_chosen(model: DynamorphModel, _context: bpy.types.Context) -> None:
     if model.content_id:
-        events.emit(events.Event.CAGE_CHANGED)
+        events.emit(events.Event.MESH_CHANGED)
 
 
 def _choice_made(attachment: DynamorphAttachment, _context: bpy.types.Context) -> None:

@@ -37,7 +37,7 @@ BAKED_MAPS = (MAX_DISTANCE, EXCLUDED)  # on which a bake depends, but no model
 SCULPT = "sculpt"  # in the records of targets; identifies a renamed target
 STEPS_FOLLOW = {"fps", "speed", "samples"}  # unless the artist set how many substeps there are
 PAINTED = ("Firmness changed", "what is rigid changed")  # for both of which a stroke of paint is enough
-DEPENDENCY = {"firmness_group": "Firmness", "unit_scale": "object scale"}  # of settings that have another name there
+DEPENDENCY = {"unit_scale": "object scale"}  # of settings that have another name there
 # Properties of targets on which no result depends: the stiffness and the region contain them, or they only steer the
 # add-on.
 UNUSED = ("rig_world", "frequency", "by_hand", "auto_region", "auto_bones")
@@ -215,8 +215,7 @@ def _kept_range(then: dict, now: dict, is_patch: bool) -> dict:
 def model_inputs(obj: bpy.types.Object) -> dict:
     """The settings that a model depends on, by where they are."""
     settings = obj.dynamorph
-    groups: dict = {"firmness_group": settings.firmness_group}
-    groups["attachments"] = [
+    attachments = [
         *([each.attached_by, each.group] for each in own_attachments(obj) if each.attached_by != "WITH_BODY"),
         *([each.attached_by, each.group] for each in settings.attachments if each.object and each.object.users_scene),
     ]
@@ -226,7 +225,7 @@ def model_inputs(obj: bpy.types.Object) -> dict:
         for name, target in named_targets(obj)
     }
     scene = {"unit_scale": skin.unit_scale(), "engine": ENGINE}
-    return {"targets": targets, "model": model, "groups": groups, "scene": scene}
+    return {"targets": targets, "model": model, "groups": {"attachments": attachments}, "scene": scene}
 
 
 def bake_inputs(skinned: Skinning, simulation: SimulationSettings) -> dict:
@@ -237,8 +236,6 @@ def bake_inputs(skinned: Skinning, simulation: SimulationSettings) -> dict:
     inputs["model"] = asdict(settings.model.settings())
     if simulation.collision:
         inputs["model"]["solver"] = run_settings.bake_solver(obj)
-    inputs["groups"]["max_distance_group"] = settings.max_distance_group
-    inputs["groups"] |= {"excluded_group": settings.excluded_group} if settings.collision.use else {}
     inputs["groups"]["armature_modifiers"] = skinned.settings()
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
     inputs["simulation"]["drags"] = crc32(simulation.drags.encode())
