@@ -114,6 +114,10 @@ bool ArrowSolver::gather(const std::vector<const DensePoints*>& points, Eigen::I
 
 bool ArrowSolver::soften(const DensePoints& points, const Eigen::Ref<const VectorXd>& own_b, Eigen::Index first_row) {
   const RowMajor& R = points.own_rows;
+  if (R.rows() == 0) {  // nothing presses there
+    softened_.push_back({{}, {}, first_row});
+    return true;
+  }
   const auto own = points.own_factor.triangularView<Eigen::Lower>();
   const MatrixXd given = own.solve(R.transpose());  // L^-1 R^T
   softened_.push_back({MatrixXd::Zero(R.rows(), R.rows()), given.transpose() * own.solve(own_b), first_row});
@@ -139,10 +143,13 @@ void ArrowSolver::solve_own(const std::vector<const DensePoints*>& points, const
   for (const DensePoints* each : points) {
     const RowMajor& R = each->own_rows;
     if (R.cols() == 0) continue;
-    VectorXd forces = softened->forces + rows_.middleRows(softened->first_row, R.rows()) * reduced_x_;
-    softened->lower.triangularView<Eigen::Lower>().adjoint().solveInPlace(forces);
     auto own_x = x.segment(own, R.cols());
-    own_x = b.segment(own, R.cols()) - R.transpose() * forces;
+    own_x = b.segment(own, R.cols());
+    if (R.rows() > 0) {
+      VectorXd forces = softened->forces + rows_.middleRows(softened->first_row, R.rows()) * reduced_x_;
+      softened->lower.triangularView<Eigen::Lower>().adjoint().solveInPlace(forces);
+      own_x -= R.transpose() * forces;
+    }
     each->own_factor.triangularView<Eigen::Lower>().solveInPlace(own_x);
     each->own_factor.triangularView<Eigen::Lower>().adjoint().solveInPlace(own_x);
     own += R.cols();
