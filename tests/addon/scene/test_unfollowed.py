@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What moves a skin in Blender and not in a bake is named: drivers, handlers of others, keyed settings."""
 
+import functools
 import math
 
 import bpy
@@ -8,7 +9,9 @@ import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
 from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
+from bl_ext.user_default.dynamic_morph_targets.scene import animation
 from bl_ext.user_default.dynamic_morph_targets.scene.check import checks
+from bl_ext.user_default.dynamic_morph_targets.scene.motion import read_poses
 from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
 from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
 from builders import rig_of, skinning_of, soon
@@ -119,8 +122,8 @@ def called(request):
     return add
 
 
-def told_of_handlers(obj):
-    return [text for text in notes_of(obj) if "handler" in text]
+def displaced(obj):
+    return [text for text in notes_of(obj) if "is not where the bake" in text]
 
 
 def play(scene):
@@ -134,29 +137,162 @@ def test_bones_that_a_handler_moves_are_named_once_the_bake_is_played(scene, sti
     called(when, handler)
     scene.frame_set(7)
     batch.run(Job(still, "BAKE"))
-    assert scene.frame_current == 7 and told_of_handlers(still) == []
+    assert scene.frame_current == 7 and displaced(still) == []
     play(scene)
-    found = told_of_handlers(still)
+    found = displaced(still)
     assert len(found) == told
     if told:
-        assert found[0].startswith("Bone 'lower' of 'Arm Rig' is moved by an add-on's or script's handler (test_unfol")
+        assert found[0].startswith("'lower' is not where the bake of 'Arm' has it: bake again.")
+        assert "handler moves it when the frame changes (test_unfollowed)" in found[0]
         getattr(bpy.app.handlers, when).remove(spring)  # as after Bake Action
         batch.run(Job(still, "BAKE"))
         play(scene)
         getattr(bpy.app.handlers, when).append(spring)
-        assert told_of_handlers(still) == []
+        assert displaced(still) == []
 
 
-def test_a_bake_leaves_a_pose_without_keys_and_does_not_take_it_for_a_handler_s(scene, still, called):
-    called("frame_change_pre", harmless)
+def moved_by(name):
+    def handler(scene, *_):
+        bpy.data.objects[name].location.x = 0.2 * scene.frame_current
+
+    return handler
+
+
+@pytest.mark.parametrize("name", ["Arm Rig", "Root", "Arm"])
+def test_objects_that_a_handler_moves_are_named(scene, still, called, name):
+    rig = rig_of(still)
+    rig.parent = bpy.data.objects.new("Root", None)
+    scene.collection.objects.link(rig.parent)
+    called("frame_change_post", moved_by(name))
+    batch.run(Job(still, "BAKE", frames=(2, 7)))
+    play(scene)
+    assert displaced(still)[0].startswith(f"'{'Arm Rig' if name == 'Root' else name}' is not where the bake")
+
+
+def test_a_motion_that_repeats_is_seen(scene, still, called):
+    called("frame_change_pre", lambda scene, *_: turn(still, 0.5 * math.sin(scene.frame_current * math.pi / 4)))
+    batch.run(Job(still, "BAKE"))
+    play(scene)
+    assert len(displaced(still)) == 1
+
+
+# What no hash tells --------------------------------------------------------------------------------------------------
+
+
+def turn(obj, angle):
+    rig_of(obj).pose.bones["lower"].rotation_euler.x = angle
+
+
+def easing(rig):
+    lower = rig.pose.bones["lower"]
+    for frame, angle in ((1, 0.0), (20, 1.0)):
+        lower.rotation_euler.x = angle
+        lower.keyframe_insert("rotation_euler", frame=frame)
+    point = animation.curves(rig.animation_data.action, rig.animation_data.action_slot)[0].keyframe_points[0]
+    point.interpolation = "BACK"
+    return lambda: setattr(point, "back", 9.0)
+
+
+def expression(rig):
+    driver = rig.pose.bones["lower"].driver_add("rotation_euler", 0).driver
+    driver.expression = "frame / 20"
+    return lambda: setattr(driver, "expression", "frame / 10")
+
+
+def constraint(rig):
+    limit = rig.pose.bones["lower"].constraints.new("LIMIT_ROTATION")
+    turn_keyed(rig)
+    limit.use_limit_x, limit.influence = True, 0.0
+    return lambda: setattr(limit, "influence", 1.0)
+
+
+def turn_keyed(rig):
+    for frame, angle in ((1, 0.0), (20, 1.0)):
+        rig.pose.bones["lower"].rotation_euler.x = angle
+        rig.pose.bones["lower"].keyframe_insert("rotation_euler", frame=frame)
+
+
+def goal(rig):
+    empty = bpy.data.objects.new("Goal", None)
+    bpy.context.scene.collection.objects.link(empty)
+    empty.location = (0.0, -1.0, 1.0)
+    track = rig.pose.bones["lower"].constraints.new("TRACK_TO")
+    track.target, track.track_axis, track.up_axis = empty, "TRACK_Y", "UP_Z"
+    return lambda: setattr(empty, "location", (1.0, 1.0, 1.0))
+
+
+def unkeyed(rig):
+    return lambda: setattr(rig.pose.bones["lower"], "rotation_euler", (0.5, 0.0, 0.0))
+
+
+def inherited(rig):
+    turn_keyed(rig)
+    rig.pose.bones["upper"].rotation_euler.y = 0.8
+    return lambda: setattr(rig.data.bones["lower"], "use_inherit_rotation", False)
+
+
+def armature_data(rig):
+    rig.data["turn"] = 0.0
+    for frame, value in ((1, 0.0), (20, 1.0)):
+        rig.data["turn"] = value
+        rig.data.keyframe_insert('["turn"]', frame=frame)
+    driver = rig.pose.bones["lower"].driver_add("rotation_euler", 0).driver
+    variable = driver.variables.new()
+    variable.name, variable.targets[0].id_type = "turn", "ARMATURE"
+    variable.targets[0].id, variable.targets[0].data_path = rig.data, '["turn"]'
+    driver.expression = "turn"
+    curve = animation.curves(rig.data.animation_data.action, rig.data.animation_data.action_slot)[0]
+    return lambda: setattr(curve.keyframe_points[1], "co", (20.0, 3.0))
+
+
+@pytest.mark.parametrize("kind", [easing, expression, constraint, goal, unkeyed, inherited, armature_data])
+def test_a_motion_that_changed_is_named_once_it_is_shown(scene, still, kind):
+    change = kind(rig_of(still))
+    batch.run(Job(still, "BAKE"))
+    play(scene)
+    assert displaced(still) == []
+    change()
+    play(scene)
+    (text,) = displaced(still)
+    assert text.startswith("'lower' is not where the bake of 'Arm' has it: bake again") and "a driver or" in text
+    batch.run(Job(still, "BAKE"))
+    play(scene)
+    assert displaced(still) == []
+
+
+class Spring:
+    def angle(self):
+        return math.sin(bpy.context.scene.frame_current / 3)
+
+
+@pytest.mark.parametrize("function", [functools.partial(sway), Spring().angle], ids=["partial", "method"])
+def test_a_driver_that_stands_still_in_the_bake_is_named(scene, still, function):
+    bpy.app.driver_namespace["hidden"] = function
+    try:
+        rig_of(still).pose.bones["lower"].driver_add("rotation_euler", 0).driver.expression = "hidden() + 0 * frame"
+        batch.run(Job(still, "BAKE"))
+        play(scene)
+        assert "a driver or something else moves it" in displaced(still)[0]
+    finally:
+        del bpy.app.driver_namespace["hidden"]
+
+
+def test_a_pose_that_keys_bring_back_is_none(scene, still):
     rig = rig_of(still)
     rig.pose.bones["upper"].keyframe_insert("rotation_euler", frame=1)
     rig.pose.bones["upper"].rotation_euler.y = 0.3
     batch.run(Job(still, "BAKE"))
     assert rig.pose.bones["upper"].rotation_euler.y == pytest.approx(0.3)
-    rig.pose.bones["lower"].rotation_euler.x = 0.5
     play(scene)
-    assert told_of_handlers(still) == []
+    assert displaced(still) == []
+
+
+def test_a_rig_in_rest_position_is_not_looked_at(scene, still):
+    turn_keyed(rig_of(still))
+    batch.run(Job(still, "BAKE"))
+    rig_of(still).data.pose_position = "REST"
+    play(scene)
+    assert displaced(still) == []
 
 
 def test_keys_that_are_edited_later_are_not_taken_for_a_handler_s(scene, still, called):
@@ -169,15 +305,17 @@ def test_keys_that_are_edited_later_are_not_taken_for_a_handler_s(scene, still, 
             lower.keyframe_insert("rotation_euler", frame=frame)
         bpy.context.view_layer.update()
         play(scene)
-    assert told_of_handlers(still) == [] and staleness.outdated(still)
+    assert displaced(still) == [] and staleness.outdated(still)
     play(scene)
-    assert told_of_handlers(still) == []
+    assert displaced(still) == []
 
 
-def test_a_bake_keeps_poses_of_some_of_its_frames(scene, still):
+def test_of_a_long_bake_the_first_frames_are_kept(scene, still, monkeypatch):
+    count = len(rig_of(still).data.bones) + 2
+    monkeypatch.setattr(read_poses, "KEPT", 48 * count * 5)
     batch.run(Job(still, "BAKE", frames=(3, 20)))
-    read = opened.read_poses[still.session_uid]
-    assert list(read.frames) == [8, 16] and read.frames[8].shape == (len(read.bones), 3, 4)
+    frames = opened.read_poses[still.session_uid].frames
+    assert list(frames) == [3, 4, 5, 6, 7] and frames[3].shape == (count, 3, 4)
 
 
 # Settings ------------------------------------------------------------------------------------------------------------

@@ -144,11 +144,61 @@ def test_deforming_modifiers_above_go_along_and_others_stay(soft_arm):
     np.testing.assert_allclose(shown(soft_arm), before, atol=SIZE)
 
 
+def test_muted_keys_and_those_with_a_group_keep_their_shapes(soft_arm):
+    """As all targets are while a bake plays."""
+    count = len(soft_arm.data.vertices)
+    group = soft_arm.vertex_groups.new(name="half")
+    for index in range(count):
+        group.add([index], index / count, "REPLACE")
+    keys = keys_of(soft_arm).key_blocks
+    for name in ("muted", "masked"):
+        add_key(soft_arm, name, np.tile([0.1, 0.0, 0.2], (count, 1)))
+        keys[name].value = 1.0
+    keys["masked"].vertex_group = "half"
+    first(soft_arm, "MIRROR", use_axis=(False, True, False), use_mirror_merge=False)
+    before = shown(soft_arm)
+    keys["muted"].mute = soft_arm.hide_viewport = True
+    OPS.fix(problem="APPLY")
+    assert keys["muted"].mute and keys["masked"].vertex_group == "half"
+    keys["muted"].mute = soft_arm.hide_viewport = False
+    np.testing.assert_allclose(shown(soft_arm), before, atol=SIZE)
+
+
+def test_the_colors_that_show_and_render_stay(soft_arm):
+    colors = soft_arm.data.attributes
+    for name in ("One", "Two"):
+        colors.new(name, "FLOAT_COLOR", "POINT")
+    colors.active_color_name, colors.default_color_name = "One", "Two"
+    first(soft_arm, "SUBSURF")
+    OPS.fix(problem="APPLY")
+    colors = soft_arm.data.attributes
+    assert (colors.active_color_name, colors.default_color_name) == ("One", "Two")
+
+
+def decimated(obj):
+    first(obj, "DECIMATE", ratio=0.5)
+    add_key(obj, "bent", np.random.default_rng(1).normal(0.0, 0.1, (len(obj.data.vertices), 3)))
+    return "'Arm': modifier 'Decimate' gives shape key 'flexed' other vertices or faces than the Basis.*below the Arm"
+
+
+def keyed(obj):
+    modifier = first(obj, "ARRAY")
+    modifier.keyframe_insert("count", frame=1)
+    return "'Arm': modifier 'Array' is animated.*delete its keyframes"
+
+
+def driven(obj):
+    first(obj, "CAST").driver_add("factor")
+    first(obj, "MIRROR")
+    obj.modifiers.move(0, 1)
+    return "'Arm': modifier 'Cast' is animated.*delete its keyframes"
+
+
 def welded_in_one_key(obj):
     first(obj, "WELD", merge_threshold=1e-4)
     points = np.array([vertex.co for vertex in obj.data.vertices])
     add_key(obj, "closed", np.where(np.arange(len(points))[:, None] == 1, points[0] - points[1], 0.0))
-    return "'Arm': modifier 'Weld' gives shape key 'closed' .* turn its merging off"
+    return "'Arm': modifier 'Weld' merges other vertices of shape key 'closed' .* turn its merging off"
 
 
 def shared(obj):
@@ -163,7 +213,7 @@ def after_another_armature(obj):
     return "'Arm': modifier 'Mirror' comes after Armature modifier 'Armature'.*move it above"
 
 
-@pytest.mark.parametrize("spoil", [welded_in_one_key, shared, after_another_armature])
+@pytest.mark.parametrize("spoil", [decimated, keyed, driven, welded_in_one_key, shared, after_another_armature])
 def test_what_cannot_be_applied_says_why_and_stays(soft_arm, spoil):
     words = spoil(soft_arm)
     names, count = soft_arm.modifiers.keys(), len(soft_arm.data.vertices)

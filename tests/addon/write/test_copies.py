@@ -2,8 +2,10 @@
 """A copy of a character is a soft skin of its own, with its own attachments; or one sentence says what to press."""
 
 import bpy
+import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.run import live
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
 from bl_ext.user_default.dynamic_morph_targets.scene.check import checks
 from builders import activate, refused, rig_of, skinning_of
 from robustness import bake, coarse
@@ -130,6 +132,58 @@ def test_a_copy_without_its_clothes_says_what_to_press(character, copy):
     assert works(other) and sleeve.dynamorph.follows == arm and sleeve.dynamorph.bake.keys
     if copy is not separated:
         assert works(arm, sleeve)
+
+
+def test_of_two_bodies_on_one_rig_the_first_keeps_the_clothes(character):
+    """Without a bake nothing else tells which of them is the copy."""
+    arm, _, _ = character
+    OPS.delete_bake()
+    body_alone(*character)
+    assert problems_of(arm) == []
+    assert [fix for _, fix in problems_of(bpy.data.objects["Arm.001"])] == ["LEAVE_ATTACHMENTS"]
+
+
+@pytest.mark.parametrize("baked", [False, True])
+def test_a_copy_takes_the_clothes_over_when_the_original_is_deleted(character, baked):
+    arm, sleeve, _ = character
+    if not baked:
+        OPS.delete_bake()
+    body_alone(*character)
+    copy = bpy.data.objects["Arm.001"]
+    select(arm)
+    bpy.ops.object.delete()
+    activate(copy)
+    assert problems_of(copy) == [] and works(copy, sleeve) and sleeve.dynamorph.follows == copy
+
+
+def backup_of_clothes(_arm, sleeve, _rig):
+    select(sleeve)
+    bpy.ops.object.duplicate()
+    bpy.context.object.hide_render = True
+
+
+def source_of_weights(arm, _sleeve, rig):
+    proxy = bpy.data.objects.new("Proxy", arm.data.copy())
+    bpy.context.scene.collection.objects.link(proxy)
+    proxy.parent = rig
+
+
+@pytest.mark.parametrize("add", [backup_of_clothes, source_of_weights])
+def test_a_copy_at_the_skin_holds_nothing(character, add):
+    arm, _, _ = character
+    before = extract.character(arm)
+    add(*character)
+    after = extract.character(arm)
+    np.testing.assert_array_equal(after.cage_index, before.cage_index)
+    np.testing.assert_array_equal(after.rigidity, before.rigidity)
+
+
+def test_clothes_with_a_modifier_above_their_armature_are_refused(character):
+    arm, sleeve, _ = character
+    sleeve.modifiers.new("Mirror", "MIRROR")
+    sleeve.modifiers.move(len(sleeve.modifiers) - 1, 0)
+    activate(arm)
+    refused(OPS.bake, "'Sleeve': modifier 'Mirror' comes before the Armature: apply it")
 
 
 def test_a_linked_duplicate_says_what_to_press(character):

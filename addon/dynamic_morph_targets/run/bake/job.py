@@ -15,7 +15,7 @@ from ...core.model.model import Model
 from ...core.motion.rig_samples import RigSamples
 from ...io import disk
 from ...scene import events
-from ...scene.motion import handler_check
+from ...scene.motion import read_poses
 from ...scene.skin import ObjectHandle, SceneHandle
 from ..work.computation import CAGE, READ, Computation, needs_cage
 from ..work.job_data import BakeInput, Outcome, Progress
@@ -76,7 +76,7 @@ class Job:
             self.input = bake_input.read(self.request)
             self._cage = self.input.previous
             if self.input.is_bake and self.request.stored:
-                handler_check.forget(self.request.target.find())
+                read_poses.forget(self.request.target.find())
             self._reader = RigReader(self.request, self.input)
             self.begin_chunk(len(self.input.resumed.get("coordinates", ())))
 
@@ -117,7 +117,7 @@ class Job:
             return None
         samples = sampling.samples()
         if self.input.is_bake and self.request.stored:
-            handler_check.remember(self.request.target.find(), sampling.start, samples.pose[:: sampling.substeps])
+            read_poses.remember(self.request.target.find(), sampling.start, samples[:: sampling.substeps])
         return samples
 
     def take_outcome(self, outcome: Outcome) -> None:

@@ -12,7 +12,7 @@ from ...core import states
 from ...core.motion import prepared
 from ...scene import cuts, events, skin
 from ...scene.check import body_checks
-from ...scene.motion import colliders, handler_check
+from ...scene.motion import colliders, read_poses
 from ...scene.read import sampling_scene
 from ...scene.references import rig_of
 from ...scene.remembered import opened
@@ -149,7 +149,7 @@ def _look_at_animations() -> float | None:
             staleness.look_at_colliders(obj)
             staleness.look_for_caches(obj)
             if staleness.outdated(obj):
-                handler_check.forget(obj)
+                read_poses.forget(obj)
             influence.share_strip(obj)
     events.redraw(events.PANELS)
     return None
@@ -163,7 +163,7 @@ def _frame_changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> No
     for obj in skin.soft_skins(scene.objects):
         if obj.dynamorph.sculpt.shown.name and obj.library is None:
             targets.hide_out_of_pose(obj, depsgraph)
-        handler_check.look(obj, scene.frame_float, depsgraph)
+        read_poses.look(obj, scene.frame_float, depsgraph)
 
 
 @persistent

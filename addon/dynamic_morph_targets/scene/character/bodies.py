@@ -27,11 +27,12 @@ from ..read.mesh_data import VertexGroups
 from ..read.nearest import nearest
 from ..read.source import Source
 from ..read.worlds import world_now
-from ..skin import attachments_of, own_attachments
+from ..skin import attachments_of, is_rendered, own_attachments
 from ..skinning import Skinning, meshes_on
 
 # Body sizes; within the first distance, other meshes take over the whole sculpt of the skin, beyond the second none.
 NEAR, FAR = 0.03, 0.1
+COPY = 0.9  # of the points of a mesh
 
 
 def joined(source: Source, single: Character) -> Character:
@@ -47,10 +48,12 @@ def joined(source: Source, single: Character) -> Character:
     beside = beside_body(source, [mesh.obj for mesh in meshes])
     bind = whole.vertices @ single.to_bind.T
     others = [points @ single.to_bind.T for points, _ in beside]
-    first = _coincident(bind, others)
-    same = first[: len(bind)]
-    cage_index, rigidity = _closed_seams(cage_index, held, same, first[len(bind) :], whole.triangles)
-    _refuse_hard(obj, whole, cage_index, rigidity, [(p, t) for p, (_, t) in zip(others, beside, strict=True)])
+    same, *places = np.split(_coincident(bind, others), np.cumsum([len(bind), *map(len, others)])[:-1])
+    # What is at the skin with nearly all of its points is a copy of it, from which weights are taken, for example.
+    apart = [k for k, at in enumerate(places) if (at < len(bind)).mean() < COPY]
+    seams = np.concatenate([same[:0], *(places[k] for k in apart)])
+    cage_index, rigidity = _closed_seams(cage_index, held, same, seams, whole.triangles)
+    _refuse_hard(obj, whole, cage_index, rigidity, [(others[k], beside[k][1]) for k in apart])
     firmness = whole.painted(FIRMNESS)
     if single.settings.hold_head:
         moved = references.as_moved(single.skeleton, source.rig)
@@ -214,7 +217,8 @@ def _refuse_hard(
 
 
 def beside_body(source: Source, meshes: Iterable[bpy.types.Object]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Points (P, 3), in the body's local space at rest, and triangles of the meshes that only its bones move.
+    """Points (P, 3), in the body's local space at rest, and triangles of the meshes that only its bones move, and that
+    renders show.
 
     meshes: the other objects that belong to the body. Raises SceneError.
     """
@@ -222,7 +226,7 @@ def beside_body(source: Source, meshes: Iterable[bpy.types.Object]) -> list[tupl
     soft = {obj, *meshes, *(each.object for each in obj.dynamorph.attachments if each.attached_by == "OWN_CAGE")}
     found, to_body = [], inverse(source.world)
     for other in meshes_on(source.rig):
-        if other not in soft and not other.dynamorph.targets and len(other.data.vertices):
+        if other not in soft and not other.dynamorph.targets and len(other.data.vertices) and is_rendered(other):
             mesh = source.attachment(Skinning.of(other))
             placed = mesh.world if mesh.skinning.modifiers else _rest_world(other, source)
             found.append((mesh_data.carried(mesh.points, to_body @ placed), mesh.triangles))

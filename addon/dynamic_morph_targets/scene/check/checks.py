@@ -63,16 +63,17 @@ def left_with_another(skinning: Skinning) -> Iterator[Problem]:
 
 def of_others(skinning: Skinning) -> Iterator[tuple[bpy.types.Object, bpy.types.Object]]:
     """Meshes that are listed as attachments of a soft skin, but belong to another body, with that: which they follow,
-    or whose armature moves them.
+    or whose armature moves them, or of which the first is a copy.
     """
     meshes = attached_meshes(skinning.obj)
-    bodies = [body for body in soft_skins(bpy.data.objects) if body != skinning.obj] if meshes else []
+    bodies = [body for body in soft_skins(bpy.data.objects) if body.users_scene] if meshes else []
     for other in meshes:
-        for body in bodies:
-            follows = body == other.dynamorph.follows
-            if other in attached_meshes(body) and (follows or rig_of(body) == rig_of(other) != skinning.rig):
-                yield other, body
-                break
+        sharing = [body for body in bodies if other in attached_meshes(body)]
+        moving = [body for body in sharing if rig_of(body) == rig_of(other)] or sharing
+        first = min(moving, key=lambda body: body.session_uid, default=None)
+        owner = other.dynamorph.follows if other.dynamorph.follows in sharing else first
+        if owner not in (None, skinning.obj):
+            yield other, owner
 
 
 def next_steps(obj: bpy.types.Object) -> Iterator[Problem]:
@@ -192,13 +193,16 @@ def attachment_problems(of_body: Skinning, of_attachment: Skinning) -> Iterator[
         yield Problem(text, name=other.name, armature=armature.name)
     if other.dynamorph.targets:
         yield Problem("'{name}' is a soft skin of its own: choose Own Cage", name=other.name)
-    elif other.dynamorph.follows not in (None, obj):
+    elif other.dynamorph.follows not in (None, obj) and other.dynamorph.follows.users_scene:
         owner = other.dynamorph.follows.name
         yield Problem(
             "'{name}' follows '{other}': delete the bake of that soft skin first, or turn its Live off",
             name=other.name,
             other=owner,
         )
+    if of_attachment.modifiers:
+        for problem in modifier_order.problems(of_attachment):
+            yield Problem(problem.text)
     if other.mode == "EDIT":
         yield Problem("'{name}' is in Edit Mode: leave it first", name=other.name)
     if not other.data.vertices:

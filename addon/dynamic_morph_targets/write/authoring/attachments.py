@@ -16,7 +16,7 @@ from ...core.geometry import diagonal, loose_parts, triangle_areas, vertex_areas
 from ...core.message import Message
 from ...core.model import rigid
 from ...scene import references
-from ...scene.check import checks, modifier_order
+from ...scene.check import checks
 from ...scene.properties.model_properties import DynamorphAttachment
 from ...scene.read import mesh_data
 from ...scene.read.nearest import nearest
@@ -217,11 +217,7 @@ def _refusal(source: Source) -> str:
     assert body is not None
     if other.dynamorph.targets:
         return "It is a soft skin of its own"
-    problems = (
-        checks.attachment_problems(body.skinning, skinning),
-        checks.mesh(other),
-        modifier_order.problems(skinning),
-    )
+    problems = checks.attachment_problems(body.skinning, skinning), checks.mesh(other)
     for problem in chain(*problems, checks.skinning_problems(skinning)):
         return problem.text
     try:
