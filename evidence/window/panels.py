@@ -82,7 +82,7 @@ PANELS: dict[str, tuple[Region, tuple[str | tuple[str, float], ...]]] = {
             "dynamorph.compare_full",
         ),
     ),
-    "result": (sidebar, ("influence", "dynamorph.stiffen", "dynamorph.export")),
+    "result": (sidebar, ("influence", "dynamorph.export")),
     "details": (sidebar, (("dynamorph.show_worst", LEFT), ("heat", RIGHT))),
     "attachments": (
         properties,

@@ -198,7 +198,8 @@ def test_unknown_parts_are_left_out(addon):
 @pytest.mark.parametrize(
     "changes, repairs",
     [
-        ({}, True),
+        ({"touched": None}, True),
+        ({}, False),  # the bench presses there
         ({"limits": Limits()}, False),
         ({"limits": Limits(), "flicker": 0.5}, False),
     ],  # no stiffness repairs that
@@ -211,6 +212,7 @@ def test_one_button_repairs_it(baked, changes, repairs):
 
 def test_the_figures_are_folded_away(baked):
     """What is open at first: a sentence and a button."""
+    baked.dynamorph.bake.verdict = replace(FAR, touched=None).record
     shown = drawn(baked, unfolded=False)
     assert TEXT in " ".join(shown) and "dynamorph.stiffen" in shown
     assert not {"Displacement", "Stretch", "dynamorph.show_worst", "heat"} & set(shown)

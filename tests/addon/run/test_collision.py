@@ -306,6 +306,7 @@ def test_each_that_is_too_deep_is_reported_and_the_advice_is_about_what_presses(
     assert names == ["Other", "Ball"] and len(job.outcome.verdict.contact_texts) == 2
     text = f"{job.outcome.verdict.text}, where objects press it: move them away, raise Distance (Collision), or paint"
     assert job.warnings[-1].startswith(text)
+    assert "dynamorph.stiffen" not in drawn(arm)
 
 
 def test_a_collider_without_size_is_reported_with_its_frames(arm):

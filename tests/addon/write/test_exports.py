@@ -316,7 +316,7 @@ def in_file(obj, key, folder) -> int:
 
 
 @pytest.mark.parametrize("key", ["ALEMBIC", "USD"])
-def test_export_check_says_where_surfaces_are_those_of_renders(baked, tmp_path, key):
+def test_export_check_says_where_surfaces_are_those_of_renders(scene, baked, tmp_path, key):
     obj, _ = baked
     count = len(obj.data.vertices)
     thick = obj.modifiers.new("Thick", "SOLIDIFY")
@@ -329,6 +329,18 @@ def test_export_check_says_where_surfaces_are_those_of_renders(baked, tmp_path, 
     (text,) = losses.losses(obj, key)
     assert "leaves its Subdivision Surface to the program that opens the file" in text
     assert in_file(obj, key, tmp_path) == count
+    obj.modifiers.clear()
+    obj.modifiers.new("Fine", "SUBSURF").render_levels = 3
+    obj.modifiers.new("Thick", "SOLIDIFY")
+    (text,) = losses.losses(obj, key)
+    assert "modifier 'Fine' has 1 levels in viewports and 3 in renders" in text
+    scene.render.use_simplify, scene.render.simplify_subdivision, scene.render.simplify_subdivision_render = True, 1, 1
+    assert list(losses.losses(obj, key)) == []
+    obj.modifiers["Thick"].keyframe_insert("show_render", frame=1)
+    obj.keyframe_insert("hide_render", frame=1)
+    hidden, modifier = losses.losses(obj, key)
+    assert "'hide_render' is keyed or driven" in hidden and "show_render' is keyed or driven" in modifier
+    obj.animation_data_clear()
     obj.modifiers.clear()
     obj.hide_render = True
     (text,) = losses.losses(obj, key)

@@ -111,6 +111,7 @@ def channels(rig):
         ("a / 1.2", {"a": ("ROT_X", "lower")}, {"lower": 1.2}),
         ("-a / 1.2", {"a": ("ROT_Z", "lower")}, {"lower": 1.2}),
         ("a / 1.2", {"a": 'pose.bones["lower"].rotation_euler[1]'}, {"lower": 1.2}),
+        ("a / 1.2", {"a": 'pose.bones["lower"].rotation_euler.y'}, {"lower": 1.2}),
         ("-a / 1.2", {"a": ("ROT_Z", "lower", "WORLD_SPACE")}, {"lower": 1.2}),
         ("a - 1", {"a": ("DIFF", "upper", "lower")}, {"lower": 2.0}),
         ("sin(a)", {"a": ("ROT_X", "lower")}, {"lower": pi / 2}),
@@ -196,6 +197,44 @@ def test_drivers_are_followed_through_properties(scene, arm, steps):
     OPS.suggest_targets()
     target = next(each for each in arm.dynamorph.targets if each.name == "smile")
     assert angles(arm, target) == pytest.approx({"lower": np.degrees(1.2)}, abs=2.6)
+
+
+def placed_by_driver(_arm, rig, other):
+    driver = other.driver_add("location", 0).driver
+    variable = driver.variables.new()
+    variable.name, driver.expression = "a", "a"
+    follow(_arm, variable, None)
+    return other, ""
+
+
+def on_the_bone(_arm, rig, other):
+    other.parent, other.parent_type, other.parent_bone = rig, "BONE", "lower"
+    return other, ""
+
+
+def copied(_arm, rig, other):
+    limb = rig.copy()
+    bpy.context.scene.collection.objects.link(limb)
+    limb.animation_data_clear()
+    copy = limb.pose.bones["lower"].constraints.new("COPY_ROTATION")
+    copy.target, copy.subtarget = rig, "lower"
+    return limb, "lower"
+
+
+@pytest.mark.parametrize("place", [placed_by_driver, on_the_bone, copied])
+def test_drivers_are_followed_through_what_bones_place(scene, arm, place):
+    OPS.add_soft_skin()
+    other, rig = bpy.data.objects.new("Other", None), rig_of(arm)
+    scene.collection.objects.link(other)
+    driver = drive(arm, "smile", f"abs(a - {pi / 2 if place is on_the_bone else 0.0}) / 1.2")
+    variable = driver.variables.new()
+    variable.name, variable.type = "a", "TRANSFORMS"
+    target = variable.targets[0]
+    target.id, target.bone_target = place(arm, rig, other)
+    target.transform_type = "LOC_X" if place is placed_by_driver else "ROT_X"
+    target.transform_space = "WORLD_SPACE" if place is on_the_bone else "LOCAL_SPACE"
+    OPS.suggest_targets()
+    assert next(each for each in arm.dynamorph.targets if each.name == "smile").bone_names() == ("lower",)
 
 
 def test_drivers_in_a_circle_end(arm):

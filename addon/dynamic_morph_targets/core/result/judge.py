@@ -108,6 +108,11 @@ class Verdict:
         return self.is_wreckage or self.excess > SHOWS
 
     @property
+    def is_pressed(self) -> bool:
+        """Whether something presses on the skin by more than it gives way, which no stiffness helps."""
+        return self.touched is not None and (self.touched.penetration > 0.0 or bool(self.touched.too_deep))
+
+    @property
     def is_believable(self) -> bool:
         return not self.is_too_large and self.flicker <= FLICKERS
 

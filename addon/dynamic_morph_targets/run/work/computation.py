@@ -318,8 +318,8 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
         )
     outcome.warnings += outcome.verdict.contact_texts
     if outcome.verdict.is_too_large:
-        touched, text = outcome.verdict.touched, "{verdict}. Raise Bounce or Cage Nodes, or paint Firmness"
-        if touched and (touched.penetration > 0.0 or touched.too_deep):
+        text = "{verdict}. Raise Bounce or Cage Nodes, or paint Firmness"
+        if outcome.verdict.is_pressed:
             text = "{verdict}, where objects press it: move them away, raise Distance (Collision), or paint Firmness"
         outcome.warnings.append(Message(text, verdict=outcome.verdict.text))
 

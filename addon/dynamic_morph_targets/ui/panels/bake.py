@@ -42,7 +42,7 @@ def draw_verdict(layout: bpy.types.UILayout, obj: bpy.types.Object) -> None:
     if found is None:
         return
     draw_message(layout, found.text, icon="CHECKMARK" if found.is_believable else "ERROR")
-    if found.is_too_large:
+    if found.is_too_large and not found.is_pressed:
         layout.operator("dynamorph.stiffen", icon="FORCE_HARMONIC")
     if found.held_back:
         draw_message(layout, found.held_back, icon="INFO")

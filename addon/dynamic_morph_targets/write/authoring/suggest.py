@@ -11,7 +11,7 @@ import itertools
 import re
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import bpy
 import numpy as np
@@ -121,7 +121,8 @@ def _variables(curve: bpy.types.FCurve) -> Iterator[bpy.types.DriverVariable]:
     while waiting:
         for variable in waiting.pop().driver.variables:
             yield variable
-            read = [each for target in variable.targets for each in _drivers_of(target)]
+            drivers = _drivers_of if variable.type == "SINGLE_PROP" else _drivers_that_place
+            read = [each for target in variable.targets for each in drivers(target)]
             new = [each for each in read if each not in known]
             waiting, known = waiting + new, known + new
 
@@ -129,12 +130,48 @@ def _variables(curve: bpy.types.FCurve) -> Iterator[bpy.types.DriverVariable]:
 def _drivers_of(target: bpy.types.DriverTarget) -> list[bpy.types.FCurve]:
     """The drivers of the property that a variable reads, if it has some."""
     animation = target.id and getattr(target.id, "animation_data", None)
-    path = target.data_path.replace("'", '"')
+    path = _indexed(target.data_path)
     return [
         curve
         for curve in (animation.drivers if animation and path else ())
         if path in (curve.data_path, f"{curve.data_path}[{curve.array_index}]")
     ]
+
+
+def _indexed(path: str) -> str:
+    """A path with double quotes, and with `[0]` instead of `.x`."""
+    owner, _, component = path.replace("'", '"').rpartition(".")
+    order = "wxyz" if owner.endswith(("rotation_quaternion", "rotation_axis_angle")) else "xyz"
+    return (
+        f"{owner}[{order.index(component)}]" if len(component) == 1 and component in order else path.replace("'", '"')
+    )
+
+
+def _drivers_that_place(target: bpy.types.DriverTarget) -> list[bpy.types.FCurve]:
+    """The drivers of the transform that a variable reads: of a bone, or of an object."""
+    animation = target.id.animation_data if isinstance(target.id, bpy.types.Object) else None
+    if animation is None:
+        return []
+    placed = _placed(target)
+    owner = "" if placed == target.id else f"{placed.path_from_id()}."
+    channels = tuple(f"{owner}{name}" for name in ("location", "rotation_", "scale", "delta_"))
+    return [curve for curve in animation.drivers if curve.data_path.startswith(channels)]
+
+
+def _placed(target: bpy.types.DriverTarget) -> Any:
+    """The bone, or the object, whose transform a variable reads."""
+    bones = target.id.pose.bones if target.bone_target and target.id.pose else {}
+    return bones.get(target.bone_target, target.id)
+
+
+def _followed(target: bpy.types.DriverTarget, rig: bpy.types.Object) -> Iterator[str]:
+    """The bones of the rig that it hangs on or follows by constraints."""
+    placed = _placed(target)
+    if placed == target.id and placed.parent == rig and placed.parent_type == "BONE":
+        yield placed.parent_bone
+    for constraint in placed.constraints:
+        if getattr(constraint, "target", None) == rig and constraint.subtarget in rig.pose.bones:
+            yield constraint.subtarget
 
 
 def _turns_read(
@@ -143,11 +180,13 @@ def _turns_read(
     """Yields (bone, axes) for each rotation of a bone of the rig that a driver's variable reads."""
     if variable.type == "SINGLE_PROP":
         target = variable.targets[0]
-        path = re.fullmatch(r'pose\.bones\["(.+)"\]\.(rotation_\w+)(?:\[(\d)\])?', target.data_path)
+        path = re.fullmatch(r'pose\.bones\["(.+)"\]\.(rotation_\w+)(?:\[(\d)\])?', _indexed(target.data_path))
         if target.id == rig and path and path[1] in rig.pose.bones:
             component = int(path[3] or 0) - (path[2] != "rotation_euler")  # of the others, w or the angle comes first
             yield path[1], [AXES[component]] if component >= 0 else []
         return
+    for target in variable.targets:
+        yield from ((bone, []) for bone in (_followed(target, rig) if isinstance(target.id, bpy.types.Object) else ()))
     bones = [rig.pose.bones.get(target.bone_target) for target in variable.targets if target.id == rig]
     bones = [bone for bone in bones if bone]
     if variable.type == "ROTATION_DIFF" and bones:
