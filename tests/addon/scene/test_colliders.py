@@ -91,7 +91,8 @@ def test_the_body_and_what_moves_with_it_is_left_out(arm_with_collision):
     bound.modifiers.new("Bound", "SURFACE_DEFORM").target = obj
     following.dynamorph.follows = obj
     make_box("Prop").parent = rig_of(obj)  # which it may well touch
-    assert names(obj) == ["Prop"]
+    make_box("Colored").modifiers.new("Colors", "DATA_TRANSFER").object = obj  # which does not move it
+    assert names(obj) == ["Colored", "Prop"]
 
 
 ASSETS = Path(bpy.utils.system_resource("DATAFILES")) / "assets/nodes/geometry_nodes_dynamics_assets.blend"

@@ -69,6 +69,12 @@ def test_a_driver_that_asks_blender_is_named(scene, soft_arm, namespace, express
     assert text.startswith(f"A driver of '{driven.name}', \"{expression}\", asks Blender by Python")
 
 
+def test_a_muted_driver_is_none(soft_arm):
+    curve = rig_of(soft_arm).pose.bones["lower"].driver_add("rotation_euler", 0)
+    curve.driver.expression, curve.mute = "sin(bpy.context.scene.frame_current / 3)", True
+    assert notes_of(soft_arm) == []
+
+
 def test_of_many_drivers_the_first_of_each_kind_is_named(scene, soft_arm, namespace):
     lower = rig_of(soft_arm).pose.bones["lower"]
     for index in range(2):

@@ -6,7 +6,7 @@ Reads only, and fast enough for a panel that draws.
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from types import CodeType, FunctionType
 from typing import Any
@@ -21,13 +21,14 @@ SHOWN = 60  # characters of an expression
 SETTINGS = "dynamorph."  # how the paths of an object's settings begin
 
 
-def standing_drivers(obj: bpy.types.Object, armature: bpy.types.Object) -> Iterator[Problem]:
+def standing_drivers(obj: bpy.types.Object, armatures: Iterable[bpy.types.Object]) -> Iterator[Problem]:
     """Drivers of what moves a skin, the first of each kind, that stand still in a bake: the rig is sampled in a scene
     of its own, and they read another one, or ask Blender by Python.
     """
-    owners = [armature, armature.data, *_parents(armature), obj, *_parents(obj)]
+    owners = [owner for each in armatures for owner in (each, each.data, *_parents(each))]
+    owners += obj, *_parents(obj)
     data = [owner.animation_data for owner in dict.fromkeys(owners) if owner.animation_data]
-    curves = [curve for each in data for curve in each.drivers]
+    curves = [curve for each in data for curve in each.drivers if not curve.mute]
     for curve in [curve for curve in curves if _scene_paths(curve.driver)][:1]:
         yield Problem(
             "A driver of '{name}' reads '{path}' of the scene, which does not change during a bake: write 'frame' in "

@@ -115,7 +115,7 @@ def notes(obj: bpy.types.Object) -> Iterator[Problem]:
                     name=obj.name,
                     modifier=before.name,
                 )
-        yield from animation_checks.standing_drivers(obj, modifier.object)
+    yield from animation_checks.standing_drivers(obj, [modifier.object for modifier in skinning.modifiers])
     yield from animation_checks.keyed_settings(obj)
     read = opened.read_poses.get(obj.session_uid)
     if read and read.found and obj.dynamorph.bake.exists:
@@ -214,7 +214,7 @@ def attachment_problems(of_body: Skinning, of_attachment: Skinning) -> Iterator[
     keys = other.data.shape_keys
     if keys and not keys.use_relative:
         yield Problem("'{name}' uses absolute shape keys: turn on Relative in the Shape Keys panel", name=other.name)
-    bound = next((m for m in other.modifiers if obj in (getattr(m, "target", None), getattr(m, "object", None))), None)
+    bound = next((m for m in other.modifiers if follows_by(m, obj)), None)
     if bound:
         yield Problem(
             "'{name}' follows '{body}' by its modifier '{modifier}' already: choose Rigid",
@@ -222,6 +222,11 @@ def attachment_problems(of_body: Skinning, of_attachment: Skinning) -> Iterator[
             body=body,
             modifier=bound.name,
         )
+
+
+def follows_by(modifier: bpy.types.Modifier, obj: bpy.types.Object) -> bool:
+    """Whether a modifier moves its mesh with `obj`, which one that takes weights from it does not."""
+    return modifier.type in DEFORMING and obj in (getattr(modifier, "target", None), getattr(modifier, "object", None))
 
 
 def active_targets(obj: bpy.types.Object) -> list:

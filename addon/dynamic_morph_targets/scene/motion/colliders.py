@@ -12,6 +12,7 @@ import numpy as np
 from ...core.errors import SceneError
 from ...core.message import Message
 from ...core.motion.colliders import ColliderTrack, with_before
+from ..check import checks
 from ..check.problem import Problem
 from ..read.mesh_data import mesh_topology, mesh_triangles
 from ..references import armature_modifiers, rig_of
@@ -119,8 +120,7 @@ def of_body(obj: bpy.types.Object) -> Callable[[bpy.types.Object], bool]:
     rigs = {modifier.object for modifier in armature_modifiers(obj)}
 
     def belongs(other: bpy.types.Object) -> bool:
-        modifiers = other.modifiers
-        follows = any(obj in (getattr(m, "target", None), getattr(m, "object", None)) for m in modifiers)
+        follows = any(checks.follows_by(modifier, obj) for modifier in other.modifiers)
         skinned = any(modifier.object in rigs for modifier in armature_modifiers(other))
         return other in attached or other.dynamorph.follows == obj or follows or skinned
 
