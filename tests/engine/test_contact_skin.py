@@ -76,9 +76,10 @@ def test_a_surface_is_closed_without_a_border():
     assert is_closed(tetrahedron) and not is_closed(tetrahedron[1:])
 
 
-def found_in(too_deep, collider, unusable=()) -> Touched:
+def found_in(too_deep, collider, unusable=(), contacts=()) -> Touched:
     count = len(too_deep)
     steps = {
+        "contacts": np.array(contacts or [0.0] * count),
         "penetration": np.linspace(0.0, 1e-4, count),
         "too_deep": np.array(too_deep, float),
         "too_deep_sample": np.where(np.array(too_deep) > 0.0, 1.0, -1.0),
@@ -97,6 +98,10 @@ def test_another_collider_is_another_place_and_the_worst_is_first():
     found = found_in([0.01, 0.03, 0.02, 0.0], [0, 1, 0, -1])
     assert found.too_deep == (("thigh.L", "Bench", 0.03, 11, 11), ("thigh.L", "Ball", 0.02, 12, 12))
     assert [text.partition(" mm")[0][-2:] for text in found.texts] == ["30", "20"]
+
+
+def test_the_frames_in_which_something_touches_are_known():
+    assert found_in([0.0] * 6, [-1] * 6, contacts=[3.0, 0.0, 0.0, 1.0, 2.0, 0.0]).pressed == ((10, 10), (13, 14))
 
 
 def test_without_such_a_place_there_is_only_the_penetration():

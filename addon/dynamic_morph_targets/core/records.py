@@ -239,6 +239,7 @@ TOUCHED: dict[str, Callable[[object], bool]] = {
     "penetration": is_number,
     "too_deep": lambda value: isinstance(value, list) and all(map(_is_too_deep, value)),
     "unusable": lambda value: isinstance(value, list) and all(map(_is_unusable, value)),
+    "pressed": lambda value: isinstance(value, list) and all(map(_are_frames, value)),
 }
 VERDICT_FIELDS: dict[str, Callable[[object], bool]] = {
     **dict.fromkeys(("displacement", "percentile", "over_thickness", "flipped", "inverted", "flicker"), is_number),

@@ -7,6 +7,7 @@ pickle makes an empty object.
 
 from __future__ import annotations
 
+import copyreg
 import functools
 import re
 from collections.abc import Callable, Iterator
@@ -26,7 +27,7 @@ def _complete(core: Any) -> None:
     for name, found in [*vars(core).items()]:
         if isinstance(found, type) and not issubclass(found, BaseException):
             kind: Any = found
-            kind.__reduce_ex__ = _reduced if hasattr(kind, "__setstate__") else _refuse_pickling
+            kind.__reduce__ = kind.__reduce_ex__ = _reduced if hasattr(kind, "__setstate__") else _refuse_pickling
             if not _is_enum(kind):
                 kind.__init__, kind.__repr__ = _with_short_errors(kind.__init__, name, core), _shown
         elif callable(found) and not isinstance(found, type):
@@ -159,13 +160,13 @@ AT_HAND = {
 }  # fmt: skip
 
 
-def _refuse_pickling(self: Any, _protocol: int) -> Any:
+def _refuse_pickling(self: Any, _protocol: int = 2) -> Any:
     name = type(self).__name__
     raise TypeError(f"{name}: it cannot be copied or pickled: keep the arrays that it was made of, and make it again")
 
 
-def _reduced(self: Any, protocol: int) -> Any:
-    return object.__reduce_ex__(self, max(protocol, 2))
+def _reduced(self: Any, _protocol: int = 2) -> Any:
+    return copyreg.__newobj__, (type(self),), self.__getstate__()  # type: ignore[attr-defined]
 
 
 _complete(_core)

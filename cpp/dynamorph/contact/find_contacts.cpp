@@ -150,9 +150,9 @@ class ContactFinder::Search {
         nudge_(kNudge * size_),
         drift_(end_.bvh.nodes[0].box.center() - begin_.bvh.nodes[0].box.center()) {}
 
-  /// Whether it came so far that it cannot have been a motion.
+  /// Whether it came so far that it cannot have been a motion: from one side of the body to the other.
   bool jumps(const Sample& sample) const {
-    return (sample.to - sample.from - drift_).norm() > sample.thickness + size_;
+    return (sample.to - sample.from - drift_).norm() > sample.thickness + 0.5 * size_;
   }
   Vector3d let_out(const Vector3d& x, const Vector3d& point, const Vector3d& normal) const;
   Below last_below(const Vector3d& unmoved, const Sample& sample) const;

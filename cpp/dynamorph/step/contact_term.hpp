@@ -114,6 +114,7 @@ struct ContactTerm {
   /// Nothing touches anything.
   void clear() {
     touching_.clear();
+    touch_of_.clear();
     dents_.clear();
     points_.stiffness.resize(0);
     if constexpr (kGivesWay) points_.own_rows.resize(0, 0);
@@ -131,6 +132,7 @@ struct ContactTerm {
     offsets_.resize(3 * Eigen::Index(contacts.size()));
     for (const Contact& contact : contacts) {
       const double stiffness = contact.weight * firmness(samples, contact, step);
+      touch_of_.push_back(stiffness > 0 ? int(touching_.size()) : -1);
       if (!(stiffness > 0)) continue;
       const bool own = contact.collider == kSkin;
       const double friction = own ? step.own_friction : step.friction[std::size_t(contact.collider)];
@@ -238,6 +240,12 @@ struct ContactTerm {
     for (const Touch& touch : touching_)
       if (touch.contact.weight >= 0.5) deepest = std::max(deepest, -values_(touch.row) - distance_);
     return deepest;
+  }
+
+  /// How deep the sample of a contact, by its number, is in what it touches, meters; infinite where nothing pushes.
+  double inside(std::size_t contact) const {
+    const int touch = touch_of_[contact];
+    return touch < 0 ? kInfinity : -values_(touching_[std::size_t(touch)].row) - distance_;
   }
 
   /// Calls f(contact, newtons on its sample) for all that push.
@@ -437,6 +445,7 @@ struct ContactTerm {
 
   double distance_ = 0, width_ = 1, sticks_ = 1;
   std::vector<Touch> touching_;
+  std::vector<int> touch_of_;  ///< of each contact: its place among those; -1: nothing pushes there
   PointRows numbers_, scratch_;
   typename Model::SkinPoints::Rows rows_;
   VectorXd offsets_, values_, forces_, gradient_;  ///< gaps (less the distance) and slips; at q = 0; what resists them

@@ -157,9 +157,11 @@ void MovingBody<Model>::report_contacts(const StepInput<Model>& input, StepRepor
   if (search_.found().empty() && (!input.colliders || input.colliders->empty())) return;
   report.contacts = contacts_.count();
   if (report.converged) report.penetration = contacts_.penetration();
-  for (const Contact& contact : search_.found()) {
-    if (!(contact.too_deep > report.too_deep)) continue;
-    report.too_deep = contact.too_deep;
+  for (std::size_t k = 0; k < search_.found().size(); ++k) {
+    const Contact& contact = search_.found()[k];
+    const double too_deep = std::min(contact.too_deep, contacts_.inside(k));
+    if (!(too_deep > report.too_deep)) continue;
+    report.too_deep = too_deep;
     report.too_deep_sample = contact.sample;
     report.too_deep_collider = contact.collider;
   }

@@ -327,11 +327,13 @@ void Simulation<Model>::report_contacts() {
     reports_[other].body_force -= force;
     ++reports_[body].contacts;
   });
-  for (const Contact& contact : found_) {
+  for (std::size_t k = 0; k < found_.size(); ++k) {
+    const Contact& contact = found_[k];
     const auto [body, sample] = find_owner(first_sample_, contact.sample);
     StepReport& report = reports_[body];
-    if (!(contact.too_deep > report.too_deep)) continue;
-    report.too_deep = contact.too_deep;
+    const double too_deep = std::min(contact.too_deep, contacts_.inside(k));
+    if (!(too_deep > report.too_deep)) continue;
+    report.too_deep = too_deep;
     report.too_deep_sample = sample;
     report.too_deep_collider = kSkin - 1 - int(find_owner(first_sample_, contact.others.samples[0]).first);
   }

@@ -39,7 +39,7 @@ struct StepReport {
 
   int contacts = 0;            ///< samples that are pushed
   double penetration = 0;      ///< the largest depth of a sample under a surface, meters, where the bones leave it room
-  double too_deep = 0;         ///< how much deeper the bones take a sample into something than it can give way, meters
+  double too_deep = 0;         ///< how deep a sample stays in something that the bones take it too far into, meters
   int too_deep_sample = -1;    ///< which one; -1: nothing is too deep
   int too_deep_collider = -1;  ///< in which collider; -1: its own skin, -2 - b: that of the body b of a list
   std::vector<Vector3d> contact_forces;    ///< newtons on each collider

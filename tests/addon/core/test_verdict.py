@@ -28,7 +28,7 @@ FAR = Verdict(
     Limits(0.05, 0.6), Held("thigh_r", 20.3, (45, 47), 1.25),
     displacement=0.09, percentile=0.08, over_thickness=0.5, stretch=(0.7, 1.2), flipped=1e-4,
     inverted=2e-4, flicker=-0.25, frame=7.0, vertices=(3, 5, 8),
-    touched=Touched(0.00012, (TooDeep("thigh_r", "Bench", 0.018, 40, 52),), (("Ball", 3, 5),)),
+    touched=Touched(0.00012, (TooDeep("thigh_r", "Bench", 0.018, 40, 52),), (("Ball", 3, 5),), ((40, 52),)),
 )  # fmt: skip
 TEXT = "The skin moves farther than Max Displacement allows at frame 7"
 
@@ -168,13 +168,17 @@ def test_what_is_no_verdict_is_a_sentence(baked, text):
         {"held": {"bone": "a", "excess": 1.0, "frames": [1e300, 2], "reached": 0.0, "pulled": 0.0}},
         {"stretch": [1.0]}, {"stretch": None}, {"stretch": ["a", "b"]}, {"displacement": "far"}, {"inverted": []},
         {"displacement": 10**400}, {"touched": {}}, {"touched": [0.1]}, {"touched": {"penetration": 1.0}},
-        {"touched": {"penetration": "x", "too_deep": [], "unusable": []}},
+        {"touched": {"penetration": "x", "too_deep": [], "unusable": [], "pressed": []}},
         *(
-            {"touched": {"penetration": 0, "too_deep": [], "unusable": each}}
+            {"touched": {"penetration": 0, "too_deep": [], "unusable": each, "pressed": []}}
             for each in ({}, [7], [[]], [["a"]], [["a", 1, "b"]], [[3, 1, 2]])
         ),
         *(
-            {"touched": {"penetration": 0, "too_deep": each, "unusable": []}}
+            {"touched": {"penetration": 0, "too_deep": [], "unusable": [], "pressed": each}}
+            for each in ({}, [7], [[1]], [["a", 2]], [[1e300, 2]])
+        ),
+        *(
+            {"touched": {"penetration": 0, "too_deep": each, "unusable": [], "pressed": []}}
             for each in ({}, [7], [[]], [["a", "b", 1, 2]], [["a", 3, 1, 2, 3]], [["a", "b", "x", 2, 3]])
         ),
     ],
@@ -198,8 +202,8 @@ def test_unknown_parts_are_left_out(addon):
 @pytest.mark.parametrize(
     "changes, repairs",
     [
-        ({"touched": None}, True),
-        ({}, False),  # the bench presses there
+        ({}, True),
+        ({"touched": Touched(pressed=((2, 4), (6, 9)))}, False),  # something presses there
         ({"limits": Limits()}, False),
         ({"limits": Limits(), "flicker": 0.5}, False),
     ],  # no stiffness repairs that
@@ -212,7 +216,6 @@ def test_one_button_repairs_it(baked, changes, repairs):
 
 def test_the_figures_are_folded_away(baked):
     """What is open at first: a sentence and a button."""
-    baked.dynamorph.bake.verdict = replace(FAR, touched=None).record
     shown = drawn(baked, unfolded=False)
     assert TEXT in " ".join(shown) and "dynamorph.stiffen" in shown
     assert not {"Displacement", "Stretch", "dynamorph.show_worst", "heat"} & set(shown)

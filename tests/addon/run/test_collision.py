@@ -446,6 +446,19 @@ def test_a_ball_that_jumps_in_is_met_where_it_is(arm, ball):
 
 
 @pytest.mark.fault("X03")
+@pytest.mark.parametrize("radius, place", [(0.2, 0.45), (0.2, 0.48), (0.15, 0.4)])
+def test_a_ball_that_jumps_to_the_other_side_does_not_take_the_skin_along(arm, ball, radius, place):
+    ball.scale = (radius / RADIUS,) * 3
+    ball.animation_data_clear()
+    for frame, x in ((1, place), (7, -place)):
+        ball.location.x = x
+        ball.keyframe_insert("location", frame=frame)
+    interpolate(ball, "CONSTANT")
+    bake(arm)
+    points = shown(arm)
+    assert np.abs(points[6:] - points[0]).max() < radius
+
+
 def test_a_thin_plate_at_three_meters_a_second_takes_the_skin_along(arm, ball):
     thickness, front = 0.005 * SIZE, SURFACE - PRESSED
     ball.data.clear_geometry()
@@ -575,6 +588,27 @@ def press_slowly(ball):
 
 
 @pytest.mark.fault("X09")
+@pytest.mark.parametrize("inward", [False, True])
+@pytest.mark.parametrize("one_sided", [False, True])
+def test_a_room_around_the_body_is_met_from_inside(arm, ball, inward, one_sided):
+    """One wall presses on it, and the others leave it alone."""
+    bpy.data.objects.remove(ball)
+    room = make_box("Room")
+    room.scale, room.collision.use_culling = (4.0, 4.0, 4.0), one_sided
+    if inward:
+        room.data.flip_normals()
+    for frame, depth in ((1, -0.02), (FRAMES // 2, PRESSED)):
+        room.location = (SURFACE - depth - 2.0, 0.0, 1.0)
+        room.keyframe_insert("location", frame=frame)
+    bake(arm)
+    beyond = []
+    for frame, points in enumerate(shown(arm), 1):
+        bpy.context.scene.frame_set(frame)
+        beyond.append(points[:, 0].max() - room.matrix_world.translation.x - 2.0)
+    assert max(beyond) < 0.003 * SIZE
+    assert np.abs(shown(arm, [FRAMES])[0] - shown(arm, [1])[0]).max() < 2.0 * PRESSED
+
+
 def test_very_many_faces_stop_the_skin_like_few(arm, ball):
     """As many as DYNAMORPH_FACES says: two million in `make -C evidence reliability`."""
     around = round(np.sqrt(int(os.environ.get("DYNAMORPH_FACES", "20000")) / 2.0))

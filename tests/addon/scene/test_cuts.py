@@ -218,6 +218,16 @@ def test_a_collider_that_is_off_in_viewports_is_named(soft_arm, box):
     assert text not in messages_of(soft_arm)
 
 
+@pytest.mark.parametrize("driven", [False, True])
+def test_a_collider_whose_visibility_is_keyed_is_named(soft_arm, box, driven):
+    box.modifiers.new("Collision", "COLLISION")
+    soft_arm.dynamorph.collision.use = True
+    text = "'Crate' collides, and whether it is disabled in viewports is keyed or driven"
+    assert text not in messages_of(soft_arm)
+    box.driver_add("hide_viewport") if driven else box.keyframe_insert("hide_viewport", frame=1)
+    assert text in messages_of(soft_arm)
+
+
 @pytest.mark.parametrize("kind, words", [("CURVE", "is no mesh: convert it"), ("EMPTY", "make them real first")])
 def test_the_button_says_what_a_selected_object_needs(soft_arm, kind, words):
     if kind == "CURVE":

@@ -19,7 +19,7 @@ from ..errors import SceneError
 from ..geometry import diagonal, is_closed
 from ..message import Message, named_frames
 from ..model.model import EngineModel, Model
-from .colliders import ColliderTrack, colliders_of
+from .colliders import ColliderTrack, colliders_of, turned_to_face
 from .contact_points import ContactPoints, contact_points, spread
 from .limits import THINNEST, frames_around
 from .rig_samples import RigSamples
@@ -84,12 +84,14 @@ class Collision:
         chosen = spread(self._points.rest, self._points.normals, OWN_SAMPLES)
         return _self_contact(self.skin, self._model, self._character, self._points[chosen], chosen)
 
-    def begin(self, first: RigSamples) -> None:
-        """Take the colliders of the first sample. Raises SceneError for one that the engine refuses."""
+    def begin(self, first: RigSamples, skin: np.ndarray) -> None:
+        """Take the colliders of the first sample. skin (V, 3): there, world space. Raises SceneError for one that the
+        engine refuses.
+        """
         tracks = colliders_of(first)
         self._known = [(track.name, track.topology) for track in tracks]
         self._shapes = [track.shapes[track.shape[0, 1]].copy() for track in tracks]
-        self._colliders = [collider_of(track, shape) for track, shape in zip(tracks, self._shapes, strict=True)]
+        self._colliders = [collider_of(track, shape, skin) for track, shape in zip(tracks, self._shapes, strict=True)]
 
     def fits(self, rig: RigSamples) -> bool:
         """Whether these samples have the same colliders."""
@@ -218,12 +220,16 @@ def _local_responses(model: Model, surface: ContactPoints) -> tuple[Any, np.ndar
     return local, local.shapes
 
 
-def collider_of(track: ColliderTrack, points: np.ndarray) -> Any:
-    """The engine's, with the vertices at points (V, 3). Raises SceneError for what it refuses."""
-    # A closed surface has an inside of its own, also where its normals point inward.
-    one_sided = track.one_sided and not is_closed(track.triangles)
+def collider_of(track: ColliderTrack, points: np.ndarray, skin: np.ndarray) -> Any:
+    """The engine's, with the vertices at points (V, 3). skin: as for `Collision.begin`. Raises SceneError for what it
+    refuses.
+    """
+    # A closed surface has an inside of its own, also where its normals point inward; but one around the body is a room.
+    facing = turned_to_face(track, skin)
+    triangles = track.triangles if facing is None else facing
+    one_sided = facing is not None or (track.one_sided and not is_closed(track.triangles))
     try:
-        return dynamorph.Collider(points, track.triangles, one_sided)
+        return dynamorph.Collider(points, triangles, one_sided)
     except (ValueError, dynamorph.Error) as error:
         raise SceneError("'{name}' cannot collide: {reason}", name=track.name, reason=error) from error
 
@@ -266,11 +272,13 @@ class Touched:
     """How deep a shot went into colliders, and into skin that stops it. penetration: of the skin, after a step, at
     most, meters. too_deep: one of each collider that was the deepest at some time, the worst first. unusable: of each
     collider that could not stop anything somewhere, the name, and the first frame and the last where it could not.
+    pressed: first and last of each run of frames in which something touched the skin.
     """
 
     penetration: float = 0.0
     too_deep: tuple[TooDeep, ...] = ()
     unusable: tuple[tuple[str, int, int], ...] = ()
+    pressed: tuple[tuple[int, int], ...] = ()
 
     @property
     def texts(self) -> list[Message]:
@@ -286,7 +294,15 @@ def touched(times: np.ndarray, steps: dict[str, np.ndarray], collision: Collisio
         float(steps["penetration"].max(initial=0.0)),
         tuple(sorted(_too_deep(times, steps, collision, bones), key=lambda each: -each.depth)),
         tuple(_unusable(times, steps["unusable_colliders"], collision)),
+        tuple(_runs(times, steps["contacts"] > 0)),
     )
+
+
+def _runs(times: np.ndarray, there: np.ndarray) -> Iterator[tuple[int, int]]:
+    """The first frame and the last of each run of times (F,) at which something is there."""
+    ends = np.flatnonzero(np.diff(np.r_[False, there, False]))
+    for first, end in ends.reshape(-1, 2):
+        yield int(np.floor(times[first])), int(np.ceil(times[end - 1]))
 
 
 def _too_deep(

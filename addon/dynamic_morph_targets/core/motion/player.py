@@ -40,6 +40,7 @@ STEP = (
     "excess_bone",
     "farthest",
     "pulled",
+    "contacts",
     "penetration",
     "too_deep",
     "too_deep_sample",
@@ -280,7 +281,7 @@ class Player:
         """
         self.first = first
         if self.collision:
-            self.collision.begin(first)
+            self.collision.begin(first, self.posing.skinned(first[:1])[0])
         if any(self.settings.gravity):
             self._simulation.balance_targets(self.posing.target_frames(first))
 

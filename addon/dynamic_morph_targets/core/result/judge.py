@@ -109,8 +109,9 @@ class Verdict:
 
     @property
     def is_pressed(self) -> bool:
-        """Whether something presses on the skin by more than it gives way, which no stiffness helps."""
-        return self.touched is not None and (self.touched.penetration > 0.0 or bool(self.touched.too_deep))
+        """Whether something presses on the skin where it looks worst, which no stiffness helps."""
+        runs = self.touched.pressed if self.touched else ()
+        return any(first <= self.frame <= last for first, last in runs)
 
     @property
     def is_believable(self) -> bool:
@@ -194,7 +195,8 @@ def parsed(record: str) -> Verdict | None:
     touched = values.get("touched")
     if touched:
         too_deep = tuple(TooDeep(*each) for each in touched["too_deep"])
-        values["touched"] = Touched(touched["penetration"], too_deep, tuple(map(tuple, touched["unusable"])))
+        others = (tuple(map(tuple, touched[name])) for name in ("unusable", "pressed"))
+        values["touched"] = Touched(touched["penetration"], too_deep, *others)
     lists = {name: tuple(values[name]) for name in ("stretch", "vertices")}
     held = Held(**values["held"] | {"frames": tuple(values["held"]["frames"])})
     return Verdict(**values | lists | {"limits": Limits(**values["limits"]), "held": held})

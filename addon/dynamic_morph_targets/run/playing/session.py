@@ -154,7 +154,7 @@ class Session:
         player, numbers = self.tissue.player, sorted(self._frames)
         if player.collision is None or not numbers:
             return None
-        names = ("penetration", "too_deep", "too_deep_sample", "too_deep_collider", "unusable_colliders")
+        names = ("contacts", "penetration", "too_deep", "too_deep_sample", "too_deep_collider", "unusable_colliders")
         steps = statistics([self._frames[number] for number in numbers], names)
         return touched(
             np.array(numbers), dict(zip(names, steps.T, strict=True)), player.collision, self.tissue.model.bone_names

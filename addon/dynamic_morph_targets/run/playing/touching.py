@@ -56,16 +56,16 @@ def _lower(distances: np.ndarray, points: np.ndarray, evaluated: bpy.types.Objec
     own = (points - world[:, 3]) @ (stretch @ np.linalg.inv(world[:, :3])).T
     near = np.flatnonzero(((own > shape.min(axis=0) - reach) & (own < shape.max(axis=0) + reach)).all(axis=1))
     if len(near):
-        collider = _collider(evaluated.session_uid, track, shape)
+        collider = _collider(evaluated.session_uid, track, shape, points)
         distances[near] = np.minimum(distances[near], collider.signed_distances(own[near]))
 
 
-def _collider(uid: int, track: Any, shape: np.ndarray) -> Any:
-    """The engine's collider with this shape (V, 3), which is kept while its object has it."""
+def _collider(uid: int, track: Any, shape: np.ndarray, skin: np.ndarray) -> Any:
+    """The engine's collider with this shape (V, 3), which is kept while its object has it. skin: world space."""
     known = remembered.live.colliders.get(uid)
     faces = track.topology, track.one_sided
     if known is None or known[1] != faces or not np.array_equal(known[0], shape):
-        known = remembered.live.colliders[uid] = shape, faces, contact.collider_of(track, shape)
+        known = remembered.live.colliders[uid] = shape, faces, contact.collider_of(track, shape, skin)
     return known[2]
 
 

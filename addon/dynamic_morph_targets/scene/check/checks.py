@@ -226,7 +226,8 @@ def attachment_problems(of_body: Skinning, of_attachment: Skinning) -> Iterator[
 
 def follows_by(modifier: bpy.types.Modifier, obj: bpy.types.Object) -> bool:
     """Whether a modifier moves its mesh with `obj`, which one that takes weights from it does not."""
-    return modifier.type in DEFORMING and obj in (getattr(modifier, "target", None), getattr(modifier, "object", None))
+    followed = getattr(modifier, "target", None), getattr(modifier, "object", None)
+    return modifier.show_viewport and modifier.type in DEFORMING and obj in followed
 
 
 def active_targets(obj: bpy.types.Object) -> list:

@@ -12,6 +12,7 @@ import numpy as np
 from ...core.errors import SceneError
 from ...core.message import Message
 from ...core.motion.colliders import ColliderTrack, with_before
+from ..animation import played
 from ..check import checks
 from ..check.problem import Problem
 from ..read.mesh_data import mesh_topology, mesh_triangles
@@ -139,7 +140,16 @@ def _idle(obj: bpy.types.Object) -> Iterator[Problem]:
     settings, mine = obj.dynamorph.collision, of_body(obj)
     among = settings.collection.all_objects if settings.collection else shown_objects()
     for other in among:
-        if other.hide_viewport and not other.hide_render and is_collider(other) and not mine(other):
+        if not is_collider(other) or mine(other):
+            continue
+        data = other.animation_data
+        if data and any(curve.data_path == "hide_viewport" for curve in (*played(data), *data.drivers)):
+            yield Problem(
+                "'{name}' collides, and whether it is disabled in viewports is keyed or driven, which a bake does not "
+                "follow: key its Collision (Physics tab) instead",
+                name=other.name,
+            )
+        elif other.hide_viewport and not other.hide_render:
             yield Problem(
                 "'{name}' has Collision, but is disabled in viewports, so it stops nothing: enable it there (the "
                 "screen in the Outliner)",
