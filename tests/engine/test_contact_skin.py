@@ -96,7 +96,7 @@ def test_the_deepest_place_is_named_with_its_frames():
 
 def test_another_collider_is_another_place_and_the_worst_is_first():
     found = found_in([0.01, 0.03, 0.02, 0.0], [0, 1, 0, -1])
-    assert found.too_deep == (("thigh.L", "Bench", 0.03, 11, 11), ("thigh.L", "Ball", 0.02, 12, 12))
+    assert found.left_inside == (("thigh.L", "Bench", 0.03, 11, 11), ("thigh.L", "Ball", 0.02, 12, 12))
     assert [text.partition(" mm")[0][-2:] for text in found.texts] == ["30", "20"]
 
 

@@ -237,7 +237,7 @@ HELD: dict[str, Callable[[object], bool]] = {
 }
 TOUCHED: dict[str, Callable[[object], bool]] = {
     "penetration": is_number,
-    "too_deep": lambda value: isinstance(value, list) and all(map(_is_too_deep, value)),
+    "left_inside": lambda value: isinstance(value, list) and all(map(_is_too_deep, value)),
     "unusable": lambda value: isinstance(value, list) and all(map(_is_unusable, value)),
     "pressed": lambda value: isinstance(value, list) and all(map(_are_frames, value)),
 }

@@ -168,17 +168,17 @@ def test_what_is_no_verdict_is_a_sentence(baked, text):
         {"held": {"bone": "a", "excess": 1.0, "frames": [1e300, 2], "reached": 0.0, "pulled": 0.0}},
         {"stretch": [1.0]}, {"stretch": None}, {"stretch": ["a", "b"]}, {"displacement": "far"}, {"inverted": []},
         {"displacement": 10**400}, {"touched": {}}, {"touched": [0.1]}, {"touched": {"penetration": 1.0}},
-        {"touched": {"penetration": "x", "too_deep": [], "unusable": [], "pressed": []}},
+        {"touched": {"penetration": "x", "left_inside": [], "unusable": [], "pressed": []}},
         *(
-            {"touched": {"penetration": 0, "too_deep": [], "unusable": each, "pressed": []}}
+            {"touched": {"penetration": 0, "left_inside": [], "unusable": each, "pressed": []}}
             for each in ({}, [7], [[]], [["a"]], [["a", 1, "b"]], [[3, 1, 2]])
         ),
         *(
-            {"touched": {"penetration": 0, "too_deep": [], "unusable": [], "pressed": each}}
+            {"touched": {"penetration": 0, "left_inside": [], "unusable": [], "pressed": each}}
             for each in ({}, [7], [[1]], [["a", 2]], [[1e300, 2]])
         ),
         *(
-            {"touched": {"penetration": 0, "too_deep": each, "unusable": [], "pressed": []}}
+            {"touched": {"penetration": 0, "left_inside": each, "unusable": [], "pressed": []}}
             for each in ({}, [7], [[]], [["a", "b", 1, 2]], [["a", 3, 1, 2, 3]], [["a", "b", "x", 2, 3]])
         ),
     ],

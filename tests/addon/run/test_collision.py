@@ -106,7 +106,7 @@ def test_the_skin_makes_room_for_a_ball(arm, solver):
     assert np.abs(without - rest).max() < 1e-4
     # Global modes alone make no dent: they move what is far away too.
     assert np.abs(points[-1] - without[-1])[far].max() < (0.1 if solver == "FULL" else 0.35) * PRESSED
-    assert job.outcome.verdict.touched.too_deep == () and job.outcome.verdict.contact_texts == []
+    assert job.outcome.verdict.touched.left_inside == () and job.outcome.verdict.contact_texts == []
 
 
 def test_a_ball_that_swells_dents_it_too(arm):
@@ -302,7 +302,7 @@ def test_each_that_is_too_deep_is_reported_and_the_advice_is_about_what_presses(
             each.keyframe_insert("location", frame=frame)
     arm.dynamorph.simulation.max_displacement = 0.001
     job = bake(arm)
-    names = [each.collider for each in job.outcome.verdict.touched.too_deep]
+    names = [each.collider for each in job.outcome.verdict.touched.left_inside]
     assert names == ["Other", "Ball"] and len(job.outcome.verdict.contact_texts) == 2
     text = f"{job.outcome.verdict.text}, where objects press it: move them away, raise Distance (Collision), or paint"
     assert job.warnings[-1].startswith(text)

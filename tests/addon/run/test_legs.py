@@ -118,6 +118,6 @@ def test_legs_do_not_stay_in_each_other(scene, solver, gap):
             scene.frame_set(frame)
             depths.append(deepest(evaluated_points(legs), *shape))
         left[own] = max(depths)
-    print(solver, gap, left, depths[-1], job.outcome.verdict.touched.too_deep)
+    print(solver, gap, left, depths[-1], job.outcome.verdict.touched.left_inside)
     assert left[False] > 0.9 * OVERLAP
     assert left[True] < MOST

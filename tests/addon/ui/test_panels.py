@@ -313,7 +313,7 @@ def test_a_message_stands_once_and_has_one_icon(soft_arm, stand_in, monkeypatch)
     settings = soft_arm.dynamorph
     settings.collision.use = settings.collision.use_self = True
     bpy.ops.dynamorph.bake()
-    touched = Touched(too_deep=(TooDeep("lower", "Ball", 0.01, 3, 4),), unusable=(("Cube", 5, 6),))
+    touched = Touched(left_inside=(TooDeep("lower", "Ball", 0.01, 3, 4),), unusable=(("Cube", 5, 6),))
     held = Held("lower", 5.0, (3, 4))
     verdict = judge.Verdict(judge.Limits(0.05), held, percentile=0.1, frame=7.0, touched=touched)
     settings.bake.verdict = verdict.record

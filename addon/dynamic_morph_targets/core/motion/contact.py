@@ -270,13 +270,13 @@ class TooDeep(NamedTuple):
 @dataclass(frozen=True)
 class Touched:
     """How deep a shot went into colliders, and into skin that stops it. penetration: of the skin, after a step, at
-    most, meters. too_deep: one of each collider that was the deepest at some time, the worst first. unusable: of each
-    collider that could not stop anything somewhere, the name, and the first frame and the last where it could not.
+    most, meters. left_inside: one of each collider that was the deepest at some time, the worst first. unusable: of
+    each collider that could not stop anything somewhere, the name, and the first frame and the last where it could not.
     pressed: first and last of each run of frames in which something touched the skin.
     """
 
     penetration: float = 0.0
-    too_deep: tuple[TooDeep, ...] = ()
+    left_inside: tuple[TooDeep, ...] = ()
     unusable: tuple[tuple[str, int, int], ...] = ()
     pressed: tuple[tuple[int, int], ...] = ()
 
@@ -285,7 +285,7 @@ class Touched:
         """What did not go as the artist wants it, in sentences."""
         text = "'{name}' does not stop anything at {frames}, because it is scaled to zero there"
         without = [Message(text, name=name, frames=named_frames(*frames)) for name, *frames in self.unusable]
-        return [*(each.text for each in self.too_deep), *without]
+        return [*(each.text for each in self.left_inside), *without]
 
 
 def touched(times: np.ndarray, steps: dict[str, np.ndarray], collision: Collision, bones: Sequence[str]) -> Touched:
@@ -308,7 +308,7 @@ def _runs(times: np.ndarray, there: np.ndarray) -> Iterator[tuple[int, int]]:
 def _too_deep(
     times: np.ndarray, steps: dict[str, np.ndarray], collision: Collision, bones: Sequence[str]
 ) -> Iterator[TooDeep]:
-    """`Touched.too_deep`: of each step only the deepest place is known."""
+    """`Touched.left_inside`: of each step only the deepest place is known."""
     samples, colliders = steps["too_deep_sample"].astype(int), steps["too_deep_collider"].astype(int)
     for collider in np.unique(colliders[steps["too_deep"] > 0.0]):
         depth = np.where(colliders == collider, steps["too_deep"], 0.0)

@@ -194,9 +194,9 @@ def parsed(record: str) -> Verdict | None:
     values = records.verdict(record)
     touched = values.get("touched")
     if touched:
-        too_deep = tuple(TooDeep(*each) for each in touched["too_deep"])
+        left_inside = tuple(TooDeep(*each) for each in touched["left_inside"])
         others = (tuple(map(tuple, touched[name])) for name in ("unusable", "pressed"))
-        values["touched"] = Touched(touched["penetration"], too_deep, *others)
+        values["touched"] = Touched(touched["penetration"], left_inside, *others)
     lists = {name: tuple(values[name]) for name in ("stretch", "vertices")}
     held = Held(**values["held"] | {"frames": tuple(values["held"]["frames"])})
     return Verdict(**values | lists | {"limits": Limits(**values["limits"]), "held": held})
