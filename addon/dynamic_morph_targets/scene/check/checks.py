@@ -69,10 +69,12 @@ def of_others(skinning: Skinning) -> Iterator[tuple[bpy.types.Object, bpy.types.
     bodies = [body for body in soft_skins(bpy.data.objects) if body.users_scene] if meshes else []
     for other in meshes:
         sharing = [body for body in bodies if other in attached_meshes(body)]
+        if len(sharing) < 2:
+            continue
         moving = [body for body in sharing if rig_of(body) == rig_of(other)] or sharing
-        first = min(moving, key=lambda body: body.session_uid, default=None)
+        first = min(moving, key=lambda body: body.session_uid)
         owner = other.dynamorph.follows if other.dynamorph.follows in sharing else first
-        if owner not in (None, skinning.obj):
+        if owner != skinning.obj:
             yield other, owner
 
 
