@@ -63,7 +63,7 @@ def left_with_another(skinning: Skinning) -> Iterator[Problem]:
 
 def of_others(skinning: Skinning) -> Iterator[tuple[bpy.types.Object, bpy.types.Object]]:
     """Meshes that are listed as attachments of a soft skin, but belong to another body, with that: which they follow,
-    or whose armature moves them, or of which the first is a copy.
+    or whose armature moves them, or of which the first is a copy by its name ("Arm.001").
     """
     meshes = attached_meshes(skinning.obj)
     bodies = [body for body in soft_skins(bpy.data.objects) if body.users_scene] if meshes else []
@@ -73,7 +73,13 @@ def of_others(skinning: Skinning) -> Iterator[tuple[bpy.types.Object, bpy.types.
             continue
         moving = [body for body in sharing if rig_of(body) == rig_of(other)] or sharing
         first = min(moving, key=lambda body: body.session_uid)
-        owner = other.dynamorph.follows if other.dynamorph.follows in sharing else first
+        is_copy = skinning.obj.name.partition(".")[0] == first.name.partition(".")[0]
+        if other.dynamorph.follows in sharing:
+            owner = other.dynamorph.follows
+        elif is_copy or skinning.obj not in moving:
+            owner = first
+        else:
+            continue
         if owner != skinning.obj:
             yield other, owner
 
