@@ -20,7 +20,7 @@ class OpenFile:
     them are built, with their characters. bodies: a body's state at the last look, and what looked wrong. cuts: when
     it was last looked for meshes that cut a body, and their names; edits: how often something was moved or edited.
     key_hashes: by shape key and what is hashed of it, its fingerprint and its hash. asked: looks that panels ask
-    for, and at what. left_out: Actions, of the file that is being saved. read_poses: `motion.read_poses.ReadPoses`.
+    for, and at what. left_out: Actions, of the file that is being saved. read_poses: `read_poses.ReadPoses`.
     """
 
     models: dict[tuple[int, str], Model] = field(default_factory=dict)

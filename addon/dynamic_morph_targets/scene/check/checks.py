@@ -63,7 +63,7 @@ def left_with_another(skinning: Skinning) -> Iterator[Problem]:
 
 def of_others(skinning: Skinning) -> Iterator[tuple[bpy.types.Object, bpy.types.Object]]:
     """Meshes that are listed as attachments of a soft skin, but belong to another body, with that: which they follow,
-    or whose armature moves them, or of which the first is a copy by its name ("Arm.001").
+    or whose armature moves them, or from which the first was copied, by its name ("Arm.001").
     """
     meshes = attached_meshes(skinning.obj)
     bodies = [body for body in soft_skins(bpy.data.objects) if body.users_scene] if meshes else []
