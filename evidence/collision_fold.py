@@ -35,6 +35,7 @@ from dynamic_morph_targets.scene.read.source import Source
 from dynamic_morph_targets.scene.skinning import Skinning
 from dynamic_morph_targets.scene.store.model_store import load_model
 from mathutils import Matrix, Vector
+from measures import winding_numbers
 from portrait import aim
 
 FOLDS, STILL, RATE = 30, 8, 96.0  # steps, steps, steps per second
@@ -168,7 +169,7 @@ class Inside:
         low, high = skin[vertices].min(axis=0), skin[vertices].max(axis=0)
         near = np.flatnonzero((self.limb == inner) & (self.places > low).all(axis=1) & (self.places < high).all(axis=1))
         near = near[nearest(self.rest[near], self.character.bind_points[vertices]) >= CREASE * self.thickness[near]]
-        within = near[winding(self.places[near], skin, own) > 0.5]
+        within = near[winding_numbers(self.places[near], skin, own) > 0.5]
         return nearest(self.places[within], skin[vertices]) / self.size
 
     def between(self, *names: str) -> dict:
@@ -205,18 +206,6 @@ def nearest(points: np.ndarray, others: np.ndarray) -> np.ndarray:
         chunk = points[first : first + 256]
         square = (chunk**2).sum(axis=1)[:, None] + (others**2).sum(axis=1) - 2 * chunk @ others.T
         out[first : first + 256] = np.sqrt(square.min(axis=1, initial=np.inf).clip(0.0))
-    return out
-
-
-def winding(points: np.ndarray, skin: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """How often triangles (T, 3) of a skin (V, 3) go around each of the points (P, 3)."""
-    out = np.zeros(len(points))
-    for first in range(0, len(points), 64):
-        a, b, c = (skin[triangles[:, k]][None] - points[first : first + 64, None] for k in range(3))
-        la, lb, lc = (np.linalg.norm(each, axis=2) for each in (a, b, c))
-        volume = (a * np.cross(b, c)).sum(axis=2)
-        base = la * lb * lc + (a * b).sum(axis=2) * lc + (b * c).sum(axis=2) * la + (c * a).sum(axis=2) * lb
-        out[first : first + 64] = 2 * np.arctan2(volume, base).sum(axis=1) / (4 * np.pi)
     return out
 
 

@@ -16,7 +16,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from collision_fold import CELL, RATE, built, limb, looked_at, nearest, winding  # isort: skip  (it sets up what is imported next)
+from collision_fold import CELL, RATE, built, limb, looked_at, nearest  # isort: skip  (it sets up what is imported next)
 import bpy
 import characters
 import dynamic_morph_targets
@@ -26,6 +26,7 @@ from dynamic_morph_targets.core.motion import simulate
 from dynamic_morph_targets.core.motion.player import STEP
 from dynamic_morph_targets.core.settings import SimulationSettings
 from mathutils import Vector
+from measures import winding_numbers
 from portrait import aim
 
 COMES, STANDS = 24, 12  # steps
@@ -144,7 +145,7 @@ def inside(made, skins) -> dict:
         of_torso = points.of(character.weights[:, : len(limbs)])[:, limbs == "torso"].sum(axis=1) > 0.5
         places = points.of(own)
         near = places[of_torso & ((places > skin.min(axis=0)) & (places < skin.max(axis=0))).all(axis=1)]
-        within = near[winding(near, skin, other.soft_triangles) > 0.5]
+        within = near[winding_numbers(near, skin, other.soft_triangles) > 0.5]
         depths.append(nearest(within, skin))
     size = np.linalg.norm(np.ptp(made[0][1].bind_points, axis=0))
     return {"inside": sum(map(len, depths)), "deepest": float(np.concatenate(depths).max(initial=0.0) / size)}

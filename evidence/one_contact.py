@@ -16,7 +16,7 @@ from functools import partial
 
 from project import ROOT
 
-from collision_fold import CREASE, FOLDS, RATE, STILL, Inside, built, fold, nearest, simulated, winding  # isort: skip  (it sets up what is imported next)
+from collision_fold import CREASE, FOLDS, RATE, STILL, Inside, built, fold, nearest, simulated  # isort: skip  (it sets up what is imported next)
 import characters
 import collision_pair
 import dynamic_morph_targets
@@ -30,6 +30,7 @@ from dynamic_morph_targets.core.motion.player import STEP
 from dynamic_morph_targets.core.settings import SimulationSettings
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
+from measures import winding_numbers
 from performance_page import grid
 
 PAGE = ROOT / "docs/decisions/0010-two-searches-of-contact.md"
@@ -136,7 +137,7 @@ def wrong(limbs: Inside) -> tuple[int, ...]:
         by_mesh = np.array(
             [(Vector(x) - place).dot(normal) < 0.0 for x, (_, place, normal) in zip(points, near, strict=True)], bool
         )
-        within = winding(points, limbs.skin, own) > 0.5
+        within = winding_numbers(points, limbs.skin, own) > 0.5
         counts += [len(near), within.sum(), (by_mesh & ~within).sum(), (within & ~by_mesh).sum()]
     return tuple(counts)
 

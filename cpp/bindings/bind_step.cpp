@@ -237,9 +237,10 @@ void bind_report(py::module_& m) {
       .def_readonly("contacts", &Report::contacts, "The largest number of points that were pushed in a step.")
       .def_readonly("penetration", &Report::penetration,
                     "The largest depth of a point under a surface, meters, where the bones leave it room.")
-      .def_readonly("too_deep", &Report::too_deep,
-                    "How much deeper the bones take a point into a collider, or into the body itself, than it can give "
-                    "way, so that contact does; meters, 0: nowhere.")
+      .def_readonly(
+          "too_deep", &Report::too_deep,
+          "How deep a point stays in a collider, or in the body itself, where the bones take it deeper than it "
+          "can give way; meters, 0: nowhere.")
       .def_readonly("too_deep_sample", &Report::too_deep_sample, "Which point of the contact; -1: none.")
       .def_readonly(
           "too_deep_collider", &Report::too_deep_collider,

@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from dynamic_morph_targets.core.geometry import diagonal, is_closed, vertex_normals
-from dynamic_morph_targets.core.motion.contact import BITS, Touched, as_bits, touched
+from dynamic_morph_targets.core.motion.colliders import ColliderTrack, with_before
+from dynamic_morph_targets.core.motion.contact import BITS, Touched, as_bits, collider_of, touched
 from dynamic_morph_targets.core.motion.contact_points import SPACING, mixed, spread
 
 
@@ -115,3 +116,43 @@ def test_each_collider_that_stops_nothing_is_named_with_its_frames():
         "'Ball' does not stop anything at frames 10 to 13, because it is scaled to zero there",
         "'Bench' does not stop anything at frame 11, because it is scaled to zero there",
     ]
+
+
+# Rooms ---------------------------------------------------------------------------------------------------------------
+
+CUBE = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+FACES = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6],
+                  [0, 6, 4], [1, 5, 7], [1, 7, 3]])  # fmt: skip
+
+
+def room(world: np.ndarray, inward: bool) -> ColliderTrack:
+    """Of 4 m, with a crate of half a meter in it, and a thousand crumbs. world (3, 4)."""
+    crumbs = [0.001 * CUBE + [0.0, -1.5, 0.0015 * k] for k in range(1000)]
+    points = np.concatenate([4.0 * CUBE, 0.5 * CUBE + [1.5, 0.0, 0.0], *crumbs])
+    triangles = np.concatenate([FACES[:, ::-1] if inward else FACES, *(FACES + 8 * k for k in range(1, 1002))])
+    return ColliderTrack(
+        "Room", triangles, 1, False, points[None], with_before(np.zeros(1, int)), with_before(world[None]),
+        np.zeros(1), np.ones(1, bool),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("inward", [False, True])
+@pytest.mark.parametrize("scale", [(1.0, 1.0, 1.0), (2.0, 0.5, 1.0), (-1.0, 1.0, 1.0)])
+def test_a_room_faces_the_skin_in_it_and_what_stands_there_does_not(inward, scale):
+    track = room(np.column_stack([np.diag(scale), [5.0, 0.0, 0.0]]), inward)
+    skin = (0.3 * CUBE + [0.0, 0.5, 0.0]) * scale + [5.0, 0.0, 0.0]
+    places = [
+        [0.0, 0.5, 0.0],
+        [1.5, 0.0, 0.0],
+        [5.0, 0.0, 0.0],
+        [0.0, 0.0, 2.1],
+    ]  # free, in the crate, beyond the walls
+    distances = collider_of(track, track.shapes[0], skin).signed_distances(np.array(places))
+    assert np.sign(distances).tolist() == [1.0, -1.0, -1.0, -1.0]
+
+
+def test_what_is_only_partly_around_the_skin_is_no_room():
+    track = room(np.eye(3, 4), inward=False)
+    skin = 0.3 * CUBE + [1.9, 0.0, 0.0]
+    outside, inside = collider_of(track, track.shapes[0], skin).signed_distances(np.array([[5.0, 0, 0], [0.0, 0.5, 0]]))
+    assert outside > 0.0 > inside

@@ -37,23 +37,6 @@ def is_closed(triangles: np.ndarray) -> bool:
     return bool((counts == 2).all())
 
 
-def winding_numbers(points: np.ndarray, triangles: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """How often a closed surface goes around each of the points `at` (n, 3): 1 inside, 0 outside, -1 inside of one that
-    is inside out (Van Oosterom and Strackee 1983, The solid angle of a plane triangle).
-    """
-    found = np.empty(len(at))
-    for k, point in enumerate(at):
-        corners = points[triangles] - point
-        lengths = np.linalg.norm(corners, axis=2)
-        a, b, c = corners.swapaxes(0, 1)
-        over = np.einsum("tc,tc->t", a, np.cross(b, c))
-        under = lengths.prod(axis=1)
-        for (p, q), r in zip(((a, b), (b, c), (c, a)), (2, 0, 1), strict=True):
-            under = under + np.einsum("tc,tc->t", p, q) * lengths[:, r]
-        found[k] = np.arctan2(over, under).sum() / (2.0 * np.pi)
-    return found
-
-
 def signed_volume(points: np.ndarray, triangles: np.ndarray) -> float:
     """The volume inside a closed surface, negative where it is inside out."""
     a, b, c = points[triangles].swapaxes(0, 1)

@@ -75,6 +75,12 @@ def played(data: bpy.types.AnimData) -> list:
     return [curve for player in players for curve in curves(player.action, player.action_slot)]
 
 
+def moved_paths(owner: bpy.types.ID) -> list[str]:
+    """The paths of a data-block that curves and drivers move, each once."""
+    data = owner.animation_data
+    return list(dict.fromkeys(curve.data_path for curve in (*played(data), *data.drivers))) if data else []
+
+
 def keys_of(obj: bpy.types.Object) -> bpy.types.bpy_prop_collection:
     """The shape keys of `obj` by name; empty when the artist has removed all of them."""
     return obj.data.shape_keys.key_blocks if obj.data.shape_keys else {}

@@ -135,3 +135,9 @@ def redraw_status(context: bpy.types.Context) -> None:
 def shown_changed(group: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
     """update: of a property that changes what Live shows."""
     emit(Event.SHOWN_CHANGED, group.id_data)
+
+
+def mesh_changed(group: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    """update: of a property that chooses a mesh or a vertex group on which a model depends."""
+    if group.id_data.dynamorph.model.content_id:
+        emit(Event.MESH_CHANGED)

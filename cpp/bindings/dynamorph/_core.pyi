@@ -796,7 +796,7 @@ class StepReport:
     @property
     def too_deep(self) -> float:
         """
-        How much deeper the bones take a point into a collider, or into the body itself, than it can give way, so that contact does; meters, 0: nowhere.
+        How deep a point stays in a collider, or in the body itself, where the bones take it deeper than it can give way; meters, 0: nowhere.
         """
     @property
     def too_deep_collider(self) -> int:

@@ -150,7 +150,8 @@ class ContactFinder::Search {
         nudge_(kNudge * size_),
         drift_(end_.bvh.nodes[0].box.center() - begin_.bvh.nodes[0].box.center()) {}
 
-  /// Whether it came so far that it cannot have been a motion: from one side of the body to the other.
+  /// Whether it came so far that it cannot have been a motion: farther than from within the tissue to beyond the ball
+  /// around the collider.
   bool jumps(const Sample& sample) const {
     return (sample.to - sample.from - drift_).norm() > sample.thickness + 0.5 * size_;
   }

@@ -292,6 +292,18 @@ def test_what_the_bones_take_too_deep_is_reported(arm):
     assert np.isfinite(points).all() and np.abs(points - points[0]).max() < 0.5 * SIZE
 
 
+def test_what_the_skin_gives_way_to_is_not_too_deep(arm):
+    """Deeper than where contact begins to fade, but in the end outside."""
+    ball = bpy.data.objects["Ball"]
+    ball.animation_data_clear()
+    for frame, place in ((1, 0.52), (10, 0.27)):
+        ball.location.x = place
+        ball.keyframe_insert("location", frame=frame)
+    job = bake(arm)
+    assert max(depths(shown(arm))) < 0.002 * SIZE
+    assert job.outcome.verdict.contact_texts == []
+
+
 def test_each_that_is_too_deep_is_reported_and_the_advice_is_about_what_presses(arm):
     ball, other = bpy.data.objects["Ball"], make_ball("Other", radius=RADIUS)
     ball.animation_data_clear()

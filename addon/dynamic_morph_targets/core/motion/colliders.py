@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..geometry import is_closed, loose_parts, winding_numbers
 from .rig_samples import RigSamples, Track
 
 
@@ -63,30 +62,3 @@ def with_before(values: np.ndarray) -> np.ndarray:
 def colliders_of(rig: RigSamples) -> tuple[ColliderTrack, ...]:
     """What stops the skin."""
     return tuple(track for track in rig.tracks if isinstance(track, ColliderTrack))
-
-
-ASKED = 20  # points of the skin, by which a collider is found to be around it
-
-
-def turned_to_face(track: ColliderTrack, skin: np.ndarray) -> np.ndarray | None:
-    """The triangles (T, 3) of a closed collider in which the whole skin is, as in a room: those around it face it. None
-    of any other. skin (V, 3): world space, at the first sample.
-    """
-    points, transform = track.shapes[track.shape[0, 1]], track.transforms[0, 1]
-    world = track.points(0)
-    if (skin.min(axis=0) < world.min(axis=0)).any() or (skin.max(axis=0) > world.max(axis=0)).any():
-        return None
-    if not is_closed(track.triangles) or not np.linalg.det(transform[:, :3]):
-        return None
-    asked = skin[np.linspace(0, len(skin) - 1, ASKED).astype(int)]
-    asked = np.linalg.solve(transform[:, :3], (asked - transform[:, 3]).T).T
-    triangles, part = track.triangles.copy(), loose_parts(points, track.triangles)[track.triangles[:, 0]]
-    around = False
-    for each in range(part.max() + 1):
-        windings = winding_numbers(points, triangles[part == each], asked)
-        if (np.abs(windings) < 0.5).any():
-            continue
-        around = True
-        if windings.mean() > 0.0:
-            triangles[part == each] = triangles[part == each][:, ::-1]
-    return triangles if around else None

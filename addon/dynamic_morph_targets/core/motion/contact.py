@@ -16,10 +16,10 @@ import numpy as np
 from ..character import Character
 from ..engine import dynamorph
 from ..errors import SceneError
-from ..geometry import diagonal, is_closed
+from ..geometry import diagonal, is_closed, loose_parts, signed_volume
 from ..message import Message, named_frames
 from ..model.model import EngineModel, Model
-from .colliders import ColliderTrack, colliders_of, turned_to_face
+from .colliders import ColliderTrack, colliders_of
 from .contact_points import ContactPoints, contact_points, spread
 from .limits import THINNEST, frames_around
 from .rig_samples import RigSamples
@@ -32,6 +32,7 @@ PROBED_SAMPLES = 4000  # the same where Blender poses the nodes, which have a ma
 OWN_SAMPLES = 3000  # of them that can touch the body itself, at most
 SHARED = 0.2  # of the weights: a vertex that two bones move by more than that is skin that they share
 COVERED = 0.08  # of the tissue's thickness: how near the balls that stand for the body come to its skin
+ASKED = 20  # of its points, by which a room is found to be around the skin
 EXCLUDED = 0.5  # smallest weight of `Character.excluded` with which a point touches nothing
 BITS = 52  # of a float, which are exact: so many colliders are told apart where they are unusable
 
@@ -225,13 +226,38 @@ def collider_of(track: ColliderTrack, points: np.ndarray, skin: np.ndarray) -> A
     refuses.
     """
     # A closed surface has an inside of its own, also where its normals point inward; but one around the body is a room.
-    facing = turned_to_face(track, skin)
+    facing = _facing(track, skin)
     triangles = track.triangles if facing is None else facing
     one_sided = facing is not None or (track.one_sided and not is_closed(track.triangles))
     try:
         return dynamorph.Collider(points, triangles, one_sided)
     except (ValueError, dynamorph.Error) as error:
         raise SceneError("'{name}' cannot collide: {reason}", name=track.name, reason=error) from error
+
+
+def _facing(track: ColliderTrack, skin: np.ndarray) -> np.ndarray | None:
+    """The triangles (T, 3) of a closed collider that is around the whole skin, as a room is: those around it are turned
+    to face it. None for any other. skin (V, 3): world space, at the first sample.
+    """
+    world, triangles, transform = track.points(0), track.triangles, track.transforms[0, 1]
+    if (skin.min(axis=0) < world.min(axis=0)).any() or (skin.max(axis=0) > world.max(axis=0)).any():
+        return None
+    if not is_closed(triangles) or not np.linalg.det(transform[:, :3]):
+        return None
+    points = track.shapes[track.shape[0, 1]]
+    own = np.linalg.solve(transform[:, :3], (skin - transform[:, 3]).T).T
+    part = loose_parts(points, triangles)
+    low, high = np.full((part.max() + 1, 3), np.inf), np.full((part.max() + 1, 3), -np.inf)
+    np.minimum.at(low, part, points)
+    np.maximum.at(high, part, points)
+    facing, asked = None, own[np.linspace(0, len(own) - 1, ASKED).astype(int)]
+    for each in np.flatnonzero(((low < own.min(axis=0)) & (high > own.max(axis=0))).all(axis=1)):
+        faces = part[triangles[:, 0]] == each
+        if (dynamorph.Collider(points, triangles[faces]).signed_distances(asked) < 0.0).all():
+            facing = triangles.copy() if facing is None else facing
+            if signed_volume(points, triangles[faces]) > 0.0:
+                facing[faces] = triangles[faces][:, ::-1]
+    return facing
 
 
 def _motion(collider: Any, first: np.ndarray, track: ColliderTrack) -> Any:
@@ -246,8 +272,8 @@ def _motion(collider: Any, first: np.ndarray, track: ColliderTrack) -> Any:
 
 
 class TooDeep(NamedTuple):
-    """Where a bone leaves the tissue no room: depth, meters, is how much deeper it takes the skin into a collider than
-    that can give way, at most; first, last: the frames about that one.
+    """Where a bone leaves the tissue no room: depth, meters, is how deep the skin stays in a collider, at most; first,
+    last: the frames about that one.
     """
 
     bone: str

@@ -101,11 +101,7 @@ def _code_names(code: CodeType) -> set[str]:
 
 def keyed_settings(obj: bpy.types.Object) -> Iterator[Problem]:
     """Settings of a soft skin that are keyed or driven, although a simulation has one value of each."""
-    data = obj.animation_data
-    if not data:
-        return
-    paths = dict.fromkeys(curve.data_path for curve in (*animation.played(data), *data.drivers))
-    names = dict.fromkeys(_label(obj, path) for path in paths if path.startswith(SETTINGS))
+    names = dict.fromkeys(_label(obj, path) for path in animation.moved_paths(obj) if path.startswith(SETTINGS))
     for setting in names:
         yield Problem(
             "'{name}': keys and drivers of {setting} have no effect, because a simulation has one value for all "

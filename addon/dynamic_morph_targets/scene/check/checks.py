@@ -72,14 +72,10 @@ def of_others(skinning: Skinning) -> Iterator[tuple[bpy.types.Object, bpy.types.
         if len(sharing) < 2:
             continue
         moving = [body for body in sharing if rig_of(body) == rig_of(other)] or sharing
+        if skinning.obj in moving:
+            moving = [body for body in moving if body.name.partition(".")[0] == skinning.obj.name.partition(".")[0]]
         first = min(moving, key=lambda body: body.session_uid)
-        is_copy = skinning.obj.name.partition(".")[0] == first.name.partition(".")[0]
-        if other.dynamorph.follows in sharing:
-            owner = other.dynamorph.follows
-        elif is_copy or skinning.obj not in moving:
-            owner = first
-        else:
-            continue
+        owner = other.dynamorph.follows if other.dynamorph.follows in sharing else first
         if owner != skinning.obj:
             yield other, owner
 

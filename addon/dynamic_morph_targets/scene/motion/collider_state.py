@@ -63,7 +63,7 @@ def _hash(parts: Iterator) -> str:
 
 def _placed(other: bpy.types.Object) -> Iterator:
     for mover in _movers(other):
-        moving = _animated(mover)
+        moving = set(animation.moved_paths(mover))
         yield [_values(mover, name) for name in PLACE if name not in moving]
         for constraint in mover.constraints:
             yield _settings(constraint, moving)
@@ -71,7 +71,7 @@ def _placed(other: bpy.types.Object) -> Iterator:
 
 
 def _shaped(other: bpy.types.Object) -> Iterator:
-    mesh, moving = other.data, _animated(other)
+    mesh, moving = other.data, set(animation.moved_paths(other))
     points = np.empty((len(mesh.vertices), 3), np.float32)
     mesh.vertices.foreach_get("co", points.ravel())
     yield points.tobytes()
@@ -84,7 +84,7 @@ def _shaped(other: bpy.types.Object) -> Iterator:
         yield [getattr(other.collision, name) for name in SETTINGS if f"collision.{name}" not in moving]
     keys = mesh.shape_keys
     if keys:
-        moving = _animated(keys)
+        moving = set(animation.moved_paths(keys))
         for block in keys.key_blocks:
             path = f"{block.path_from_id()}.value"
             yield [block.name, block.mute, 0.0 if path in moving else block.value]
@@ -113,9 +113,3 @@ def _settings(owner: bpy.types.Modifier | bpy.types.Constraint, moving: set[str]
 def _values(mover: bpy.types.Object, name: str) -> str | list:
     value = getattr(mover, name)
     return value if isinstance(value, str) else np.array(value).tolist()
-
-
-def _animated(owner: bpy.types.ID) -> set[str]:
-    """The paths that F-curves and drivers change."""
-    data = owner.animation_data
-    return {curve.data_path for curve in (*animation.played(data), *data.drivers)} if data else set()

@@ -12,7 +12,7 @@ import numpy as np
 from ...core.errors import SceneError
 from ...core.message import Message
 from ...core.motion.colliders import ColliderTrack, with_before
-from ..animation import played
+from ..animation import moved_paths
 from ..check import checks
 from ..check.problem import Problem
 from ..read.mesh_data import mesh_topology, mesh_triangles
@@ -142,8 +142,7 @@ def _idle(obj: bpy.types.Object) -> Iterator[Problem]:
     for other in among:
         if not is_collider(other) or mine(other):
             continue
-        data = other.animation_data
-        if data and any(curve.data_path == "hide_viewport" for curve in (*played(data), *data.drivers)):
+        if "hide_viewport" in moved_paths(other):
             yield Problem(
                 "'{name}' collides, and whether it is disabled in viewports is keyed or driven, which a bake does not "
                 "follow: key its Collision (Physics tab) instead",

@@ -62,9 +62,9 @@ def look(obj: bpy.types.Object, frame: float, depsgraph: bpy.types.Depsgraph) ->
     pose = rig_motion.pose_matrices(rig.evaluated_get(depsgraph), rig_motion.pose_order(rig, skeleton))
     rig_world = world_now(rig, depsgraph)
     size = np.ptp(skeleton.rest[:, :3, 3], axis=0).max(initial=0.0) or 1.0
-    sizes = np.append(np.full(len(skeleton.names), size), np.full(2, size * np.linalg.norm(rig_world[:3, 0])))
     apart = np.abs(_rows(skeleton, pose, rig_world, world_now(obj, depsgraph)) - read.frames[int(frame)])
-    apart[:, :, 3] /= np.maximum(sizes, 1e-30)[:, None]
+    apart[-2:] /= np.linalg.norm(rig_world[:3, 0]) or 1.0
+    apart[:, :, 3] /= size
     moved = apart.max(axis=(1, 2))
     if (moved > APART).any():
         read.found = _message(obj, read.names[int(np.nanargmax(moved))])

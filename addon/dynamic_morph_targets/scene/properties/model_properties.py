@@ -10,8 +10,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, Po
 from bpy.types import PropertyGroup
 
 from ...core.settings import METHODS, ModelSettings
-from .. import events
-from ..events import shown_changed
+from ..events import mesh_changed, shown_changed
 from ..references import OVERRIDE
 
 CONTEXT = "Dynamorph"  # of translations: words that mean something else in Blender, where Hold is to stop
@@ -32,11 +31,6 @@ QUALITIES = (
 
 def _is_other_mesh(chosen: DynamorphAttachment | DynamorphModel, obj: bpy.types.Object) -> bool:
     return obj.type == "MESH" and obj != chosen.id_data
-
-
-def _cage_chosen(model: DynamorphModel, _context: bpy.types.Context) -> None:
-    if model.content_id:
-        events.emit(events.Event.MESH_CHANGED)
 
 
 def _choice_made(attachment: DynamorphAttachment, _context: bpy.types.Context) -> None:
@@ -183,7 +177,7 @@ class DynamorphModel(PropertyGroup):
         name="Cage Object",
         description="Closed mesh that encloses the skin in rest pose when the scene starts. It is filled with "
         "tetrahedra and replaces the automatic cage. Choose one if the automatic cage encloses the wrong parts",
-        type=bpy.types.Object, poll=_is_other_mesh, update=_cage_chosen, override=OVERRIDE,
+        type=bpy.types.Object, poll=_is_other_mesh, update=mesh_changed, override=OVERRIDE,
     )  # fmt: skip
     pin_radius: FloatProperty(
         name="Bone Pinning",

@@ -29,11 +29,6 @@ from .model_properties import DynamorphAttachment, DynamorphMode, DynamorphModel
 from .target_properties import DynamorphBone, DynamorphBonePose, DynamorphKey, DynamorphTarget
 
 
-def _map_chosen(skin: DynamorphSettings, _context: bpy.types.Context) -> None:
-    if skin.model.content_id:
-        events.emit(events.Event.MESH_CHANGED)
-
-
 class DynamorphSettings(PropertyGroup):
     """Everything about the soft skin of one object."""
 
@@ -49,21 +44,21 @@ class DynamorphSettings(PropertyGroup):
         description="Vertex group that is 0 where the skin is softer, 0.5 where it is unchanged, 0.9 where it is "
         "firmer and 1 where the bones hold it. Paint it when a part moves too much or too little",
         override=OVERRIDE,
-        update=_map_chosen,
+        update=events.mesh_changed,
     )
     max_distance_group: StringProperty(
         name="Max Distance",
         description="Vertex group that scales how far the skin may move: 1 as far as Max Displacement says, 0 not at "
         "all, so that the skin follows the bones exactly. Paint it where soft skin comes too near to something hard",
         override=OVERRIDE,
-        update=_map_chosen,
+        update=events.mesh_changed,
     )
     excluded_group: StringProperty(
         name="Exclude",
         description="Vertex group of skin that ignores objects, with a weight of 0.5 or more. Choose one for places "
         "that nothing should push, such as the inside of a mouth",
         override=OVERRIDE,
-        update=_map_chosen,
+        update=events.mesh_changed,
     )
     groups: StringProperty(name="Groups", description="Names of the vertex groups, one per line, to follow renames")
     attachments: CollectionProperty(

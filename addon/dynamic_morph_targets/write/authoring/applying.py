@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import SceneError
-from ...scene import animation
+from ...scene.animation import moved_paths
 from ...scene.check import modifier_order
 from ...scene.read.mesh_data import mesh_topology
 
@@ -50,8 +50,7 @@ def _check(obj: bpy.types.Object, applied: list) -> None:
             mesh=obj.data.name,
             name=obj.name,
         )
-    data = obj.animation_data
-    paths = tuple(curve.data_path for curve in (*animation.played(data), *data.drivers)) if data else ()
+    paths = moved_paths(obj)
     moving = next((each for each in applied if any(path.startswith(each.path_from_id()) for path in paths)), None)
     if moving:
         raise SceneError(

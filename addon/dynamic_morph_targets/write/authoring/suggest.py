@@ -165,7 +165,9 @@ def _placed(target: bpy.types.DriverTarget) -> Any:
 
 
 def _followed(target: bpy.types.DriverTarget, rig: bpy.types.Object) -> Iterator[str]:
-    """The bones of the rig that it hangs on or follows by constraints."""
+    """The bones of the rig that what a variable reads hangs on, or follows by constraints."""
+    if not isinstance(target.id, bpy.types.Object):
+        return
     placed = _placed(target)
     if placed == target.id and placed.parent == rig and placed.parent_type == "BONE":
         yield placed.parent_bone
@@ -185,8 +187,7 @@ def _turns_read(
             component = int(path[3] or 0) - (path[2] != "rotation_euler")  # of the others, w or the angle comes first
             yield path[1], [AXES[component]] if component >= 0 else []
         return
-    for target in variable.targets:
-        yield from ((bone, []) for bone in (_followed(target, rig) if isinstance(target.id, bpy.types.Object) else ()))
+    yield from ((bone, []) for target in variable.targets for bone in _followed(target, rig))
     bones = [rig.pose.bones.get(target.bone_target) for target in variable.targets if target.id == rig]
     bones = [bone for bone in bones if bone]
     if variable.type == "ROTATION_DIFF" and bones:

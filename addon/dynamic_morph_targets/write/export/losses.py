@@ -23,7 +23,6 @@ METERS = {"GLTF", "USD"}  # formats that are read as meters, whatever the scene'
 SAME_UNIT = 1e-6
 INHERITED = {"FULL", "FIX_SHEAR"}  # Inherit Scale of bones as files have it
 SUBDIVIDING = {"MULTIRES", "SUBSURF"}  # modifiers with other levels in renders
-OFF = {"hide_render", "hide_viewport"}
 MOST_BONES = 4  # per vertex that glTF writes
 
 
@@ -169,42 +168,33 @@ def _render_losses(obj: bpy.types.Object, key: str) -> Iterator[str]:
                 modifier=modifier.name,
                 format=label,
             )
-        elif _levels(modifier) != _render_levels(modifier):
+        elif modifier.type in SUBDIVIDING and len(set(_levels(modifier))) > 1:
+            levels = _levels(modifier)
             yield Message(
                 "'{name}': modifier '{modifier}' has {shown} levels in viewports and {rendered} in renders: {format} "
                 "has the latter",
                 name=obj.name,
                 modifier=modifier.name,
-                shown=_levels(modifier),
-                rendered=_render_levels(modifier),
+                shown=levels[0],
+                rendered=levels[1],
                 format=label,
             )
-    for path in sorted(path for path in _animated(obj) if path in OFF or path.endswith("].show_render")):
-        yield Message(
-            "'{name}': '{path}' is keyed or driven, and {format} has one state for all frames: it will differ",
-            name=obj.name,
-            path=path,
-            format=label,
-        )
+    for path in sorted(animation.moved_paths(obj)):
+        if path == "hide_render" or path.endswith("].show_render"):
+            yield Message(
+                "'{name}': '{path}' is keyed or driven, and {format} has one state for all frames: it will differ",
+                name=obj.name,
+                path=path,
+                format=label,
+            )
 
 
-def _levels(modifier: bpy.types.Modifier) -> int:
-    """Of subdivision, as viewports show them; 0 of other modifiers."""
-    render = bpy.context.scene.render
-    levels = getattr(modifier, "levels", 0) if modifier.type in SUBDIVIDING else 0
-    return min(levels, render.simplify_subdivision) if render.use_simplify else levels
-
-
-def _render_levels(modifier: bpy.types.Modifier) -> int:
-    render = bpy.context.scene.render
-    levels = getattr(modifier, "render_levels", 0) if modifier.type in SUBDIVIDING else 0
-    return min(levels, render.simplify_subdivision_render) if render.use_simplify else levels
-
-
-def _animated(owner: bpy.types.ID) -> set[str]:
-    """The paths that curves or drivers move."""
-    data = owner.animation_data
-    return {curve.data_path for curve in (*animation.played(data), *data.drivers)} if data else set()
+def _levels(modifier: bpy.types.SubsurfModifier | bpy.types.MultiresModifier) -> tuple[int, int]:
+    """Of subdivision, in viewports and in renders."""
+    render, levels = bpy.context.scene.render, (modifier.levels, modifier.render_levels)
+    if not render.use_simplify:
+        return levels
+    return min(levels[0], render.simplify_subdivision), min(levels[1], render.simplify_subdivision_render)
 
 
 def _scale_losses(rig: bpy.types.Object, key: str) -> Iterator[str]:
@@ -228,7 +218,7 @@ def _scale_losses(rig: bpy.types.Object, key: str) -> Iterator[str]:
 
 def _scaled_bones(rig: bpy.types.Object) -> set[str]:
     """The bones of an armature object that have a scale now, or that curves or drivers scale."""
-    paths, still = _animated(rig), (1.0, 1.0, 1.0)
+    paths, still = animation.moved_paths(rig), (1.0, 1.0, 1.0)
     return {
         bone.name for bone in rig.pose.bones if tuple(bone.scale) != still or f"{bone.path_from_id()}.scale" in paths
     }
