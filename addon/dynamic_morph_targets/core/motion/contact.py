@@ -32,7 +32,7 @@ PROBED_SAMPLES = 4000  # the same where Blender poses the nodes, which have a ma
 OWN_SAMPLES = 3000  # of them that can touch the body itself, at most
 SHARED = 0.2  # of the weights: a vertex that two bones move by more than that is skin that they share
 COVERED = 0.08  # of the tissue's thickness: how near the balls that stand for the body come to its skin
-ASKED = 20  # of its points, by which a room is found to be around the skin
+ASKED, WITHIN = 100, 0.9  # points of the skin that are asked, and the part of them that is in what is around it
 EXCLUDED = 0.5  # smallest weight of `Character.excluded` with which a point touches nothing
 BITS = 52  # of a float, which are exact: so many colliders are told apart where they are unusable
 
@@ -236,24 +236,25 @@ def collider_of(track: ColliderTrack, points: np.ndarray, skin: np.ndarray) -> A
 
 
 def _facing(track: ColliderTrack, skin: np.ndarray) -> np.ndarray | None:
-    """The triangles (T, 3) of a closed collider that is around the whole skin, as a room is: those around it are turned
-    to face it. None for any other. skin (V, 3): world space, at the first sample.
+    """The triangles (T, 3) of a closed collider that is around the skin, but for feet in its floor, as a room is: those
+    around it are turned to face it. None for any other. skin (V, 3): world space, at the first sample.
     """
-    world, triangles, transform = track.points(0), track.triangles, track.transforms[0, 1]
-    if (skin.min(axis=0) < world.min(axis=0)).any() or (skin.max(axis=0) > world.max(axis=0)).any():
+    triangles, transform = track.triangles, track.transforms[0, 1]
+    if (np.ptp(track.points(0), axis=0) < np.ptp(skin, axis=0)).any() or not np.linalg.det(transform[:, :3]):
         return None
-    if not is_closed(triangles) or not np.linalg.det(transform[:, :3]):
+    if not is_closed(triangles):
         return None
     points = track.shapes[track.shape[0, 1]]
     own = np.linalg.solve(transform[:, :3], (skin - transform[:, 3]).T).T
-    part = loose_parts(points, triangles)
+    center, size, part = own.mean(axis=0), np.ptp(own, axis=0), loose_parts(points, triangles)
     low, high = np.full((part.max() + 1, 3), np.inf), np.full((part.max() + 1, 3), -np.inf)
     np.minimum.at(low, part, points)
     np.maximum.at(high, part, points)
     facing, asked = None, own[np.linspace(0, len(own) - 1, ASKED).astype(int)]
-    for each in np.flatnonzero(((low < own.min(axis=0)) & (high > own.max(axis=0))).all(axis=1)):
+    for each in np.flatnonzero(((low < center) & (high > center) & (high - low > size)).all(axis=1)):
         faces = part[triangles[:, 0]] == each
-        if (dynamorph.Collider(points, triangles[faces]).signed_distances(asked) < 0.0).all():
+        distances = dynamorph.Collider(points, triangles[faces]).signed_distances(asked)
+        if (distances < 0.0).mean() >= WITHIN:
             facing = triangles.copy() if facing is None else facing
             if signed_volume(points, triangles[faces]) > 0.0:
                 facing[faces] = triangles[faces][:, ::-1]
