@@ -8,19 +8,21 @@ loading move everything there; it asks for what it needs again at each frame.
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 
 import bpy
 from bpy.app.handlers import persistent
 
 from ..core import engine, errors, logger, states
 from ..core.message import Message, joined
+from ..core.motion import contact
 from ..core.motion.coupling import refusal
 from ..core.settings import SimulationSettings
 from ..scene import events, references
 from ..scene.motion import colliders
 from ..scene.remembered import opened
 from ..scene.skin import shown_attachments, soft_skins
-from ..scene.store import staleness
+from ..scene.store import model_store, staleness
 from ..write import reconcile
 from ..write.bake import muting
 from ..write.display import live_key
@@ -49,6 +51,21 @@ def disabled_reason(obj: bpy.types.Object) -> str:
         return ""
     age = staleness.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]
     return Message("Press Build Model first: {reasons}", reasons=joined("; ", age)) if age else ""
+
+
+def must_prepare(obj: bpy.types.Object) -> bool:
+    """Whether Live would hold the window while it makes what a job can make beside it: how the skin gives way where
+    something presses it. There must be no `disabled_reason`.
+    """
+    if obj.session_uid in opened.drafts or not obj.dynamorph.collision.use:
+        return False
+    try:
+        model = model_store.load_model(obj)
+    except errors.ModelFileError:  # `turn_on` says so
+        return False
+    return model.settings.method != "STATIC" and not contact.has_kept(
+        model.with_settings(replace(model.settings, solver=obj.dynamorph.model.solver))
+    )
 
 
 def turn_on(obj: bpy.types.Object, scene: bpy.types.Scene) -> None:

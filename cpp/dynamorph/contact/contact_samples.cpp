@@ -8,6 +8,8 @@
 
 #include "dynamorph/contact/at_rest.hpp"
 #include "dynamorph/contact/choices.hpp"
+#include "dynamorph/core/parallel.hpp"
+#include "dynamorph/elastic/dense_kernels.hpp"
 #include "dynamorph/elastic/sparse_cholesky.hpp"
 #include "dynamorph/mesh/bvh.hpp"
 
@@ -55,13 +57,32 @@ MatrixXd answers_to(const ArrowMatrix& A, const RowMajor& J) {
   return factor.solve(J.transpose());
 }
 
-/// `stays_local` of pushes that move their own places by `own` (k) and others by `moved` (3 others, k).
-VectorXd stay_local(const VectorXd& own, const MatrixXd& moved) {
-  VectorXd farthest = own;
-  for (Index p = 0; p < moved.rows(); p += 3)
-    farthest = farthest.cwiseMax(moved.middleRows<3>(p).colwise().norm().transpose());
+/// The patches at a sample, and what a newton there does to them.
+struct Dent {
+  const std::vector<int>* patches;
+  VectorXd amplitudes;
+};
+
+/// `stays_local` of pushes (k) that move their own places by `own` (k), and others (n) by the coordinates' answers
+/// (dofs, k) with their rows of B (3n, dofs), and by dents (k) with their rows of the patches' shapes (3n, P).
+VectorXd stay_local(const VectorXd& own, const MatrixXd& B, const MatrixXd& answers, const MatrixXd& shapes = {},
+                    const std::vector<Dent>& dents = {}) {
   VectorXd out(own.size());
-  for (Index k = 0; k < own.size(); ++k) out(k) = stays_local(own(k), farthest(k));
+  const Index blocks = (own.size() + kTogether - 1) / kTogether;
+  run_tasks(int(blocks), {}, [&](int block, const ProgressFn&) {
+    const Index first = block * kTogether, count = std::min<Index>(kTogether, own.size() - first);
+    MatrixXd moved(B.rows(), count);
+    multiply_dense(B.data(), B.rows(), B.cols(), answers.col(first).data(), count, moved.data());
+    for (Index k = 0; k < count; ++k) {
+      if (!dents.empty()) {
+        const auto& [patches, amplitudes] = dents[std::size_t(first + k)];
+        for (Index i = 0; i < amplitudes.size(); ++i)
+          moved.col(k) += amplitudes(i) * shapes.col((*patches)[std::size_t(i)]);
+      }
+      const double farthest = moved.col(k).reshaped(3, B.rows() / 3).colwise().norm().maxCoeff();
+      out(first + k) = stays_local(own(first + k), std::max(own(first + k), farthest));
+    }
+  });
   return out;
 }
 
@@ -73,8 +94,8 @@ std::vector<int> spaced(Index count, Index most) {
 }
 
 /// The rows of chosen points (3 points, columns).
-RowMajor rows_of(const RowMajor& basis, const std::vector<int>& points) {
-  RowMajor out(3 * Index(points.size()), basis.cols());
+MatrixXd rows_of(const RowMajor& basis, const std::vector<int>& points) {
+  MatrixXd out(3 * Index(points.size()), basis.cols());
   for (std::size_t i = 0; i < points.size(); ++i) out.middleRows<3>(3 * Index(i)) = basis.middleRows<3>(3 * points[i]);
   return out;
 }
@@ -195,7 +216,7 @@ const ContactSkin& checked(const ContactSkin& samples) {
 
 template <class Model>
 ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, ContactSkin samples,
-                                      std::shared_ptr<const LocalResponses> local)
+                                      std::shared_ptr<const LocalResponses> local, std::optional<MatrixXd> firmness)
     : map_(model, checked(samples).skin),
       points_(std::move(samples.points)),
       rest_(places_of(map_.skin(), points_)),
@@ -217,7 +238,24 @@ ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, Contac
   const typename Model::SkinPoints vertices = model->skin_points(map_.skin().embedding);
   bound_motion(vertices);
   find_patches();
-  find_stiffness(vertices, neutral);
+  if (firmness) {
+    check_size("firmness", firmness->rows(), size());
+    check_size("firmness", firmness->cols(), 3);
+    if (!firmness->allFinite() || (firmness->array() < 0).any())
+      throw std::invalid_argument("firmness: must be finite and not negative");
+    stiffness_ = firmness->col(0);
+    mass_ = firmness->col(1);
+    taken_ = firmness->col(2);
+  } else {
+    find_stiffness(vertices, neutral);
+  }
+}
+
+template <class Model>
+MatrixXd ContactSamples<Model>::firmness() const {
+  MatrixXd out(size(), 3);
+  out << stiffness_, mass_, taken_;
+  return out;
 }
 
 template <class Model>
@@ -268,14 +306,23 @@ void ContactSamples<Model>::find_stiffness(const typename Model::SkinPoints& ver
   VectorXd lasting = compliance(A, rows), in_step = compliance(K, rows), pushed = VectorXd::Ones(lasting.size());
   if constexpr (std::is_same_v<Model, ReducedModel>) {
     const MatrixXd answers = answers_to(A, rows);
-    pushed = stay_local(lasting, rows_of(vertices.basis(), spaced(map_.size(), kComparedSamples)) * answers);
+    pushed = stay_local(lasting, rows_of(vertices.basis(), spaced(map_.size(), kComparedSamples)), answers);
     if (local_) {
       const VectorXd taken = pushed;
       for (Index p = 0; p < size(); ++p) taken_(p) = taken(solved[std::size_t(p)]);
+      VectorXd local(numbers.size());
+      std::vector<Dent> dents;
+      RowMajor own;
+      for (int k = 0; k < numbers.size(); ++k) {
+        const std::vector<int>& patches = patches_[std::size_t(samples[std::size_t(k)])];
+        local_rows(numbers, {k}, patches, own);
+        dents.push_back({&patches, local_->stiffness()(patches, patches).llt().solve(own.transpose()) /
+                                       local_stiffer(samples[std::size_t(k)], neutral)});
+        local(k) = own.row(0).dot(dents.back().amplitudes);
+      }
       const std::vector<int> others = spaced(map_.size(), kSolved);  // patches move few, but those may be far off
-      const auto [local, dents] = local_answers(samples, numbers, others, neutral);
-      pushed = stay_local(lasting.cwiseProduct(taken) + local,
-                          rows_of(vertices.basis(), others) * answers * taken.asDiagonal() + dents);
+      pushed = stay_local(lasting.cwiseProduct(taken) + local, rows_of(vertices.basis(), others),
+                          answers * taken.asDiagonal(), local_shapes(others), dents);
       lasting = lasting.cwiseProduct(taken.cwiseAbs2()) + local;
       in_step = in_step.cwiseProduct(taken.cwiseAbs2()) + local;
     }
@@ -293,33 +340,19 @@ void ContactSamples<Model>::find_stiffness(const typename Model::SkinPoints& ver
 }
 
 template <class Model>
-std::pair<VectorXd, MatrixXd> ContactSamples<Model>::local_answers(const std::vector<int>& samples,
-                                                                   const PointRows& numbers,
-                                                                   const std::vector<int>& others,
-                                                                   const VectorXd& neutral) const {
-  std::vector<int> all(std::size_t(local_->size()));
+MatrixXd ContactSamples<Model>::local_shapes(const std::vector<int>& vertices) const {
+  std::vector<int> all(std::size_t(local_->size())), each_axis;
   std::iota(all.begin(), all.end(), 0);
   PointRows axes;
-  std::vector<int> each_axis;
-  for (const int vertex : others)
+  for (const int vertex : vertices)
     for (int axis = 0; axis < 3; ++axis) {
       each_axis.push_back(axes.size());
       axes.add_row();
       axes.add(vertex, Vector3d::Unit(axis));
     }
-  RowMajor places, row;
-  local_rows(axes, each_axis, all, places);
-  VectorXd own(numbers.size());
-  MatrixXd moved(places.rows(), numbers.size());
-  for (int k = 0; k < numbers.size(); ++k) {
-    const std::vector<int>& patches = patches_[std::size_t(samples[std::size_t(k)])];
-    local_rows(numbers, {k}, patches, row);
-    const MatrixXd stiffness = local_->stiffness()(patches, patches);
-    const VectorXd answer = stiffness.llt().solve(row.transpose()) / local_stiffer(samples[std::size_t(k)], neutral);
-    own(k) = row.row(0).dot(answer);
-    moved.col(k) = places(Eigen::all, patches) * answer;
-  }
-  return {own, moved};
+  RowMajor out;
+  local_rows(axes, each_axis, all, out);
+  return out;
 }
 
 template <class Model>

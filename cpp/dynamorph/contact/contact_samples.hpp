@@ -19,6 +19,7 @@
 
 #include <Eigen/Geometry>
 #include <memory>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -42,10 +43,10 @@ struct ContactSkin {
 template <class Model>
 class ContactSamples {
  public:
-  /// local: of a reduced model's mesh; null for none. Throws std::invalid_argument unless all fit each other and the
-  /// model.
+  /// local: of a reduced model's mesh; null for none. firmness: that of the same samples before, or none, to find it.
+  /// Throws std::invalid_argument unless all fit each other and the model.
   ContactSamples(std::shared_ptr<const Model> model, ContactSkin samples,
-                 std::shared_ptr<const LocalResponses> local = nullptr);
+                 std::shared_ptr<const LocalResponses> local = nullptr, std::optional<MatrixXd> firmness = {});
 
   const Model& model() const { return map_.model(); }
   const std::shared_ptr<const Model>& shared_model() const { return map_.shared_model(); }
@@ -57,6 +58,8 @@ class ContactSamples {
   /// 1 / C (P), N/m, at the neutral targets; 0 where pins leave next to nothing to move.
   const VectorXd& stiffness() const { return stiffness_; }
   const VectorXd& mass() const { return mass_; }  ///< m (P), kg
+  /// What takes long to find (P, 3): `stiffness`, `mass` and `taken`.
+  MatrixXd firmness() const;
 
   /// k of a sample at target weights (J); square: (c h)^2, s^2.
   double stiffness(Eigen::Index sample, const VectorXd& weights, double square) const;
@@ -103,10 +106,8 @@ class ContactSamples {
   void bound_motion(const typename Model::SkinPoints& vertices);
   void find_patches();
   void find_stiffness(const typename Model::SkinPoints& vertices, const VectorXd& neutral);
-  /// How far the patches at each of these samples (k) move it for a newton along the numbers (k), and vertices
-  /// (3 others, k).
-  std::pair<VectorXd, MatrixXd> local_answers(const std::vector<int>& samples, const PointRows& numbers,
-                                              const std::vector<int>& others, const VectorXd& neutral) const;
+  /// How far a unit of each patch moves these vertices: (3 vertices, patches).
+  MatrixXd local_shapes(const std::vector<int>& vertices) const;
   double stiffer(Eigen::Index sample, const VectorXd& weights, const VectorXd& softness) const;
 
   SkinMap<Model> map_;  ///< of the vertices

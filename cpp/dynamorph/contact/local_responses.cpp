@@ -8,6 +8,7 @@
 #include "dynamorph/contact/at_rest.hpp"
 #include "dynamorph/contact/choices.hpp"
 #include "dynamorph/core/errors.hpp"
+#include "dynamorph/elastic/dense_kernels.hpp"
 #include "dynamorph/elastic/sparse_cholesky.hpp"
 
 namespace dynamorph {
@@ -148,10 +149,14 @@ LocalResponses::LocalResponses(const FullModel& model, const MatrixXd& basis, co
   else
     answers.setZero();
   const MatrixXd KB = K * basis;
-  MatrixXd taken = (basis.transpose() * KB).ldlt().solve(basis.transpose() * loads);  // by the coordinates alone
+  const Eigen::SparseMatrix<double> pushes = loads.sparseView();
+  MatrixXd taken = (basis.transpose() * KB).ldlt().solve(basis.transpose() * pushes);  // by the coordinates alone
   taken = (taken * stay_local(ModalPoints(model.body(), embedding, basis), places, pressed, taken).asDiagonal()).eval();
-  MatrixXd R = answers - basis * taken;
-  parts_.stiffness = R.transpose() * (loads - KB * taken);
+  MatrixXd R(answers.rows(), answers.cols());
+  multiply_dense(basis.data(), basis.rows(), basis.cols(), taken.data(), taken.cols(), R.data());
+  R = answers - R;
+  parts_.stiffness = R.transpose() * pushes;  // a patch is pressed at few nodes
+  parts_.stiffness -= (R.transpose() * KB) * taken;
   parts_.stiffness = (0.5 * (parts_.stiffness + parts_.stiffness.transpose())).eval();
   normalize(model.body().volumes.rowwise().sum(), answers.cwiseProduct(loads).colwise().sum(), R);
   parts_.shapes = R;

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A ball is pressed into the arm: the skin gives way where it is touched, in bakes and in Live alike."""
 
-import copy
 import os
 
 import bmesh
@@ -20,6 +19,7 @@ from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
 from bl_ext.user_default.dynamic_morph_targets.run.playing.tissue import Tissue
 from bl_ext.user_default.dynamic_morph_targets.run.tools import preview
 from bl_ext.user_default.dynamic_morph_targets.scene import animation
+from bl_ext.user_default.dynamic_morph_targets.scene.remembered import opened
 from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store, staleness
 from bl_ext.user_default.dynamic_morph_targets.ui.overlays import viewport as overlays
 from bl_ext.user_default.dynamic_morph_targets.write import reconcile, storage
@@ -673,11 +673,36 @@ def test_local_responses_do_not_depend_on_when_live_began(arm):
     """They are kept while the artist changes the material."""
     found = []
     for poisson in (0.4, 0.3):
-        storage.keep_model(arm, copy.copy(built.model))  # which has none yet
+        opened.models.clear()  # it has none yet
         arm.dynamorph.targets[0].poisson = poisson
         found.append(Tissue(arm, bpy.context.scene).player.collision.dents)
     assert found[0].size
     np.testing.assert_array_equal(*found)
+
+
+@pytest.mark.parametrize("solver", ["REDUCED", "FULL"])
+def test_a_job_makes_what_live_needs_for_collisions(arm, solver):
+    """So that turning Live on does not hold the window. What it shows is the same."""
+    arm.dynamorph.model.solver = solver
+
+    def first_frames():
+        run_live.turn_on(arm, bpy.context.scene)
+        found = []
+        for frame in range(1, 6):
+            bpy.context.scene.frame_set(frame)
+            found.append(evaluated_points(arm))
+        run_live.turn_off(arm)
+        return np.array(found)
+
+    alone = first_frames()
+    opened.models.clear()  # it is read again, and has nothing yet
+    assert run_live.must_prepare(arm)
+    arm.dynamorph.collision.use = False
+    assert not run_live.must_prepare(arm)
+    arm.dynamorph.collision.use = True
+    batch.run(Job(arm, "BUILD", drafts=True))
+    assert not run_live.must_prepare(arm)
+    np.testing.assert_array_equal(first_frames(), alone)
 
 
 @pytest.mark.parametrize("hangs", [False, True])

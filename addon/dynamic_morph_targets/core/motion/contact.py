@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..character import Character
+from ..character import Character, same
 from ..engine import dynamorph
 from ..errors import SceneError
 from ..geometry import diagonal, is_closed, loose_parts, signed_volume
@@ -64,6 +64,7 @@ class Collision:
             local, self.dents = _local_responses(model, surface)
         vertices, corners = np.unique(points.vertices, return_inverse=True)
         rest, embedding, weights, residual_shapes = carried(model, character, vertices)
+        of, known = model.made.get(_firmness(model), (None, None))
         self.skin = dynamorph.Contact(
             engine,
             rest,
@@ -75,7 +76,9 @@ class Collision:
             local,
             corners.reshape(points.vertices.shape),
             points.weights,
+            known if same(of, character) else None,
         )
+        model.made[_firmness(model)] = character, self.skin.firmness
 
     @cached_property
     def own(self) -> Any:
@@ -119,13 +122,14 @@ class Collision:
         return self._known[number][0] if number >= 0 else (self._character.name, *self.others)[-1 - number]
 
 
-def make_kept(model: Model, character: Character, own: bool) -> None:
-    """Make what a `Collision` of this body would make and keep with the model. own: with the body itself, too."""
-    surface, points = _points(model, character)
-    if len(points.rest) and model.settings.solver == "REDUCED":
-        _local_responses(model, surface)
-    if len(points.rest) and own:
-        _balls(model, character, points[spread(points.rest, points.normals, OWN_SAMPLES)].rest)
+def has_kept(model: Model) -> bool:
+    """Whether a `Collision` has been made of it, so that the next one is made soon."""
+    return _firmness(model) in model.made
+
+
+def _firmness(model: Model) -> tuple[str, ...]:
+    """By what it is kept with the model."""
+    return "firmness", model.settings.solver, model.settings.material_model
 
 
 def _points(model: Model, character: Character) -> tuple[ContactPoints, ContactPoints]:

@@ -16,6 +16,8 @@ from ..model.model import Model
 
 SPACING = 0.01  # between points of the skin, at most, of the body's size
 PARTS = 100  # of an edge, at most
+HALVED = 12  # times, the size of a grid's cells,
+CELLS = 2**HALVED + 1  # of which so many lie along an axis, at most
 
 
 @dataclass(frozen=True)
@@ -86,10 +88,11 @@ def spread(points: np.ndarray, normals: np.ndarray, count: int) -> np.ndarray:
     inward = np.argsort(-sign * points[rows, axis], kind="stable")
     low, high = 0.0, diagonal(points)  # of a cell
     found = np.zeros(0, np.int64)
-    for _ in range(12):
+    for _ in range(HALVED):
         size = 0.5 * (low + high)
         cells = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
-        _, first = np.unique(np.column_stack([cells, side])[inward], axis=0, return_index=True)
+        one_number = ((cells[:, 0] * CELLS + cells[:, 1]) * CELLS + cells[:, 2]) * 6 + side
+        _, first = np.unique(one_number[inward], return_index=True)
         if len(first) > count:
             low = size
         else:

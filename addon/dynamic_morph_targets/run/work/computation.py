@@ -24,9 +24,9 @@ from ...core.material import calibration
 from ...core.message import Message
 from ...core.model import build
 from ...core.model.model import Model
-from ...core.motion import baked, contact, rig_samples, simulate
+from ...core.motion import baked, rig_samples, simulate
 from ...core.motion.baked import Bake
-from ...core.motion.prepared import prepared
+from ...core.motion.player import Player
 from ...core.motion.rig_samples import RigSamples
 from ...core.motion.simulate import Shot, play_together
 from ...core.result import judge
@@ -172,8 +172,12 @@ class Computation:
             return
         if given.model is None:
             self._build()
-        elif given.cache_dir and given.caches_model and not given.is_bake:
-            outcome.model_files.append(given.cache_dir.keep_model(given.model))
+        elif not given.is_bake:
+            with self.progress.stage("build"):
+                self.progress.message = "Preparing its motion"
+                self._prepare(given.model, given.character)
+            if given.cache_dir and given.caches_model:
+                outcome.model_files.append(given.cache_dir.keep_model(given.model))
         if given.is_bake:
             yield from self._bake()
             finish(given, outcome, self.progress)
@@ -224,9 +228,7 @@ class Computation:
         live = self.given.live
         if live and model.settings.method != "STATIC":
             with suppress(*engine.expected_errors()):  # Live says what prevents it
-                prepared(model, character, live)
-                if live.collision:
-                    contact.make_kept(model, character, live.self_collision)
+                Player(model, character, live)
 
     def _take_model(self, model: Model) -> None:
         with self.progress.stage("store model"):

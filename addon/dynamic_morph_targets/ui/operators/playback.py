@@ -23,6 +23,7 @@ from ...core.motion.rig_samples import RigSamples
 from ...core.motion.shake import SECONDS
 from ...core.result import compare
 from ...run import live, remembered
+from ...run.bake.job import Job
 from ...run.playing.tissue import Tissue
 from ...run.tools import preview
 from ...run.tools.first_look import FirstLook
@@ -63,7 +64,8 @@ class DYNAMORPH_OT_live(SoftSkinOperator, Operator):
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         obj = skin.mesh_in(context)
-        if live.is_on(obj) or not live.disabled_reason(obj) or bpy.app.background:
+        waits = not live.is_on(obj) and (live.disabled_reason(obj) or live.must_prepare(obj))
+        if bpy.app.background or not waits:
             return self.execute(context)
         press(self, "dynamorph.build_live")
         return {"CANCELLED"}  # the undo step is that of the build
@@ -131,11 +133,14 @@ class DYNAMORPH_OT_first_look(EndsLive, Operator):
 
 
 class DYNAMORPH_OT_build_live(EndsLive, Operator):
-    """Build the model of the soft skin, which is out of date, and turn Live on"""
+    """Build the model of the soft skin if it is out of date, prepare its motion, and turn Live on"""
 
     bl_idname = "dynamorph.build_live"
     bl_label = "Build for Live"
     bl_options = {"REGISTER", "UNDO", "INTERNAL"}
+
+    def _jobs(self, obj: bpy.types.Object) -> list[Job]:
+        return [Job(obj, self.goal)]
 
 
 class PreviewOperator(TissueOperator):
