@@ -213,6 +213,7 @@ def pictures_of_panels():
         for each in registered:
             bpy.utils.register_class(each)
         yield from driver.drawn()
+        yield from region.scroll("WHEELDOWNMOUSE", 40)  # what settings of the sample's script make too long
         found = yield from places(region, panel, wanted)
         yield from driver.rest()
         yield from driver.drawn()
