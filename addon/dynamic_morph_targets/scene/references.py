@@ -11,9 +11,9 @@ from typing import Any
 
 import bpy
 import numpy as np
-from bpy.props import IntProperty, StringProperty
 
 from ..core.character import Skeleton
+from .keyless import IntProperty, StringProperty
 from .remembered import opened
 
 OVERRIDE = {"LIBRARY_OVERRIDABLE"}

@@ -327,37 +327,79 @@ def test_of_a_long_bake_the_first_frames_are_kept(scene, still, monkeypatch):
 # Settings ------------------------------------------------------------------------------------------------------------
 
 
+FOLLOWED = (
+    "dynamorph.targets[0].stiffness",
+    "dynamorph.targets[0].amount",
+    "dynamorph.simulation.amount",
+    "dynamorph.collision.distance",
+    "dynamorph.collision.friction",
+)
+
+
+def properties_in(group):
+    """(group, name) of all properties in a group, with an element in each list."""
+    for name, prop in group.bl_rna.properties.items():
+        value = getattr(group, name)
+        if prop.type == "COLLECTION" and not value:
+            value.add()
+        if prop.type not in {"COLLECTION", "POINTER"}:
+            yield group, name
+        elif isinstance(prop.fixed_type, bpy.types.PropertyGroup):
+            yield from properties_in(value[0] if prop.type == "COLLECTION" else value)
+
+
 def keyed(obj, path):
-    obj.keyframe_insert(path, frame=1)
+    """Keys as in a file of a version that let every property have them; they want 3."""
+    assert obj.keyframe_insert(FOLLOWED[0], frame=1)
+    (curve,) = animation.played(obj.animation_data)
+    curve.data_path, curve.keyframe_points[0].co[1] = path, 3.0
 
 
 def driven(obj, path):
-    obj.driver_add(path).driver.expression = "1 + 0 * frame"
+    curve = obj.driver_add(FOLLOWED[0])
+    curve.data_path, curve.driver.expression = path, "3 + 0 * frame"
+
+
+@pytest.mark.parametrize("animate", ["keyframe_insert", "driver_add"])
+def test_only_what_a_simulation_follows_can_be_animated(soft_arm, animate):
+    found, properties = [], list(properties_in(soft_arm.dynamorph))
+    for group, name in (*properties, *properties_in(bpy.context.window_manager.dynamorph)):
+        try:
+            assert getattr(group, animate)(name)
+            found.append(group.path_from_id(name))
+        except TypeError as error:
+            assert "not animatable" in str(error)
+    assert len(properties) > 130 and sorted(found) == sorted(FOLLOWED)
+    assert notes_of(soft_arm) == []
 
 
 @pytest.mark.parametrize("animate", [keyed, driven])
 @pytest.mark.parametrize(
     "path, label",
     [
-        ("dynamorph.targets[0].stiffness", "Stiffness"),
+        ("dynamorph.targets[0].poisson", "Poisson's Ratio"),
+        ("dynamorph.simulation.substeps", "Substeps Per Frame"),
         ("dynamorph.simulation.gravity", "Gravity"),
-        ("dynamorph.collision.distance", "Distance"),
+        ("dynamorph.collision.use_friction", "Override Friction"),
         ("dynamorph.model.cage_nodes", "Cage Nodes"),
     ],
 )
-def test_a_setting_that_is_animated_is_named(soft_arm, animate, path, label):
+def test_a_setting_that_is_animated_stays_and_is_named(scene, soft_arm, animate, path, label):
+    before = soft_arm.path_resolve(path)
     animate(soft_arm, path)
+    scene.frame_set(5)
+    assert soft_arm.path_resolve(path) == before
     (text,) = notes_of(soft_arm)
     assert text.startswith(f"'Arm': keys and drivers of {label} have no effect")
 
 
 def test_a_bake_says_so_after_the_keys_are_gone(still):
-    keyed(still, "dynamorph.targets[0].stiffness")
+    keyed(still, "dynamorph.simulation.gravity")
     batch.run(Job(still, "BAKE"))
     still.animation_data_clear()
-    assert "keys and drivers of Stiffness have no effect" in still.dynamorph.bake.warnings
+    assert "keys and drivers of Gravity have no effect" in still.dynamorph.bake.warnings
     batch.run(Job(still, "BAKE"))
-    assert "Stiffness" not in still.dynamorph.bake.warnings
+    assert "Gravity" not in still.dynamorph.bake.warnings
 
 
 def test_what_animates_an_element_that_is_gone_is_named_by_its_path(soft_arm):

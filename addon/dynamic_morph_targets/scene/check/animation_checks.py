@@ -100,9 +100,12 @@ def _code_names(code: CodeType) -> set[str]:
 
 
 def keyed_settings(obj: bpy.types.Object) -> Iterator[Problem]:
-    """Settings of a soft skin that are keyed or driven, although a simulation has one value of each."""
-    names = dict.fromkeys(_label(obj, path) for path in animation.moved_paths(obj) if path.startswith(SETTINGS))
-    for setting in names:
+    """Settings of a soft skin that curves and drivers name, by an earlier file or a script, although a simulation has
+    one value of each. Blender keeps such curves and does not play them.
+    """
+    props = {path: _property(obj, path) for path in animation.moved_paths(obj) if path.startswith(SETTINGS)}
+    names = [Message(prop.name) if prop else path for path, prop in props.items() if not prop or not prop.is_animatable]
+    for setting in dict.fromkeys(names):
         yield Problem(
             "'{name}': keys and drivers of {setting} have no effect, because a simulation has one value for all "
             "frames: delete them",
@@ -111,10 +114,9 @@ def keyed_settings(obj: bpy.types.Object) -> Iterator[Problem]:
         )
 
 
-def _label(obj: bpy.types.Object, path: str) -> Message | str:
-    """What panels call a setting."""
+def _property(obj: bpy.types.Object, path: str) -> bpy.types.Property | None:
     owner, _, name = path.rpartition(".")
     try:
-        return Message(obj.path_resolve(owner).bl_rna.properties[name].name)
+        return obj.path_resolve(owner).bl_rna.properties[name]
     except (ValueError, KeyError, AttributeError):  # it is gone
-        return path
+        return None

@@ -7,7 +7,13 @@ import math
 from dataclasses import fields
 
 import bpy
-from bpy.props import (
+from bpy.types import PropertyGroup
+
+from ...core.material.feel import FEELS
+from ...core.settings import MOST_SUBSTEPS, OutputSettings, SimulationSettings
+from ..events import shown_changed
+from ..keyless import (
+    ANIMATED,
     BoolProperty,
     CollectionProperty,
     EnumProperty,
@@ -18,11 +24,6 @@ from bpy.props import (
     PointerProperty,
     StringProperty,
 )
-from bpy.types import PropertyGroup
-
-from ...core.material.feel import FEELS
-from ...core.settings import MOST_SUBSTEPS, OutputSettings, SimulationSettings
-from ..events import shown_changed
 from ..references import OVERRIDE
 from .target_properties import DynamorphKey
 
@@ -128,8 +129,8 @@ class DynamorphSimulation(PropertyGroup):
         name="Amount",
         description="How much of the motion is shown, in Live and in the next bake: 0 shows none, 1 shows it as "
         "simulated. Raise it to exaggerate quickly; for softer tissue, lower Bounce instead",
-        default=SimulationSettings.amount, min=0.0, max=4.0, soft_max=2.0, subtype="FACTOR", override=OVERRIDE,
-        update=shown_changed,
+        default=SimulationSettings.amount, min=0.0, max=4.0, soft_max=2.0, subtype="FACTOR", options=ANIMATED,
+        override=OVERRIDE, update=shown_changed,
     )  # fmt: skip
     max_displacement: FloatProperty(
         name="Max Displacement",
@@ -222,7 +223,7 @@ class DynamorphCollision(PropertyGroup):
         description="How far from other objects the skin stops, as a fraction of the body's size. Raise it if objects "
         "show through the skin",
         default=SimulationSettings.distance, min=0.0, max=0.05, soft_max=0.01, precision=4, subtype="FACTOR",
-        override=OVERRIDE,
+        options=ANIMATED, override=OVERRIDE,
     )  # fmt: skip
     use_self: BoolProperty(
         name="Self Collision",
@@ -240,7 +241,7 @@ class DynamorphCollision(PropertyGroup):
         name="Friction",
         description="How much the skin clings to objects: 0 is like ice, 0.5 like dry skin. Raise it if the skin slips "
         "too easily",
-        default=0.5, min=0.0, max=5.0, soft_max=1.0, precision=2, override=OVERRIDE,
+        default=0.5, min=0.0, max=5.0, soft_max=1.0, precision=2, options=ANIMATED, override=OVERRIDE,
     )  # fmt: skip
     bake_full: BoolProperty(
         name="Bake in Full Quality",

@@ -6,11 +6,11 @@ from __future__ import annotations
 from dataclasses import fields
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 from bpy.types import PropertyGroup
 
 from ...core.settings import METHODS, ModelSettings
 from ..events import mesh_changed, shown_changed
+from ..keyless import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 from ..references import OVERRIDE
 
 CONTEXT = "Dynamorph"  # of translations: words that mean something else in Blender, where Hold is to stop

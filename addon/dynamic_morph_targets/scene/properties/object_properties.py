@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import bpy
-from bpy.props import BoolProperty, CollectionProperty, IntProperty, PointerProperty, StringProperty
 from bpy.types import PropertyGroup
 
 from .. import events
+from ..keyless import BoolProperty, CollectionProperty, IntProperty, PointerProperty, StringProperty
 from ..references import OVERRIDE, OVERRIDE_LIST
 from ..registration import of_classes
 from .bake_properties import (

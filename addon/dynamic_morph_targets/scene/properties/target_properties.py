@@ -11,7 +11,6 @@ from dataclasses import asdict
 
 import bpy
 import numpy as np
-from bpy.props import BoolProperty, CollectionProperty, FloatProperty, FloatVectorProperty, StringProperty
 from bpy.types import PropertyGroup
 
 from ...core.character import Skeleton
@@ -19,6 +18,7 @@ from ...core.material import calibration, oscillation
 from ...core.material.feel import FEELS
 from ...core.settings import Material
 from ..events import shown_changed
+from ..keyless import ANIMATED, BoolProperty, CollectionProperty, FloatProperty, FloatVectorProperty, StringProperty
 from ..references import OVERRIDE, OVERRIDE_LIST, KeyReference, key_displacement, key_hash
 from ..skin import unit_scale
 
@@ -137,7 +137,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         description="Young's modulus at this target in pascals. Raise it to make the soft tissue firmer. Once it is "
         "set, it stays, and Bounce and Settle Time follow from it",
         default=Material.stiffness, min=1.0, max=1e12, soft_min=1e3, soft_max=1e6, step=10000, precision=0,
-        override=OVERRIDE, update=_stiffness_set,
+        options=ANIMATED, override=OVERRIDE, update=_stiffness_set,
     )  # fmt: skip
     poisson: FloatProperty(
         name="Poisson's Ratio",
@@ -174,7 +174,8 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         name="Amount",
         description="How much of the motion is shown in this target's pose and region. Lower it for poses that should "
         "hold still; 0 shows only the sculpted shape",
-        default=1.0, min=0.0, max=1.0, subtype="FACTOR", override=OVERRIDE, update=shown_changed,
+        default=1.0, min=0.0, max=1.0, subtype="FACTOR", options=ANIMATED, override=OVERRIDE,
+        update=shown_changed,
     )  # fmt: skip
     region: StringProperty(
         name="Region",
