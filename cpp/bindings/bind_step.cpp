@@ -354,44 +354,63 @@ void bind_simulation(py::module_& m) {
       .def(
           "start",
           [](AnySimulation& s, const FloatArray& now, const FloatArray& next, const VectorXd& weights,
-             const std::optional<std::vector<ColliderMotion>>& colliders) {
+             const std::optional<std::vector<ColliderMotion>>& colliders, const std::optional<VectorXd>& stiffness,
+             const std::optional<double>& distance, const std::optional<double>& self_friction) {
             const Transforms a = transforms("now", now), b = transforms("next", next);
             const std::vector<ColliderStep> met = at_rest(colliders);
-            return s.visit(
-                [&](auto& own) { return Report(changing(own, [&] { return own.body.start(a, b, weights, &met); })); });
+            for (const auto& [name, value] :
+                 {std::pair("distance", distance), std::pair("self_friction", self_friction)})
+              if (value && (!(*value >= 0) || !std::isfinite(*value)))
+                throw std::invalid_argument(std::string(name) + ": must be finite and not negative");
+            return s.visit([&](auto& own) {
+              return Report(changing(own, [&] {
+                return own.body.start(a, b, weights, &met, stiffness ? &*stiffness : nullptr,
+                                      distance ? &*distance : nullptr, self_friction ? &*self_friction : nullptr);
+              }));
+            });
           },
-          "now"_a, "next"_a, "weights"_a, "colliders"_a = py::none(),
+          "now"_a, "next"_a, "weights"_a, "colliders"_a = py::none(), "stiffness"_a = py::none(),
+          "distance"_a = py::none(), "self_friction"_a = py::none(),
           "Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to "
           "`next` backward. colliders: what the skin lies on then, each with the motion of one step in which it stays "
-          "where it is.")
+          "where it is. stiffness (J), distance, self_friction: as of `advance`, then.")
       .def(
           "advance",
           [](AnySimulation& s, const FloatArray& bones, const FloatArray& weights,
              const std::optional<FloatArray>& external, const std::optional<Springs>& grabs,
-             const std::optional<std::vector<ColliderMotion>>& colliders) {
+             const std::optional<std::vector<ColliderMotion>>& colliders, const std::optional<FloatArray>& stiffness,
+             const std::optional<FloatArray>& distance, const std::optional<FloatArray>& self_friction) {
             return s.visit([&](auto& own) {
-              return advance({&own}, own.alone, {{bones, weights, external, grabs, colliders}}).front();
+              const Motion motion{bones, weights, external, grabs, colliders, stiffness, distance, self_friction};
+              return advance({&own}, own.alone, {motion}).front();
             });
           },
           "bones"_a, "weights"_a, "external"_a = py::none(), "grabs"_a = py::none(), "colliders"_a = py::none(),
+          "stiffness"_a = py::none(), "distance"_a = py::none(), "self_friction"_a = py::none(),
           "Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the "
           "nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of a skin. colliders: "
-          "what pushes the points of its contact. Returns a StepReport.")
+          "what pushes the points of its contact. stiffness (S, J): how many times as stiff as its material each "
+          "target "
+          "is. distance (S): at which contact begins, meters, and self_friction (S): instead of the simulation's. "
+          "Returns a StepReport.")
       .def(
           "solve_static",
           [](AnySimulation& s, const FloatArray& bones, const VectorXd& weights,
-             const std::optional<FloatArray>& external, const std::optional<VectorXd>& guess) {
+             const std::optional<FloatArray>& external, const std::optional<VectorXd>& guess,
+             const std::optional<VectorXd>& stiffness) {
             VectorXd q = guess.value_or(VectorXd());
             const Transforms frame = transforms("bones", bones);
             return s.visit([&](auto& own) {
               if (guess) check_coordinates(own.body.model(), q);
               External forces(own.body.model().body(), external, 1);
-              const auto report =
-                  changing(own, [&] { return own.body.solve_static({frame, weights, forces.at(0)}, q); });
+              const auto report = changing(own, [&] {
+                const VectorXd* stiffer = stiffness ? &*stiffness : nullptr;
+                return own.body.solve_static({frame, weights, forces.at(0), nullptr, nullptr, stiffer}, q);
+              });
               return py::make_tuple(q, Report(report));
             });
           },
-          "bones"_a, "weights"_a, "external"_a = py::none(), "guess"_a = py::none(),
+          "bones"_a, "weights"_a, "external"_a = py::none(), "guess"_a = py::none(), "stiffness"_a = py::none(),
           "Returns (coordinates, StepReport) of the static solution. The search starts from `guess`, or from the "
           "blended targets.")
       .def_property_readonly(
@@ -517,7 +536,7 @@ void bind_coupling(py::module_& m) {
           },
           "motions"_a,
           "As `advance` of one simulation, for all bodies: motions has, for each, (bones, weights, external, grabs, "
-          "colliders). Returns a StepReport of each.");
+          "colliders, stiffness, distance, self_friction). Returns a StepReport of each.");
 }
 
 }  // namespace

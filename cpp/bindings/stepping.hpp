@@ -148,9 +148,20 @@ class External {
   VectorXd free_;
 };
 
-/// bones (S, B, 3, 4), weights (S, J), external (S, n, 3) or (n, 3), grabs, colliders.
+/// bones (S, B, 3, 4), weights (S, J), external (S, n, 3) or (n, 3), grabs, colliders, stiffness (S, J), distance (S),
+/// self_friction (S).
 using Motion = std::tuple<FloatArray, FloatArray, std::optional<FloatArray>, std::optional<Springs>,
-                          std::optional<std::vector<ColliderMotion>>>;
+                          std::optional<std::vector<ColliderMotion>>, std::optional<FloatArray>,
+                          std::optional<FloatArray>, std::optional<FloatArray>>;
+
+/// Throws std::invalid_argument unless they are one for each step, finite and not negative.
+inline void check_each_step(const char* name, const std::optional<FloatArray>& values, py::ssize_t steps) {
+  if (!values) return;
+  check_shape(name, *values, {steps});
+  for (py::ssize_t i = 0; i < steps; ++i)
+    if (!(values->data()[i] >= 0) || !std::isfinite(values->data()[i]))
+      throw std::invalid_argument(std::string(name) + ": must be finite and not negative");
+}
 
 /// What acts on a soft skin in some steps, as `advance` takes it.
 template <class Model>
@@ -162,8 +173,14 @@ class Moving {
         weights_(std::get<1>(motion)),
         springs_(std::get<3>(motion)),
         colliders_(std::get<4>(motion).value_or(std::vector<ColliderMotion>())),
-        external_(model.body(), std::get<2>(motion), steps()) {
+        external_(model.body(), std::get<2>(motion), steps()),
+        stiffness_(std::get<5>(motion)),
+        distance_(std::get<6>(motion)),
+        self_friction_(std::get<7>(motion)) {
     check_shape("weights", weights_, {steps(), py::ssize_t(model.targets().size())});
+    if (stiffness_) check_shape("stiffness", *stiffness_, {steps(), weights_.shape(1)});
+    check_each_step("distance", distance_, steps());
+    check_each_step("self_friction", self_friction_, steps());
     if (springs_) {
       check_shape("grabs: goals", springs_->goals, {steps(), -1, 3});
       grabs_.skin = springs_->skin.template of<Model>("grabs: the skin");
@@ -184,7 +201,14 @@ class Moving {
     if (springs_) springs_->at(step, grabs_.springs);
     met_.clear();
     for (const ColliderMotion& collider : colliders_) met_.push_back(collider.at(step));
-    return {frame_, w_, external_.at(step), &grabs_, &met_};
+    if (stiffness_) s_ = Eigen::Map<const VectorXd>(stiffness_->data() + step * targets, targets);
+    return {frame_,
+            w_,
+            external_.at(step),
+            &grabs_,
+            &met_,
+            stiffness_ ? &s_ : nullptr,
+            distance_ ? distance_->data() + step : nullptr};
   }
 
  private:
@@ -192,8 +216,9 @@ class Moving {
   std::optional<Springs> springs_;
   std::vector<ColliderMotion> colliders_;
   External external_;
+  std::optional<FloatArray> stiffness_, distance_, self_friction_;
   Transforms frame_;
-  VectorXd w_;
+  VectorXd w_, s_;
   Grabs<Model> grabs_;
   std::vector<ColliderStep> met_;
 };

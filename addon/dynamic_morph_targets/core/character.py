@@ -99,6 +99,11 @@ class TargetSet:
     targets: tuple[Target, ...]
     region_weights: np.ndarray
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of its targets, as authored: '' of the neutral one."""
+        return "", *(target.name for target in self.targets[1:])
+
 
 def region_label(group: str) -> str:
     """What an artist calls the region of a vertex group."""
@@ -201,6 +206,11 @@ class Character:
     def targets(self) -> list[Target]:
         """All simulated targets, set after set: the order of every (..., J) array."""
         return _in_order(self.target_sets)
+
+    @property
+    def target_names(self) -> list[str]:
+        """Of `targets` (J,), as authored: '' of each set's neutral one."""
+        return [name for target_set in self.target_sets for name in target_set.names]
 
     @property
     def target_count(self) -> int:

@@ -22,7 +22,7 @@ from ..core.motion.player import STEP
 from ..core.motion.simulate import Shot
 from . import disk, model_file
 
-VERSION = 1  # version of the content of an unfinished bake
+VERSION = 2  # version of the content of an unfinished bake
 BLOCK = 2**20
 
 
@@ -102,6 +102,7 @@ def _fits(kept: dict[str, np.ndarray], model: Model, states: int) -> bool:
         "limit": (np.size(kept.get("limit", ())),),  # as much as it remembers
         "contact": (np.size(kept.get("contact", ())),),  # as much as was touched
         "dents": (with_dents - dofs,),
+        "amounts": (done, 1 + len(model.residual_shapes)) if np.size(kept.get("amounts", ())) else (0, 0),
         "pose": (bones, 4, 4),
     }
     if model.settings.method == "STATIC":  # nothing moves

@@ -826,21 +826,21 @@ class Simulation:
         """
         h: seconds per step. limit: of the motion. contact: the points that the colliders of `advance` push, from a distance in meters on. self_contact: of those points, where the skin touches itself, with self_friction. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, meters, above which the past is carried along (0: never). keep_going() -> bool is called before every Newton iteration; returning False raises Cancelled. Raises ValueError for parts of another model.
         """
-    def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None, colliders: collections.abc.Sequence[ColliderMotion] | None = None) -> StepReport:
+    def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None, colliders: collections.abc.Sequence[ColliderMotion] | None = None, stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, distance: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, self_friction: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> StepReport:
         """
-        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of a skin. colliders: what pushes the points of its contact. Returns a StepReport.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of a skin. colliders: what pushes the points of its contact. stiffness (S, J): how many times as stiff as its material each target is. distance (S): at which contact begins, meters, and self_friction (S): instead of the simulation's. Returns a StepReport.
         """
     def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
         Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, so that targets do not sag.
         """
-    def solve_static(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, guess: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], StepReport]:
+    def solve_static(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, guess: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None, stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], StepReport]:
         """
         Returns (coordinates, StepReport) of the static solution. The search starts from `guess`, or from the blended targets.
         """
-    def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], colliders: collections.abc.Sequence[ColliderMotion] | None = None) -> StepReport:
+    def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], colliders: collections.abc.Sequence[ColliderMotion] | None = None, stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None, distance: typing.SupportsFloat | typing.SupportsIndex | None = None, self_friction: typing.SupportsFloat | typing.SupportsIndex | None = None) -> StepReport:
         """
-        Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to `next` backward. colliders: what the skin lies on then, each with the motion of one step in which it stays where it is.
+        Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to `next` backward. colliders: what the skin lies on then, each with the motion of one step in which it stays where it is. stiffness (J), distance, self_friction: as of `advance`, then.
         """
     @property
     def coordinates(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
@@ -888,9 +888,9 @@ class Coupling:
         """
         bodies: two simulations at least, of models of one kind, each with its skin, that of its contact. friction: of skin on skin. garments: (clothes, body, to_body), numbers of clothes that lie on a body at rest and of that, and the transform (3, 4) of the bind space of the first to that of the second. Raises ValueError for others, or if their time steps or integrators differ.
         """
-    def advance(self, motions: collections.abc.Sequence[tuple[typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None, Grabs | None, collections.abc.Sequence[ColliderMotion] | None]]) -> list[StepReport]:
+    def advance(self, motions: collections.abc.Sequence[tuple[typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64], typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None, Grabs | None, collections.abc.Sequence[ColliderMotion] | None, typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None, typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None, typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None]]) -> list[StepReport]:
         """
-        As `advance` of one simulation, for all bodies: motions has, for each, (bones, weights, external, grabs, colliders). Returns a StepReport of each.
+        As `advance` of one simulation, for all bodies: motions has, for each, (bones, weights, external, grabs, colliders, stiffness, distance, self_friction). Returns a StepReport of each.
         """
 def adapt_response_basis(model: FullModel, U: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], W: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]) -> ResponseBasis:
     """

@@ -418,18 +418,18 @@ Eigen::AlignedBox3d ContactSamples<Model>::region(const Group& group, const Tran
 }
 
 template <class Model>
-double ContactSamples<Model>::stiffer(Index sample, const VectorXd& weights, const VectorXd& softness) const {
+double ContactSamples<Model>::stiffer(Index sample, const VectorXd& elastic, const VectorXd& softness) const {
   double out = 0;
   const auto& targets = model().targets();
   for (std::size_t j = 0; j < targets.size(); ++j)
-    if (const double w = weights(Index(j)); w != 0)
-      out += share_(sample, targets[j].set) * w * targets[j].lame.mu * softness(targets[j].set);
+    if (const double e = elastic(Index(j)); e != 0)
+      out += share_(sample, targets[j].set) * e * targets[j].lame.mu * softness(targets[j].set);
   return out;
 }
 
 template <class Model>
-double ContactSamples<Model>::stiffness(Index sample, const VectorXd& weights, double square) const {
-  return kFirmness * (stiffer(sample, weights, softness_) * stiffness_(sample) + mass_(sample) / square);
+double ContactSamples<Model>::stiffness(Index sample, const VectorXd& elastic, double square) const {
+  return kFirmness * (stiffer(sample, elastic, softness_) * stiffness_(sample) + mass_(sample) / square);
 }
 
 template <class Model>

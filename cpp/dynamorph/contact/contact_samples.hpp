@@ -61,8 +61,8 @@ class ContactSamples {
   /// What takes long to find (P, 3): `stiffness`, `mass` and `taken`.
   MatrixXd firmness() const;
 
-  /// k of a sample at target weights (J); square: (c h)^2, s^2.
-  double stiffness(Eigen::Index sample, const VectorXd& weights, double square) const;
+  /// k of a sample at elastic weights (J) of the targets; square: (c h)^2, s^2.
+  double stiffness(Eigen::Index sample, const VectorXd& elastic, double square) const;
 
   /// The local responses, or null.
   const LocalResponses* local() const { return local_.get(); }
@@ -74,9 +74,9 @@ class ContactSamples {
   /// out (chosen, patches).
   void local_rows(const PointRows& numbers, const std::vector<int>& chosen, const std::vector<int>& patches,
                   RowMajor& out) const;
-  /// How much stiffer the local responses at a sample are at target weights (J).
-  double local_stiffer(Eigen::Index sample, const VectorXd& weights) const {
-    return stiffer(sample, weights, local_->shear().cwiseInverse());
+  /// How much stiffer the local responses at a sample are at those weights.
+  double local_stiffer(Eigen::Index sample, const VectorXd& elastic) const {
+    return stiffer(sample, elastic, local_->shear().cwiseInverse());
   }
 
   /// A bound on the displacements of samples in bind space, meters, at target weights (J) and coordinates q.
@@ -108,7 +108,7 @@ class ContactSamples {
   void find_stiffness(const typename Model::SkinPoints& vertices, const VectorXd& neutral);
   /// How far a unit of each patch moves these vertices: (3 vertices, patches).
   MatrixXd local_shapes(const std::vector<int>& vertices) const;
-  double stiffer(Eigen::Index sample, const VectorXd& weights, const VectorXd& softness) const;
+  double stiffer(Eigen::Index sample, const VectorXd& elastic, const VectorXd& softness) const;
 
   SkinMap<Model> map_;  ///< of the vertices
   SurfacePoints points_;

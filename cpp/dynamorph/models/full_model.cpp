@@ -51,11 +51,13 @@ FullModel::Matrix FullModel::rest_stiffness(int target) const {
   return K;
 }
 
-void FullModel::blend(const VectorXd& w, Blend& out) const {
+void FullModel::blend(const VectorXd& w, const VectorXd& e, Blend& out) const {
   check_size("weights", w.size(), Eigen::Index(targets_.size()));
-  if (out.of == this && out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
+  check_size("elastic", e.size(), w.size());
+  if (out.of == this && out.weights.size() == w.size() && out.weights == w && out.elastic == e) return;  // as before
   out.of = this;
   out.weights = w;
+  out.elastic = e;
   out.mass.blend(targets_, body_->sets(), w);
   const bool linear = material_model_ == MaterialModel::linear, even = blending_ == Blending::even;
   if (out.damping.nonZeros() != assembly_.pattern().nonZeros()) out.damping = assembly_.pattern();
@@ -67,10 +69,10 @@ void FullModel::blend(const VectorXd& w, Blend& out) const {
     damping.setZero();
     if (linear) values(out.stiffness).segment(first, count).setZero();
     for (Eigen::Index j = 0; j < w.size(); ++j) {
-      if (w(j) == 0) continue;
+      if (e(j) == 0) continue;
       const auto rest = rest_stiffness_[j].segment(first, count);
-      damping += w(j) * targets_[j].stiffness_damping * rest;
-      if (linear) values(out.stiffness).segment(first, count) += w(j) * rest;
+      damping += e(j) * targets_[j].stiffness_damping * rest;
+      if (linear) values(out.stiffness).segment(first, count) += e(j) * rest;
     }
   });
   if (even) {
@@ -78,7 +80,7 @@ void FullModel::blend(const VectorXd& w, Blend& out) const {
     for (Eigen::Index j = 0; j < w.size(); ++j)
       if (w(j) != 0) out.displacement += w(j) * rest_displacements_[j];
   }
-  if (!linear) return blend_hold(w, out);
+  if (!linear) return blend_hold(e, out);
   out.energy = 0;
   if (even) {
     multiply_symmetric(out.stiffness, out.displacement, out.force);
@@ -88,16 +90,16 @@ void FullModel::blend(const VectorXd& w, Blend& out) const {
   }
   out.force.setZero(dofs());
   for (Eigen::Index j = 0; j < w.size(); ++j) {
-    if (w(j) == 0) continue;
-    out.force -= w(j) * rest_pull_[j];
-    out.energy += 0.5 * w(j) * rest_displacements_[j].dot(rest_pull_[j]);
+    if (e(j) == 0) continue;
+    out.force -= e(j) * rest_pull_[j];
+    out.energy += 0.5 * e(j) * rest_displacements_[j].dot(rest_pull_[j]);
   }
 }
 
 std::vector<Assembly::Part> FullModel::parts(const Blend& blend) const {
   std::vector<Assembly::Part> out;
   for (size_t j = 0; j < targets_.size(); ++j)
-    if (blend.weights(j) != 0) out.push_back({blend.weights(j), targets_[j].lame, &elements_[j]});
+    if (blend.elastic(j) != 0) out.push_back({blend.elastic(j), targets_[j].lame, &elements_[j]});
   return out;
 }
 
@@ -108,14 +110,14 @@ void FullModel::displacement_from_shape(const Blend& blend, const VectorXd& q, V
   if (blending_ == Blending::even) out -= blend.displacement;
 }
 
-void FullModel::blend_hold(const VectorXd& w, Blend& out) const {
+void FullModel::blend_hold(const VectorXd& e, Blend& out) const {
   if (body_->hold_stiffness.size() == 0) return;
   out.hold.setZero(dofs());
   out.hold_shapes.setZero(blending_ == Blending::even ? 0 : dofs());
   out.hold_energy = 0;
-  for (Eigen::Index j = 0; j < w.size(); ++j) {
-    if (w(j) == 0) continue;
-    const VectorXd stiffness = at_coordinates(w(j) * targets_[j].lame.mu * body_->hold_stiffness.col(targets_[j].set));
+  for (Eigen::Index j = 0; j < e.size(); ++j) {
+    if (e(j) == 0) continue;
+    const VectorXd stiffness = at_coordinates(e(j) * targets_[j].lame.mu * body_->hold_stiffness.col(targets_[j].set));
     out.hold += stiffness;
     if (blending_ == Blending::even) continue;  // x is zero at each target's own shape, so there are no more terms
     out.hold_shapes += stiffness.cwiseProduct(rest_displacements_[j]);

@@ -3,7 +3,8 @@
 //
 // FullModel and ReducedModel share one interface, which step() uses:
 //   Matrix, Blend                dense or sparse; the model at one set of target weights
-//   blend(w, out)                needed once per pose
+//   blend(w, e, out)             needed once per pose: shapes and masses by the weights w, elasticity by the weights e,
+//                                which are w times how stiff each target is at the moment
 //   Workspace                    scratch of evaluations, which a simulation keeps
 //   energy, linearize            E, F = dE/dq and K = dF/dq at coordinates q
 //   inertia(inertial, ...)       A^T M A, and the force that the moving rig exerts
@@ -32,11 +33,11 @@ class FullModel {
 
   struct Blend {
     const FullModel* of = nullptr;  ///< the model that made it
-    VectorXd weights;
+    VectorXd weights, elastic;      ///< w, e
     SetDensities mass;
-    Matrix damping;          ///< sum_j w_j beta_j K_j
+    Matrix damping;          ///< sum_j e_j beta_j K_j
     VectorXd displacement;   ///< even blending: d(q) (3 free); otherwise empty
-    VectorXd hold;           ///< sum_j w_j mu_j hold_stiffness (3 free); empty without a hold
+    VectorXd hold;           ///< sum_j e_j mu_j hold_stiffness (3 free); empty without a hold
     VectorXd hold_shapes;    ///< forces blending: the same times d_j
     double hold_energy = 0;  ///< forces blending: its energy at u = 0
     Matrix stiffness;        ///< linear law only: f = stiffness q + force, E = energy + ...
@@ -72,7 +73,9 @@ class FullModel {
   /// Norm of the coordinates when the whole body moves by one meter.
   double meter() const { return std::sqrt(double(body_->free_nodes.size())); }
 
-  void blend(const VectorXd& w, Blend& out) const;
+  void blend(const VectorXd& w, const VectorXd& e, Blend& out) const;
+  /// With each target as stiff as its material.
+  void blend(const VectorXd& w, Blend& out) const { blend(w, w, out); }
   double energy(const Blend& blend, const VectorXd& q, Workspace& workspace) const;
   double linearize(const Blend& blend, const VectorXd& q, Workspace& workspace, VectorXd& force,
                    Matrix& stiffness) const;
@@ -102,7 +105,7 @@ class FullModel {
   /// The targets with a weight, and the displacements to evaluate them at.
   std::vector<Assembly::Part> parts(const Blend& blend) const;
   void displacement_from_shape(const Blend& blend, const VectorXd& q, VectorXd& out) const;
-  void blend_hold(const VectorXd& w, Blend& out) const;
+  void blend_hold(const VectorXd& e, Blend& out) const;
   /// Energy of the hold at displacements x from `displacement_from_shape`. pull: its force.
   double hold_energy(const Blend& blend, const VectorXd& x, VectorXd& pull) const;
 

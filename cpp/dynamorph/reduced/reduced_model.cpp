@@ -164,14 +164,15 @@ ReducedModel::ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<Mor
   }
 }
 
-void ReducedModel::blend(const VectorXd& w, Blend& out) const {
-  if (w.size() != Eigen::Index(targets_.size()))
-    throw std::invalid_argument("weights: expected " + std::to_string(targets_.size()) + ", got " +
-                                std::to_string(w.size()));
-  if (out.of == this && out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
+void ReducedModel::blend(const VectorXd& w, const VectorXd& e, Blend& out) const {
+  check_size("weights", w.size(), Eigen::Index(targets_.size()));
+  check_size("elastic", e.size(), w.size());
+  if (out.of == this && out.weights.size() == w.size() && out.weights == w && out.elastic == e) return;  // as before
+  if (out.of != this) out.responses = {};
   out.of = this;
   const Eigen::Index r = layout_.r, pairs = layout_.pairs();
   out.weights = w;
+  out.elastic = e;
   out.mass.blend(targets_, body_->sets(), w);
   out.active.clear();
   out.active_weights.clear();
@@ -185,17 +186,18 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
     if (w(j) == 0) continue;
     out.only = out.active.empty() && w(j) == 1 ? int(j) : -1;
     out.active.push_back(tables_[j].data());
-    out.active_weights.push_back(w(j));
-    out.stiffness += w(j) * stiffness_[j];
-    out.packed_damping += w(j) * targets_[j].stiffness_damping * rest_stiffness_[j];
+    out.active_weights.push_back(e(j));
+    out.only_elastic = e(j);
+    out.stiffness += e(j) * stiffness_[j];
+    out.packed_damping += e(j) * targets_[j].stiffness_damping * rest_stiffness_[j];
     if (blending_ == Blending::even) {
       out.center += w(j) * coordinates_[j];
     } else {
-      out.force += w(j) * forces_[j];
-      out.energy += w(j) * energies_[j];
+      out.force += e(j) * forces_[j];
+      out.energy += e(j) * energies_[j];
     }
   }
-  responses_.blend(w, out.responses);
+  responses_.blend(w, e, out.responses);
   if (!out.damping.fits(layout_.r, dofs())) out.damping = zero();
   unpack([&](Eigen::Index p) { return out.packed_damping(p); }, out.damping.corner());
   if (responses_.count() > 0) {
@@ -227,6 +229,7 @@ void ReducedModel::expand(const Blend& blend, const VectorXd& z, Workspace& work
     for (Eigen::Index l = k + 1; l < r; ++l) *pair++ = 2 * now.v(k) * now.v(l);
   }
   const float* table = (blend.only >= 0 ? tables_[blend.only] : blend.table).data();
+  const double elastic = blend.only >= 0 ? blend.only_elastic : 1;  // of that table
   // With forces blending v is the displacement from rest. Even a small relative error of it hides the way to a target.
   const bool near = blending_ == Blending::even && workspace.anchored;
   if (!near || (now.v - anchor.v).norm() > workspace.near * now.v.norm()) {
@@ -234,12 +237,16 @@ void ReducedModel::expand(const Blend& blend, const VectorXd& z, Workspace& work
     now.quadratic.setZero(rows);
     add_single_product(table, rows, now.v.data(), r, now.linear.data());
     add_symmetric_product(table + rows * r, rows, now.pairs.data(), now.quadratic.data());
+    if (elastic != 1) {
+      now.linear *= elastic;
+      now.quadratic *= elastic;
+    }
     anchor = now;
     workspace.anchored = true;
     return;
   }
-  for (Eigen::Index k = 0; k < r; ++k) workspace.change[k] = float(now.v(k) - anchor.v(k));
-  for (Eigen::Index p = 0; p < rows; ++p) workspace.pair_changes[p] = float(now.pairs(p) - anchor.pairs(p));
+  for (Eigen::Index k = 0; k < r; ++k) workspace.change[k] = float(elastic * (now.v(k) - anchor.v(k)));
+  for (Eigen::Index p = 0; p < rows; ++p) workspace.pair_changes[p] = float(elastic * (now.pairs(p) - anchor.pairs(p)));
   now.linear = anchor.linear;
   now.quadratic = anchor.quadratic;
   add_short_product(table, rows, workspace.change.data(), r, now.linear.data());

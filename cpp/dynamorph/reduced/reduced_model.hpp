@@ -40,12 +40,13 @@ class ReducedModel {
 
   struct Blend {
     const ReducedModel* of = nullptr;  ///< the model that made it
-    VectorXd weights;
+    VectorXd weights, elastic;         ///< w, e
     SetDensities mass;
-    Matrix damping;           ///< sum_j w_j beta_j K_j
+    Matrix damping;           ///< sum_j e_j beta_j K_j
     VectorXd stiffness;       ///< K0, packed
-    LaneVector<float> table;  ///< sum_j w_j table_j, unless a single target has all the weight
-    int only = -1;            ///< that target
+    LaneVector<float> table;  ///< sum_j e_j table_j, unless a single target has all the weight
+    int only = -1;            ///< that target,
+    double only_elastic = 1;  ///< and its e
     VectorXd force;           ///< f at v = 0
     double energy = 0;        ///< E at v = 0
     VectorXd center;          ///< v = z - center
@@ -90,7 +91,9 @@ class ReducedModel {
   /// Norm of the coordinates when the whole body moves by one meter, as far as the modes can.
   double meter() const { return std::sqrt(body_->volume); }
 
-  void blend(const VectorXd& w, Blend& out) const;
+  void blend(const VectorXd& w, const VectorXd& e, Blend& out) const;
+  /// With each target as stiff as its material.
+  void blend(const VectorXd& w, Blend& out) const { blend(w, w, out); }
   double energy(const Blend& blend, const VectorXd& z, Workspace& workspace) const;
   double linearize(const Blend& blend, const VectorXd& z, Workspace& workspace, VectorXd& force,
                    Matrix& stiffness) const;

@@ -39,7 +39,7 @@ bool came(const ColliderStep& step) {
 template <class Model>
 ContactSearch<Model>::ContactSearch(std::shared_ptr<const ContactSamples<Model>> samples, double distance,
                                     std::shared_ptr<const SelfContact<Model>> self)
-    : samples_(std::move(samples)), distance_(distance), self_(std::move(self)) {}
+    : samples_(std::move(samples)), usual_distance_(distance), self_(std::move(self)) {}
 
 template <class Model>
 void ContactSearch<Model>::find(const StepInput<Model>& input, const State& state, const VectorXd& predicted) {
@@ -47,6 +47,7 @@ void ContactSearch<Model>::find(const StepInput<Model>& input, const State& stat
   unusable_.clear();
   friction_.clear();
   memory_ = state.contact;
+  distance_ = input.distance ? *input.distance : usual_distance_;
   find_at_colliders(input, state, predicted);
   if (!self_) return;
   self_->find(posed_skin(input, state, predicted), self_scratch_, found_on_self_);

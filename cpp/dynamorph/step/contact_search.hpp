@@ -52,7 +52,7 @@ class ContactSearch {
   void place_samples(const StepInput<Model>& input, const State& state, const VectorXd& predicted);
 
   std::shared_ptr<const ContactSamples<Model>> samples_;
-  double distance_;
+  double usual_distance_, distance_ = 0;  ///< the second: in the last step
   std::shared_ptr<const SelfContact<Model>> self_;
   typename SelfContact<Model>::Scratch self_scratch_;
   ContactFinder finder_;

@@ -90,9 +90,10 @@ struct PosedSamples {
   const ContactSamples<Model>& of;
   const Transforms& bones;
   const VectorXd& weights;  ///< of the targets (J)
+  const VectorXd& elastic;  ///< the same times how stiff each target is
 
   /// k of a sample; square: (c h)^2, s^2.
-  double stiffness(int sample, double square) const { return of.stiffness(sample, weights, square); }
+  double stiffness(int sample, double square) const { return of.stiffness(sample, elastic, square); }
   /// Where it is at q = 0, world space.
   Vector3d unmoved(int sample) const { return of.unmoved(bones, weights, sample); }
   /// Adds how far it moves along a direction to the last row of numbers.
@@ -162,7 +163,7 @@ struct ContactTerm {
     if (touching_.empty()) return;
     samples.rows(numbers_, scratch_, rows_);
     if constexpr (kGivesWay && std::is_same_v<Samples, PosedSamples<Model>>)
-      if (samples.of.local()) begin_dents(samples.of, samples.weights, step.giving, dents);
+      if (samples.of.local()) begin_dents(samples, step.giving, dents);
   }
 
   /// The unknowns of the patches, which follow the coordinates.
@@ -287,15 +288,15 @@ struct ContactTerm {
   }
 
   /// Lets the skin give way by the patches beneath the contacts that are near.
-  void begin_dents(const ContactSamples<Model>& samples, const VectorXd& weights, double giving,
-                   const VectorXd& dents) {
+  void begin_dents(const PosedSamples<Model>& posed, double giving, const VectorXd& dents) {
+    const ContactSamples<Model>& samples = posed.of;
     struct Patch {
       int sample;
       double deepest;  ///< of its contacts, where the targets alone put them
     };
     std::map<int, Patch> found;
     VectorXd shape, at_shape;
-    blended_shape(samples.model(), weights, shape);
+    blended_shape(samples.model(), posed.weights, shape);
     multiply(rows_, shape, at_shape);
     for (const Touch& touch : touching_) {
       if (!touch.presses_patches() || touch.contact.gap > giving) continue;
@@ -324,7 +325,7 @@ struct ContactTerm {
     VectorXd stiffer(m), most(m);
     Eigen::Index j = 0;
     for (const auto& [number, patch] : found) {
-      stiffer(j) = std::sqrt(samples.local_stiffer(patch.sample, weights));
+      stiffer(j) = std::sqrt(samples.local_stiffer(patch.sample, posed.elastic));
       most(j++) = patch.deepest / std::max(samples.local()->farthest()(number), 1e-300);
     }
     MatrixXd stiffness = samples.local()->stiffness()(patches, patches);

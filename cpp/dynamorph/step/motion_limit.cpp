@@ -274,14 +274,15 @@ MotionLimit<Model>::MotionLimit(std::shared_ptr<const Model> model, const SkinLi
 }
 
 template <class Model>
-void MotionLimit<Model>::drive(const VectorXd& load, const VectorXd& weights, const Transforms& acceleration, double h,
-                               const DrivenLoad& before, Scratch& scratch, DrivenLoad& out) const {
-  const std::complex<double> k = std::exp(std::complex(-kLoadDamping, 1.0) * h * frequency());
+void MotionLimit<Model>::drive(const VectorXd& load, const VectorXd& elastic, double stiffer,
+                               const Transforms& acceleration, double h, const DrivenLoad& before, Scratch& scratch,
+                               DrivenLoad& out) const {
+  const std::complex<double> k = std::exp(std::complex(-kLoadDamping, 1.0) * h * std::sqrt(stiffer) * frequency());
   const double kept = std::abs(k), turn = k.imag();
   out.swing.resize(load.size(), 2);
   out.swing.col(0) = k.real() * before.swing.col(0) - turn * before.swing.col(1) + (1 - k.real()) * load;
   out.swing.col(1) = turn * before.swing.col(0) + k.real() * before.swing.col(1) - turn * load;
-  reach(out.swing, weights, scratch, out.reach);
+  reach(out.swing, elastic, scratch, out.reach);
   VectorXd &held = scratch.held, &jump = scratch.jump;
   held = (out.reach / kept).cwiseMin(before.reach).cwiseMax(kept * before.held);
   jumped(acceleration, out.reach.cwiseMin(held), scratch, jump);
@@ -293,11 +294,11 @@ void MotionLimit<Model>::drive(const VectorXd& load, const VectorXd& weights, co
 }
 
 template <class Model>
-void MotionLimit<Model>::drive_long(const VectorXd& load, const VectorXd& weights, Scratch& scratch,
+void MotionLimit<Model>::drive_long(const VectorXd& load, const VectorXd& elastic, Scratch& scratch,
                                     DrivenLoad& out) const {
   out.swing.resize(load.size(), 2);
   out.swing << load, VectorXd::Zero(load.size());
-  reach(out.swing, weights, scratch, out.reach);
+  reach(out.swing, elastic, scratch, out.reach);
   out.held = out.reach;
   out.excess.fill(out.reach);
 }
@@ -323,7 +324,7 @@ void MotionLimit<Model>::jumped(const Transforms& acceleration, const VectorXd& 
 }
 
 template <class Model>
-void MotionLimit<Model>::reach(const MatrixX2d& swing, const VectorXd& weights, Scratch& scratch, VectorXd& out) const {
+void MotionLimit<Model>::reach(const MatrixX2d& swing, const VectorXd& elastic, Scratch& scratch, VectorXd& out) const {
   VectorXd &answers = scratch.answers, &stiffness = scratch.stiffness;
   answers_->multiply(swing, scratch.single, scratch.swings);
   answers = (scratch.swings.col(0).array().square() + scratch.swings.col(1).array().square()).sqrt();
@@ -332,7 +333,7 @@ void MotionLimit<Model>::reach(const MatrixX2d& swing, const VectorXd& weights, 
   stiffness.setZero(neutral_stiffness_.size());
   const auto& targets = model_->targets();
   for (std::size_t j = 0; j < targets.size(); ++j)
-    stiffness(targets[j].set) += weights(Index(j)) * targets[j].lame.mu / neutral_stiffness_(targets[j].set);
+    stiffness(targets[j].set) += elastic(Index(j)) * targets[j].lame.mu / neutral_stiffness_(targets[j].set);
   for (int p = 0; p < int(sampled_distances_.size()); ++p) answers(p) = answers.segment<3>(3 * p).norm();
   out.resize(bones());
   for (Index b = 0; b < bones(); ++b) {

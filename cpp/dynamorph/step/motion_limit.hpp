@@ -166,12 +166,12 @@ class MotionLimit {
     MatrixXd moved;                               ///< the bones' second difference (G, 12)
   };
 
-  /// A step of h seconds under a load f (dofs) at target weights (J). acceleration: the second difference of the body's
-  /// transforms (T).
-  void drive(const VectorXd& load, const VectorXd& weights, const Transforms& acceleration, double h,
+  /// A step of h seconds under a load f (dofs) at elastic weights (J) of the targets. stiffer: how many times as stiff
+  /// as its material the tissue is, on average. acceleration: the second difference of the body's transforms (T).
+  void drive(const VectorXd& load, const VectorXd& elastic, double stiffer, const Transforms& acceleration, double h,
              const DrivenLoad& before, Scratch& scratch, DrivenLoad& out) const;
   /// The same under a load that has lasted, as in a static solution.
-  void drive_long(const VectorXd& load, const VectorXd& weights, Scratch& scratch, DrivenLoad& out) const;
+  void drive_long(const VectorXd& load, const VectorXd& elastic, Scratch& scratch, DrivenLoad& out) const;
 
   /// s (T) of the body's transforms from x (G).
   void scales(const VectorXd& excess, VectorXd& out) const;
@@ -187,7 +187,7 @@ class MotionLimit {
   using Answers = std::conditional_t<kNodal, NodalAnswers, SingleRows>;
 
   /// q (G) of m: 1 where it lets a bone's skin swing as far as a load may.
-  void reach(const MatrixX2d& swing, const VectorXd& weights, Scratch& scratch, VectorXd& out) const;
+  void reach(const MatrixX2d& swing, const VectorXd& elastic, Scratch& scratch, VectorXd& out) const;
   /// p (G), or 0 where that is at most `least` (G).
   void jumped(const Transforms& acceleration, const VectorXd& least, Scratch& scratch, VectorXd& out) const;
   /// Of the lengths of the answers at a bone's points.

@@ -39,6 +39,14 @@ void check_contacts(const State& state, Eigen::Index samples) {
       throw Error("The state has a contact that does not fit");
 }
 
+/// How many times as stiff as its material the tissue is at these elastic weights (J), on average.
+double mean_stiffness(const SoftBody& body, const std::vector<MorphTarget>& targets, const VectorXd& elastic) {
+  const Eigen::RowVectorXd volumes = body.volumes.colwise().sum();
+  double sum = 0;
+  for (std::size_t j = 0; j < targets.size(); ++j) sum += volumes(targets[j].set) * elastic(Eigen::Index(j));
+  return sum / volumes.sum();
+}
+
 /// Of a limit that has not acted; `bones`: 0 without a limit.
 DrivenLoad not_driven(Eigen::Index bones, Eigen::Index dofs) {
   const VectorXd none = VectorXd::Zero(bones);
@@ -107,13 +115,22 @@ Eigen::Index MovingBody<Model>::patches() const {
 }
 
 template <class Model>
-void MovingBody<Model>::pose(const Transforms& bones, const VectorXd& weights) {
+void MovingBody<Model>::pose(const Transforms& bones, const VectorXd& weights, const VectorXd* stiffness) {
   if (bones.rows() != model_->body().skin.cols())
     throw std::invalid_argument("bones: expected " + std::to_string(model_->body().skin.cols()) + " transforms, got " +
                                 std::to_string(bones.rows()));
   if (!bones.allFinite() || !weights.allFinite())
     throw Error("The rig has a transform that is not a number. Check what poses it at this step.");
-  model_->blend(weights, blend_);
+  weighted_ = weights;
+  stiffer_ = 1;
+  if (stiffness) {
+    check_size("stiffness", stiffness->size(), weights.size());
+    if (!stiffness->allFinite() || !(stiffness->array() > 0).all())
+      throw std::invalid_argument("stiffness: must be finite and above zero");
+    weighted_.array() *= stiffness->array();
+    stiffer_ = mean_stiffness(model_->body(), model_->targets(), weighted_);
+  }
+  model_->blend(weights, weighted_, blend_);
 }
 
 template <class Model>
@@ -128,7 +145,7 @@ void MovingBody<Model>::balance_targets(const std::vector<Transforms>& bones) {
   for (size_t j = 0; j < targets.size(); ++j) {
     // The target alone, without targets of other sets: f_g^(j) = rho_j (A^(j))^T M1 g.
     const VectorXd alone = VectorXd::Unit(targets.size(), j);
-    pose(bones[j], alone);
+    pose(bones[j], alone, nullptr);
     load_.unbalanced({at_rest(rest, bones[j], options_.gravity), 1, blend_, nullptr}, quadratic_.g);
     loads.col(j) = -quadratic_.g;
     for (Eigen::Index t = 0; t < bones[j].rows(); ++t)
@@ -140,16 +157,17 @@ void MovingBody<Model>::balance_targets(const std::vector<Transforms>& bones) {
 template <class Model>
 void MovingBody<Model>::begin_terms(const StepInput<Model>& input, const VectorXd& predicted, double watched) {
   grabs_.begin(*model_, input);
-  pulls_.begin(parts_.limit.get(), input.weights, predicted, watched);
+  pulls_.begin(parts_.limit.get(), input.weights, stiffer_, predicted, watched);
 }
 
 template <class Model>
 void MovingBody<Model>::find_contacts(const StepInput<Model>& input) {
   search_.find(input, state_, next_);
+  self_friction_ = input.self_friction ? *input.self_friction : parts_.self_friction;
   contacts_.clear();
   if (search_.found().empty()) return;
-  contacts_.begin({*parts_.contact, input.bones, input.weights}, search_.found(), contact_step(), state_.pressures,
-                  state_.dents);
+  contacts_.begin({*parts_.contact, input.bones, input.weights, blend_.elastic}, search_.found(), contact_step(),
+                  state_.pressures, state_.dents);
 }
 
 template <class Model>
@@ -174,14 +192,14 @@ template <class Model>
 StepReport MovingBody<Model>::solve_static(const StepInput<Model>& input, VectorXd& q) {
   const VectorXd& weights = input.weights;
   check_weights(model_->targets(), model_->body().sets(), weights);
-  pose(input.bones, weights);
+  pose(input.bones, weights, input.stiffness);
   if (q.size() != model_->dofs()) {
     // The blended targets are close to the answer, and often they are the answer.
     blended_shape(*model_, weights, q);
   }
   if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
   const InertialTarget gravity = at_rest(q, input.bones, options_.gravity);
-  load_.lasting({gravity, 1, blend_, input.external}, quadratic_.g);
+  load_.lasting({gravity, 1, blend_, input.external, stiffer_}, quadratic_.g);
   begin_terms(input, q, 0);
   contacts_.clear();
   forget();
@@ -196,20 +214,23 @@ StepReport MovingBody<Model>::solve_static(const StepInput<Model>& input, Vector
 
 template <class Model>
 StepReport MovingBody<Model>::start(const Transforms& now, const Transforms& next, const VectorXd& weights,
-                                    const std::vector<ColliderStep>* colliders) {
+                                    const std::vector<ColliderStep>* colliders, const VectorXd* stiffness,
+                                    const double* distance, const double* self_friction) {
   if (next.rows() != now.rows() || !next.allFinite())
     throw std::invalid_argument("next: expected " + std::to_string(now.rows()) + " finite transforms, got " +
                                 std::to_string(next.rows()));
   VectorXd q;
-  StepReport report = solve_static({now, weights}, q);
+  const StepInput<Model> input{now, weights, nullptr, nullptr, colliders, stiffness, distance, self_friction};
+  StepReport report = solve_static(input, q);
   state_.dents.setZero();
   weights_ = weights;
+  last_elastic_ = blend_.elastic;
   state_.driven = load_.driven();
   state_.q.fill(q);
   for (int k = 0; k < InertialTarget::kMoments; ++k) state_.bones[k] = extrapolate_back(now, next, k);
   state_.contact.clear();
   state_.pressures.clear();
-  lie_down({now, weights, nullptr, nullptr, colliders}, report);
+  lie_down(input, report);
   return report;
 }
 
@@ -272,7 +293,7 @@ template <class Model>
 void MovingBody<Model>::begin_step(const StepInput<Model>& input) {
   if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
   check_weights(model_->targets(), model_->body().sets(), input.weights);
-  pose(input.bones, input.weights);
+  pose(input.bones, input.weights, input.stiffness);
   teleported_ = jumps(model_->body(), options_.teleport, input.bones, state_.bones);
   if (teleported_) {
     before_ = state_;
@@ -321,7 +342,7 @@ void MovingBody<Model>::prepare(const StepInput<Model>& input) {
   }
   inertial.coefficients = rule.coefficients();
   inertial.gravity_offset = rule.square * options_.gravity;
-  load_.step({inertial, rule.square, blend_, input.external}, h, state_.driven, quadratic_.g);
+  load_.step({inertial, rule.square, blend_, input.external, stiffer_}, h, state_.driven, quadratic_.g);
   begin_terms(input, next_, kWatched);
   find_contacts(input);
 
@@ -351,6 +372,7 @@ void MovingBody<Model>::end_step(const StepInput<Model>& input, StepReport& repo
   state_.contact = search_.memory();
   contacts_.pressures(state_.pressures);
   weights_ = input.weights;
+  last_elastic_ = blend_.elastic;
 }
 
 template <class Model>
@@ -417,7 +439,7 @@ template <class Model>
 double MovingBody<Model>::elastic_energy() const {
   require_pose();
   typename Model::Blend blend;  // blend_ may be of another pose
-  model_->blend(weights_, blend);
+  model_->blend(weights_, last_elastic_, blend);
   return model_->energy(blend, state_.q[0]);
 }
 

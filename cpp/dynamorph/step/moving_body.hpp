@@ -60,9 +60,11 @@ class MovingBody {
 
   /// Starts at rest with the bones `now`, while the rig moves on to `next` by the end of the first step. u is the
   /// static solution, lying on what it touches, and the past continues the rig's motion backward. colliders: where they
-  /// are now, before and after alike; null for none.
+  /// are now, before and after alike; null for none. stiffness, distance, self_friction: as of
+  /// `StepInput`.
   StepReport start(const Transforms& now, const Transforms& next, const VectorXd& weights,
-                   const std::vector<ColliderStep>* colliders = nullptr);
+                   const std::vector<ColliderStep>* colliders = nullptr, const VectorXd* stiffness = nullptr,
+                   const double* distance = nullptr, const double* self_friction = nullptr);
 
   /// Finds the static solution, starting from the coordinates q, or from the blended targets when q is empty. Does not
   /// change the state.
@@ -81,6 +83,8 @@ class MovingBody {
   /// for what is not finite.
   void set_state(const State& state);
   const VectorXd& coordinates() const { return state_.q[0]; }
+  /// The weights of the targets in the step that has begun, times how stiff each of them is (J).
+  const VectorXd& elastic() const { return blend_.elastic; }
   /// Energies of the state, J, at the target weights of the last start() or step. The kinetic energy uses the
   /// integrator's own velocity.
   double kinetic_energy() const;
@@ -110,13 +114,13 @@ class MovingBody {
   void ask() const;
   /// Goes on with what Newton's method found, and where; throws Error where that broke.
   StepReport accept(const NewtonReport& found, const VectorXd& unknowns);
-  ContactStep contact_step() const { return search_.contact_step(options_, parts_.self_friction); }
+  ContactStep contact_step() const { return search_.contact_step(options_, self_friction_); }
   PosedSkin posed_skin(const StepInput<Model>& input) { return search_.posed_skin(input, state_, next_); }
   /// Puts pressures before its own: of contacts with other bodies.
   void remember(const std::vector<Pressure>& pressures);
 
  private:
-  void pose(const Transforms& bones, const VectorXd& weights);
+  void pose(const Transforms& bones, const VectorXd& weights, const VectorXd* stiffness);
   void prepare(const StepInput<Model>& input);
   /// Moves the state from the static solution to where what it touches holds it.
   void lie_down(const StepInput<Model>& input, StepReport& report);
@@ -139,7 +143,10 @@ class MovingBody {
   State state_;
   State before_;  ///< before a jump, in case the step fails
   bool teleported_ = false;
-  VectorXd weights_;  ///< of the last start() or step
+  VectorXd weights_, last_elastic_;  ///< of the last start() or step
+  VectorXd weighted_;                ///< weights of the step, times the stiffness of their targets
+  double self_friction_ = 0;         ///< in the step
+  double stiffer_ = 1;               ///< how many times as stiff as its material the tissue is in the step, on average
 
   typename Model::Blend blend_;
   StepLoad<Model> load_;

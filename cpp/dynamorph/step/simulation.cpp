@@ -247,7 +247,7 @@ void Simulation<Model>::find_contacts(const StepInput<Model>* inputs) {
     const SoftBody& soft = body->model().body();
     const bool jumps = dynamorph::jumps(soft, soft.size, input.bones, body->state().bones);
     skins.push_back({*skin, body->posed_skin(input), scratch_[b], first_sample_[b], jumps});
-    samples.push_back({skin->samples(), input.bones, input.weights});
+    samples.push_back({skin->samples(), input.bones, input.weights, body->elastic()});
     for (const Pressure& last : body->state().pressures)
       if (last.collider == kOtherSkin)
         pressures.push_back({first_sample_[b] + last.sample, kSkin, last.normal, last.force, last.slip});

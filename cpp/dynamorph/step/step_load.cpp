@@ -62,7 +62,7 @@ void StepLoad<Model>::step(const Input& input, double h, const DrivenLoad& befor
   add_balance(input, g);
   add_external(input, nullptr, g);
   g *= -1;
-  limit_->drive(g, input.blend.weights, acceleration_, h, before, answers_, driven_);
+  limit_->drive(g, input.blend.elastic, input.stiffer, acceleration_, h, before, answers_, driven_);
   hold_back(input, g);
 }
 
@@ -72,7 +72,7 @@ void StepLoad<Model>::lasting(const Input& input, VectorXd& g) {
   add_balance(input, g);
   add_external(input, nullptr, g);
   if (!limit_) return;
-  limit_->drive_long(-g, input.blend.weights, answers_, driven_);
+  limit_->drive_long(-g, input.blend.elastic, answers_, driven_);
   hold_back(input, g);
 }
 
@@ -86,7 +86,7 @@ void StepLoad<Model>::hold_back(const Input& input, VectorXd& g) {
   } else {
     for (std::size_t k = 0; k < x.size(); ++k) limit_->scales(x[k], scales_[k]);
     const InertialTarget slow = scaled(input);
-    unbalanced({slow, input.square, input.blend, nullptr}, g);
+    unbalanced({slow, input.square, input.blend, nullptr, input.stiffer}, g);
   }
   add_balance(input, g);
   add_external(input, any ? &scales_[0] : nullptr, g);

@@ -21,6 +21,7 @@ class StepLoad {
     double square;                   ///< s^2
     const typename Model::Blend& blend;
     const VectorXd* external;  ///< forces on the nodes, or null
+    double stiffer = 1;        ///< how many times as stiff as its material the tissue is, on average
 
     Vector3d gravity() const { return inertial.gravity_offset / square; }
   };

@@ -142,8 +142,9 @@ struct PullTerm {
   using Points = PointStiffness<typename Model::Matrix>;
 
   /// limit: null for none. What can be pulled is what has gone at least `watched` of its limit at the `predicted`
-  /// coordinates.
-  void begin(const MotionLimit<Model>* limit, const VectorXd& weights, const VectorXd& predicted, double watched) {
+  /// coordinates. stiffer: as of `MotionLimit::drive`.
+  void begin(const MotionLimit<Model>* limit, const VectorXd& weights, double stiffer, const VectorXd& predicted,
+             double watched) {
     limit_ = limit;
     watched_.clear();
     points_.stiffness.resize(0);
@@ -157,7 +158,7 @@ struct PullTerm {
       const double far = values_.segment(pull.first, pull.count).norm() / pull.limit;
       if (pull.count == 3) farthest_ = std::max(farthest_, far);
       if (far < watched) continue;
-      watched_.push_back({numbers_.size(), pull.count, pull.limit, pull.stiffness});
+      watched_.push_back({numbers_.size(), pull.count, pull.limit, stiffer * pull.stiffness});
       for (int row = pull.first; row < pull.first + pull.count; ++row) copy(limit->pull_numbers(), row, numbers_);
     }
     if (!watched_.empty()) limit->pull_points().rows(numbers_, rows_);

@@ -96,6 +96,41 @@ TEST_CASE("blended and in single precision, as it is stepped: to 1e-6 of the lar
     }
 }
 
+TEST_CASE("a target that is stiffer at the moment is one of a stiffer material") {
+  const auto body = scenes::two_bone_bar();
+  const auto targets = scenes::targets(*body);
+  const Vector3d stiffness(2, 0.5, 3);
+  auto stiffer = targets;
+  for (int j = 0; j < 3; ++j)
+    stiffer[std::size_t(j)].lame = {stiffness(j) * targets[std::size_t(j)].lame.lambda,
+                                    stiffness(j) * targets[std::size_t(j)].lame.mu};
+  const auto compare = [&](const auto& plain, const auto& stiff, double tolerance) {
+    using Model = std::decay_t<decltype(plain)>;
+    for (const Vector3d& w : {Vector3d(0.3, 0.5, 0.2), Vector3d(0, 1, 0)}) {
+      typename Model::Blend at_the_moment, of_material;
+      plain.blend(w, w.cwiseProduct(stiffness), at_the_moment);
+      stiff.blend(w, of_material);
+      const VectorXd q = random_vector(plain.dofs(), 1e-3, 7);
+      VectorXd force, expected;
+      typename Model::Matrix K = plain.zero(), expected_K = plain.zero();
+      const double energy = plain.linearize(at_the_moment, q, force, K);
+      CHECK(std::abs(energy - stiff.linearize(of_material, q, expected, expected_K)) <= tolerance * energy);
+      CHECK((force - expected).norm() <= tolerance * expected.norm());
+      CHECK((values(K) - values(expected_K)).norm() <= tolerance * values(expected_K).norm());
+      CHECK((values(at_the_moment.damping) - values(of_material.damping)).norm() <=
+            tolerance * values(of_material.damping).norm());
+      CHECK(at_the_moment.mass.density == of_material.mass.density);
+    }
+  };
+  for (MaterialModel material_model : kMaterialModels)
+    for (Blending blending : kBlendings) {
+      const FullModel full(body, targets, material_model, blending);
+      compare(full, FullModel(body, stiffer, material_model, blending), 1e-11);
+      const ReducedTables tables = reduce(full, make_response_basis(full, 8, 12));
+      compare(ReducedModel(body, targets, tables, blending), ReducedModel(body, stiffer, tables, blending), 1e-5);
+    }
+}
+
 TEST_CASE("no target at all: no force and no energy") {
   const auto body = scenes::two_bone_bar();
   const auto targets = scenes::targets(*body);

@@ -64,7 +64,7 @@ void check_contact(std::shared_ptr<const Model> model, std::shared_ptr<const Loc
       if (c == 0) pressures.push_back({p, 0, normal, 0.1 * (p % 7), 0.002 * normal.unitOrthogonal()});
     }
   const ContactStep step{friction, 0.5, 1e-4, 0, kWidth, 0.01, 0};
-  const PosedSamples<Model> posed{samples, bones, kBetween};
+  const PosedSamples<Model> posed{samples, bones, kBetween, kBetween};
   const VectorXd dents = VectorXd::Zero(local ? local->size() : 0);
   AtFirst<Model> term;
   term.begin(posed, contacts, step, pressures, dents);

@@ -46,12 +46,12 @@ void check_far_term(std::shared_ptr<const Model> model) {
   blended_shape(*model, kBetween, shape);
   PullTerm<Model> far;
   const VectorXd moved = shape + scales.cwiseProduct(random_vector(scales.size(), 1, 5));
-  far.begin(&limit, kBetween, moved, 0.4);
+  far.begin(&limit, kBetween, 1, moved, 0.4);
   Around<PullTerm<Model>> around{far, moved};
   check_term<typename Model::Matrix>(around, scales, 1e-5);
   CHECK(far.acts());
 
-  far.begin(&limit, kBetween, shape, 0.4);  // in the targets' shape nothing is far
+  far.begin(&limit, kBetween, 1, shape, 0.4);  // in the targets' shape nothing is far
   const auto near = far.linearize(scales);
   CHECK(near.value == 0);
   CHECK(near.gradient.isZero(0));

@@ -36,23 +36,31 @@ class Amounts:
             known = min(len(settings.gains), len(self.gains))
             self.gains[:known] = settings.gains[:known]
 
-    def shown(self, coordinates: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    def shown(self, coordinates: np.ndarray, weights: np.ndarray, keyed: np.ndarray | None = None) -> np.ndarray:
         """Coordinates (..., dofs) at the targets' weights (..., J), with the amount, the gains and the motion amounts.
+        keyed (..., 1 + J): as of `KeyedSettings.amounts`.
 
         In the region of a set the motion has the mean amount of its targets, by their weights, which sum to one.
         """
-        coordinates = self.with_gains(coordinates, weights)
-        if not len(self.gains) or (self.motion_amounts == 1.0).all():
+        amounts = np.append(self.amount, self.motion_amounts)
+        if keyed is not None:
+            amounts = np.where(np.isnan(keyed), amounts, keyed)
+        amount, motion_amounts = amounts[..., :1], amounts[..., 1:]
+        coordinates = self.with_gains(coordinates, weights, amount)
+        if not len(self.gains) or (motion_amounts == 1.0).all():
             return coordinates
         still = weights @ self._shapes
         begins = np.cumsum([0, *self._sizes[:-1]])
-        means = np.add.reduceat(weights * self.motion_amounts, begins, axis=-1)
+        means = np.add.reduceat(weights * motion_amounts, begins, axis=-1)
         parts = self._in_regions(coordinates - still)
         return still + sum(mean[..., None] * part for mean, part in zip(np.moveaxis(means, -1, 0), parts, strict=True))
 
-    def with_gains(self, coordinates: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Like `shown`, but without the motion amounts of the targets."""
-        return coordinates + (self.amount * self.gains - 1.0) * (coordinates - weights @ self._shapes)
+    def with_gains(
+        self, coordinates: np.ndarray, weights: np.ndarray, amount: np.ndarray | float | None = None
+    ) -> np.ndarray:
+        """Like `shown`, but without the motion amounts of the targets. amount (..., 1): instead of that of all."""
+        amount = self.amount if amount is None else amount
+        return coordinates + (amount * self.gains - 1.0) * (coordinates - weights @ self._shapes)
 
     def _in_regions(self, motion: np.ndarray) -> list[np.ndarray]:
         """Each set's part of a motion (..., dofs); they sum to it."""

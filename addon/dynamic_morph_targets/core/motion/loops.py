@@ -182,7 +182,7 @@ def begin_again(player: Player, rig: RigSamples, frame: Frame) -> Frame:
     bones = [past.reshape(-1, 12) for past in moved]
     player.state = changed(state, bones=bones, contact=np.zeros(0))  # what is touched in the first frame is found again
     player.number, player.passes = player.settings.frame_start, player.passes + 1
-    return Frame(player.number, frame.coordinates, player.posing.posed(rig[:1])[1][0], NO_STEPS)
+    return player.frame_at_rest(rig, frame.coordinates, player.posing.posed(rig[:1])[1][0], NO_STEPS)
 
 
 def pose_gap(player: Player, rig: RigSamples) -> float:

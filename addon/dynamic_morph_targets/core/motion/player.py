@@ -20,6 +20,7 @@ from ..settings import SimulationSettings
 from .amounts import Amounts
 from .contact import Collision, as_bits
 from .grab import Hand, from_text
+from .keyed import KeyedSettings
 from .posing import Posing
 from .prepared import prepared
 from .rig_samples import RigSamples
@@ -61,21 +62,25 @@ def changed(state: State, **parts: Any) -> State:
 @dataclass(frozen=True)
 class Frame:
     """A frame, or a time between two: coordinates (dofs,), target weights (J,), and the engine's report of the steps to
-    it.
+    it. amounts (1 + J,): that are keyed, as of `KeyedSettings.amounts`.
     """
 
     number: float
     coordinates: np.ndarray
     weights: np.ndarray
     steps: dynamorph.StepReport
+    amounts: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Some steps to a time. motion: what the engine's `advance` takes; bones (S, B, 3, 4), weights (S, J), and more."""
+    """Some steps to a time. motion: what the engine's `advance` takes; bones (S, B, 3, 4), weights (S, J), and more.
+    amounts: of the frame then.
+    """
 
     time: float
     motion: tuple
+    amounts: np.ndarray | None
 
 
 def statistics(frames: Sequence[Frame], names: Sequence[str] = STEP) -> np.ndarray:
@@ -183,9 +188,10 @@ class Player:
             begun = NO_STEPS
         else:
             lies_on = self.collision.motions(rig[:1].still(1)) if self.collision else None
-            begun = self._simulation.start(bones[0], bones[-1], weights[0], lies_on)
+            keyed = (None if values is None else values[0] for values in self._keyed(rig[:1]))
+            begun = self._simulation.start(bones[0], bones[-1], weights[0], lies_on, *keyed)
         self.number = self.settings.first
-        return Frame(self.number, self.coordinates, weights[0], begun)
+        return self.frame_at_rest(rig, self.coordinates, weights[0], begun)
 
     def resume(self, first: RigSamples, state: State) -> None:
         """Continues from the `state` of another player that began with the sample `first`; its next frames follow."""
@@ -225,6 +231,7 @@ class Player:
             chunk = numbers[first : first + frames]
             moving = rig[first * substeps : (first + len(chunk)) * substeps]
             bones, weights = self.posing.posed(moving)
+            keyed, amounts = self._keyed(moving), self.amounts_of(moving)
             for k, number in enumerate(chunk):
                 self.number = int(number)
                 if self.hand:
@@ -237,12 +244,14 @@ class Player:
                     push = self._push(moving[steps], bones[steps])
                     stops = self.collision.motions(moving[steps]) if self.collision else None
                     grabs = self.hand.springs(steps, substeps) if self.hand else None
-                    motion = bones[steps], weights[steps], push, grabs, stops
-                    yield Steps(self.number - left / samples, motion)
+                    of_steps = (None if values is None else values[steps] for values in keyed)
+                    motion = bones[steps], weights[steps], push, grabs, stops, *of_steps
+                    shown = None if amounts is None else amounts[end - 1]
+                    yield Steps(self.number - left / samples, motion, shown)
 
     def taken(self, steps: Steps, report: dynamorph.StepReport) -> Frame:
         """The frame after steps, with the engine's report on them."""
-        return Frame(steps.time, self.coordinates, steps.motion[1][-1], report)
+        return Frame(steps.time, self.coordinates, steps.motion[1][-1], report, steps.amounts)
 
     def exchange(self, character: Character, settings: SimulationSettings | None = None) -> Player:
         """A player that continues from here with the materials, poses and blending of `character`. settings: others
@@ -266,7 +275,28 @@ class Player:
 
     def shown(self, frame: Frame) -> np.ndarray:
         """The frame's coordinates with `amounts`."""
-        return self.amounts.shown(frame.coordinates, frame.weights)
+        return self.amounts.shown(frame.coordinates, frame.weights, frame.amounts)
+
+    def amounts_of(self, rig: RigSamples) -> np.ndarray | None:
+        """`Frame.amounts` at each of the samples (S, 1 + J)."""
+        keyed = rig.track(KeyedSettings)
+        return keyed.amounts(self.character) if keyed else None
+
+    def frame_at_rest(self, rig: RigSamples, coordinates: np.ndarray, weights: np.ndarray, steps: Any) -> Frame:
+        """The frame at the first sample, before any step. steps: a report."""
+        amounts = self.amounts_of(rig[:1])
+        return Frame(self.number, coordinates, weights, steps, None if amounts is None else amounts[0])
+
+    def _keyed(self, rig: RigSamples) -> tuple[np.ndarray | None, ...]:
+        """Stiffness (S, J), distance (S,) in meters and self-friction (S,), as the engine takes them; None where they
+        are not keyed.
+        """
+        keyed = rig.track(KeyedSettings)
+        if keyed is None:
+            return None, None, None
+        distance = keyed.of("DISTANCE")
+        distance = None if distance is None else distance * self.size
+        return keyed.stiffness(self.character), distance, keyed.of("FRICTION")
 
     def _asked_by_engine(self) -> Callable[[], bool] | None:
         """`keep_going` for the engine. It must not hold the player, which holds the engine's simulation: Python's

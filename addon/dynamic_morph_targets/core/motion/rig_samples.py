@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 
@@ -148,13 +148,16 @@ class PosedNodes(Track):
         return self.points.nbytes
 
 
+T = TypeVar("T", bound=Track)
+
+
 @dataclass(frozen=True)
 class RigSamples(Track):
     """The moving rig at S sample times: pose (S, B, 4, 4) armature space, rig_world and object_world (S, 4, 4).
 
-    tracks: what is known at the same times beside the rig, as force fields, colliders and, where bones do not say it,
-    the free nodes as Blender poses them. target_nodes: the same nodes (S = J) in the targets' captured poses, the
-    objects being where they are at the first sample.
+    tracks: what is known at the same times beside the rig, as force fields, colliders, settings that are keyed and,
+    where bones do not say it, the free nodes as Blender poses them. target_nodes: the same nodes (S = J) in the
+    targets' captured poses, the objects being where they are at the first sample.
     """
 
     SAMPLED = ("pose", "rig_world", "object_world")
@@ -172,10 +175,14 @@ class RigSamples(Track):
         """What pushes the skin."""
         return tuple(track for track in self.tracks if isinstance(track, ForceField))
 
+    def track(self, kind: type[T]) -> T | None:
+        """The only track of a kind; None without one."""
+        return next((track for track in self.tracks if isinstance(track, kind)), None)
+
     @property
     def nodes(self) -> PosedNodes | None:
         """The free nodes as Blender poses them, if bones do not say where they are."""
-        return next((track for track in self.tracks if isinstance(track, PosedNodes)), None)
+        return self.track(PosedNodes)
 
     def __getitem__(self, samples: slice) -> RigSamples:
         return replace(super().__getitem__(samples), tracks=tuple(track[samples] for track in self.tracks))

@@ -98,6 +98,7 @@ class Shot:
         self._coordinates: list[np.ndarray] = []  # one entry per chunk, like the next two
         self._weights: list[np.ndarray] = []
         self._steps: list[np.ndarray] = []
+        self._amounts: list[np.ndarray] = []  # that are keyed
         self._poses: list[np.ndarray] = []
         self._loop: dict = {}
         self._warnings: list[str] = []
@@ -153,6 +154,7 @@ class Shot:
         self._coordinates.append(np.array([frame.coordinates for frame in frames]))
         self._weights.append(np.array([frame.weights for frame in frames]))
         self._steps.append(statistics(frames))
+        self._amounts += [np.array([frame.amounts for frame in frames])] if frames[0].amounts is not None else []
         self._seconds += seconds
 
     def kept(self) -> dict[str, np.ndarray]:
@@ -162,6 +164,7 @@ class Shot:
             "coordinates": np.concatenate(self._coordinates),
             "weights": np.concatenate(self._weights),
             "steps": np.concatenate(self._steps),
+            "amounts": np.nan_to_num(np.concatenate(self._amounts), nan=-1.0) if self._amounts else np.zeros((0, 0)),
             "past": np.array(state.coordinates),
             "bones": np.array(state.bones),
             "limit": np.array(state.limit),
@@ -172,7 +175,9 @@ class Shot:
     def resume(self, kept: dict[str, np.ndarray], first: RigSamples) -> None:
         """Continues after the frames of another instance of the same shot; first: the sample of the first frame."""
         self._coordinates, self._weights, self._steps = ([kept[name]] for name in ("coordinates", "weights", "steps"))
-        self.done = len(kept["coordinates"])
+        self.done, self._amounts = len(kept["coordinates"]), list[np.ndarray]()
+        if kept["amounts"].size:
+            self._amounts = [np.where(kept["amounts"] < 0.0, np.nan, kept["amounts"])]
         past = {"coordinates": list(kept["past"])} | {name: kept[name] for name in ("limit", "contact", "dents")}
         self.player.resume(first, changed(self.player.state, **past, bones=list(kept["bones"])))
 
@@ -204,11 +209,12 @@ class Shot:
         model, character, settings = player.model, player.character, player.settings
         kept = slice(settings.run_up * settings.samples, None)
         coordinates, weights = (np.concatenate(rows)[kept] for rows in (self._coordinates, self._weights))
+        amounts = np.concatenate(self._amounts)[kept] if self._amounts else None
         static = player.static(weights)
         report = _report(settings.times, np.concatenate(self._steps)) | self._loop
         report["warnings"] += self._warnings
         report.update(_worst_elements(player, coordinates, static))
-        coordinates, free = player.amounts.shown(coordinates, weights), player.modes.T
+        coordinates, free = player.amounts.shown(coordinates, weights, amounts), player.modes.T
         full = model.settings.solver == "FULL" and player.engine is not None
         dents = player.collision is not None and player.collision.dents.size > 0
         if full or ((model.responses.size or dents) and not exact):  # most of them hardly move in one shot

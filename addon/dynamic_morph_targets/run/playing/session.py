@@ -11,18 +11,19 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ...core.character import Character, Skeleton, TargetSet
+from ...core.character import Character, Skeleton
 from ...core.errors import SceneError
 from ...core.message import Message, joined
 from ...core.motion import handover, rig_samples
 from ...core.motion.contact import Touched, touched
 from ...core.motion.grab import Grab, together
+from ...core.motion.keyed import Setting
 from ...core.motion.loops import begin_again
 from ...core.motion.player import Frame, State, statistics
 from ...core.motion.rig_samples import RigSamples
 from ...core.painted_map import MAPS
 from ...core.settings import Material, SimulationSettings
-from ...scene import events, references, skin, skinning
+from ...scene import events, keyed, references, skin, skinning
 from ...scene.motion import colliders, rig_motion
 from ...scene.read import mesh_data, probe
 from ...scene.read.sampling_scene import SamplingScene
@@ -300,7 +301,8 @@ class Session:
 def _sampling(obj: bpy.types.Object) -> tuple:
     """What the rig's samples depend on besides its animation."""
     render, collision = bpy.context.scene.render, obj.dynamorph.collision
-    stops = [other.session_uid for other in colliders.colliders(obj)], collision.use_friction, collision.friction
+    friction = keyed.always(obj).get(Setting("FRICTION"), collision.friction)
+    stops = [other.session_uid for other in colliders.colliders(obj)], collision.use_friction, friction
     return obj.dynamorph.simulation.fields, render.frame_map_old, render.frame_map_new, skin.unit_scale(), stops
 
 
@@ -312,17 +314,16 @@ def _physics(settings: SimulationSettings) -> SimulationSettings:
 def _motion_amounts(obj: bpy.types.Object, character: Character) -> np.ndarray:
     """The motion amounts of the character's targets (J,), as authored now."""
     by_name = {name: target.amount for name, target in skin.named_targets(obj)}
-    return np.array([by_name[name] for target_set in character.target_sets for name in _names(target_set)])
-
-
-def _names(target_set: TargetSet) -> tuple[str, ...]:
-    """The names of its targets, as `skin.named_targets` has them."""
-    return "", *(target.name for target in target_set.targets[1:])
+    return np.array([by_name[name] for name in character.target_names])
 
 
 def _materials(obj: bpy.types.Object) -> dict[str, Material]:
     """The materials of all targets by name."""
-    return {name: target.material() for name, target in skin.named_targets(obj)}
+    always = keyed.always(obj)
+    return {
+        name: replace(target.material(), stiffness=always.get(Setting("STIFFNESS", name), target.stiffness))
+        for name, target in skin.named_targets(obj)
+    }
 
 
 def _placing(obj: bpy.types.Object) -> tuple[str, list[tuple]]:
@@ -334,7 +335,7 @@ def _placing(obj: bpy.types.Object) -> tuple[str, list[tuple]]:
 
 
 def _with_materials(character: Character, materials: dict[str, Material]) -> Character:
-    names = [name for target_set in character.authored_sets for name in _names(target_set)]
+    names = [name for target_set in character.authored_sets for name in target_set.names]
     return character.with_targets(lambda index, target: replace(target, material=materials[names[index]]))
 
 

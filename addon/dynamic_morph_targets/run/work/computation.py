@@ -297,7 +297,8 @@ def adopt(outcome: Outcome, character: Character) -> None:
     for index, target in enumerate(character.targets):
         name = "" if index == 0 else target.name
         known = outcome.inputs.get("targets", {}).get(name)
-        if known is not None and (index == 0 or index not in neutrals):
+        is_value = known is not None and isinstance(known.get("stiffness"), float)  # not what drives it
+        if is_value and (index == 0 or index not in neutrals):
             known["stiffness"] = target.material.stiffness
 
 

@@ -15,7 +15,9 @@ import numpy as np
 from ...core.character import Character, OwnCage, Target, TargetSet
 from ...core.errors import SceneError, sentence
 from ...core.geometry import inverse
+from ...core.motion.keyed import Setting
 from ...core.painted_map import EXCLUDED, FIRMNESS, MAX_DISTANCE
+from .. import keyed
 from ..check import body_checks, checks, data_checks
 from ..check.checks import active_targets
 from ..check.problem import refuse
@@ -95,26 +97,29 @@ def _target_sets(source: Source) -> tuple[TargetSet, ...]:
     groups = list(dict.fromkeys(target.region for target in others if target.region))
     region_weights = source.groups.weights(groups).clip(0.0, 1.0)
     region_weights /= np.maximum(region_weights.sum(axis=1, keepdims=True), 1.0)
+    always = keyed.always(obj)
     sets = []
     body = (1.0 - region_weights.sum(axis=1)).clip(0.0)
     for group, weights in zip(["", *groups], [body, *region_weights.T], strict=True):
-        targets = [_target(source, target) for target in others if target.region == group]
-        at_rest = _target(source, neutral)
+        targets = [_target(source, target, always) for target in others if target.region == group]
+        at_rest = _target(source, neutral, always)
         if group:
             at_rest = replace(at_rest, name=f"{at_rest.name} {group}")
         sets.append(TargetSet(group or obj.name, (at_rest, *targets), weights))
     return tuple(sets)
 
 
-def _target(source: Source, target: Any) -> Target:
+def _target(source: Source, target: Any, always: dict[Setting, float]) -> Target:
     obj, skeleton = source.obj, source.skeleton
-    material = target.material()
     neutral = target == obj.dynamorph.targets[0]
+    material, frequency = target.material(), target.frequency
+    if stiffness := always.get(Setting("STIFFNESS", "" if neutral else target.name)):
+        material, frequency = replace(material, stiffness=stiffness), 0.0
     shape = np.zeros((len(obj.data.vertices), 3)) if neutral else target_shape(obj, target.name, source.groups)
     local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)
     return Target(
         target.name, shape, target.bone_names(), local, rig_world, material, target.fade_out_angle, target.amount,
-        target.frequency,
+        frequency,
     )  # fmt: skip
 
 

@@ -17,7 +17,9 @@ from ...core.character import Skeleton
 from ...core.errors import SceneError
 from ...core.geometry import determinant, inverse, invertible, turned
 from ...core.motion.colliders import ColliderTrack
+from ...core.motion.keyed import KeyedSettings
 from ...core.motion.rig_samples import ForceField, RigSamples
+from .. import keyed
 from ..check import checks
 from ..check.checks import armature_modifier
 from ..check.problem import refuse
@@ -178,6 +180,9 @@ class RigSampling:
         self._rig_world, self._object_world = np.empty((2, self.count, 4, 4))
         self._fields = tuple(_empty_samples(source.field, self.count, self._unit) for source in sources)
         self._colliders = [each for each in colliders.readers(obj, self.count) if each.name not in without]
+        self._keyed = keyed.settings(obj)
+        self._overrides_friction = obj.dynamorph.collision.use_friction
+        self._values = np.empty((self.count, len(self._keyed)))
 
     @property
     def frame(self) -> int:
@@ -196,7 +201,7 @@ class RigSampling:
             text = "'{name}' or something that moves it changed while it was being read: start again"
             raise SceneError(text, name=obj.name)
         stopping = [self._collider(reader.name) for reader in self._colliders]
-        with self._scene.opened(obj, rig, self.probe, (*sources, *stopping)) as (scene, follower):
+        with self._scene.opened(obj, rig, self.probe, (*sources, *stopping), self._keyed) as (scene, follower):
             if self.probe and self._nodes is None:
                 self._nodes = self.probe.empty_samples(self.count)
             while self.done < self.count:
@@ -242,7 +247,9 @@ class RigSampling:
         evaluated = rig.evaluated_get(depsgraph)
         _read_pose(evaluated, self._columns[s])
         self._rig_world[s] = _rows(evaluated.matrix_world)
-        self._object_world[s] = _rows(follower.evaluated_get(depsgraph).matrix_world)
+        follows = follower.evaluated_get(depsgraph)
+        self._object_world[s] = _rows(follows.matrix_world)
+        self._values[s] = keyed.values(follows, self._keyed)
         for source, field in zip(sources, self._fields, strict=True):
             moved = source.evaluated_get(depsgraph)
             field.world[s] = _rows(moved.matrix_world)
@@ -253,8 +260,11 @@ class RigSampling:
         worlds = in_meters(np.stack([self._rig_world, self._object_world], axis=1), self._unit)
         fields = tuple(replace(field, world=in_meters(field.world, self._unit)) for field in self._fields)
         pose = _ordered(self._columns, self._order)
-        stopping = (reader.track(partial(in_meters, unit=self._unit), self._frame) for reader in self._colliders)
-        tracks = (*fields, *stopping, *([self._nodes] if self._nodes else []))
+        stopping = [reader.track(partial(in_meters, unit=self._unit), self._frame) for reader in self._colliders]
+        settings = self._settings()
+        if settings and self._overrides_friction and (friction := settings.of("FRICTION")) is not None:
+            stopping = [replace(track, friction=friction) for track in stopping]
+        tracks = (*fields, *stopping, *filter(None, (settings, self._nodes)))
         samples = RigSamples(pose, worlds[:, 0], worlds[:, 1], tracks, self._target_nodes)
         refuse_overflow(np.concatenate([worlds, samples.pose], axis=1), self._moving, self._frame)
         flat = np.argwhere(determinant(worlds[..., :3, :3]) == 0)  # bones may collapse: `keep_collapsed`
@@ -273,6 +283,18 @@ class RigSampling:
                 text = "Force field '{name}' has values that are not numbers at some frame: check its drivers"
                 raise SceneError(text, name=name)
         return samples
+
+    def _settings(self) -> KeyedSettings | None:
+        """Those that are keyed, if there are some. Raises SceneError for what is no number."""
+        good = np.isfinite(self._values) & (self._values >= [each.least for each in self._keyed])
+        for sample, which in np.argwhere(~good)[:1]:
+            raise SceneError(
+                "'{name}': {setting} is not a number at frame {frame}: check its curves and drivers",
+                name=self._moving[1],
+                setting=self._keyed[which].path.removeprefix("dynamorph."),
+                frame=self._frame(sample),
+            )
+        return KeyedSettings(tuple(each.setting for each in self._keyed), self._values) if self._keyed else None
 
     def _frame(self, sample: int) -> int:
         return self.start + int(sample) // self.substeps

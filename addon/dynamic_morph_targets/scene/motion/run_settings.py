@@ -10,7 +10,9 @@ import bpy
 import numpy as np
 
 from ...core.errors import SceneError
+from ...core.motion.keyed import Setting
 from ...core.settings import MOST_SUBSTEPS, SimulationSettings
+from .. import keyed
 from .colliders import colliders, pressed
 
 
@@ -70,11 +72,13 @@ def simulation_settings(
             count=substeps,
             most=MOST_SUBSTEPS,
         )
+    known = keyed.always(obj)
     gravity = np.array(scene.gravity) * (chosen.gravity if scene.use_gravity else 0.0)
     gains = tuple(mode.gain for mode in obj.dynamorph.modes)
     authored = {
         each.name: getattr(chosen, each.name) for each in fields(SimulationSettings) if hasattr(chosen, each.name)
     }
+    friction = known.get(Setting("FRICTION"), collision.friction)
     read = {
         "frame_start": start,
         "frame_end": end,
@@ -83,9 +87,10 @@ def simulation_settings(
         "gravity": tuple(gravity.tolist()),
         "gains": gains if set(gains) != {1.0} else (),
         "collision": collision.use,
-        "distance": collision.distance,
+        "amount": known.get(Setting("AMOUNT"), chosen.amount),
+        "distance": known.get(Setting("DISTANCE"), collision.distance),
         "self_collision": collision.use and collision.use_self,
-        "self_friction": collision.friction if collision.use_friction else SimulationSettings.self_friction,
+        "self_friction": friction if collision.use_friction else SimulationSettings.self_friction,
         "drags": chosen.drags if chosen.use_drags else "",
     }
     return SimulationSettings(**{**authored, **read})

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import bpy
 
-from .. import events
+from .. import events, keyed
 from ..skinning import Skinning
 
 NAME = ".Dynamorph Sampling"  # Blender hides what begins with a dot in its lists
@@ -39,14 +39,19 @@ class SamplingScene:
 
     @contextmanager
     def opened(
-        self, obj: bpy.types.Object, rig: bpy.types.Object, probe: Any = None, others: Iterable = ()
+        self,
+        obj: bpy.types.Object,
+        rig: bpy.types.Object,
+        probe: Any = None,
+        others: Iterable = (),
+        watched: Sequence[keyed.Keyed] = (),
     ) -> Iterator[tuple[bpy.types.Scene, bpy.types.Object]]:
         """The scene and the follower, while no handlers run. probe: a `probe.Probe` of `obj`; others: more objects to
-        evaluate. Raises SceneError.
+        evaluate; watched: settings of `obj` that the follower reads (`keyed.values`). Raises SceneError.
         """
         events.check_not_rendering()
         others = list(others)
-        content = _content_of(obj, rig, probe, others)
+        content = *_content_of(obj, rig, probe, others), [each.path for each in watched]
         scene = next((each for each in bpy.data.scenes if each.session_uid == self._uid), None)
         try:
             if scene is None or content != self._content:
@@ -54,6 +59,7 @@ class SamplingScene:
                 scene = bpy.data.scenes.new(NAME)
                 self._uid, self._content = scene.session_uid, content
                 _fill(scene, obj, rig, probe, others)
+                keyed.watch(_own_objects(scene)[0], obj, watched)
             _keep_as(scene.render, bpy.context.scene.render)
             (follower,) = _own_objects(scene)
             with events.without_handlers():

@@ -23,10 +23,11 @@ from ...core.character import Character
 from ...core.errors import RecordError, SceneError, sentence
 from ...core.message import Message
 from ...core.model.model import CAGE, HOLD, MODES, array_hash, first_part
+from ...core.motion.keyed import Setting
 from ...core.painted_map import EXCLUDED, MAX_DISTANCE
 from ...core.settings import ENGINE, FREE_SETTINGS, SimulationSettings
 from ...io import whole
-from .. import animation, skin
+from .. import animation, keyed, skin
 from ..motion import collider_state, colliders, run_settings
 from ..plain import plain
 from ..references import KEY_REFERENCE
@@ -244,8 +245,14 @@ def bake_inputs(skinned: Skinning, simulation: SimulationSettings) -> dict:
     names = ["distance", "use_self", "use_friction", *(["friction"] if settings.collision.use_friction else [])]
     inputs["collision"] = {name: getattr(settings.collision, name) for name in names if settings.collision.use}
     inputs["output"] = asdict(settings.output.settings())
+    moved = keyed.recorded(obj)
+    for path, kind in keyed.OF_OBJECT.items():
+        part, _, name = path.partition(".")
+        if name in inputs[part] and Setting(kind) in moved:
+            inputs[part][name] = moved[Setting(kind)]
     for name, target in named_targets(obj):
         values = plain(target, skip=(*KEY_REFERENCE, *UNUSED))
+        values |= {own: moved[Setting(kind, name)] for own, kind in keyed.OF_TARGETS.items() if (kind, name) in moved}
         seen = crc32(target.pose_bytes() + np.array(target.rig_world).tobytes())
         inputs["targets"][name] |= values | {"bones": target.bone_names(), "pose": seen}
     return json.loads(json.dumps(inputs))

@@ -66,10 +66,11 @@ class JobOperator(SoftSkinOperator):
     """
 
     goal = "BUILD"
+    builds_again = True  # a model that is up to date
 
     def _jobs(self, obj: bpy.types.Object) -> list[Job]:
         """The jobs to run one after the other; obj: the mesh of the context."""
-        return [Job(obj, self.goal, rebuild=self.goal == "BUILD")]
+        return [Job(obj, self.goal, rebuild=self.builds_again and self.goal == "BUILD")]
 
     def _batch(self, obj: bpy.types.Object) -> Any:  # a Batch; in some buttons, other Work
         return batch.Batch(self._jobs(obj), self.goal)

@@ -23,7 +23,6 @@ from ...core.motion.rig_samples import RigSamples
 from ...core.motion.shake import SECONDS
 from ...core.result import compare
 from ...run import live, remembered
-from ...run.bake.job import Job
 from ...run.playing.tissue import Tissue
 from ...run.tools import preview
 from ...run.tools.first_look import FirstLook
@@ -138,9 +137,7 @@ class DYNAMORPH_OT_build_live(EndsLive, Operator):
     bl_idname = "dynamorph.build_live"
     bl_label = "Build for Live"
     bl_options = {"REGISTER", "UNDO", "INTERNAL"}
-
-    def _jobs(self, obj: bpy.types.Object) -> list[Job]:
-        return [Job(obj, self.goal)]
+    builds_again = False
 
 
 class PreviewOperator(TissueOperator):

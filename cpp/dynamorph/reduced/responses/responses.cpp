@@ -29,13 +29,19 @@ Limit limit(double ratio) {
   return {value, first, (square2 - 2 * first * first) / (2 * value)};
 }
 
-/// Adds S x to slopes (rows, r), and writes S : y (r, r).
-void couple_with(const LaneVector<float>& S, const VectorXd& x, const VectorXd& padded, VectorXd& products,
-                 MatrixXd& slopes, MatrixXd& bend) {
+/// Adds e S x to slopes (rows, r), and writes e S : y (r, r).
+void couple_with(const LaneVector<float>& S, double e, const VectorXd& x, const VectorXd& padded,
+                 Responses::Workspace& s, MatrixXd& slopes, MatrixXd& bend) {
   const Index r = x.size();
+  VectorXd& products = s.products;
   products.resize(r * (r + 1) / 2);
   bend.resize(r, r);
-  couple(S.data(), padded.size(), r, x.data(), padded.data(), slopes.data(), products.data());
+  if (e != 1) {
+    s.elastic_x = e * x;
+    s.elastic_padded = e * padded;
+  }
+  couple(S.data(), padded.size(), r, (e != 1 ? s.elastic_x : x).data(), (e != 1 ? s.elastic_padded : padded).data(),
+         slopes.data(), products.data());
   const double* product = products.data();
   for_pairs(r, [&](Index k, Index l) { bend(k, l) = bend(l, k) = *product++; });
 }
@@ -89,25 +95,28 @@ Responses::Responses(const ReducedTables& tables, const std::vector<MorphTarget>
       for (Index i = 0; i < count_; ++i) target.coupling[p * rows_ + i] = float(S(i, p));
     if (even_) continue;
     target.coupling_slopes.setZero(rows_, r_);
-    VectorXd products;
+    Workspace scratch;
     MatrixXd bend;
-    couple_with(target.coupling, -coordinates[j], VectorXd::Zero(rows_), products, target.coupling_slopes, bend);
+    couple_with(target.coupling, 1, -coordinates[j], VectorXd::Zero(rows_), scratch, target.coupling_slopes, bend);
     target.coupling_force = -0.5 * (target.coupling_slopes.topRows(count_) * coordinates[j]);
   }
 }
 
-void Responses::blend(const VectorXd& w, Blend& out) const {
+void Responses::blend(const VectorXd& w, const VectorXd& e, Blend& out) const {
   if (count_ == 0) return;
+  const bool is_new = out.relaxation.rows() != count_;  // otherwise what is always zero is zero already
   out.stiffness.setZero(count_);
   out.damping.setZero(count_);
-  out.border_damping.setZero(count_, r_);
   out.shape.setZero(r_);
-  out.border.setZero(count_, r_);
+  if (relaxed_ || is_new) {
+    out.border.setZero(count_, r_);
+    out.border_damping.setZero(count_, r_);
+  }
   out.border_force.setZero(count_);
   out.modal.setZero(r_, r_);
   out.modal_force.setZero(r_);
   out.modal_energy = 0;
-  out.coupling_slopes.setZero(rows_, r_);
+  if (!even_ || is_new) out.coupling_slopes.setZero(rows_, r_);
   out.coupling_force.setZero(count_);
   out.only = -1;
   out.active.clear();
@@ -117,27 +126,28 @@ void Responses::blend(const VectorXd& w, Blend& out) const {
     const Target& target = targets_[j];
     out.only = out.active.empty() && w(j) == 1 ? int(j) : -1;
     out.active.push_back(target.coupling.data());
-    out.active_weights.push_back(w(j));
-    out.stiffness += w(j) * target.stiffness;
-    out.damping += w(j) * target.damping * target.stiffness;
-    out.modal += w(j) * target.modal;
+    out.active_weights.push_back(e(j));
+    out.only_elastic = e(j);
+    out.stiffness += e(j) * target.stiffness;
+    out.damping += e(j) * target.damping * target.stiffness;
+    out.modal += e(j) * target.modal;
     if (relaxed_) {
-      out.border += w(j) * target.border;
-      out.border_damping += w(j) * target.damping * target.border;
+      out.border += e(j) * target.border;
+      out.border_damping += e(j) * target.damping * target.border;
     }
     if (even_) {
       out.shape += w(j) * target.coordinates;
       continue;
     }
-    if (relaxed_) out.border_force.noalias() -= w(j) * (target.border * target.coordinates);
+    if (relaxed_) out.border_force.noalias() -= e(j) * (target.border * target.coordinates);
     out.shape_force.noalias() = target.modal * target.coordinates;
-    out.modal_force -= w(j) * out.shape_force;
-    out.modal_energy += 0.5 * w(j) * target.coordinates.dot(out.shape_force);
+    out.modal_force -= e(j) * out.shape_force;
+    out.modal_energy += 0.5 * e(j) * target.coordinates.dot(out.shape_force);
     if (target.coupling.empty()) continue;
-    out.coupling_slopes += w(j) * target.coupling_slopes;
-    out.coupling_force += w(j) * target.coupling_force;
+    out.coupling_slopes += e(j) * target.coupling_slopes;
+    out.coupling_force += e(j) * target.coupling_force;
   }
-  out.relaxation = out.stiffness.cwiseInverse().asDiagonal() * out.border;
+  if (relaxed_ || is_new) out.relaxation = out.stiffness.cwiseInverse().asDiagonal() * out.border;
   if (out.only >= 0) return;
   out.coupling.resize(targets_[0].coupling.size());
   blend_tables(out.active.data(), out.active_weights.data(), int(out.active.size()), Index(out.coupling.size()),
@@ -179,7 +189,7 @@ double Responses::add_coupling(const Blend& blend, const LaneVector<float>& S, P
   s.padded.setZero(rows_);
   s.padded.head(count_) = s.shifted;
   s.slopes = blend.coupling_slopes;
-  couple_with(S, s.x, s.padded, s.products, s.slopes, s.bend);
+  couple_with(S, blend.elastic_of_coupling(), s.x, s.padded, s, s.slopes, s.bend);
   const auto J = s.slopes.topRows(count_);  // dc/dz
   s.moved.setZero(rows_);
   add_product(s.slopes.data(), rows_, s.x.data(), r_, s.moved.data());
@@ -246,7 +256,7 @@ void Responses::differentiate_ratio(const Blend& blend, const LaneVector<float>&
   s.ratio = (s.ratio - ratio * s.pay) / pay;
   s.padded.head(count_) = s.answer;
   s.unused_slopes.setZero(rows_, r_);
-  couple_with(S, s.x, s.padded, s.products, s.unused_slopes, s.ratio2);
+  couple_with(S, blend.elastic_of_coupling(), s.x, s.padded, s, s.unused_slopes, s.ratio2);
   s.scaled.noalias() = blend.stiffness.cwiseInverse().asDiagonal() * J;
   s.ratio2.noalias() += J.transpose() * s.scaled;
   s.ratio2 -= ratio * (by_E * s.energy2 + by_E2 * s.linear2);

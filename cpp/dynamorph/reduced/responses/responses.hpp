@@ -49,7 +49,7 @@ class Responses {
 
   struct Blend {
     VectorXd stiffness;  ///< D
-    /// sum_j w_j beta_j D_j (h), and the same of D_j A_j (h, r)
+    /// sum_j e_j beta_j D_j (h), and the same of D_j A_j (h, r)
     VectorXd damping;
     MatrixXd border_damping;
     VectorXd shape;                     ///< x = z - shape: sum_j w_j z_j with even blending, otherwise zero (r)
@@ -61,7 +61,9 @@ class Responses {
     LaneVector<float> coupling;  ///< S of c = 1/2 S(x, x) + slopes x + c(0), unless a single target has all the weight
     MatrixXd coupling_slopes;    ///< padded (h, r)
     VectorXd coupling_force;     ///< c(0) (h)
-    int only = -1;               ///< that target
+    int only = -1;               ///< that target,
+    double only_elastic = 1;     ///< and its e
+    double elastic_of_coupling() const { return only >= 0 ? only_elastic : 1; }
     std::vector<const float*> active;
     std::vector<double> active_weights;
   };
@@ -70,12 +72,14 @@ class Responses {
   /// h, r); second derivatives (r, r).
   struct Workspace {
     VectorXd x, b, relaxed, shifted, c, answer, padded, moved, products;
+    VectorXd elastic_x, elastic_padded;                  ///< times e of the only target
     VectorXd work, energy, linear, pay, between, ratio;  ///< gradients by z
     MatrixXd slopes, unused_slopes, scaled, bend, cross, energy2, linear2, ratio2;
   };
 
-  /// Blends at target weights w (J).
-  void blend(const VectorXd& w, Blend& out) const;
+  /// Blends at target weights w and their elastic weights e (J).
+  void blend(const VectorXd& w, const VectorXd& e, Blend& out) const;
+  void blend(const VectorXd& w, Blend& out) const { blend(w, w, out); }
 
   /// Adds the responses' part at coordinates q = (z, y) to force and stiffness of the modes, whose energy is `modes`.
   /// Returns its energy.

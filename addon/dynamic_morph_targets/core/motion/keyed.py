@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings that are keyed or driven, at the sample times of a rig. Never touches bpy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ..character import Character
+from .rig_samples import Track
+
+
+class Setting(NamedTuple):
+    """STIFFNESS or TARGET_AMOUNT of the target of this name ('' for the neutral one), or, without a target, AMOUNT,
+    DISTANCE or FRICTION.
+    """
+
+    kind: str
+    target: str = ""
+
+
+@dataclass(frozen=True)
+class KeyedSettings(Track):
+    """settings (K,); values (S, K): as the artist sees them."""
+
+    SAMPLED = ("values",)
+    settings: tuple[Setting, ...]
+    values: np.ndarray
+
+    def of(self, *setting: str) -> np.ndarray | None:
+        """The values (S,) of a `Setting`; None where it is not keyed."""
+        if Setting(*setting) not in self.settings:
+            return None
+        return self.values[:, self.settings.index(Setting(*setting))]
+
+    def stiffness(self, character: Character) -> np.ndarray | None:
+        """How many times as stiff as its material each target is: (S, J). None where no stiffness is keyed."""
+        if not any(each.kind == "STIFFNESS" for each in self.settings):
+            return None
+        out = np.ones((len(self.values), len(character.targets)))
+        for j, (name, target) in enumerate(zip(character.target_names, character.targets, strict=True)):
+            if (keyed := self.of("STIFFNESS", name)) is not None:
+                out[:, j] = keyed / target.material.stiffness
+        return out
+
+    def amounts(self, character: Character) -> np.ndarray | None:
+        """How much motion is shown, (S, 1 + J): of all, and of each target; NaN where that is not keyed. None where
+        none is.
+        """
+        out = np.full((len(self.values), 1 + len(character.targets)), np.nan)
+        known = [self.of("AMOUNT"), *(self.of("TARGET_AMOUNT", name) for name in character.target_names)]
+        for column, keyed in enumerate(known):
+            if keyed is not None:
+                out[:, column] = keyed
+        return None if np.isnan(out).all() else out

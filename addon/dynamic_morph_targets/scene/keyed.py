@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The settings of a soft skin that a simulation follows where they are keyed or driven. They are read with the rig;
+what must not depend on the present frame has one value for all frames instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import NamedTuple
+
+import bpy
+
+from ..core.motion.keyed import Setting
+from . import animation
+from .skin import named_targets
+
+OF_OBJECT = {"simulation.amount": "AMOUNT", "collision.distance": "DISTANCE", "collision.friction": "FRICTION"}
+OF_TARGETS = {"stiffness": "STIFFNESS", "amount": "TARGET_AMOUNT"}
+PROPERTY = "keyed"  # custom properties, with a number behind, whose drivers read them
+
+
+class Keyed(NamedTuple):
+    """path: from the object; always: instead of its value, at all frames; least: that it may be; driven: what its
+    driver reads, '' without one: what else changes it is animation.
+    """
+
+    setting: Setting
+    path: str
+    always: float
+    least: float
+    driven: str
+
+
+def settings(obj: bpy.types.Object) -> list[Keyed]:
+    """Those of `obj` that are keyed or driven. Fast enough for every frame."""
+    moved = [path for path in animation.moved_paths(obj) if path.startswith("dynamorph.")]
+    if not moved:
+        return []
+    known = {f"dynamorph.{path}": Setting(kind) for path, kind in OF_OBJECT.items()}
+    for name, target in named_targets(obj):
+        known |= {f"{target.path_from_id()}.{own}": Setting(kind, name) for own, kind in OF_TARGETS.items()}
+    return [_keyed(obj, known[path], path) for path in moved if path in known]
+
+
+def _keyed(obj: bpy.types.Object, setting: Setting, path: str) -> Keyed:
+    owner, _, name = path.rpartition(".")
+    described = obj.path_resolve(owner).bl_rna.properties[name]
+    curves = [curve for curve in animation.played(obj.animation_data) if curve.data_path == path]
+    first = [curve.keyframe_points[0].co.y for curve in curves if len(curve.keyframe_points)]
+    always = min(max([*first, described.default][0], described.hard_min), described.hard_max)
+    return Keyed(setting, path, always, described.hard_min, _driven(obj, path))
+
+
+def _driven(obj: bpy.types.Object, path: str) -> str:
+    """Drivers of a property: their expressions, and their variables with the values of those that nothing moves."""
+    drivers = [curve.driver for curve in obj.animation_data.drivers if curve.data_path == path]
+    found = [(driver.type, driver.expression, list(map(_variable, driver.variables))) for driver in drivers]
+    return repr(found) if found else ""
+
+
+def _variable(variable: bpy.types.DriverVariable) -> list:
+    read = []
+    for target in variable.targets:
+        source = getattr(target.id, "name", ""), target.data_path, target.bone_target, target.transform_type
+        value = None
+        if variable.type == "SINGLE_PROP" and target.id and target.data_path not in animation.moved_paths(target.id):
+            with suppress(ValueError):  # there is no such property
+                value = target.id.path_resolve(target.data_path)
+        read.append((*source, value))
+    return [variable.name, variable.type, read]
+
+
+def always(obj: bpy.types.Object) -> dict[Setting, float]:
+    """What counts of the keyed settings of `obj` where there is one value for all frames: that at the first key."""
+    return {each.setting: each.always for each in settings(obj)}
+
+
+def recorded(obj: bpy.types.Object) -> dict[Setting, str | None]:
+    """What a bake notes of them instead of their values: what drives them; None where curves do, whose hash it has."""
+    return {each.setting: each.driven or None for each in settings(obj)}
+
+
+def watch(watcher: bpy.types.Object, obj: bpy.types.Object, wanted: Sequence[Keyed]) -> None:
+    """Give an object drivers that read the settings of `obj` wherever the dependency graph evaluates it."""
+    for k, each in enumerate(wanted):
+        watcher[f"{PROPERTY}{k}"] = 0.0
+        driver = watcher.driver_add(f'["{PROPERTY}{k}"]').driver
+        driver.type = "SUM"
+        target = driver.variables.new().targets[0]
+        target.id, target.data_path = obj, each.path
+
+
+def values(watcher: bpy.types.Object, wanted: Sequence[Keyed]) -> list[float]:
+    """What an evaluated watcher reads. Blender has limited it to what each setting may be; from what is no number,
+    Blender 5.2 makes 0.
+    """
+    return [watcher[f"{PROPERTY}{k}"] for k in range(len(wanted))]
