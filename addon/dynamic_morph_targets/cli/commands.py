@@ -168,6 +168,7 @@ def apply_settings(args: argparse.Namespace, obj: bpy.types.Object) -> None:
     for group, settings in SETTINGS.items():
         for name in settings:
             if (value := getattr(args, name, None)) is not None:
+                names.check_not_keyed(obj, f"dynamorph.{group}.{name}", f"--{name.replace('_', '-')}")
                 setattr(getattr(obj.dynamorph, group), name, value.upper() if isinstance(value, str) else value)
     collision.apply(args, obj, simulates(args))
     if format_of(args) in exports.FORMATS:
@@ -295,6 +296,7 @@ def set_property(obj: bpy.types.Object, change: str) -> None:
     target = names.target(obj, name, f"--set {change}")
     if field not in SETTABLE:
         raise InputError(f"--set {change}: a target has no '{field}': there are {', '.join(SETTABLE)}")
+    names.check_not_keyed(target.id_data, target.path_from_id(field), f"--set {change}")
     try:
         setattr(target, field, number(target.bl_rna.properties[field])(text))
     except argparse.ArgumentTypeError as error:

@@ -12,7 +12,7 @@ import bpy
 
 from ..core.errors import InputError
 from ..core.message import listed
-from ..scene import skin
+from ..scene import keyed, skin
 from ..write.reconcile import reconcile
 
 
@@ -79,3 +79,9 @@ def collection(name: str, option: str) -> bpy.types.Collection:
     if name not in bpy.data.collections:
         raise unknown(f"{option}: the file has no collection named '{name}': it has", name, bpy.data.collections.keys())
     return bpy.data.collections[name]
+
+
+def check_not_keyed(obj: bpy.types.Object, path: str, option: str) -> None:
+    """Raises InputError for a value that keys or drivers would replace at each frame."""
+    if path in (each.path for each in keyed.settings(obj)):
+        raise InputError(f"{option}: '{obj.name}' has keys or a driver on that, which would replace it: delete them")

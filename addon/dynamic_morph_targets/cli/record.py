@@ -100,6 +100,7 @@ def character_record(done: Done) -> dict:
             "speed": job.input.settings.speed,
             "substeps": job.input.settings.substeps,
             "solver": job.input.solver,
+            "keyed": list(job.input.keyed),
             "resumed": len(job.input.resumed.get("coordinates", ())),
             "max_displacement": baked.largest_displacement(job.outcome.bake, job.outcome.character.to_bind),
             **{name: value for name, value in job.outcome.report.items() if name != "warnings"},
@@ -145,6 +146,7 @@ def print_table(job: Job, save_seconds: float) -> None:
             )
         )
         rows.append(("quality", job.input.solver.capitalize()))
+        rows += [("keyed", path) for path in job.input.keyed]
         rows.append(("steps per second", f"{report['steps_per_second']:.0f}"))
         rows.append(("smallest det F", f"{report['smallest_det']:.2f}"))
         if "gap" in report:

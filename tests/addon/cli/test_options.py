@@ -117,6 +117,25 @@ def test_what_a_bake_that_was_stopped_says_to_do(shot, run, tmp_path, monkeypatc
     assert run(*bake, "--cache-dir", folder)[0] == 0
 
 
+def test_what_is_keyed_is_reported_and_no_option_replaces_it(shot, run, tmp_path):
+    keyed, report, output = tmp_path / "keyed.blend", tmp_path / "report.json", tmp_path / "out.blend"
+    bpy.ops.wm.open_mainfile(filepath=str(shot))
+    arm = bpy.data.objects["Arm"]
+    for value, frame in ((2e4, 1), (4e4, 20)):
+        arm.dynamorph.targets[0].stiffness = value
+        arm.dynamorph.targets[0].keyframe_insert("stiffness", frame=frame)
+    arm.dynamorph.simulation.keyframe_insert("amount", frame=1)
+    bpy.ops.wm.save_as_mainfile(filepath=str(keyed))
+    bake = "bake", keyed, "--all", "-o", output, "--report", report
+    code, out, _ = run(*bake)
+    assert code == 0 and "targets[0].stiffness" in out
+    found = json.loads(report.read_text())["characters"][0]["bake"]["keyed"]
+    assert found == ["targets[0].stiffness", "simulation.amount"]
+    for options in (("--set", "Neutral.stiffness=1e4"), ("--amount", "0.5")):
+        code, _, errors = run(*bake, *options)
+        assert code == 2 and f"{options[0]}" in errors and "'Arm' has keys or a driver on that" in errors
+
+
 # Options of all commands ----------------------------------------------------------------------------------------------
 
 

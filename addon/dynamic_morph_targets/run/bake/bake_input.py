@@ -25,7 +25,7 @@ from ...core.model.model import Model
 from ...core.result.keys import united
 from ...io import outputs, paths
 from ...io.cache_dir import CacheDir
-from ...scene import animation
+from ...scene import animation, keyed
 from ...scene.character import extract
 from ...scene.check import animation_checks
 from ...scene.motion import collider_state, colliders, rig_motion, run_settings
@@ -228,6 +228,7 @@ def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: boo
     given.has_shot, given.settings = True, replace(settings, **request.changes)
     given.solver = request.solver or run_settings.bake_solver(obj)
     given.inputs = staleness.bake_inputs(skinning, given.settings)
+    given.keyed = tuple(each.path.removeprefix("dynamorph.") for each in keyed.settings(obj))
     given.inputs |= {"animation": animation.animation(skinning), "painted": staleness.map_hash(given.character)}
     given.inputs |= {"colliders": collider_state.states(obj)} if given.settings.collision else {}
     chosen = obj.dynamorph.simulation

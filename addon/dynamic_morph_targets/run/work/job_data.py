@@ -102,6 +102,7 @@ class BakeInput:
     settings: SimulationSettings = field(init=False)
     solver: str = field(init=False)  # its quality, REDUCED or FULL, which need not be that of the model
     inputs: dict = field(default_factory=dict)
+    keyed: tuple[str, ...] = ()  # paths of settings that change over the shot
     whole: bool = True  # it is read as one chunk
     together: tuple[str, ...] = ()  # names of the other bodies that press on this one in one piece of work
     frames_per_chunk: int = 0  # how many frames of the rig are read at once

@@ -135,7 +135,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     stiffness: FloatProperty(
         name="Stiffness",
         description="Young's modulus at this target in pascals. Raise it to make the soft tissue firmer. Once it is "
-        "set, it stays, and Bounce and Settle Time follow from it",
+        "set, it stays, and Bounce and Settle Time follow from it. Keys and drivers act at each step",
         default=Material.stiffness, min=1.0, max=1e12, soft_min=1e3, soft_max=1e6, step=10000, precision=0,
         options=ANIMATED, override=OVERRIDE, update=_stiffness_set,
     )  # fmt: skip
