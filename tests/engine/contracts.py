@@ -187,7 +187,9 @@ def calls() -> dict[str, tuple[object, dict]]:
         "teleport": 0.1,
     }  # fmt: skip
     skin, push = {"vertices": s.vertices, "triangles": s.triangles}, {"external": np.zeros((s.n, 3))}
-    moving = (s.next[None], s.weights[None], push["external"], s.grabs, [s.collider_motion])
+    moment = {"stiffness": np.array([1.0, 2.0]), "distance": 0.01, "self_friction": 0.5}
+    in_steps = {name: np.array([value]) for name, value in moment.items()}
+    moving = (s.next[None], s.weights[None], push["external"], s.grabs, [s.collider_motion], *in_steps.values())
     state = touched(s.collider_motion)[1].state
     points = {"rest": s.points, "embedding": s.embedding, "weights": np.ones((len(s.points), 1)),
               "residual_shapes": np.zeros((2, len(s.points), 3))}  # fmt: skip
@@ -218,7 +220,7 @@ def calls() -> dict[str, tuple[object, dict]]:
         "SelfContact": (lib, s.own),
         "LocalResponses": (lib, {"model": s.full, **s.places, "centers": [0, 1]}),
         "Contact": (lib, {"model": s.reduced, **s.samples, "residual_shapes": np.zeros((2, len(s.points), 3)),
-                          "local": s.dents}),
+                          "local": s.dents, "firmness": dynamorph.Contact(s.reduced, **s.samples).firmness}),
         "SoftBody.extend_shapes": (s.body, {"embedding": s.embedding,
                                             "surfaces": np.zeros((2, len(s.embedding.nodes), 3))}),
         "FullModel": (lib, {"body": s.body, "targets": s.targets, "material_model": s.material_model,
@@ -238,11 +240,12 @@ def calls() -> dict[str, tuple[object, dict]]:
                         "stiffness": np.ones(2)}),
         "Simulation": (lib, {"model": s.reduced, **s.parts, **options, "keep_going": lambda: True}),
         "Simulation.advance": (started, {"bones": s.next[None], "weights": s.weights[None], **push, "grabs": s.grabs,
-                                         "colliders": [s.collider_motion]}),
+                                         "colliders": [s.collider_motion], **in_steps}),
         "Simulation.balance_targets": (started, {"bones": np.repeat(s.bones[None], 2, 0)}),
-        "Simulation.solve_static": (started, {"bones": s.bones, "weights": s.weights, **push, "guess": r}),
+        "Simulation.solve_static": (started, {"bones": s.bones, "weights": s.weights, **push, "guess": r,
+                                              "stiffness": moment["stiffness"]}),
         "Simulation.start": (started, {"now": s.bones, "next": s.next, "weights": s.weights,
-                                       "colliders": [s.collider_motion]}),
+                                       "colliders": [s.collider_motion], **moment}),
         "Simulation.state": (started, {"value": state}),
         "State": (lib, {name: getattr(state, name) for name in ("coordinates", "bones", "limit", "contact", "dents")}),
         "StepReport": (lib, {}),

@@ -53,7 +53,7 @@ def simulation_of(s, now=None, then=None):
 
 
 def motion(bones):
-    return bones[None], np.ones((1, 1)), None, None, None
+    return bones[None], np.ones((1, 1)), *[None] * 6
 
 
 def pressed(lower, upper, down, steps=60, order=1, friction=0.0, aside=0.0, worn=None):
@@ -257,5 +257,5 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="of 2 bodies"):
         coupling.advance([motion(posed())])
     with pytest.raises(ValueError, match="weights"):  # the second one: the first has not moved
-        coupling.advance([motion(posed(0.01)), (posed()[None], np.full((1, 1), 2.0), None, None, None)])
+        coupling.advance([motion(posed(0.01)), (posed()[None], np.full((1, 1), 2.0), *[None] * 6)])
     assert np.array_equal(one.coordinates, before)
