@@ -14,6 +14,7 @@ from bl_ext.user_default.dynamic_morph_targets.scene import animation
 from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
 from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
 from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
+from bl_ext.user_default.dynamic_morph_targets.write.authoring import setups
 from builders import make_ball, rig_of
 from built import BuiltOnce
 from test_live import play
@@ -181,6 +182,29 @@ def test_nothing_depends_on_the_frame_that_shows(arm):
     staleness.look_at_animation(arm)
     assert staleness.outdated(arm) == []
     np.testing.assert_array_equal(baked(arm), first)
+
+
+def test_a_setup_has_the_values_of_the_first_keys(arm):
+    key_stiffness(arm, (1, SOFT), (20, FIRM))
+    key(arm.dynamorph.simulation, "amount", (5, 0.25), (20, 1.0))
+    setups_of = []
+    for frame in (1, 17):
+        bpy.context.scene.frame_set(frame)
+        setups_of.append(setups.of_object(arm))
+    assert setups_of[0] == setups_of[1]
+    assert setups_of[0]["targets"][1]["stiffness"] == SOFT and setups_of[0]["simulation"]["amount"] == 0.25
+
+
+def test_undo_brings_keys_back(arm):
+    first = baked(arm)
+    bpy.ops.ed.undo_push(message="as it was")
+    key_stiffness(arm, (1, SOFT), (20, FIRM))
+    bpy.ops.ed.undo_push(message="keyed")
+    changing = baked(arm)
+    bpy.ops.ed.undo()
+    np.testing.assert_array_equal(baked(bpy.data.objects["Arm"]), first)
+    bpy.ops.ed.redo()
+    np.testing.assert_array_equal(baked(bpy.data.objects["Arm"]), changing)
 
 
 def test_an_edited_key_outdates_a_bake(arm):

@@ -27,9 +27,11 @@ import numpy as np
 
 from ...core.errors import SetupError
 from ...core.geometry import determinant, turned
+from ...core.motion.keyed import Setting
 from ...core.painted_map import MAPS
 from ...core.settings import ModelSettings
 from ...io import disk
+from ...scene import keyed
 from ...scene.check import checks
 from ...scene.motion import rig_motion
 from ...scene.plain import fits, is_text, plain, wanted
@@ -38,6 +40,7 @@ from ...scene.properties.model_properties import DynamorphAttachment, DynamorphM
 from ...scene.properties.object_properties import DynamorphSettings
 from ...scene.properties.target_properties import DynamorphBonePose, DynamorphTarget
 from ...scene.references import KEY_REFERENCE
+from ...scene.skin import named_targets
 from ..assign import assign
 from ..bake.writer import ensure_basis
 from . import regions
@@ -81,10 +84,10 @@ GROUPS = tuple(each.group for each in MAPS)
 
 
 def of_object(obj: bpy.types.Object) -> dict:
-    """The setup of a soft skin."""
+    """The setup of a soft skin. What is keyed has the value of its first key, whichever frame shows."""
     settings = obj.dynamorph
     collection = settings.collision.collection
-    return {
+    setup: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
         "targets": [
@@ -107,6 +110,13 @@ def of_object(obj: bpy.types.Object) -> dict:
             if each.object or each.group
         ],
     }
+    always = keyed.always(obj)
+    for path, kind in keyed.OF_OBJECT.items():
+        part, _, name = path.partition(".")
+        setup[part][name] = always.get(Setting(kind), setup[part][name])
+    for (target, _), values in zip(named_targets(obj), setup["targets"], strict=True):
+        values |= {name: always.get(Setting(kind, target), values[name]) for name, kind in keyed.OF_TARGETS.items()}
+    return setup
 
 
 def authored(group: bpy.types.PropertyGroup) -> dict:
