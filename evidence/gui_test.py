@@ -52,6 +52,7 @@ KNOWN = re.compile(
     r"|Info: (Preferences saved|Saved copy as .*)|Writing Preset: '.*'|Repository data: .* not found, sync required!"
     r"|.*(Draco|MeshOptimizer) is not available because library could not be found.*"
     r"|.*WARNING Could not get a list of mounted file-systems.*|Info: Added Remote Repository .*"
+    r'|".*@" is not a supported module name, skipping'  # while Blender installs one
     r'|Blender is no longer running, shutting down the downloader process|Warning: locking ".*" failed: lock exists.*'
 )
 # In their order, with the seconds that each may take: on a busy machine ten times as many as on a free one.
