@@ -391,7 +391,8 @@ void bind_simulation(py::module_& m) {
           "nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of a skin. colliders: "
           "what pushes the points of its contact. stiffness (S, J): how many times as stiff as its material each "
           "target "
-          "is. distance (S): at which contact begins, meters, and self_friction (S): instead of the simulation's. "
+          "target is. distance (S): at which contact begins, meters, and self_friction (S): instead of the "
+          "simulation's. "
           "Returns a StepReport.")
       .def(
           "solve_static",

@@ -202,13 +202,17 @@ class Moving {
     met_.clear();
     for (const ColliderMotion& collider : colliders_) met_.push_back(collider.at(step));
     if (stiffness_) s_ = Eigen::Map<const VectorXd>(stiffness_->data() + step * targets, targets);
+    const auto of_step = [&](const std::optional<FloatArray>& values) {
+      return values ? values->data() + step : nullptr;
+    };
     return {frame_,
             w_,
             external_.at(step),
             &grabs_,
             &met_,
             stiffness_ ? &s_ : nullptr,
-            distance_ ? distance_->data() + step : nullptr};
+            of_step(distance_),
+            of_step(self_friction_)};
   }
 
  private:

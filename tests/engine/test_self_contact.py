@@ -120,6 +120,38 @@ def test_what_friction_holds_does_not_creep(solver):
     assert creep < 2e-5 * s.body.size
 
 
+@pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
+def test_what_a_step_is_given_counts_as_what_was_set(solver):
+    """Friction and distance of a simulation, or of each step; stiffness of the material, or of each step."""
+    s, count = blocks(solver, held=True), 60
+    down = [posed((GAP + 0.02) * min(1.0, k / 20), turn=0.05 * min(1.0, max(0.0, k / 20 - 1))) for k in range(count)]
+    stiffer = SimpleNamespace(model=soft(s.body, s.nodes, solver, stiff=2.0))
+    places = s.nodes[s.skin], dynamorph.embed(s.mesh, s.nodes[s.skin]), np.eye(2)[s.parts[2]]
+    stiffer.contact = dynamorph.Contact(stiffer.model, *places, outside(s.nodes, s.mesh.tets)[1][s.skin],
+                                        np.full(len(s.skin), HIGH / 2))  # fmt: skip
+    stiffer.own = dynamorph.SelfContact(stiffer.contact, *s.balls, *s.parts)
+
+    def moved(body, friction, apart, **each_step):
+        simulation = dynamorph.Simulation(body.model, H, contact=body.contact, self_contact=body.own,
+                                          self_friction=friction, distance=apart)  # fmt: skip
+        first = {name: values[0] for name, values in each_step.items()}
+        simulation.start(down[0], down[0], np.ones(1), **first)
+        simulation.advance(np.array(down), np.ones((count, 1)), **each_step)
+        return body.model.displacement(simulation.coordinates)
+
+    def same(value):
+        return np.full(count, value)
+
+    expected = moved(s, 0.8, 0.004)
+    off = [np.abs(moved(s, *others) - expected).max() for others in ((0.0, 0.004), (0.8, 0.0))]
+    assert min(off) > 1e-4
+    np.testing.assert_array_equal(moved(s, 0.0, 0.0, self_friction=same(0.8), distance=same(0.004)), expected)
+    twice = moved(stiffer, 0.8, 0.004)
+    as_twice = moved(s, 0.8, 0.004, stiffness=np.full((count, 1), 2.0))
+    assert np.abs(twice - expected).max() > 1e-3
+    assert np.abs(as_twice - twice).max() < 0.05 * np.abs(twice - expected).max()
+
+
 def test_the_forces_of_both_sides_sum_to_zero():
     """Free blocks that begin within each other fly apart, and their center of mass stays."""
     s = blocks("FULL")

@@ -63,9 +63,8 @@ def must_prepare(obj: bpy.types.Object) -> bool:
         model = model_store.load_model(obj)
     except errors.ModelFileError:  # `turn_on` says so
         return False
-    return model.settings.method != "STATIC" and not contact.has_kept(
-        model.with_settings(replace(model.settings, solver=obj.dynamorph.model.solver))
-    )
+    shown = model.with_settings(replace(model.settings, solver=obj.dynamorph.model.solver))
+    return model.settings.method != "STATIC" and not contact.has_kept(shown, obj.dynamorph.collision.use_self)
 
 
 def turn_on(obj: bpy.types.Object, scene: bpy.types.Scene) -> None:

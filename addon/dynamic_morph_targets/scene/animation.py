@@ -70,15 +70,20 @@ def strips(tracks: Iterable[bpy.types.NlaTrack | bpy.types.NlaStrip], muted: boo
 
 
 def played(data: bpy.types.AnimData) -> list:
-    """The F-curves that animation data play: of their Action and of their strips."""
-    players = data, *strips(data.nla_tracks, muted=False)
-    return [curve for player in players for curve in curves(player.action, player.action_slot)]
+    """The F-curves that animation data play: of their Action and of their strips. Muted and empty ones do nothing."""
+    alone = [track for track in data.nla_tracks if track.is_solo]
+    players = data, *strips(alone or data.nla_tracks, muted=False)
+    found = [curve for player in players for curve in curves(player.action, player.action_slot)]
+    return [curve for curve in found if not (curve.mute or (curve.group and curve.group.mute) or curve.is_empty)]
 
 
 def moved_paths(owner: bpy.types.ID) -> list[str]:
     """The paths of a data-block that curves and drivers move, each once."""
-    data = owner.animation_data
-    return list(dict.fromkeys(curve.data_path for curve in (*played(data), *data.drivers))) if data else []
+    data = getattr(owner, "animation_data", None)  # not all kinds of data-blocks have it
+    if data is None:
+        return []
+    drivers = [driver for driver in data.drivers if not driver.mute]
+    return list(dict.fromkeys(curve.data_path for curve in (*played(data), *drivers)))
 
 
 def keys_of(obj: bpy.types.Object) -> bpy.types.bpy_prop_collection:

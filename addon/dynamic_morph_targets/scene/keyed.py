@@ -13,10 +13,12 @@ import bpy
 
 from ..core.motion.keyed import Setting
 from . import animation
+from .plain import plain
 from .skin import named_targets
 
 OF_OBJECT = {"simulation.amount": "AMOUNT", "collision.distance": "DISTANCE", "collision.friction": "FRICTION"}
 OF_TARGETS = {"stiffness": "STIFFNESS", "amount": "TARGET_AMOUNT"}
+PLACES = "location", "rotation_euler", "rotation_quaternion", "scale"
 PROPERTY = "keyed"  # custom properties, with a number behind, whose drivers read them
 
 
@@ -38,6 +40,8 @@ def settings(obj: bpy.types.Object) -> list[Keyed]:
     if not moved:
         return []
     known = {f"dynamorph.{path}": Setting(kind) for path, kind in OF_OBJECT.items()}
+    if not obj.dynamorph.collision.use_friction:  # then it does not count
+        del known["dynamorph.collision.friction"]
     for name, target in named_targets(obj):
         known |= {f"{target.path_from_id()}.{own}": Setting(kind, name) for own, kind in OF_TARGETS.items()}
     return [_keyed(obj, known[path], path) for path in moved if path in known]
@@ -52,28 +56,53 @@ def _keyed(obj: bpy.types.Object, setting: Setting, path: str) -> Keyed:
     return Keyed(setting, path, always, described.hard_min, _driven(obj, path))
 
 
+def drivers_of(obj: bpy.types.Object, path: str) -> list[bpy.types.FCurve]:
+    """The drivers of a property that are not muted."""
+    return [curve for curve in obj.animation_data.drivers if curve.data_path == path and not curve.mute]
+
+
 def _driven(obj: bpy.types.Object, path: str) -> str:
-    """Drivers of a property: their expressions, and their variables with the values of those that nothing moves."""
-    drivers = [curve.driver for curve in obj.animation_data.drivers if curve.data_path == path]
-    found = [(driver.type, driver.expression, list(map(_variable, driver.variables))) for driver in drivers]
+    """Drivers of a property: how they compute it, and their variables with the values of those that nothing moves."""
+    found = [
+        (
+            curve.driver.type, curve.driver.expression, [tuple(point.co) for point in curve.keyframe_points],
+            [plain(modifier) for modifier in curve.modifiers], list(map(_variable, curve.driver.variables)),
+        )
+        for curve in drivers_of(obj, path)
+    ]  # fmt: skip
     return repr(found) if found else ""
 
 
 def _variable(variable: bpy.types.DriverVariable) -> list:
     read = []
     for target in variable.targets:
-        source = getattr(target.id, "name", ""), target.data_path, target.bone_target, target.transform_type
-        value = None
-        if variable.type == "SINGLE_PROP" and target.id and target.data_path not in animation.moved_paths(target.id):
+        owner = target.id
+        source = getattr(owner, "name", ""), plain(target, skip=("id",)), None
+        if owner and variable.type == "SINGLE_PROP" and target.data_path not in animation.moved_paths(owner):
             with suppress(ValueError):  # there is no such property
-                value = target.id.path_resolve(target.data_path)
-        read.append((*source, value))
+                source = *source[:2], owner.path_resolve(target.data_path)
+        elif owner and variable.type != "SINGLE_PROP":
+            source = *source[:2], _stands(owner, target.bone_target)
+        read.append(source)
     return [variable.name, variable.type, read]
+
+
+def _stands(owner: bpy.types.ID, bone: str) -> list:
+    """How an object, or a bone of it, is placed by what nothing moves."""
+    moved = animation.moved_paths(owner)
+    placed = owner.pose.bones.get(bone) if bone and getattr(owner, "pose", None) else owner
+    path = f"{placed.path_from_id()}." if placed != owner and placed else ""
+    return [tuple(getattr(placed, name, ())) for name in PLACES if path + name not in moved]
 
 
 def always(obj: bpy.types.Object) -> dict[Setting, float]:
     """What counts of the keyed settings of `obj` where there is one value for all frames: that at the first key."""
     return {each.setting: each.always for each in settings(obj)}
+
+
+def first_keys(obj: bpy.types.Object) -> dict[Setting, float]:
+    """The values of those at their first keys; of what drivers move alone there is none."""
+    return {each.setting: each.always for each in settings(obj) if not each.driven}
 
 
 def recorded(obj: bpy.types.Object) -> dict[Setting, str | None]:

@@ -828,7 +828,7 @@ class Simulation:
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, grabs: Grabs | None = None, colliders: collections.abc.Sequence[ColliderMotion] | None = None, stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, distance: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, self_friction: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> StepReport:
         """
-        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of a skin. colliders: what pushes the points of its contact. stiffness (S, J): how many times as stiff as its material each target is. distance (S): at which contact begins, meters, and self_friction (S): instead of the simulation's. Returns a StepReport.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of a skin. colliders: what pushes the points of its contact. stiffness (S, J): how many times as stiff as its material each target target is. distance (S): at which contact begins, meters, and self_friction (S): instead of the simulation's. Returns a StepReport.
         """
     def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """

@@ -175,7 +175,7 @@ void ReducedModel::blend(const VectorXd& w, const VectorXd& e, Blend& out) const
   out.elastic = e;
   out.mass.blend(targets_, body_->sets(), w);
   out.active.clear();
-  out.active_weights.clear();
+  out.active_elastic.clear();
   out.stiffness.setZero(pairs);
   out.packed_damping.setZero(pairs);
   out.force.setZero(r);
@@ -186,8 +186,7 @@ void ReducedModel::blend(const VectorXd& w, const VectorXd& e, Blend& out) const
     if (w(j) == 0) continue;
     out.only = out.active.empty() && w(j) == 1 ? int(j) : -1;
     out.active.push_back(tables_[j].data());
-    out.active_weights.push_back(e(j));
-    out.only_elastic = e(j);
+    out.active_elastic.push_back(e(j));
     out.stiffness += e(j) * stiffness_[j];
     out.packed_damping += e(j) * targets_[j].stiffness_damping * rest_stiffness_[j];
     if (blending_ == Blending::even) {
@@ -206,7 +205,7 @@ void ReducedModel::blend(const VectorXd& w, const VectorXd& e, Blend& out) const
   }
   if (!layout_.nonlinear || out.only >= 0) return;
   out.table.resize(tables_[0].size());
-  blend_tables(out.active.data(), out.active_weights.data(), int(out.active.size()), Eigen::Index(out.table.size()),
+  blend_tables(out.active.data(), out.active_elastic.data(), int(out.active.size()), Eigen::Index(out.table.size()),
                out.table.data());
 }
 
@@ -229,7 +228,7 @@ void ReducedModel::expand(const Blend& blend, const VectorXd& z, Workspace& work
     for (Eigen::Index l = k + 1; l < r; ++l) *pair++ = 2 * now.v(k) * now.v(l);
   }
   const float* table = (blend.only >= 0 ? tables_[blend.only] : blend.table).data();
-  const double elastic = blend.only >= 0 ? blend.only_elastic : 1;  // of that table
+  const double elastic = blend.only >= 0 ? blend.active_elastic[0] : 1;  // of that table
   // With forces blending v is the displacement from rest. Even a small relative error of it hides the way to a target.
   const bool near = blending_ == Blending::even && workspace.anchored;
   if (!near || (now.v - anchor.v).norm() > workspace.near * now.v.norm()) {

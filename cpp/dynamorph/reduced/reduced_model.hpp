@@ -45,15 +45,14 @@ class ReducedModel {
     Matrix damping;           ///< sum_j e_j beta_j K_j
     VectorXd stiffness;       ///< K0, packed
     LaneVector<float> table;  ///< sum_j e_j table_j, unless a single target has all the weight
-    int only = -1;            ///< that target,
-    double only_elastic = 1;  ///< and its e
+    int only = -1;            ///< that target
     VectorXd force;           ///< f at v = 0
     double energy = 0;        ///< E at v = 0
     VectorXd center;          ///< v = z - center
     Responses::Blend responses;
     VectorXd packed_damping;
     std::vector<const float*> active;
-    std::vector<double> active_weights;
+    std::vector<double> active_elastic;  ///< e of those
   };
 
   /// What evaluations in one pose need beside their results. Nothing is allocated after the first time.

@@ -38,8 +38,11 @@ bool came(const ColliderStep& step) {
 
 template <class Model>
 ContactSearch<Model>::ContactSearch(std::shared_ptr<const ContactSamples<Model>> samples, double distance,
-                                    std::shared_ptr<const SelfContact<Model>> self)
-    : samples_(std::move(samples)), usual_distance_(distance), self_(std::move(self)) {}
+                                    std::shared_ptr<const SelfContact<Model>> self, double self_friction)
+    : samples_(std::move(samples)),
+      usual_distance_(distance),
+      usual_self_friction_(self_friction),
+      self_(std::move(self)) {}
 
 template <class Model>
 void ContactSearch<Model>::find(const StepInput<Model>& input, const State& state, const VectorXd& predicted) {
@@ -48,6 +51,7 @@ void ContactSearch<Model>::find(const StepInput<Model>& input, const State& stat
   friction_.clear();
   memory_ = state.contact;
   distance_ = input.distance ? *input.distance : usual_distance_;
+  self_friction_ = input.self_friction ? *input.self_friction : usual_self_friction_;
   find_at_colliders(input, state, predicted);
   if (!self_) return;
   self_->find(posed_skin(input, state, predicted), self_scratch_, found_on_self_);
@@ -55,10 +59,10 @@ void ContactSearch<Model>::find(const StepInput<Model>& input, const State& stat
 }
 
 template <class Model>
-ContactStep ContactSearch<Model>::contact_step(const StepOptions& options, double own_friction) const {
+ContactStep ContactSearch<Model>::contact_step(const StepOptions& options) const {
   const double size = samples_->model().body().size;
   return {friction_,
-          own_friction,
+          self_friction_,
           StepRule(options).square,
           distance_,
           kContactWidth * size,

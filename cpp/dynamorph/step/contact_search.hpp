@@ -20,9 +20,9 @@ template <class Model>
 class ContactSearch {
  public:
   /// samples: which colliders push from a distance in meters on; null for none. self: of these samples; null: the skin
-  /// does not touch itself.
+  /// does not touch itself. self_friction: of skin on skin.
   ContactSearch(std::shared_ptr<const ContactSamples<Model>> samples, double distance,
-                std::shared_ptr<const SelfContact<Model>> self);
+                std::shared_ptr<const SelfContact<Model>> self, double self_friction);
 
   /// Searches in a step that begins at a state, and would end at the predicted coordinates without contact. Throws
   /// std::invalid_argument where there are colliders, but no samples.
@@ -34,8 +34,8 @@ class ContactSearch {
   const std::vector<int>& unusable() const { return unusable_; }     ///< as of StepReport
   const std::vector<double>& friction() const { return friction_; }  ///< of the colliders
 
-  /// The same for all of its contacts, in such a step.
-  ContactStep contact_step(const StepOptions& options, double own_friction) const;
+  /// The same for all of its contacts, in that step.
+  ContactStep contact_step(const StepOptions& options) const;
   /// The body's skin in a step, for contacts of skin with skin; until the next call.
   PosedSkin posed_skin(const StepInput<Model>& input, const State& state, const VectorXd& predicted);
 
@@ -52,7 +52,8 @@ class ContactSearch {
   void place_samples(const StepInput<Model>& input, const State& state, const VectorXd& predicted);
 
   std::shared_ptr<const ContactSamples<Model>> samples_;
-  double usual_distance_, distance_ = 0;  ///< the second: in the last step
+  double usual_distance_, usual_self_friction_;
+  double distance_ = 0, self_friction_ = 0;  ///< in the last step
   std::shared_ptr<const SelfContact<Model>> self_;
   typename SelfContact<Model>::Scratch self_scratch_;
   ContactFinder finder_;

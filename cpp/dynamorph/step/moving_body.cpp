@@ -101,7 +101,7 @@ MovingBody<Model>::MovingBody(std::shared_ptr<const Model> model, StepOptions op
       options_(std::move(options)),
       parts_(std::move(parts)),
       load_(model_, parts_.limit),
-      search_(parts_.contact, parts_.distance, parts_.self_contact) {
+      search_(parts_.contact, parts_.distance, parts_.self_contact, parts_.self_friction) {
   check(options_);
   check(parts_, *model_);
   damped_ = quadratic_.H = newton_.hessian.base = model_->zero();
@@ -163,7 +163,6 @@ void MovingBody<Model>::begin_terms(const StepInput<Model>& input, const VectorX
 template <class Model>
 void MovingBody<Model>::find_contacts(const StepInput<Model>& input) {
   search_.find(input, state_, next_);
-  self_friction_ = input.self_friction ? *input.self_friction : parts_.self_friction;
   contacts_.clear();
   if (search_.found().empty()) return;
   contacts_.begin({*parts_.contact, input.bones, input.weights, blend_.elastic}, search_.found(), contact_step(),
@@ -199,7 +198,7 @@ StepReport MovingBody<Model>::solve_static(const StepInput<Model>& input, Vector
   }
   if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
   const InertialTarget gravity = at_rest(q, input.bones, options_.gravity);
-  load_.lasting({gravity, 1, blend_, input.external, stiffer_}, quadratic_.g);
+  load_.lasting({gravity, 1, blend_, input.external}, quadratic_.g);
   begin_terms(input, q, 0);
   contacts_.clear();
   forget();
@@ -342,7 +341,7 @@ void MovingBody<Model>::prepare(const StepInput<Model>& input) {
   }
   inertial.coefficients = rule.coefficients();
   inertial.gravity_offset = rule.square * options_.gravity;
-  load_.step({inertial, rule.square, blend_, input.external, stiffer_}, h, state_.driven, quadratic_.g);
+  load_.step({inertial, rule.square, blend_, input.external}, h, stiffer_, state_.driven, quadratic_.g);
   begin_terms(input, next_, kWatched);
   find_contacts(input);
 

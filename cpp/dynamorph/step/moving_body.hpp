@@ -114,7 +114,7 @@ class MovingBody {
   void ask() const;
   /// Goes on with what Newton's method found, and where; throws Error where that broke.
   StepReport accept(const NewtonReport& found, const VectorXd& unknowns);
-  ContactStep contact_step() const { return search_.contact_step(options_, self_friction_); }
+  ContactStep contact_step() const { return search_.contact_step(options_); }
   PosedSkin posed_skin(const StepInput<Model>& input) { return search_.posed_skin(input, state_, next_); }
   /// Puts pressures before its own: of contacts with other bodies.
   void remember(const std::vector<Pressure>& pressures);
@@ -145,7 +145,6 @@ class MovingBody {
   bool teleported_ = false;
   VectorXd weights_, last_elastic_;  ///< of the last start() or step
   VectorXd weighted_;                ///< weights of the step, times the stiffness of their targets
-  double self_friction_ = 0;         ///< in the step
   double stiffer_ = 1;               ///< how many times as stiff as its material the tissue is in the step, on average
 
   typename Model::Blend blend_;

@@ -33,7 +33,7 @@ struct StepInput {
   const VectorXd* external = nullptr;  ///< newtons on the free nodes (3 free), world space
   const Grabs<Model>* grabs = nullptr;
   const std::vector<ColliderStep>* colliders = nullptr;  ///< for contact's samples; a static solution ignores them
-  const VectorXd* stiffness = nullptr;    ///< how many times as stiff as its material each target (J) is; null: once
+  const VectorXd* stiffness = nullptr;    ///< how many times as stiff as its material each target (J) is; null: 1
   const double* distance = nullptr;       ///< at which contact begins, meters, instead of that of the parts
   const double* self_friction = nullptr;  ///< of skin on skin of itself, likewise
 };

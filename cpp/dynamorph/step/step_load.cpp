@@ -46,7 +46,7 @@ void StepLoad<Model>::add_external(const Input& input, const VectorXd* scales, V
 }
 
 template <class Model>
-void StepLoad<Model>::step(const Input& input, double h, const DrivenLoad& before, VectorXd& g) {
+void StepLoad<Model>::step(const Input& input, double h, double stiffer, const DrivenLoad& before, VectorXd& g) {
   if (!limit_) {
     unbalanced(input, g);
     add_balance(input, g);
@@ -62,7 +62,7 @@ void StepLoad<Model>::step(const Input& input, double h, const DrivenLoad& befor
   add_balance(input, g);
   add_external(input, nullptr, g);
   g *= -1;
-  limit_->drive(g, input.blend.elastic, input.stiffer, acceleration_, h, before, answers_, driven_);
+  limit_->drive(g, input.blend.elastic, stiffer, acceleration_, h, before, answers_, driven_);
   hold_back(input, g);
 }
 
@@ -86,7 +86,7 @@ void StepLoad<Model>::hold_back(const Input& input, VectorXd& g) {
   } else {
     for (std::size_t k = 0; k < x.size(); ++k) limit_->scales(x[k], scales_[k]);
     const InertialTarget slow = scaled(input);
-    unbalanced({slow, input.square, input.blend, nullptr, input.stiffer}, g);
+    unbalanced({slow, input.square, input.blend, nullptr}, g);
   }
   add_balance(input, g);
   add_external(input, any ? &scales_[0] : nullptr, g);

@@ -21,7 +21,6 @@ class StepLoad {
     double square;                   ///< s^2
     const typename Model::Blend& blend;
     const VectorXd* external;  ///< forces on the nodes, or null
-    double stiffer = 1;        ///< how many times as stiff as its material the tissue is, on average
 
     Vector3d gravity() const { return inertial.gravity_offset / square; }
   };
@@ -36,8 +35,8 @@ class StepLoad {
 
   /// The gradient g (dofs) of the load's potential at the origin, and `inertia`. Without the balance of the targets.
   void unbalanced(const Input& input, VectorXd& g);
-  /// g of a step of h seconds, after what the limit remembers from `before`.
-  void step(const Input& input, double h, const DrivenLoad& before, VectorXd& g);
+  /// g of a step of h seconds, after what the limit remembers from `before`. stiffer: as of `MotionLimit::drive`.
+  void step(const Input& input, double h, double stiffer, const DrivenLoad& before, VectorXd& g);
   /// g of a load that lasts.
   void lasting(const Input& input, VectorXd& g);
 

@@ -10,7 +10,7 @@ from bl_ext.user_default.dynamic_morph_targets.io.cache_dir import CacheDir
 from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
 from bl_ext.user_default.dynamic_morph_targets.run.bake import bake_input, batch
 from bl_ext.user_default.dynamic_morph_targets.run.bake.job import Job
-from bl_ext.user_default.dynamic_morph_targets.scene import animation
+from bl_ext.user_default.dynamic_morph_targets.scene import animation, keyed
 from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
 from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
 from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
@@ -249,6 +249,93 @@ def test_drivers_count_like_keys(arm):
     assert staleness.outdated(arm) == []
     rig_of(arm)["tension"] = 0.5  # what a driver reads
     assert any("Stiffness" in text for text in staleness.outdated(arm))
+
+
+def test_what_does_not_play_is_not_keyed(arm):
+    """A curve or a driver that is muted: the value counts, and is recorded."""
+    key_stiffness(arm, (1, FIRM))
+    driver = arm.dynamorph.simulation.driver_add("amount")
+    driver.driver.expression = "0.5"
+    assert len(keyed.settings(arm)) == 3
+    for curve in (*animation.curves(arm.animation_data.action, arm.animation_data.action_slot), driver):
+        curve.mute = True
+    assert keyed.settings(arm) == []
+    set_stiffness(arm, SOFT)
+    bpy.ops.dynamorph.bake()
+    set_stiffness(arm, FIRM)
+    assert any("Stiffness" in text for text in staleness.outdated(arm))
+
+
+def test_a_driver_may_read_any_data(arm):
+    """A collection's property, a bone, a shape key's value. Live follows when an artist changes what it reads."""
+    collection = bpy.data.collections.new("Settings")
+    bpy.context.scene.collection.children.link(collection)
+    collection["tension"] = 1.0
+    key_block = arm.data.shape_keys.key_blocks["smile"]
+    for target, source, path in zip(
+        arm.dynamorph.targets,
+        (collection, arm.data.shape_keys),
+        ('["tension"]', 'key_blocks["smile"].value'),
+        strict=True,
+    ):
+        driver = target.driver_add("stiffness").driver
+        variable = driver.variables.new()
+        variable.name, variable.targets[0].id_type = "tension", "COLLECTION" if source == collection else "KEY"
+        variable.targets[0].id, variable.targets[0].data_path = source, path
+        driver.expression = f"{SOFT} + tension * {FIRM - SOFT}"
+    bpy.context.view_layer.update()
+    rest = extract.character(arm).vertices
+    bpy.ops.dynamorph.live()
+    np.testing.assert_allclose(play(arm, range(1, 21)), rest + baked(arm), atol=1e-5)
+    key_block.value = 0.5
+    arm.data.shape_keys.key_blocks["smile"].mute = True
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(play(arm, range(1, 21)), rest + baked(arm), atol=1e-5)
+
+
+def test_a_driver_that_does_not_work_is_refused(arm):
+    driver = arm.dynamorph.targets[1].driver_add("stiffness").driver
+    driver.expression = "1e4 + unknown"
+    bpy.context.view_layer.update()
+    with pytest.raises(SceneError, match=r"the driver of targets\[1\].stiffness does not work"):
+        rig_motion.sample_rig(arm, 1, 20, 5)
+
+
+def test_the_method_shape_has_the_material_of_the_neutral_target(arm):
+    arm.dynamorph.model.method = "SHAPE"
+    bpy.ops.dynamorph.build()
+    set_stiffness(arm, FIRM)
+    firm = baked(arm)
+    set_stiffness(arm, SOFT)
+    soft = baked(arm)
+    key(arm.dynamorph.targets[1], "stiffness", (1, FIRM))
+    assert apart(baked(arm), soft) < 1e-9
+    arm.animation_data_clear()
+    set_stiffness(arm, SOFT)
+    key(arm.dynamorph.targets[0], "stiffness", (1, FIRM))
+    assert apart(baked(arm), firm) < 1e-4
+
+
+def test_a_loop_says_when_its_ends_are_keyed_differently(arm):
+    for curve in animation.curves(rig_of(arm).animation_data.action, rig_of(arm).animation_data.action_slot):
+        for point in curve.keyframe_points:
+            point.co.y = 0.0
+    arm.dynamorph.simulation.loop = True
+    key(arm.dynamorph.simulation, "amount", (1, 0.0), (20, 1.0))
+    job = Job(arm, goal="BAKE", stored=False)
+    batch.run(job)
+    assert any("have other values at frame 20 than at frame 1" in text for text in job.outcome.warnings)
+
+
+def test_keys_follow_their_targets_into_a_setup(arm):
+    """A setup may have the targets in another order."""
+    bpy.ops.dynamorph.add_target(key="smile")
+    key(arm.dynamorph.targets[2], "stiffness", (1, FIRM))
+    setup = setups.of_object(arm)
+    setup["targets"][1:] = setup["targets"][:0:-1]
+    setups.apply(arm, setup)
+    assert [target.name for target in arm.dynamorph.targets][1:] == ["smile", "flexed"]
+    assert [each.setting.target for each in keyed.settings(arm)] == ["smile"]
 
 
 def test_what_is_no_number_is_refused(arm):

@@ -106,8 +106,10 @@ TEST_CASE("a target that is stiffer at the moment is one of a stiffer material")
                                     stiffness(j) * targets[std::size_t(j)].lame.mu};
   const auto compare = [&](const auto& plain, const auto& stiff, double tolerance) {
     using Model = std::decay_t<decltype(plain)>;
-    for (const Vector3d& w : {Vector3d(0.3, 0.5, 0.2), Vector3d(0, 1, 0)}) {
-      typename Model::Blend at_the_moment, of_material;
+    typename Model::Blend at_the_moment;  // which was of other poses and materials before
+    for (const Vector3d& w : {Vector3d(0.3, 0.5, 0.2), Vector3d(0, 1, 0), Vector3d(0.3, 0.5, 0.2)}) {
+      typename Model::Blend of_material;
+      plain.blend(w, at_the_moment);
       plain.blend(w, w.cwiseProduct(stiffness), at_the_moment);
       stiff.blend(w, of_material);
       const VectorXd q = random_vector(plain.dofs(), 1e-3, 7);

@@ -58,13 +58,14 @@ class Collision:
         self._shapes: list[np.ndarray] = []
         self._colliders: list[Any] = []
         if not len(points.rest):
+            model.made[_found(model)] = character, None
             return
         local = None
         if model.settings.solver == "REDUCED":
             local, self.dents = _local_responses(model, surface)
         vertices, corners = np.unique(points.vertices, return_inverse=True)
         rest, embedding, weights, residual_shapes = carried(model, character, vertices)
-        of, known = model.made.get(_firmness(model), (None, None))
+        of, known = model.made.get(_found(model), (None, None))
         self.skin = dynamorph.Contact(
             engine,
             rest,
@@ -78,7 +79,7 @@ class Collision:
             points.weights,
             known if same(of, character) else None,
         )
-        model.made[_firmness(model)] = character, self.skin.firmness
+        model.made[_found(model)] = character, self.skin.firmness
 
     @cached_property
     def own(self) -> Any:
@@ -122,14 +123,16 @@ class Collision:
         return self._known[number][0] if number >= 0 else (self._character.name, *self.others)[-1 - number]
 
 
-def has_kept(model: Model) -> bool:
-    """Whether a `Collision` has been made of it, so that the next one is made soon."""
-    return _firmness(model) in model.made
+def has_kept(model: Model, own: bool) -> bool:
+    """Whether a `Collision` has been made of it, so that the next one, of the same materials, is made soon. own: with
+    the body itself, too.
+    """
+    return _found(model) in model.made and (not own or any(key[0] == "balls" for key in model.made))
 
 
-def _firmness(model: Model) -> tuple[str, ...]:
+def _found(model: Model) -> tuple[str, ...]:
     """By what it is kept with the model."""
-    return "firmness", model.settings.solver, model.settings.material_model
+    return "found", model.settings.solver, model.settings.material_model
 
 
 def _points(model: Model, character: Character) -> tuple[ContactPoints, ContactPoints]:

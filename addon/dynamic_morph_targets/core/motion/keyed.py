@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +30,11 @@ class KeyedSettings(Track):
     settings: tuple[Setting, ...]
     values: np.ndarray
 
+    def without(self, *kinds: str) -> KeyedSettings:
+        """Those of other kinds."""
+        kept = [each.kind not in kinds for each in self.settings]
+        return KeyedSettings(tuple(compress(self.settings, kept)), self.values[:, kept])
+
     def of(self, *setting: str) -> np.ndarray | None:
         """The values (S,) of a `Setting`; None where it is not keyed."""
         if Setting(*setting) not in self.settings:
@@ -40,9 +46,10 @@ class KeyedSettings(Track):
         if not any(each.kind == "STIFFNESS" for each in self.settings):
             return None
         out = np.ones((len(self.values), len(character.targets)))
-        for j, (name, target) in enumerate(zip(character.target_names, character.targets, strict=True)):
-            if (keyed := self.of("STIFFNESS", name)) is not None:
-                out[:, j] = keyed / target.material.stiffness
+        for j, name in enumerate(character.target_names):
+            owner = "" if character.settings.method == "SHAPE" else name  # of the material that the target has
+            if (keyed := self.of("STIFFNESS", owner)) is not None:
+                out[:, j] = keyed / character.material(j).stiffness
         return out
 
     def amounts(self, character: Character) -> np.ndarray | None:

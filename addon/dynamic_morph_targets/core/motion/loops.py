@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from .keyed import KeyedSettings
 from .player import NO_STEPS, Frame, Player, changed
 from .rig_samples import RigSamples
 
@@ -164,6 +165,9 @@ def loop_warnings(player: Player, rig: RigSamples, gap: float) -> list[str]:
             f"The rig at frame {last} is {1000 * off:.3g} mm off its pose at frame {first}: end the loop where that "
             "pose comes back, or turn Loop off"
         ]
+    keyed = rig.track(KeyedSettings)
+    if keyed and not np.allclose(keyed.values[0], keyed.values[-1], rtol=1e-3):
+        return [f"Settings that are keyed have other values at frame {last} than at frame {first}: key them alike"]
     if gap > CLOSED * player.size:
         return [f"The loop is not closed after {player.passes} passes: raise the targets' damping, or make it longer"]
     return []
@@ -182,7 +186,7 @@ def begin_again(player: Player, rig: RigSamples, frame: Frame) -> Frame:
     bones = [past.reshape(-1, 12) for past in moved]
     player.state = changed(state, bones=bones, contact=np.zeros(0))  # what is touched in the first frame is found again
     player.number, player.passes = player.settings.frame_start, player.passes + 1
-    return player.frame_at_rest(rig, frame.coordinates, player.posing.posed(rig[:1])[1][0], NO_STEPS)
+    return player.first_frame(rig, frame.coordinates, player.posing.posed(rig[:1])[1][0], NO_STEPS)
 
 
 def pose_gap(player: Player, rig: RigSamples) -> float:

@@ -191,7 +191,7 @@ class Player:
             keyed = (None if values is None else values[0] for values in self._keyed(rig[:1]))
             begun = self._simulation.start(bones[0], bones[-1], weights[0], lies_on, *keyed)
         self.number = self.settings.first
-        return self.frame_at_rest(rig, self.coordinates, weights[0], begun)
+        return self.first_frame(rig, self.coordinates, weights[0], begun)
 
     def resume(self, first: RigSamples, state: State) -> None:
         """Continues from the `state` of another player that began with the sample `first`; its next frames follow."""
@@ -282,8 +282,10 @@ class Player:
         keyed = rig.track(KeyedSettings)
         return keyed.amounts(self.character) if keyed else None
 
-    def frame_at_rest(self, rig: RigSamples, coordinates: np.ndarray, weights: np.ndarray, steps: Any) -> Frame:
-        """The frame at the first sample, before any step. steps: a report."""
+    def first_frame(
+        self, rig: RigSamples, coordinates: np.ndarray, weights: np.ndarray, steps: dynamorph.StepReport
+    ) -> Frame:
+        """The frame at the first sample. steps: what its solution says."""
         amounts = self.amounts_of(rig[:1])
         return Frame(self.number, coordinates, weights, steps, None if amounts is None else amounts[0])
 

@@ -164,6 +164,7 @@ class Shot:
             "coordinates": np.concatenate(self._coordinates),
             "weights": np.concatenate(self._weights),
             "steps": np.concatenate(self._steps),
+            # In a file, all numbers must be finite.
             "amounts": np.nan_to_num(np.concatenate(self._amounts), nan=-1.0) if self._amounts else np.zeros((0, 0)),
             "past": np.array(state.coordinates),
             "bones": np.array(state.bones),

@@ -16,9 +16,8 @@ from ...core.errors import SceneError
 from ...core.material import calibration
 from ...core.model.model import MODES, Model
 from ...core.motion import baked
-from ...core.motion.keyed import Setting
 from ...io import disk
-from ...scene import keyed, skin
+from ...scene import skin
 from ...scene.store import staleness
 from ...scene.store.model_store import PACKED, blend_folder, index_in, remember, stored_model
 from ...write.bake.baked_action import check_rig_action
@@ -274,10 +273,9 @@ class Writer:
 
 def store_materials(obj: bpy.types.Object, character: Character) -> None:
     """Store the stiffness that a build has computed from the targets' frequencies."""
-    always = keyed.always(obj)
-    for name, target in skin.named_targets(obj):
+    for target in obj.dynamorph.targets:
         index = index_in(character, obj, target)
-        if index is None or not target.frequency or Setting("STIFFNESS", name) in always:
+        if index is None or not target.frequency or target.keyed_stiffness:
             continue
         built = character.targets[index]
         if (target.frequency, target.density) == (built.frequency, built.material.density):

@@ -14,6 +14,8 @@ import numpy as np
 from ...core import message
 from ...core.errors import ExportError, SceneError
 from ...core.motion.baked import Bake
+from ...core.motion.keyed import KeyedSettings
+from ...core.motion.rig_samples import RigSamples
 from ...core.result import keys
 from ...scene.references import rig_of
 from ...write import actions
@@ -46,6 +48,12 @@ class ClipJob(Job):
                 name=self.input.character.name,
                 why=why,
             )
+
+    def end_chunk(self) -> RigSamples | None:
+        """Clips are at other frames than the keys of settings, so these have the values of their first keys."""
+        samples = super().end_chunk()
+        assert samples is not None  # it has a shot
+        return replace(samples, tracks=tuple(each for each in samples.tracks if not isinstance(each, KeyedSettings)))
 
     def sample(self, seconds: float = np.inf) -> bool:
         with laid_out(rig_of(self.request.target.find()), self._clips):

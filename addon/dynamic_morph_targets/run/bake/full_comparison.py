@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import bpy
 
@@ -12,6 +13,8 @@ from ...core.errors import SceneError
 from ...core.geometry import vertex_areas
 from ...core.message import Message, joined
 from ...core.motion import baked
+from ...core.motion.keyed import KeyedSettings
+from ...core.motion.rig_samples import RigSamples
 from .batch import Batch
 from .job import Job
 
@@ -28,6 +31,12 @@ class ShotJob(Job):
         # As simulated: what is shown of the motion is not its error.
         changes = {"gains": (), "amount": 1.0}
         super().__init__(obj, "BAKE", frames, solver=solver, whole=True, stored=False, changes=changes)
+
+    def end_chunk(self) -> RigSamples | None:
+        samples = super().end_chunk()
+        assert samples is not None  # it has a shot
+        tracks = (each.without("AMOUNT") if isinstance(each, KeyedSettings) else each for each in samples.tracks)
+        return replace(samples, tracks=tuple(tracks))
 
     def read(self) -> None:
         super().read()

@@ -301,8 +301,9 @@ class Session:
 def _sampling(obj: bpy.types.Object) -> tuple:
     """What the rig's samples depend on besides its animation."""
     render, collision = bpy.context.scene.render, obj.dynamorph.collision
-    friction = keyed.always(obj).get(Setting("FRICTION"), collision.friction)
-    stops = [other.session_uid for other in colliders.colliders(obj)], collision.use_friction, friction
+    moved = keyed.settings(obj)
+    friction = None if Setting("FRICTION") in (each.setting for each in moved) else collision.friction
+    stops = [other.session_uid for other in colliders.colliders(obj)], collision.use_friction, friction, moved
     return obj.dynamorph.simulation.fields, render.frame_map_old, render.frame_map_new, skin.unit_scale(), stops
 
 
@@ -319,11 +320,7 @@ def _motion_amounts(obj: bpy.types.Object, character: Character) -> np.ndarray:
 
 def _materials(obj: bpy.types.Object) -> dict[str, Material]:
     """The materials of all targets by name."""
-    always = keyed.always(obj)
-    return {
-        name: replace(target.material(), stiffness=always.get(Setting("STIFFNESS", name), target.stiffness))
-        for name, target in skin.named_targets(obj)
-    }
+    return {name: target.material() for name, target in skin.named_targets(obj)}
 
 
 def _placing(obj: bpy.types.Object) -> tuple[str, list[tuple]]:

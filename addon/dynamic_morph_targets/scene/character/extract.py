@@ -112,14 +112,12 @@ def _target_sets(source: Source) -> tuple[TargetSet, ...]:
 def _target(source: Source, target: Any, always: dict[Setting, float]) -> Target:
     obj, skeleton = source.obj, source.skeleton
     neutral = target == obj.dynamorph.targets[0]
-    material, frequency = target.material(), target.frequency
-    if stiffness := always.get(Setting("STIFFNESS", "" if neutral else target.name)):
-        material, frequency = replace(material, stiffness=stiffness), 0.0
+    amount = always.get(Setting("TARGET_AMOUNT", "" if neutral else target.name), target.amount)
     shape = np.zeros((len(obj.data.vertices), 3)) if neutral else target_shape(obj, target.name, source.groups)
     local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)
     return Target(
-        target.name, shape, target.bone_names(), local, rig_world, material, target.fade_out_angle, target.amount,
-        frequency,
+        target.name, shape, target.bone_names(), local, rig_world, target.material(),
+        target.fade_out_angle, amount, 0.0 if target.keyed_stiffness else target.frequency,
     )  # fmt: skip
 
 

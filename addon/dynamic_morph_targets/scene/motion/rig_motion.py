@@ -181,7 +181,10 @@ class RigSampling:
         self._fields = tuple(_empty_samples(source.field, self.count, self._unit) for source in sources)
         self._colliders = [each for each in colliders.readers(obj, self.count) if each.name not in without]
         self._keyed = keyed.settings(obj)
-        self._overrides_friction = obj.dynamorph.collision.use_friction
+        for each in self._keyed:
+            if not all(curve.driver.is_valid for curve in keyed.drivers_of(obj, each.path)):
+                text = "'{name}': the driver of {setting} does not work: mend or delete it"
+                raise SceneError(text, name=obj.name, setting=each.path.removeprefix("dynamorph."))
         self._values = np.empty((self.count, len(self._keyed)))
 
     @property
@@ -262,7 +265,7 @@ class RigSampling:
         pose = _ordered(self._columns, self._order)
         stopping = [reader.track(partial(in_meters, unit=self._unit), self._frame) for reader in self._colliders]
         settings = self._settings()
-        if settings and self._overrides_friction and (friction := settings.of("FRICTION")) is not None:
+        if settings and (friction := settings.of("FRICTION")) is not None:
             stopping = [replace(track, friction=friction) for track in stopping]
         tracks = (*fields, *stopping, *filter(None, (settings, self._nodes)))
         samples = RigSamples(pose, worlds[:, 0], worlds[:, 1], tracks, self._target_nodes)

@@ -17,6 +17,7 @@ from ...core.character import Skeleton
 from ...core.material import calibration, oscillation
 from ...core.material.feel import FEELS
 from ...core.settings import Material
+from .. import keyed
 from ..events import shown_changed
 from ..keyless import ANIMATED, BoolProperty, CollectionProperty, FloatProperty, FloatVectorProperty, StringProperty
 from ..references import OVERRIDE, OVERRIDE_LIST, KeyReference, key_displacement, key_hash
@@ -260,15 +261,23 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     @property
     def omega(self) -> float:
         """The undamped angular frequency of the whole body if it were of this material, rad/s; 0 if not known."""
-        return 2.0 * math.pi * (self.frequency or self.reference * math.sqrt(self.stiffness / self.density))
+        frequency = 0.0 if self.keyed_stiffness else self.frequency
+        return 2.0 * math.pi * (frequency or self.reference * math.sqrt(self.stiffness / self.density))
 
     @property
     def is_measured(self) -> bool:
         """Whether it is known how this material swings. If not, bounce and settle time are 0."""
         return self.omega > 0.0
 
+    @property
+    def keyed_stiffness(self) -> float:
+        """What counts at all frames where the stiffness is keyed; 0 where it is not."""
+        path = self.path_from_id("stiffness")
+        return next((each.always for each in keyed.settings(self.id_data) if each.path == path), 0.0)
+
     def material(self) -> Material:
-        return Material(self.stiffness, self.poisson, self.density, self.mass_damping, self.stiffness_damping)
+        stiffness = self.keyed_stiffness or self.stiffness
+        return Material(stiffness, self.poisson, self.density, self.mass_damping, self.stiffness_damping)
 
     def set_material(self, material: Material, by_hand: bool = False) -> None:
         """Use this material with its stiffness as it is. by_hand: the artist has set it."""

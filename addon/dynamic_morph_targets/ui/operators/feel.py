@@ -39,7 +39,8 @@ def give_feel(obj: bpy.types.Object, feel: Feel) -> None:
 def _frequency_ratio(target: DynamorphTarget, neutral: DynamorphTarget) -> float:
     if target.frequency and neutral.frequency:
         return target.frequency / neutral.frequency
-    return sqrt(target.stiffness / target.density * neutral.density / neutral.stiffness)
+    one, other = target.material(), neutral.material()
+    return sqrt(one.stiffness / one.density * other.density / other.stiffness)
 
 
 class DYNAMORPH_OT_apply_feel(SoftSkinOperator, Operator):

@@ -31,7 +31,7 @@ from ...core.motion.keyed import Setting
 from ...core.painted_map import MAPS
 from ...core.settings import ModelSettings
 from ...io import disk
-from ...scene import keyed
+from ...scene import animation, keyed
 from ...scene.check import checks
 from ...scene.motion import rig_motion
 from ...scene.plain import fits, is_text, plain, wanted
@@ -110,7 +110,7 @@ def of_object(obj: bpy.types.Object) -> dict:
             if each.object or each.group
         ],
     }
-    always = keyed.always(obj)
+    always = keyed.first_keys(obj)
     for path, kind in keyed.OF_OBJECT.items():
         part, _, name = path.partition(".")
         setup[part][name] = always.get(Setting(kind), setup[part][name])
@@ -153,6 +153,7 @@ def apply(obj: bpy.types.Object, setup: dict) -> dict[str, list[str]]:
 def _apply_targets(obj: bpy.types.Object, rig: bpy.types.Object, entries: list[dict], lacking: _Lacking) -> None:
     settings, blocks = obj.dynamorph, obj.data.shape_keys.key_blocks
     keys = lacking.present("shape keys", [entry["name"] for entry in entries[1:]], blocks.keys()[1:])
+    before = [name for name, _ in named_targets(obj)]
     settings.targets.clear()
     for entry in entries:
         neutral = entry is entries[0]
@@ -167,6 +168,8 @@ def _apply_targets(obj: bpy.types.Object, rig: bpy.types.Object, entries: list[d
         bones = lacking.present("bones", entry.get("bones", []), rig.data.bones)
         target.set_bones(bones, target.auto_bones)
         _apply_pose(target, rig, entry.get("pose", {}), lacking)
+    places = [before.index(name) if name in before else -1 for name, _ in named_targets(obj)]
+    animation.follow_list(obj, "dynamorph.targets", places)
     settings.active_target_index = min(settings.active_target_index, len(settings.targets) - 1)
     regions.update(obj)
 

@@ -148,7 +148,7 @@ def remove(obj: bpy.types.Object, index: int) -> None:
 
 def start_as(source: DynamorphTarget, target: DynamorphTarget) -> None:
     """Give a target the material of another, and the state of its settings."""
-    assign(target, {name: getattr(source, name) for name in (*asdict(source.material()), "frequency", "by_hand")})
+    assign(target, asdict(source.material()) | {"frequency": source.frequency, "by_hand": source.by_hand})
 
 
 def choose_bones(

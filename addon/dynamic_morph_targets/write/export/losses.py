@@ -9,7 +9,7 @@ from typing import Any
 import bpy
 
 from ...core.message import Message, listed
-from ...scene import animation
+from ...scene import animation, keyed
 from ...scene.motion import colliders
 from ...scene.read import identity
 from ...scene.references import armature_modifiers, rig_of
@@ -89,8 +89,11 @@ def _soft_skin_losses(obj: bpy.types.Object) -> Iterator[str]:
         yield Message("A soft skin file has only the targets' keys: {keys} is left out", keys=", ".join(others))
     if settings.collision.use and (settings.collision.use_self or colliders.colliders(obj)):
         yield Message("A soft skin file has no collision: '{name}' passes through what stops it here", name=obj.name)
-    amounts = [settings.simulation, *settings.targets]
-    if any(each.amount != 1.0 for each in amounts) or any(mode.gain != 1.0 for mode in settings.modes):
+    amounts, moved = [settings.simulation, *settings.targets], {each.kind for each in keyed.always(obj)}
+    if "STIFFNESS" in moved:
+        yield Message("A soft skin file has one Stiffness for each target: '{name}' has the first keys'", name=obj.name)
+    shown = any(each.amount != 1.0 for each in amounts) or moved & {"AMOUNT", "TARGET_AMOUNT"}
+    if shown or any(mode.gain != 1.0 for mode in settings.modes):
         yield Message("A soft skin file has no Amount: all motion of '{name}' shows in full", name=obj.name)
 
 

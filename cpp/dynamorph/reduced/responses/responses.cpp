@@ -104,7 +104,7 @@ Responses::Responses(const ReducedTables& tables, const std::vector<MorphTarget>
 
 void Responses::blend(const VectorXd& w, const VectorXd& e, Blend& out) const {
   if (count_ == 0) return;
-  const bool is_new = out.relaxation.rows() != count_;  // otherwise what is always zero is zero already
+  const bool is_new = out.border.rows() != count_;  // otherwise what is always zero is zero already
   out.stiffness.setZero(count_);
   out.damping.setZero(count_);
   out.shape.setZero(r_);
@@ -120,14 +120,13 @@ void Responses::blend(const VectorXd& w, const VectorXd& e, Blend& out) const {
   out.coupling_force.setZero(count_);
   out.only = -1;
   out.active.clear();
-  out.active_weights.clear();
+  out.active_elastic.clear();
   for (size_t j = 0; j < targets_.size(); ++j) {
     if (w(j) == 0) continue;
     const Target& target = targets_[j];
     out.only = out.active.empty() && w(j) == 1 ? int(j) : -1;
     out.active.push_back(target.coupling.data());
-    out.active_weights.push_back(e(j));
-    out.only_elastic = e(j);
+    out.active_elastic.push_back(e(j));
     out.stiffness += e(j) * target.stiffness;
     out.damping += e(j) * target.damping * target.stiffness;
     out.modal += e(j) * target.modal;
@@ -150,7 +149,7 @@ void Responses::blend(const VectorXd& w, const VectorXd& e, Blend& out) const {
   if (relaxed_ || is_new) out.relaxation = out.stiffness.cwiseInverse().asDiagonal() * out.border;
   if (out.only >= 0) return;
   out.coupling.resize(targets_[0].coupling.size());
-  blend_tables(out.active.data(), out.active_weights.data(), int(out.active.size()), Index(out.coupling.size()),
+  blend_tables(out.active.data(), out.active_elastic.data(), int(out.active.size()), Index(out.coupling.size()),
                out.coupling.data());
 }
 

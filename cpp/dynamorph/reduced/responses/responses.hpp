@@ -61,11 +61,10 @@ class Responses {
     LaneVector<float> coupling;  ///< S of c = 1/2 S(x, x) + slopes x + c(0), unless a single target has all the weight
     MatrixXd coupling_slopes;    ///< padded (h, r)
     VectorXd coupling_force;     ///< c(0) (h)
-    int only = -1;               ///< that target,
-    double only_elastic = 1;     ///< and its e
-    double elastic_of_coupling() const { return only >= 0 ? only_elastic : 1; }
+    int only = -1;               ///< that target
     std::vector<const float*> active;
-    std::vector<double> active_weights;
+    std::vector<double> active_elastic;  ///< e of those
+    double elastic_of_coupling() const { return only >= 0 ? active_elastic[0] : 1; }
   };
 
   /// What one evaluation needs beside its results: x; b, D^-1 b, y', c, D^-1 c (h); what is padded; dc/dz (padded
