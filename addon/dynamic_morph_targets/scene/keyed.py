@@ -76,14 +76,13 @@ def _driven(obj: bpy.types.Object, path: str) -> str:
 def _variable(variable: bpy.types.DriverVariable) -> list:
     read = []
     for target in variable.targets:
-        owner = target.id
-        source = getattr(owner, "name", ""), plain(target, skip=("id",)), None
+        owner, value = target.id, None
         if owner and variable.type == "SINGLE_PROP" and target.data_path not in animation.moved_paths(owner):
             with suppress(ValueError):  # there is no such property
-                source = *source[:2], owner.path_resolve(target.data_path)
+                value = owner.path_resolve(target.data_path)
         elif owner and variable.type != "SINGLE_PROP":
-            source = *source[:2], _stands(owner, target.bone_target)
-        read.append(source)
+            value = _stands(owner, target.bone_target)
+        read.append((getattr(owner, "name", ""), plain(target, skip=("id",)), value))
     return [variable.name, variable.type, read]
 
 
