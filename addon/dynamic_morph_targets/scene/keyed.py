@@ -99,6 +99,18 @@ def always(obj: bpy.types.Object) -> dict[Setting, float]:
     return {each.setting: each.always for each in settings(obj)}
 
 
+def stiffness_of(target: bpy.types.PropertyGroup) -> float:
+    """Of a target: where it is keyed, what counts at all frames."""
+    path = target.path_from_id("stiffness")
+    return next((each.always for each in settings(target.id_data) if each.path == path), target.stiffness)
+
+
+def frequency_of(target: bpy.types.PropertyGroup) -> float:
+    """That from which the stiffness of a target follows; 0 where that is set, or keyed."""
+    path = target.path_from_id("stiffness")
+    return 0.0 if any(each.path == path for each in settings(target.id_data)) else target.frequency
+
+
 def first_keys(obj: bpy.types.Object) -> dict[Setting, float]:
     """The values of those at their first keys; of what drivers move alone there is none."""
     return {each.setting: each.always for each in settings(obj) if not each.driven}

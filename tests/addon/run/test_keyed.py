@@ -129,7 +129,8 @@ def test_live_shows_what_a_bake_does(arm, solver):
     bpy.ops.dynamorph.live()
     shown = play(arm, range(1, 21))
     assert np.abs(shown - expected).max() < 1e-5
-    assert len(run_live.remembered.live.sessions[arm.session_uid]._frames) == 20  # nothing began again
+    now = run_live.remembered.live.sessions[arm.session_uid]
+    assert (now.first, now.last, now.rig_changes) == (1, 20, 0)  # nothing began again
     np.testing.assert_allclose(play(arm, range(10, 21)), shown[9:], atol=1e-6)  # and what is known shows again
 
 
@@ -291,6 +292,22 @@ def test_a_driver_may_read_any_data(arm):
     arm.data.shape_keys.key_blocks["smile"].mute = True
     bpy.context.view_layer.update()
     np.testing.assert_allclose(play(arm, range(1, 21)), rest + baked(arm), atol=1e-5)
+
+
+def test_what_a_driver_reads_of_a_place_counts(arm):
+    """An object that nothing moves: where it stands is part of what the bake was made from."""
+    empty = bpy.data.objects.new("Tension", None)
+    bpy.context.scene.collection.objects.link(empty)
+    driver = arm.dynamorph.targets[0].driver_add("stiffness").driver
+    variable = driver.variables.new()
+    variable.name, variable.type = "high", "TRANSFORMS"
+    variable.targets[0].id, variable.targets[0].transform_type = empty, "LOC_Z"
+    driver.expression = f"{SOFT} * (1.0 + high)"
+    bpy.context.view_layer.update()
+    bpy.ops.dynamorph.bake()
+    assert staleness.outdated(arm) == []
+    empty.location.z = 2.0
+    assert any("Stiffness" in text for text in staleness.outdated(arm))
 
 
 def test_a_driver_that_does_not_work_is_refused(arm):

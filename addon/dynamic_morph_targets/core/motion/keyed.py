@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..character import Character
-from .rig_samples import Track
+from .rig_samples import RigSamples, Track
 
 
 class Setting(NamedTuple):
@@ -62,3 +62,20 @@ class KeyedSettings(Track):
             if keyed is not None:
                 out[:, column] = keyed
         return None if np.isnan(out).all() else out
+
+
+def amounts_of(rig: RigSamples, character: Character) -> np.ndarray | None:
+    """`KeyedSettings.amounts` at each of the samples."""
+    keyed = rig.track(KeyedSettings)
+    return keyed.amounts(character) if keyed else None
+
+
+def for_engine(rig: RigSamples, character: Character, size: float) -> tuple[np.ndarray | None, ...]:
+    """Stiffness (S, J), distance (S,) in meters and self-friction (S,), as a step takes them; None where they are not
+    keyed. size: of the body, meters.
+    """
+    keyed = rig.track(KeyedSettings)
+    if keyed is None:
+        return None, None, None
+    distance = keyed.of("DISTANCE")
+    return keyed.stiffness(character), None if distance is None else distance * size, keyed.of("FRICTION")

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from .keyed import KeyedSettings
-from .player import NO_STEPS, Frame, Player, changed
+from .player import NO_STEPS, Frame, Player, changed, first_frame
 from .rig_samples import RigSamples
 
 CLOSED = 1e-6  # body sizes; a loop whose gap is smaller is closed
@@ -186,7 +186,7 @@ def begin_again(player: Player, rig: RigSamples, frame: Frame) -> Frame:
     bones = [past.reshape(-1, 12) for past in moved]
     player.state = changed(state, bones=bones, contact=np.zeros(0))  # what is touched in the first frame is found again
     player.number, player.passes = player.settings.frame_start, player.passes + 1
-    return player.first_frame(rig, frame.coordinates, player.posing.posed(rig[:1])[1][0], NO_STEPS)
+    return first_frame(player, rig, frame.coordinates, player.posing.posed(rig[:1])[1][0], NO_STEPS)
 
 
 def pose_gap(player: Player, rig: RigSamples) -> float:

@@ -20,7 +20,7 @@ from ..settings import SimulationSettings
 from .amounts import Amounts
 from .contact import Collision, as_bits
 from .grab import Hand, from_text
-from .keyed import KeyedSettings
+from .keyed import amounts_of, for_engine
 from .posing import Posing
 from .prepared import prepared
 from .rig_samples import RigSamples
@@ -188,10 +188,10 @@ class Player:
             begun = NO_STEPS
         else:
             lies_on = self.collision.motions(rig[:1].still(1)) if self.collision else None
-            keyed = (None if values is None else values[0] for values in self._keyed(rig[:1]))
+            keyed = (None if values is None else values[0] for values in for_engine(rig[:1], self.character, self.size))
             begun = self._simulation.start(bones[0], bones[-1], weights[0], lies_on, *keyed)
         self.number = self.settings.first
-        return self.first_frame(rig, self.coordinates, weights[0], begun)
+        return first_frame(self, rig, self.coordinates, weights[0], begun)
 
     def resume(self, first: RigSamples, state: State) -> None:
         """Continues from the `state` of another player that began with the sample `first`; its next frames follow."""
@@ -231,7 +231,7 @@ class Player:
             chunk = numbers[first : first + frames]
             moving = rig[first * substeps : (first + len(chunk)) * substeps]
             bones, weights = self.posing.posed(moving)
-            keyed, amounts = self._keyed(moving), self.amounts_of(moving)
+            keyed, amounts = for_engine(moving, self.character, self.size), amounts_of(moving, self.character)
             for k, number in enumerate(chunk):
                 self.number = int(number)
                 if self.hand:
@@ -277,29 +277,6 @@ class Player:
         """The frame's coordinates with `amounts`."""
         return self.amounts.shown(frame.coordinates, frame.weights, frame.amounts)
 
-    def amounts_of(self, rig: RigSamples) -> np.ndarray | None:
-        """`Frame.amounts` at each of the samples (S, 1 + J)."""
-        keyed = rig.track(KeyedSettings)
-        return keyed.amounts(self.character) if keyed else None
-
-    def first_frame(
-        self, rig: RigSamples, coordinates: np.ndarray, weights: np.ndarray, steps: dynamorph.StepReport
-    ) -> Frame:
-        """The frame at the first sample. steps: what its solution says."""
-        amounts = self.amounts_of(rig[:1])
-        return Frame(self.number, coordinates, weights, steps, None if amounts is None else amounts[0])
-
-    def _keyed(self, rig: RigSamples) -> tuple[np.ndarray | None, ...]:
-        """Stiffness (S, J), distance (S,) in meters and self-friction (S,), as the engine takes them; None where they
-        are not keyed.
-        """
-        keyed = rig.track(KeyedSettings)
-        if keyed is None:
-            return None, None, None
-        distance = keyed.of("DISTANCE")
-        distance = None if distance is None else distance * self.size
-        return keyed.stiffness(self.character), distance, keyed.of("FRICTION")
-
     def _asked_by_engine(self) -> Callable[[], bool] | None:
         """`keep_going` for the engine. It must not hold the player, which holds the engine's simulation: Python's
         collector does not see what the engine holds, and neither would ever be freed.
@@ -322,6 +299,14 @@ class Player:
         if self.engine is None or not any(field.strength.any() for field in rig.fields):
             return None
         return self.posing.skin.pushes(rig.fields, bones, self.displacement(self.coordinates))
+
+
+def first_frame(
+    player: Player, rig: RigSamples, coordinates: np.ndarray, weights: np.ndarray, steps: dynamorph.StepReport
+) -> Frame:
+    """The frame of a player at the first sample. steps: what its solution says."""
+    amounts = amounts_of(rig[:1], player.character)
+    return Frame(player.number, coordinates, weights, steps, None if amounts is None else amounts[0])
 
 
 def _simulation_of(

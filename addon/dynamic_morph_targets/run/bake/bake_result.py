@@ -17,7 +17,7 @@ from ...core.material import calibration
 from ...core.model.model import MODES, Model
 from ...core.motion import baked
 from ...io import disk
-from ...scene import skin
+from ...scene import keyed, skin
 from ...scene.store import staleness
 from ...scene.store.model_store import PACKED, blend_folder, index_in, remember, stored_model
 from ...write.bake.baked_action import check_rig_action
@@ -275,7 +275,7 @@ def store_materials(obj: bpy.types.Object, character: Character) -> None:
     """Store the stiffness that a build has computed from the targets' frequencies."""
     for target in obj.dynamorph.targets:
         index = index_in(character, obj, target)
-        if index is None or not target.frequency or target.keyed_stiffness:
+        if index is None or not keyed.frequency_of(target):
             continue
         built = character.targets[index]
         if (target.frequency, target.density) == (built.frequency, built.material.density):

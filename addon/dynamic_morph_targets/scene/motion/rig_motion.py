@@ -183,7 +183,7 @@ class RigSampling:
         self._keyed = keyed.settings(obj)
         for each in self._keyed:
             if not all(curve.driver.is_valid for curve in keyed.drivers_of(obj, each.path)):
-                text = "'{name}': the driver of {setting} does not work: mend or delete it"
+                text = "'{name}': the driver of {setting} does not work: fix or delete it"
                 raise SceneError(text, name=obj.name, setting=each.path.removeprefix("dynamorph."))
         self._values = np.empty((self.count, len(self._keyed)))
 

@@ -261,23 +261,15 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     @property
     def omega(self) -> float:
         """The undamped angular frequency of the whole body if it were of this material, rad/s; 0 if not known."""
-        frequency = 0.0 if self.keyed_stiffness else self.frequency
-        return 2.0 * math.pi * (frequency or self.reference * math.sqrt(self.stiffness / self.density))
+        return 2.0 * math.pi * (keyed.frequency_of(self) or self.reference * math.sqrt(self.stiffness / self.density))
 
     @property
     def is_measured(self) -> bool:
         """Whether it is known how this material swings. If not, bounce and settle time are 0."""
         return self.omega > 0.0
 
-    @property
-    def keyed_stiffness(self) -> float:
-        """What counts at all frames where the stiffness is keyed; 0 where it is not."""
-        path = self.path_from_id("stiffness")
-        return next((each.always for each in keyed.settings(self.id_data) if each.path == path), 0.0)
-
     def material(self) -> Material:
-        stiffness = self.keyed_stiffness or self.stiffness
-        return Material(stiffness, self.poisson, self.density, self.mass_damping, self.stiffness_damping)
+        return Material(keyed.stiffness_of(self), self.poisson, self.density, self.mass_damping, self.stiffness_damping)
 
     def set_material(self, material: Material, by_hand: bool = False) -> None:
         """Use this material with its stiffness as it is. by_hand: the artist has set it."""
