@@ -53,11 +53,23 @@ def follow_list(obj: bpy.types.Object, path: str, before: list[int]) -> None:
             elif found and place != int(found[1]):
                 curve.data_path = f"{path}[{place}]{curve.data_path[found.end() :]}"
 
+    if data and any(element.match(curve.data_path) for curve in curves(data.action, data.action_slot)):
+        _own_action(obj, data)
     if data:
         players = {(each.action, each.action_slot) for each in (data, *strips(data.nla_tracks))}
         for action, slot in players:
             follow(curves(action, slot), partial(remove_curve, action, slot))
         follow(list(data.drivers), data.drivers.remove)
+
+
+def _own_action(obj: bpy.types.Object, data: bpy.types.AnimData) -> None:
+    """Give `obj` an Action of its own where others play the same slot of it, as copies do."""
+    playing = data.action, data.action_slot
+    others = [other.animation_data for other in bpy.data.objects if other != obj and other.animation_data]
+    if any((other.action, other.action_slot) == playing for other in others):
+        slot = data.action_slot.identifier
+        data.action = data.action.copy()
+        data.action_slot = data.action.slots[slot]
 
 
 def strips(tracks: Iterable[bpy.types.NlaTrack | bpy.types.NlaStrip], muted: bool = True) -> list:

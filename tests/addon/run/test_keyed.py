@@ -14,7 +14,7 @@ from bl_ext.user_default.dynamic_morph_targets.scene import animation, keyed
 from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
 from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
 from bl_ext.user_default.dynamic_morph_targets.scene.store import staleness
-from bl_ext.user_default.dynamic_morph_targets.write.authoring import setups
+from bl_ext.user_default.dynamic_morph_targets.write.authoring import setups, targets
 from builders import make_ball, rig_of
 from built import BuiltOnce
 from test_live import play
@@ -292,6 +292,30 @@ def test_a_driver_may_read_any_data(arm):
     arm.data.shape_keys.key_blocks["smile"].mute = True
     bpy.context.view_layer.update()
     np.testing.assert_allclose(play(arm, range(1, 21)), rest + baked(arm), atol=1e-5)
+
+
+def test_a_copy_keeps_the_keys_of_its_original(arm):
+    """Blender lets both have one Action. A target that one of them loses is still keyed in the other."""
+    bpy.ops.dynamorph.add_target(key="smile")
+    key(arm.dynamorph.targets[2], "stiffness", (1, FIRM))
+    copied = arm.copy()
+    copied.data = arm.data.copy()
+    bpy.context.scene.collection.objects.link(copied)
+    assert copied.animation_data.action == arm.animation_data.action
+    targets.remove(copied, 1)
+    assert [each.setting.target for each in keyed.settings(copied)] == ["smile"]
+    assert [each.setting.target for each in keyed.settings(arm)] == ["smile"]
+
+
+def test_a_comparison_is_of_what_was_simulated(arm):
+    """Not of how much of it shows: with an Amount that is keyed, the error is that without."""
+    bpy.ops.dynamorph.bake()
+    bpy.ops.dynamorph.compare_full()
+    expected = arm.dynamorph.bake.off_full
+    key(arm.dynamorph.simulation, "amount", (1, 0.1))
+    bpy.ops.dynamorph.bake()
+    bpy.ops.dynamorph.compare_full()
+    assert arm.dynamorph.bake.off_full == pytest.approx(expected, rel=1e-3)
 
 
 def test_what_a_driver_reads_of_a_place_counts(arm):
