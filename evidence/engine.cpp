@@ -240,7 +240,7 @@ void measure_steps(State& state, const std::shared_ptr<const Model>& model, cons
   const Swing rig = swing(model->body(), int(model->targets().size()));
   MovingBody<Model> moving(model, options);
   Simulation<Model> simulation(moving);
-  moving.start(rig.bones[0], rig.bones[1], rig.weights[0]);
+  moving.start({rig.bones[0], rig.weights[0]}, rig.bones[1]);
   int k = 0, iterations = 0;
   for (auto _ : state) {
     k = (k + 1) % kFrames;

@@ -154,7 +154,7 @@ void bind_samples(py::module_& m) {
               [](const EitherModel& model, const FloatArray& rest, const Embedding& embedding, const MatrixXd& weights,
                  const FloatArray& normals, const VectorXd& thickness, const std::optional<FloatArray>& residual_shapes,
                  const std::optional<std::shared_ptr<LocalResponses>>& local, const std::optional<IndexArray>& corners,
-                 const std::optional<CornerWeights>& corner_weights, const std::optional<MatrixXd>& firmness) {
+                 const std::optional<CornerWeights>& corner_weights, const std::optional<MatrixXd>& found) {
                 ContactSkin samples{skin_of(rest, embedding, weights, residual_shapes), {}, {}, thickness};
                 samples.points = surface_points(corners, corner_weights, samples.skin.rest.rows());
                 samples.normals = as_points(flat_points("normals", normals, samples.points.size()));
@@ -162,20 +162,20 @@ void bind_samples(py::module_& m) {
                   return make_either<ContactSamples>(model, [&](const auto& own) {
                     using Model = std::decay_t<decltype(*own)>;
                     return std::make_shared<ContactSamples<Model>>(own, std::move(samples), local.value_or(nullptr),
-                                                                   firmness);
+                                                                   found);
                   });
                 });
               }),
           "model"_a.none(false), "rest"_a, "embedding"_a, "weights"_a, "normals"_a, "thickness"_a,
           "residual_shapes"_a = py::none(), "local"_a = py::none(), "corners"_a = py::none(),
-          "corner_weights"_a = py::none(), "firmness"_a = py::none(),
+          "corner_weights"_a = py::none(), "found"_a = py::none(),
           "rest (V, 3): the skin's vertices, meters, bind space. embedding: of these in the body's mesh. weights "
           "(V, B): skin weights at any positive scale; those below 1 % do not count. corners (P, 3), corner_weights "
           "(P, 3): the points are means of these vertices, with weights that sum to one; by default they are the "
           "vertices. normals (P, 3): out of the body, bind space. "
           "thickness (P): of the tissue below, meters; a collider that the bones take in by more pushes less, and by "
           "1.2 times that not at all. residual_shapes (J, V, 3): what the mesh cannot carry of each target's shape, "
-          "or None. local: how a reduced model's skin gives way; None for an unreduced one. firmness: that of the same "
+          "or None. local: how a reduced model's skin gives way; None for an unreduced one. found: that of the same "
           "points before, so that it is not found again.")
       .def_property_readonly(
           "stiffness",
@@ -185,9 +185,9 @@ void bind_samples(py::module_& m) {
           "The model's own stiffness at each point (P) along its normal, N/m, at the neutral "
           "targets; 0 where pins hold it.")
       .def_property_readonly(
-          "firmness",
+          "found",
           [](const Either<ContactSamples>& samples) {
-            return samples.visit([](const auto& own) { return own.firmness(); });
+            return samples.visit([](const auto& own) { return own.found(); });
           },
           "What takes long to find of each point (P, 3): its `stiffness`, the mass that it moves (kg), and the part of "
           "a push that a reduced model's coordinates take.");

@@ -358,14 +358,14 @@ void bind_simulation(py::module_& m) {
              const std::optional<double>& distance, const std::optional<double>& self_friction) {
             const Transforms a = transforms("now", now), b = transforms("next", next);
             const std::vector<ColliderStep> met = at_rest(colliders);
-            for (const auto& [name, value] :
-                 {std::pair("distance", distance), std::pair("self_friction", self_friction)})
-              if (value && (!(*value >= 0) || !std::isfinite(*value)))
-                throw std::invalid_argument(std::string(name) + ": must be finite and not negative");
+            if (distance) check_not_negative("distance", *distance);
+            if (self_friction) check_not_negative("self_friction", *self_friction);
+            const auto pointer = [](const auto& value) { return value ? &*value : nullptr; };
             return s.visit([&](auto& own) {
               return Report(changing(own, [&] {
-                return own.body.start(a, b, weights, &met, stiffness ? &*stiffness : nullptr,
-                                      distance ? &*distance : nullptr, self_friction ? &*self_friction : nullptr);
+                return own.body.start(
+                    {a, weights, nullptr, nullptr, &met, pointer(stiffness), pointer(distance), pointer(self_friction)},
+                    b);
               }));
             });
           },
@@ -390,7 +390,6 @@ void bind_simulation(py::module_& m) {
           "Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external: newtons on the "
           "nodes, world space, (S, n, 3) or the same at all steps (n, 3). grabs: of points of a skin. colliders: "
           "what pushes the points of its contact. stiffness (S, J): how many times as stiff as its material each "
-          "target "
           "target is. distance (S): at which contact begins, meters, and self_friction (S): instead of the "
           "simulation's. "
           "Returns a StepReport.")

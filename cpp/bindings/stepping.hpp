@@ -158,9 +158,7 @@ using Motion = std::tuple<FloatArray, FloatArray, std::optional<FloatArray>, std
 inline void check_each_step(const char* name, const std::optional<FloatArray>& values, py::ssize_t steps) {
   if (!values) return;
   check_shape(name, *values, {steps});
-  for (py::ssize_t i = 0; i < steps; ++i)
-    if (!(values->data()[i] >= 0) || !std::isfinite(values->data()[i]))
-      throw std::invalid_argument(std::string(name) + ": must be finite and not negative");
+  for (py::ssize_t i = 0; i < steps; ++i) check_not_negative(name, values->data()[i]);
 }
 
 /// What acts on a soft skin in some steps, as `advance` takes it.

@@ -32,7 +32,7 @@ VectorXd shake(const file::Content& content) {
     first(j) = j == 0 || known[j - 1].set != known[j].set;
     last(j) = j + 1 == known.size() || known[j + 1].set != known[j].set;
   }
-  moving.start(bones, bones, first);
+  moving.start({bones, first}, bones);
   for (int step = 1; step <= 120; ++step) {
     bones.col(3).setConstant(0.02 * std::sin(0.2 * step));  // m, along x
     const double done = step / 120.0;

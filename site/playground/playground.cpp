@@ -124,7 +124,7 @@ void Playground::build(double stiffness) {
   if (!options.gravity.isZero()) next->balance_targets(character.target_bones);
   finger = {};
   place();
-  next->start(bones, bones, weights);
+  next->start({bones, weights}, bones);
   if (body) next->set_state(body->state());
   simulation = std::make_unique<Simulation<ReducedModel>>(*next);
   body = std::move(next);

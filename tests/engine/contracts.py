@@ -220,7 +220,7 @@ def calls() -> dict[str, tuple[object, dict]]:
         "SelfContact": (lib, s.own),
         "LocalResponses": (lib, {"model": s.full, **s.places, "centers": [0, 1]}),
         "Contact": (lib, {"model": s.reduced, **s.samples, "residual_shapes": np.zeros((2, len(s.points), 3)),
-                          "local": s.dents, "firmness": dynamorph.Contact(s.reduced, **s.samples).firmness}),
+                          "local": s.dents, "found": dynamorph.Contact(s.reduced, **s.samples).found}),
         "SoftBody.extend_shapes": (s.body, {"embedding": s.embedding,
                                             "surfaces": np.zeros((2, len(s.embedding.nodes), 3))}),
         "FullModel": (lib, {"body": s.body, "targets": s.targets, "material_model": s.material_model,

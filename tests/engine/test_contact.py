@@ -374,19 +374,19 @@ def simulated_few(belly, few, local):
     return simulation
 
 
-def test_firmness_is_not_found_again(belly, few):
+def test_what_was_found_is_not_found_again(belly, few):
     """Given what another has found, the points give way as those do; given half of it, less firmly."""
-    found = dynamorph.Contact(few.model, **belly.samples, local=few.local).firmness
+    found = dynamorph.Contact(few.model, **belly.samples, local=few.local).found
     forces = []
     for given in (None, found, found * [0.5, 0.5, 1.0]):
-        contact = dynamorph.Contact(few.model, **belly.samples, local=few.local, firmness=given)
+        contact = dynamorph.Contact(few.model, **belly.samples, local=few.local, found=given)
         simulation = dynamorph.Simulation(few.model, H, contact=contact)
         simulation.start(STILL, STILL, ONE)
         forces.append(np.linalg.norm(step(simulation, ball(0.05), [pressed(0.0), pressed(0.004)]).contact_forces))
     assert forces[0] == forces[1] > forces[2] > 0.0
     for bad in (found[:-1], found[:, :2], -found, np.full_like(found, np.nan)):
-        with pytest.raises(ValueError, match="firmness"):
-            dynamorph.Contact(few.model, **belly.samples, local=few.local, firmness=bad)
+        with pytest.raises(ValueError, match="found"):
+            dynamorph.Contact(few.model, **belly.samples, local=few.local, found=bad)
 
 
 def test_local_responses_make_a_dent(belly, few):

@@ -216,7 +216,7 @@ const ContactSkin& checked(const ContactSkin& samples) {
 
 template <class Model>
 ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, ContactSkin samples,
-                                      std::shared_ptr<const LocalResponses> local, std::optional<MatrixXd> firmness)
+                                      std::shared_ptr<const LocalResponses> local, std::optional<MatrixXd> found)
     : map_(model, checked(samples).skin),
       points_(std::move(samples.points)),
       rest_(places_of(map_.skin(), points_)),
@@ -238,21 +238,21 @@ ContactSamples<Model>::ContactSamples(std::shared_ptr<const Model> model, Contac
   const typename Model::SkinPoints vertices = model->skin_points(map_.skin().embedding);
   bound_motion(vertices);
   find_patches();
-  if (firmness) {
-    check_size("firmness", firmness->rows(), size());
-    check_size("firmness", firmness->cols(), 3);
-    if (!firmness->allFinite() || (firmness->array() < 0).any())
-      throw std::invalid_argument("firmness: must be finite and not negative");
-    stiffness_ = firmness->col(0);
-    mass_ = firmness->col(1);
-    taken_ = firmness->col(2);
+  if (found) {
+    check_size("found", found->rows(), size());
+    check_size("found", found->cols(), 3);
+    if (!found->allFinite() || (found->array() < 0).any())
+      throw std::invalid_argument("found: must be finite and not negative");
+    stiffness_ = found->col(0);
+    mass_ = found->col(1);
+    taken_ = found->col(2);
   } else {
     find_stiffness(vertices, neutral);
   }
 }
 
 template <class Model>
-MatrixXd ContactSamples<Model>::firmness() const {
+MatrixXd ContactSamples<Model>::found() const {
   MatrixXd out(size(), 3);
   out << stiffness_, mass_, taken_;
   return out;

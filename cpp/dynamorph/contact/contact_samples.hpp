@@ -43,10 +43,10 @@ struct ContactSkin {
 template <class Model>
 class ContactSamples {
  public:
-  /// local: of a reduced model's mesh; null for none. firmness: that of the same samples before, or none, to find it.
+  /// local: of a reduced model's mesh; null for none. found: that of the same samples before, or none.
   /// Throws std::invalid_argument unless all fit each other and the model.
   ContactSamples(std::shared_ptr<const Model> model, ContactSkin samples,
-                 std::shared_ptr<const LocalResponses> local = nullptr, std::optional<MatrixXd> firmness = {});
+                 std::shared_ptr<const LocalResponses> local = nullptr, std::optional<MatrixXd> found = {});
 
   const Model& model() const { return map_.model(); }
   const std::shared_ptr<const Model>& shared_model() const { return map_.shared_model(); }
@@ -59,7 +59,7 @@ class ContactSamples {
   const VectorXd& stiffness() const { return stiffness_; }
   const VectorXd& mass() const { return mass_; }  ///< m (P), kg
   /// What takes long to find (P, 3): `stiffness`, `mass` and `taken`.
-  MatrixXd firmness() const;
+  MatrixXd found() const;
 
   /// k of a sample at elastic weights (J) of the targets; square: (c h)^2, s^2.
   double stiffness(Eigen::Index sample, const VectorXd& elastic, double square) const;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cmath>
 #include <stdexcept>
 #include <string>
 
@@ -12,6 +13,12 @@ namespace dynamorph {
 struct Error : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
+
+/// Throws std::invalid_argument for a value below zero, or not finite.
+inline void check_not_negative(const char* name, double value) {
+  if (!(value >= 0) || !std::isfinite(value))
+    throw std::invalid_argument(std::string(name) + ": must be finite and not negative");
+}
 
 /// Throws std::invalid_argument unless both sizes are equal.
 inline void check_size(const char* name, Eigen::Index actual, Eigen::Index expected) {

@@ -39,14 +39,6 @@ void check_contacts(const State& state, Eigen::Index samples) {
       throw Error("The state has a contact that does not fit");
 }
 
-/// How many times as stiff as its material the tissue is at these elastic weights (J), on average.
-double mean_stiffness(const SoftBody& body, const std::vector<MorphTarget>& targets, const VectorXd& elastic) {
-  const Eigen::RowVectorXd volumes = body.volumes.colwise().sum();
-  double sum = 0;
-  for (std::size_t j = 0; j < targets.size(); ++j) sum += volumes(targets[j].set) * elastic(Eigen::Index(j));
-  return sum / volumes.sum();
-}
-
 /// Of a limit that has not acted; `bones`: 0 without a limit.
 DrivenLoad not_driven(Eigen::Index bones, Eigen::Index dofs) {
   const VectorXd none = VectorXd::Zero(bones);
@@ -75,9 +67,8 @@ void check(const Parts<Model>& parts, const Model& model) {
   if (!is_own(parts.contact)) throw std::invalid_argument("contact: its samples belong to another model");
   if (parts.self_contact && &parts.self_contact->samples() != parts.contact.get())
     throw std::invalid_argument("self_contact: its samples are not those of the contact");
-  for (const auto& [name, value] : {std::pair("distance", parts.distance), std::pair("friction", parts.self_friction)})
-    if (!(value >= 0) || !std::isfinite(value))
-      throw std::invalid_argument(std::string(name) + ": must be finite and not negative");
+  check_not_negative("distance", parts.distance);
+  check_not_negative("friction", parts.self_friction);
 }
 
 }  // namespace
@@ -107,6 +98,8 @@ MovingBody<Model>::MovingBody(std::shared_ptr<const Model> model, StepOptions op
   damped_ = quadratic_.H = newton_.hessian.base = model_->zero();
   state_.driven = not_driven(parts_.limit ? parts_.limit->bones() : 0, model_->dofs());
   state_.dents = VectorXd::Zero(patches());
+  const SoftBody& body = model_->body();
+  shares_ = body.volumes.colwise().sum().transpose() / body.volumes.sum();
 }
 
 template <class Model>
@@ -121,16 +114,16 @@ void MovingBody<Model>::pose(const Transforms& bones, const VectorXd& weights, c
                                 std::to_string(bones.rows()));
   if (!bones.allFinite() || !weights.allFinite())
     throw Error("The rig has a transform that is not a number. Check what poses it at this step.");
-  weighted_ = weights;
   stiffer_ = 1;
-  if (stiffness) {
-    check_size("stiffness", stiffness->size(), weights.size());
-    if (!stiffness->allFinite() || !(stiffness->array() > 0).all())
-      throw std::invalid_argument("stiffness: must be finite and above zero");
-    weighted_.array() *= stiffness->array();
-    stiffer_ = mean_stiffness(model_->body(), model_->targets(), weighted_);
-  }
-  model_->blend(weights, weighted_, blend_);
+  if (!stiffness) return model_->blend(weights, blend_);
+  check_size("stiffness", stiffness->size(), weights.size());
+  if (!stiffness->allFinite() || !(stiffness->array() > 0).all())
+    throw std::invalid_argument("stiffness: must be finite and above zero");
+  const VectorXd elastic = weights.cwiseProduct(*stiffness);
+  stiffer_ = 0;
+  for (std::size_t j = 0; j < model_->targets().size(); ++j)
+    stiffer_ += shares_(model_->targets()[j].set) * elastic(Eigen::Index(j));
+  model_->blend(weights, elastic, blend_);
 }
 
 template <class Model>
@@ -212,24 +205,21 @@ StepReport MovingBody<Model>::solve_static(const StepInput<Model>& input, Vector
 }
 
 template <class Model>
-StepReport MovingBody<Model>::start(const Transforms& now, const Transforms& next, const VectorXd& weights,
-                                    const std::vector<ColliderStep>* colliders, const VectorXd* stiffness,
-                                    const double* distance, const double* self_friction) {
-  if (next.rows() != now.rows() || !next.allFinite())
-    throw std::invalid_argument("next: expected " + std::to_string(now.rows()) + " finite transforms, got " +
+StepReport MovingBody<Model>::start(const StepInput<Model>& now, const Transforms& next) {
+  if (next.rows() != now.bones.rows() || !next.allFinite())
+    throw std::invalid_argument("next: expected " + std::to_string(now.bones.rows()) + " finite transforms, got " +
                                 std::to_string(next.rows()));
   VectorXd q;
-  const StepInput<Model> input{now, weights, nullptr, nullptr, colliders, stiffness, distance, self_friction};
-  StepReport report = solve_static(input, q);
+  StepReport report = solve_static(now, q);
   state_.dents.setZero();
-  weights_ = weights;
-  last_elastic_ = blend_.elastic;
+  weights_ = now.weights;
+  elastic_weights_ = blend_.elastic;
   state_.driven = load_.driven();
   state_.q.fill(q);
-  for (int k = 0; k < InertialTarget::kMoments; ++k) state_.bones[k] = extrapolate_back(now, next, k);
+  for (int k = 0; k < InertialTarget::kMoments; ++k) state_.bones[k] = extrapolate_back(now.bones, next, k);
   state_.contact.clear();
   state_.pressures.clear();
-  lie_down(input, report);
+  lie_down(now, report);
   return report;
 }
 
@@ -371,7 +361,7 @@ void MovingBody<Model>::end_step(const StepInput<Model>& input, StepReport& repo
   state_.contact = search_.memory();
   contacts_.pressures(state_.pressures);
   weights_ = input.weights;
-  last_elastic_ = blend_.elastic;
+  elastic_weights_ = blend_.elastic;
 }
 
 template <class Model>
@@ -438,7 +428,7 @@ template <class Model>
 double MovingBody<Model>::elastic_energy() const {
   require_pose();
   typename Model::Blend blend;  // blend_ may be of another pose
-  model_->blend(weights_, last_elastic_, blend);
+  model_->blend(weights_, elastic_weights_, blend);
   return model_->energy(blend, state_.q[0]);
 }
 

@@ -58,13 +58,10 @@ class MovingBody {
   /// frame of its pose.
   void balance_targets(const std::vector<Transforms>& bones);
 
-  /// Starts at rest with the bones `now`, while the rig moves on to `next` by the end of the first step. u is the
-  /// static solution, lying on what it touches, and the past continues the rig's motion backward. colliders: where they
-  /// are now, before and after alike; null for none. stiffness, distance, self_friction: as of
-  /// `StepInput`.
-  StepReport start(const Transforms& now, const Transforms& next, const VectorXd& weights,
-                   const std::vector<ColliderStep>* colliders = nullptr, const VectorXd* stiffness = nullptr,
-                   const double* distance = nullptr, const double* self_friction = nullptr);
+  /// Starts at rest with what acts `now`, while the rig moves on to `next` by the end of the first step. u is the
+  /// static solution, lying on what it touches, and the past continues the rig's motion backward. now.colliders: before
+  /// and after alike.
+  StepReport start(const StepInput<Model>& now, const Transforms& next);
 
   /// Finds the static solution, starting from the coordinates q, or from the blended targets when q is empty. Does not
   /// change the state.
@@ -143,9 +140,9 @@ class MovingBody {
   State state_;
   State before_;  ///< before a jump, in case the step fails
   bool teleported_ = false;
-  VectorXd weights_, last_elastic_;  ///< of the last start() or step
-  VectorXd weighted_;                ///< weights of the step, times the stiffness of their targets
-  double stiffer_ = 1;               ///< how many times as stiff as its material the tissue is in the step, on average
+  VectorXd weights_, elastic_weights_;  ///< of the last start() or step
+  VectorXd shares_;                     ///< of the target sets (S) in the body's volume
+  double stiffer_ = 1;  ///< how many times as stiff as its material the tissue is in the step, on average
 
   typename Model::Blend blend_;
   StepLoad<Model> load_;

@@ -154,8 +154,7 @@ Simulation<Model>::Simulation(std::vector<TouchingBody<Model>> bodies, double fr
       layout_(patterns(bodies_)),
       scratch_(bodies_.size()) {
   if (bodies_.size() < 2) throw std::invalid_argument("coupling: expected two bodies at least");
-  if (!(friction >= 0) || !std::isfinite(friction))
-    throw std::invalid_argument("friction: must be finite and not negative");
+  check_not_negative("friction", friction);
   const StepOptions& first = bodies_[0].body->options();
   int samples = 0;
   for (const auto& [body, skin] : bodies_) {

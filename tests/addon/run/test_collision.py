@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import real_character
 from bl_ext.user_default.dynamic_morph_targets.core.errors import SceneError
-from bl_ext.user_default.dynamic_morph_targets.core.motion import baked
+from bl_ext.user_default.dynamic_morph_targets.core.motion import baked, contact
 from bl_ext.user_default.dynamic_morph_targets.io.cache_dir import CacheDir
 from bl_ext.user_default.dynamic_morph_targets.run import live as run_live
 from bl_ext.user_default.dynamic_morph_targets.run import remembered
@@ -681,7 +681,7 @@ def test_local_responses_do_not_depend_on_when_live_began(arm):
 
 
 @pytest.mark.parametrize("solver", ["REDUCED", "FULL"])
-def test_a_job_makes_what_live_needs_for_collisions(arm, solver):
+def test_a_job_makes_what_live_needs_for_collisions(arm, solver, monkeypatch):
     """So that turning Live on does not hold the window. What it shows is the same."""
     arm.dynamorph.model.solver = solver
 
@@ -702,7 +702,15 @@ def test_a_job_makes_what_live_needs_for_collisions(arm, solver):
     arm.dynamorph.collision.use = True
     batch.run(Job(arm, "BUILD", drafts=True))
     assert not run_live.must_prepare(arm)
+    given, make = [], contact.dynamorph.Contact
+
+    def noted(*arguments):
+        given.append(arguments[-1])  # what was found before
+        return make(*arguments)
+
+    monkeypatch.setattr(contact.dynamorph, "Contact", noted)
     np.testing.assert_array_equal(first_frames(), alone)
+    assert given and all(found is not None for found in given)
 
 
 @pytest.mark.parametrize("hangs", [False, True])

@@ -91,7 +91,7 @@ TEST_CASE("a soft skin from a file steps as the one that was stored") {
   const VectorXd w = Vector3d(0.2, 0.5, 0.3);
   for (auto* moving : {&first, &second}) {
     Simulation<ReducedModel> simulation(*moving);
-    moving->start(scenes::bent(0), scenes::bent(0.02), w);
+    moving->start({scenes::bent(0), w}, scenes::bent(0.02));
     for (int i = 1; i < 20; ++i) simulation.step({scenes::bent(0.02 * i), w});
   }
   CHECK((first.coordinates() - second.coordinates()).norm() <= 1e-9 * first.coordinates().norm());
@@ -132,7 +132,7 @@ TEST_CASE("responses from a file move as those that were stored") {
     MovingBody<ReducedModel> moving(model, {});
     Simulation<ReducedModel> simulation(moving);
     const VectorXd w = Vector3d(0.2, 0.5, 0.3);
-    moving.start(scenes::bent(0), scenes::bent(0.02), w);
+    moving.start({scenes::bent(0), w}, scenes::bent(0.02));
     for (int i = 1; i < 20; ++i) simulation.step({scenes::bent(0.02 * i), w});
     return moving.coordinates();
   };

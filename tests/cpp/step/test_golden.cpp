@@ -52,7 +52,7 @@ MatrixXd motion(std::shared_ptr<const Model> model, Hash& hash) {
   VectorXd weights(3), u;
   weights << 1, 0, 0;
   MatrixXd tip(3, 4);
-  moving.start(scenes::bent(0), scenes::bent(0), weights);
+  moving.start({scenes::bent(0), weights}, scenes::bent(0));
   for (int i = 1; i <= 40; ++i) {
     const double bend = std::min(i / 20., 1.);
     weights << 1 - bend, 0.75 * bend, 0.25 * bend;

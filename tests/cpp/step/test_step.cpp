@@ -54,7 +54,7 @@ TEST_CASE("a step of a reduced model allocates nothing, whatever the law, the po
       const Transforms next = scenes::bent(0.01);
       moving.balance_targets({rig, rig, rig});
       allocations = 0;
-      moving.start(rig, next, w);
+      moving.start({rig, w}, next);
       CHECK(allocations > 0);  // they are seen
       for (int i = 1; i <= 20; ++i) {
         w(1) = i % 5 == 0 ? 0 : 0.02 * i;  // one target alone, and a blend
@@ -77,7 +77,7 @@ TEST_CASE("a step of a model with responses allocates nothing") {
       VectorXd w(3);
       w << 1, 0, 1;
       Transforms rig = scenes::bent(0);
-      moving.start(rig, scenes::bent(0.01), w);
+      moving.start({rig, w}, scenes::bent(0.01));
       for (int i = 1; i <= 20; ++i) {
         w(1) = i % 5 == 0 ? 0 : 0.02 * i;
         w(0) = 1 - w(1);

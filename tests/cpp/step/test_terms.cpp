@@ -124,7 +124,7 @@ TEST_CASE("a point that is grabbed follows its goal through a step, and what is 
   Simulation<ReducedModel> simulation(moving);
   const Transforms bones = bent(0);
   const VectorXd neutral = Vector3d(1, 0, 0);
-  moving.start(bones, bones, neutral);
+  moving.start({bones, neutral}, bones);
   VectorXd x;
   skin->positions(bones, neutral, moving.coordinates(), x);
   const Vector3d rest = x.head<3>();
@@ -147,7 +147,7 @@ TEST_CASE("a grab of a point that is not there is refused before anything moves"
   Simulation<ReducedModel> simulation(moving);
   const Transforms bones = bent(0);
   const VectorXd neutral = Vector3d(1, 0, 0);
-  moving.start(bones, bones, neutral);
+  moving.start({bones, neutral}, bones);
   const VectorXd before = moving.coordinates();
   auto skin = std::make_shared<const SkinMap<ReducedModel>>(model, skin_of(*body, 3));
   const auto refused = [&](const char* what, const Grab& grab) {

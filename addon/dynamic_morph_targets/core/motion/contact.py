@@ -79,7 +79,7 @@ class Collision:
             points.weights,
             known if same(of, character) else None,
         )
-        model.made[_found(model)] = character, self.skin.firmness
+        model.made[_found(model)] = character, self.skin.found
 
     @cached_property
     def own(self) -> Any:

@@ -221,7 +221,7 @@ class DynamorphCollision(PropertyGroup):
     distance: FloatProperty(
         name="Distance",
         description="How far from other objects the skin stops, as a fraction of the body's size. Raise it if objects "
-        "show through the skin",
+        "show through the skin. Keys and drivers act at each step",
         default=SimulationSettings.distance, min=0.0, max=0.05, soft_max=0.01, precision=4, subtype="FACTOR",
         options=ANIMATED, override=OVERRIDE,
     )  # fmt: skip
@@ -240,7 +240,7 @@ class DynamorphCollision(PropertyGroup):
     friction: FloatProperty(
         name="Friction",
         description="How much the skin clings to objects: 0 is like ice, 0.5 like dry skin. Raise it if the skin slips "
-        "too easily",
+        "too easily. Keys and drivers act at each step; between soft bodies, only the first key counts",
         default=0.5, min=0.0, max=5.0, soft_max=1.0, precision=2, options=ANIMATED, override=OVERRIDE,
     )  # fmt: skip
     bake_full: BoolProperty(

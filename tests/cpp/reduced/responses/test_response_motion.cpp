@@ -183,7 +183,7 @@ TEST_CASE("responses: small motion of a bending rig is that of the whole subspac
     MovingBody<ReducedModel> moving(model, options);
     Simulation<ReducedModel> simulation(moving);
     const auto rig = [&](int step) { return bent(angle * std::sin(0.15 * step)); };
-    moving.start(rig(0), rig(1), VectorXd::Ones(1));
+    moving.start({rig(0), VectorXd::Ones(1)}, rig(1));
     MatrixXd path(model->basis().rows(), 80);
     for (int step = 1; step <= 80; ++step) {
       CHECK(simulation.step({rig(step), VectorXd::Ones(1)}).converged);
@@ -218,7 +218,7 @@ TEST_CASE("responses: stiffness, density and damping can change without a rebuil
       const auto motion = [&](const auto& model) {
         MovingBody<ReducedModel> moving(model, {1 / 120., Integrator::bdf2, Vector3d(0, 0, -9.81), 1e-10});
         Simulation<ReducedModel> simulation(moving);
-        moving.start(bent(0), bent(0.02), VectorXd::Ones(1));
+        moving.start({bent(0), VectorXd::Ones(1)}, bent(0.02));
         VectorXd u;
         for (int step = 1; step <= 40; ++step) simulation.step({bent(0.02 * step), VectorXd::Ones(1)});
         model->displacement(moving.coordinates(), u);
@@ -266,7 +266,7 @@ TEST_CASE("responses: free motion from afar never gains energy, over 2,000 steps
         for (double distance : {0.05, 0.3}) {  // of the body's size
           MovingBody<ReducedModel> moving(scene.model, {1 / 240., integrator});
           Simulation<ReducedModel> simulation(moving);
-          moving.start(bent(0), bent(0), w);
+          moving.start({bent(0), w}, bent(0));
           State state = moving.state();
           const double rest = moving.elastic_energy();
           const VectorXd far = motion_of_size(scene, 12);
