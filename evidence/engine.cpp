@@ -181,7 +181,7 @@ PoseSpace pose_space(Eigen::Index bones, int targets) {
     Rotations pose(bones, 4);
     for (int b = 0; b < bones; ++b) pose.row(b) << std::cos(0.1 * j), 0, 0, std::sin(0.1 * j);
     set.names.push_back("target " + std::to_string(j));
-    set.poses.push_back(pose);
+    set.poses.push_back({pose});
   }
   return PoseSpace({set});
 }

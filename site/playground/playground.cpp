@@ -6,6 +6,7 @@
 #include <Eigen/Geometry>
 #include <cstring>
 #include <nlohmann/json.hpp>
+#include <optional>
 
 #include "dynamorph/core/parallel.hpp"
 #include "dynamorph/file/character.hpp"
@@ -33,6 +34,12 @@ struct Key {
   int target;
 };
 
+/// Where a slider is between two targets, and how far on the way from one to the other.
+struct Between {
+  std::size_t one, two;
+  double part;
+};
+
 /// A finger that presses the skin.
 struct Poke {
   Grabs<ReducedModel> grabs;
@@ -42,7 +49,9 @@ struct Poke {
 struct Playground {
   explicit Playground(const unsigned char* bytes, std::size_t size);
   void build(double stiffness);
+  std::optional<Between> between(std::size_t slider) const;
   MatrixXd local() const;
+  VectorXd channels() const;
   void place();
   void advance();
   void skin(bool dynamic);
@@ -130,27 +139,43 @@ void Playground::build(double stiffness) {
   body = std::move(next);
 }
 
+std::optional<Between> Playground::between(std::size_t slider) const {
+  const std::vector<Key>& keys = sliders[slider];
+  if (keys.size() < 2) return std::nullopt;
+  std::size_t k = 0;
+  while (k + 2 < keys.size() && values[slider] > keys[k + 1].value) ++k;
+  const double t = std::clamp((values[slider] - keys[k].value) / (keys[k + 1].value - keys[k].value), 0.0, 1.0);
+  return Between{std::size_t(keys[k].target), std::size_t(keys[k + 1].target), t};
+}
+
 /// Where the sliders put the bones: each turns along the shortest way from target to target. The character stays where
 /// it is, though the poses may be of a shot in which it moves.
 MatrixXd Playground::local() const {
   MatrixXd out = character.target_poses[0];
   for (std::size_t s = 0; s < sliders.size(); ++s) {
-    const std::vector<Key>& keys = sliders[s];
-    if (keys.size() < 2) continue;
-    std::size_t k = 0;
-    while (k + 2 < keys.size() && values[s] > keys[k + 1].value) ++k;
-    const double t = std::clamp((values[s] - keys[k].value) / (keys[k + 1].value - keys[k].value), 0.0, 1.0);
-    for (Eigen::Index b = 0; b < out.rows(); ++b) {
+    const auto at = between(s);
+    for (Eigen::Index b = 0; at && b < out.rows(); ++b) {
       if (slider_of[std::size_t(b)] != int(s) || character.parents[std::size_t(b)] < 0) continue;
-      const Matrix4 one = character.target_poses[std::size_t(keys[k].target)].row(b).reshaped<Eigen::RowMajor>(4, 4);
-      const Matrix4 two =
-          character.target_poses[std::size_t(keys[k + 1].target)].row(b).reshaped<Eigen::RowMajor>(4, 4);
+      const Matrix4 one = character.target_poses[at->one].row(b).reshaped<Eigen::RowMajor>(4, 4);
+      const Matrix4 two = character.target_poses[at->partwo].row(b).reshaped<Eigen::RowMajor>(4, 4);
       const Eigen::Quaterniond q(Matrix3d(one.topLeftCorner<3, 3>())), r(Matrix3d(two.topLeftCorner<3, 3>()));
-      Matrix4 between = out.row(b).reshaped<Eigen::RowMajor>(4, 4);
-      between.topLeftCorner<3, 3>() = q.slerp(t, r).toRotationMatrix();
-      out.row(b) = between.reshaped<Eigen::RowMajor>().transpose();
+      Matrix4 turned = out.row(b).reshaped<Eigen::RowMajor>(4, 4);
+      turned.topLeftCorner<3, 3>() = q.slerp(at->part, r).toRotationMatrix();
+      out.row(b) = turned.reshaped<Eigen::RowMajor>().transpose();
     }
   }
+  return out;
+}
+
+/// Where the sliders put the channels.
+VectorXd Playground::channels() const {
+  VectorXd out = character.target_channels.row(0);
+  for (std::size_t s = 0; s < sliders.size(); ++s)
+    if (const auto at = between(s))
+      for (int c : character.sets[s].channels) {
+        const double one = character.target_channels(Eigen::Index(at->one), c);
+        out(c) = one + at->part * (character.target_channels(Eigen::Index(at->partwo), c) - one);
+      }
   return out;
 }
 
@@ -166,9 +191,9 @@ void Playground::place() {
   if (rounded) bones = bones.unaryExpr(&nine_decimals).eval();
   weights = neutral_weights(model.model->body(), model.model->targets());
   if (single) return;
-  Rotations rotations(pose.rows(), 4);
-  for (int bone : space.bones()) rotation_of(LocalTransforms(pose.data(), pose.rows(), 16), bone, rotations);
-  space.weights(rotations, weights);
+  Pose placing{Rotations(pose.rows(), 4), channels()};
+  for (int bone : space.bones()) rotation_of(LocalTransforms(pose.data(), pose.rows(), 16), bone, placing.rotations);
+  space.weights(placing, weights);
   if (rounded) weights = weights.unaryExpr(&nine_decimals).eval();
 }
 

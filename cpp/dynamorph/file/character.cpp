@@ -45,25 +45,32 @@ std::vector<MorphTarget> targets(const Content& content, const std::vector<std::
   return out;
 }
 
-/// The sets, whose bones `described` has, with the targets' poses.
+/// Indices of a set, below `count`.
+std::vector<int> placing(const nlohmann::json& set, const char* name, Eigen::Index count) {
+  auto out = set.value(name, std::vector<int>());
+  for (int index : out)
+    if (index < 0 || index >= count) throw incomplete("its target sets");
+  return out;
+}
+
+/// The sets, whose bones and channels `described` has, with the targets' poses.
 std::vector<TargetSet> target_sets(const Content& content, const nlohmann::json& described, const Character& character,
                                    Eigen::Index bones) {
   std::vector<TargetSet> out(described.size());
   for (std::size_t s = 0; s < out.size(); ++s) {
-    out[s].bones = described[s].at("bones").get<std::vector<int>>();
-    for (int bone : out[s].bones)
-      if (bone < 0 || bone >= bones) throw incomplete("its target sets");
+    out[s].bones = placing(described[s], "bones", bones);
+    out[s].channels = placing(described[s], "channels", character.target_channels.cols());
   }
   const auto J = Eigen::Index(character.targets.size());
   const auto sets = indices(content, "target_sets", {J}, Eigen::Index(out.size()));
   const auto angles = table<double>(content, "fade_out_angles", {J});
   for (Eigen::Index j = 0; j < J; ++j) {
     const RowMajor local = character.target_poses[std::size_t(j)];
-    Rotations rotations(bones, 4);
-    for (int b = 0; b < int(bones); ++b) rotation_of(LocalTransforms(local.data(), bones, 16), b, rotations);
+    Pose pose{Rotations(bones, 4), character.target_channels.row(j)};
+    for (int b = 0; b < int(bones); ++b) rotation_of(LocalTransforms(local.data(), bones, 16), b, pose.rotations);
     TargetSet& set = out[std::size_t(sets(j, 0))];
     set.names.push_back(character.targets[std::size_t(j)].name);
-    set.poses.push_back(rotations);
+    set.poses.push_back(std::move(pose));
     set.radii.push_back(angles(j, 0));
   }
   return out;
@@ -134,6 +141,10 @@ Character load_character(const Content& content) {
       out.target_poses.push_back(poses.row(j).reshaped<Eigen::RowMajor>(B, 16));
       out.target_bones.push_back(frames.row(j).reshaped<Eigen::RowMajor>(B + 1, 12));
     }
+    out.channels = described.value("channels", std::vector<std::string>());  // older files have none
+    const auto C = Eigen::Index(out.channels.size());
+    out.target_channels.resize(J, C);
+    if (C > 0) out.target_channels = table<double>(content, "target_channels", {J, C});
     out.sets = target_sets(content, described.at("sets"), out, B);
     out.gravity = table<double>(content, "gravity", {3});
   } catch (const nlohmann::json::exception& error) {

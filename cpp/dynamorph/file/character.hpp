@@ -30,6 +30,8 @@ struct Character {
   Blending blending;
   std::vector<TargetSet> sets;           ///< for PoseSpace
   std::vector<MatrixXd> target_poses;    ///< per target, local transforms (B, 16), row-major
+  std::vector<std::string> channels;     ///< (C) names of the numbers that place targets beside bones
+  MatrixXd target_channels;              ///< (J, C)
   std::vector<Transforms> target_bones;  ///< per target, (B + 1, 12), for Simulation::balance_targets
   std::vector<int> parents;              ///< (B), -1 for none; parents come first
   std::vector<Matrix4> rest;             ///< (B) armature space

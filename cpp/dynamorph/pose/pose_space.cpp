@@ -14,9 +14,10 @@ namespace {
 
 constexpr double kHalfRound = 150 * kPi / 180;  // radians; beyond it, angles the other way round matter
 constexpr double kSamePose = 0.5 * kPi / 180;   // radians; closer poses make the interpolation ill-conditioned
+constexpr double kChannel = kPi / 2;            // radians that a channel's whole range counts
 
 /// The angle between two rotations, the short way round.
-double joint_angle(const Rotations& reference, const Eigen::Ref<const Rotations>& pose, int bone) {
+double joint_angle(const Rotations& reference, const Rotations& pose, int bone) {
   const Eigen::Quaterniond a(reference(bone, 0), reference(bone, 1), reference(bone, 2), reference(bone, 3));
   const Eigen::Quaterniond b(pose(bone, 0), pose(bone, 1), pose(bone, 2), pose(bone, 3));
   const Eigen::Quaterniond q = a.conjugate() * b;
@@ -47,12 +48,16 @@ void rotation_of(const LocalTransforms& transforms, int bone, Rotations& rotatio
   rotations.row(bone) << q.w(), q.x(), q.y(), q.z();
 }
 
-double pose_distance(const std::vector<int>& bones, const Rotations& a, const Eigen::Ref<const Rotations>& b,
-                     bool chordal) {
+double PoseSpace::Interpolant::distance(const Pose& a, const Pose& b, bool with_chords) const {
   double sum = 0;
-  for (int bone : bones) {
-    const double angle = joint_angle(a, b, bone);
-    const double distance = chordal ? 2 * std::sin(angle / 2) : angle;
+  for (int bone : set.bones) {
+    const double angle = joint_angle(a.rotations, b.rotations, bone);
+    const double distance = with_chords ? 2 * std::sin(angle / 2) : angle;
+    sum += distance * distance;
+  }
+  for (size_t k = 0; k < set.channels.size(); ++k) {
+    const int channel = set.channels[k];
+    const double distance = angles(Eigen::Index(k)) * (a.channels(channel) - b.channels(channel));
     sum += distance * distance;
   }
   return std::sqrt(sum);
@@ -63,11 +68,16 @@ PoseSpace::PoseSpace(std::vector<TargetSet> sets) {
   for (TargetSet& set : sets) {
     if (set.poses.empty() || set.names.size() != set.poses.size())
       throw std::invalid_argument("sets: every target set needs at least one target, and a name for each");
-    for (const Rotations& pose : set.poses)
+    for (const Pose& pose : set.poses) {
       for (int bone : set.bones)
-        if (bone < 0 || bone >= pose.rows())
+        if (bone < 0 || bone >= pose.rotations.rows())
           throw std::invalid_argument("sets: bone index " + std::to_string(bone) + " is not in a pose of " +
-                                      std::to_string(pose.rows()) + " bones");
+                                      std::to_string(pose.rotations.rows()) + " bones");
+      for (int channel : set.channels)
+        if (channel < 0 || channel >= pose.channels.size())
+          throw std::invalid_argument("sets: channel index " + std::to_string(channel) + " is not in a pose of " +
+                                      std::to_string(pose.channels.size()) + " channels");
+    }
     if (!set.radii.empty() && set.radii.size() != set.poses.size())
       throw std::invalid_argument("sets: expected a radius for each of " + std::to_string(set.poses.size()) +
                                   " targets, got " + std::to_string(set.radii.size()));
@@ -75,6 +85,7 @@ PoseSpace::PoseSpace(std::vector<TargetSet> sets) {
       if (!(radius >= 0)) throw std::invalid_argument("sets: a radius must be 0, for unlimited, or more");
     targets_ += int(set.poses.size());
     bones_.insert(bones_.end(), set.bones.begin(), set.bones.end());
+    for (int channel : set.channels) channels_ = std::max(channels_, channel + 1);
     sets_.push_back(interpolate(std::move(set)));
   }
   std::sort(bones_.begin(), bones_.end());
@@ -82,17 +93,24 @@ PoseSpace::PoseSpace(std::vector<TargetSet> sets) {
 }
 
 PoseSpace::Interpolant PoseSpace::interpolate(TargetSet set) {
-  for (size_t j = 0; j < set.poses.size(); ++j)
-    for (size_t k = 0; k < j; ++k)
-      if (!(pose_distance(set.bones, set.poses[j], set.poses[k]) >= kSamePose))
-        throw Error("Targets '" + set.names[k] + "' and '" + set.names[j] +
-                    "' have the same pose. Give one of them another.");
-  double widest = 0;
-  for (const Rotations& a : set.poses)
-    for (const Rotations& b : set.poses)
-      for (int bone : set.bones) widest = std::max(widest, joint_angle(a, b, bone));
   Interpolant in;
   in.set = std::move(set);
+  const std::vector<Pose>& poses = in.set.poses;
+  in.angles = VectorXd::Zero(Eigen::Index(in.set.channels.size()));
+  double widest = 0;
+  for (const Pose& a : poses)
+    for (const Pose& b : poses) {
+      for (int bone : in.set.bones) widest = std::max(widest, joint_angle(a.rotations, b.rotations, bone));
+      for (size_t k = 0; k < in.set.channels.size(); ++k)
+        in.angles(Eigen::Index(k)) =
+            std::max(in.angles(Eigen::Index(k)), a.channels(in.set.channels[k]) - b.channels(in.set.channels[k]));
+    }
+  in.angles = in.angles.unaryExpr([](double range) { return range > 0 ? kChannel / range : 0; }).eval();
+  for (size_t j = 0; j < poses.size(); ++j)
+    for (size_t k = 0; k < j; ++k)
+      if (!(in.distance(poses[j], poses[k]) >= kSamePose))
+        throw Error("Targets '" + in.set.names[k] + "' and '" + in.set.names[j] +
+                    "' have the same pose. Give one of them another.");
   if ((widest <= kHalfRound && in.fit(false)) || in.fit(true)) return in;
   throw Error("The poses of targets '" + in.set.names.front() + "' to '" + in.set.names.back() +
               "' cannot be interpolated. Give them poses that differ more, or remove a target.");
@@ -105,7 +123,7 @@ bool PoseSpace::Interpolant::fit(bool with_chords) {
   const int count = int(set.poses.size());
   MatrixXd A = MatrixXd::Zero(count, count);
   for (int j = 0; j < count; ++j)
-    for (int k = 0; k < count; ++k) A(j, k) = pose_distance(set.bones, set.poses[j], set.poses[k], chordal);
+    for (int k = 0; k < count; ++k) A(j, k) = distance(set.poses[j], set.poses[k], chordal);
 
   // The kernel must be definite (here negative) on the coefficients that sum to zero. Otherwise weights overshoot and
   // jump between the targets.
@@ -126,18 +144,18 @@ bool PoseSpace::Interpolant::fit(bool with_chords) {
   return solution.allFinite() && (system * solution - cardinal).cwiseAbs().maxCoeff() < 1e-8;
 }
 
-void PoseSpace::weights(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<VectorXd> w) const {
+void PoseSpace::weights(const Pose& pose, Eigen::Ref<VectorXd> w) const {
   Eigen::Index first = 0;
   for (const Interpolant& in : sets_) {
     const TargetSet& set = in.set;
     auto out = w.segment(first, Eigen::Index(set.poses.size()));
     out = in.constant;
     for (size_t k = 0; k < set.poses.size(); ++k)
-      out += pose_distance(set.bones, set.poses[k], pose, in.chordal) * in.coefficients.row(k).transpose();
+      out += in.distance(set.poses[k], pose, in.chordal) * in.coefficients.row(k).transpose();
     out = out.cwiseMax(0.0);
     out /= out.sum();  // the sum is >= 1, because clamping only adds to a sum of one
     for (size_t k = 1; k < set.radii.size(); ++k) {
-      const double kept = out(k) * fade(pose_distance(set.bones, set.poses[k], pose), set.radii[k]);
+      const double kept = out(k) * fade(in.distance(set.poses[k], pose), set.radii[k]);
       out(0) += out(k) - kept;
       out(k) = kept;
     }
@@ -145,10 +163,10 @@ void PoseSpace::weights(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<Vect
   }
 }
 
-void PoseSpace::distances(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<VectorXd> d) const {
+void PoseSpace::distances(const Pose& pose, Eigen::Ref<VectorXd> d) const {
   Eigen::Index target = 0;
   for (const Interpolant& in : sets_)
-    for (const Rotations& target_pose : in.set.poses) d(target++) = pose_distance(in.set.bones, target_pose, pose);
+    for (const Pose& target_pose : in.set.poses) d(target++) = in.distance(target_pose, pose);
 }
 
 }  // namespace dynamorph

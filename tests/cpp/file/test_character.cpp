@@ -81,13 +81,28 @@ TEST_CASE("a character comes out as it went in") {
 TEST_CASE("its poses place its targets") {
   const file::Character character = file::load_character(content());
   const PoseSpace space(character.sets);
-  Rotations rotations(2, 4);
+  Pose pose{Rotations(2, 4)};
   const RowMajor flexed = character.target_poses[1];
-  for (int b = 0; b < 2; ++b) rotation_of(LocalTransforms(flexed.data(), 2, 16), b, rotations);
+  for (int b = 0; b < 2; ++b) rotation_of(LocalTransforms(flexed.data(), 2, 16), b, pose.rotations);
   VectorXd weights(2);
-  space.weights(rotations, weights);
+  space.weights(pose, weights);
   CHECK(weights(1) == doctest::Approx(1));
   CHECK(character.sets[0].radii[1] == 0.5);
+}
+
+TEST_CASE("channels place its targets too") {
+  file::Content with_channels = content();
+  with_channels.arrays.push_back({"target_channels", stored<double>("F64", {2, 1}, {0, 2})});
+  with_channels.meta = R"({"bone_names": ["lower", "upper"], "character": {"name": "Arm", "blending": "FORCES",
+      "targets": ["Neutral", "Flexed"], "channels": ["Tension"],
+      "sets": [{"name": "Arm", "bones": [], "channels": [0]}]}})";
+  const file::Character character = file::load_character(with_channels);
+  CHECK(character.channels == std::vector<std::string>{"Tension"});
+  VectorXd weights(2);
+  PoseSpace(character.sets).weights({Rotations::Zero(2, 4), VectorXd::Constant(1, 1.9)}, weights);
+  CHECK(weights(1) == doctest::Approx(0.95));
+  array_of(with_channels, "target_channels").shape = {1, 2};
+  CHECK_THROWS_AS(file::load_character(with_channels), Error);
 }
 
 TEST_CASE("bones carry bind space to the world, children with their parents") {

@@ -10,15 +10,22 @@ using namespace dynamorph;
 
 namespace {
 
-Rotations hinge(double angle, double second = 0) {
-  Rotations pose(2, 4);
-  pose << std::cos(angle / 2), std::sin(angle / 2), 0, 0, std::cos(second / 2), 0, std::sin(second / 2), 0;
+Pose hinge(double angle, double second = 0) {
+  Pose pose{Rotations(2, 4)};
+  pose.rotations << std::cos(angle / 2), std::sin(angle / 2), 0, 0, std::cos(second / 2), 0, std::sin(second / 2), 0;
+  return pose;
+}
+
+/// The same with values of two channels.
+Pose with_channels(double angle, double first, double second = 0) {
+  Pose pose = hinge(angle);
+  pose.channels = Eigen::Vector2d(first, second);
   return pose;
 }
 
 TargetSet elbow() { return {{0}, {"straight", "half", "flexed"}, {hinge(0), hinge(1), hinge(2)}}; }
 
-VectorXd weights(const PoseSpace& space, const Rotations& pose) {
+VectorXd weights(const PoseSpace& space, const Pose& pose) {
   VectorXd w(space.targets());
   space.weights(pose, w);
   return w;
@@ -48,7 +55,7 @@ TEST_CASE("weights are the driver's hat function in one dimension, constant outs
 TEST_CASE("weights ignore the quaternion's sign and bones that the set does not name") {
   const PoseSpace space({elbow()});
   const VectorXd w = weights(space, hinge(0.6));
-  CHECK((weights(space, -hinge(0.6)) - w).norm() < 1e-12);
+  CHECK((weights(space, {-hinge(0.6).rotations}) - w).norm() < 1e-12);
   CHECK((weights(space, hinge(0.6, 1.1)) - w).norm() < 1e-12);
 }
 
@@ -131,6 +138,56 @@ TEST_CASE("targets right round a joint: cardinal, and no jump of the weights bet
       jump = std::max(jump, (weights(space, hinge(angle + 0.01)) - weights(space, hinge(angle))).cwiseAbs().maxCoeff());
     CHECK(jump < 0.02);
   }
+}
+
+TEST_CASE("a channel alone places targets as a driver's hat function, whatever its unit") {
+  for (double unit : {1.0, 100.0, -0.01}) {
+    const TargetSet set{{},
+                        {"relaxed", "half", "tense"},
+                        {with_channels(0, 0), with_channels(0, 0.5 * unit), with_channels(0, unit)},
+                        {},
+                        {0}};
+    const PoseSpace space({set});
+    CHECK(space.channels() == 1);
+    VectorXd expected(3);
+    for (double value : {-0.5, 0.0, 0.2, 0.5, 0.9, 1.0, 1.7}) {
+      const double t = std::clamp(value, 0.0, 1.0);
+      expected << std::max(0.0, 1 - 2 * t), 1 - std::abs(1 - 2 * t), std::max(0.0, 2 * t - 1);
+      CHECK((weights(space, with_channels(1.3, value * unit, 9)) - expected).cwiseAbs().maxCoeff() < 1e-12);
+    }
+  }
+}
+
+TEST_CASE("a channel's whole range is a right angle among joint angles") {
+  const TargetSet set{{0},
+                      {"relaxed", "bent", "tense"},
+                      {with_channels(0, 0), with_channels(kPi / 2, 0), with_channels(0, 8)},
+                      {},
+                      {0}};
+  const PoseSpace space({set});
+  VectorXd d(3), expected(3);
+  space.distances(with_channels(kPi / 2, 4), d);
+  expected << std::hypot(kPi / 2, kPi / 4), kPi / 4, std::hypot(kPi / 2, kPi / 4);
+  CHECK((d - expected).norm() < 1e-12);
+  for (int j = 0; j < 3; ++j)
+    CHECK((weights(space, set.poses[std::size_t(j)]) - VectorXd::Unit(3, j)).cwiseAbs().maxCoeff() < 1e-9);
+  // bent and tense are as far from each other, and from relaxed: what is between them is shared alike
+  const VectorXd w = weights(space, with_channels(kPi / 4, 4));
+  CHECK(w(1) == doctest::Approx(w(2)));
+}
+
+TEST_CASE("without channels in a set, those of a pose change no bit of a weight") {
+  const PoseSpace space({elbow()});
+  TargetSet other = elbow();
+  for (Pose& pose : other.poses) pose.channels = Eigen::Vector2d(3, 4);
+  for (double angle = -3; angle < 3; angle += 0.17)
+    CHECK(weights(space, hinge(angle)) == weights(PoseSpace({other}), with_channels(angle, 1, 2)));
+}
+
+TEST_CASE("a channel that a pose does not have is the caller's mistake") {
+  TargetSet set = elbow();
+  set.channels = {0};
+  CHECK_THROWS_WITH_AS(PoseSpace({set}), "sets: channel index 0 is not in a pose of 0 channels", std::invalid_argument);
 }
 
 TEST_CASE("a pose that is not a number is an error") {

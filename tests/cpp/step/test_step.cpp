@@ -90,11 +90,12 @@ TEST_CASE("a step of a model with responses allocates nothing") {
 }
 
 TEST_CASE("weights and distances in pose space allocate nothing, with radii or without") {
-  Rotations rest(1, 4), bent(1, 4), turned(1, 4);
-  rest << 1, 0, 0, 0;
-  bent << std::sqrt(0.5), std::sqrt(0.5), 0, 0;
-  turned << std::sqrt(0.5), 0, std::sqrt(0.5), 0;
-  const PoseSpace space({{{0}, {"rest", "bent", "turned"}, {rest, bent, turned}, {0, 1, 2}}});
+  Pose rest{Rotations(1, 4), VectorXd::Zero(1)}, bent = rest, turned = rest;
+  rest.rotations << 1, 0, 0, 0;
+  bent.rotations << std::sqrt(0.5), std::sqrt(0.5), 0, 0;
+  turned.rotations << std::sqrt(0.5), 0, std::sqrt(0.5), 0;
+  turned.channels << 1;
+  const PoseSpace space({{{0}, {"rest", "bent", "turned"}, {rest, bent, turned}, {0, 1, 2}, {0}}});
   VectorXd out(3);
   allocations = 0;
   space.weights(bent, out);
