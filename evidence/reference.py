@@ -29,6 +29,7 @@ FAMILIES = {
     "bake_options": "The dialog of a bake",
     "targets": "Targets",
     "poses": "Poses of targets",
+    "channels": "Channels of targets",
     "sculpting": "Sculpting",
     "feel": "Feel and verdict",
     "materials": "Materials",
@@ -47,6 +48,7 @@ UNITS = {"LENGTH": "Blender units", "ROTATION": "radians", "MASS": "kg", "TIME_A
 SETTINGS = {
     "DynamorphSettings": "obj.dynamorph",
     "DynamorphTarget": "obj.dynamorph.targets[i]",
+    "DynamorphChannel": "obj.dynamorph.channels[i]",
     "DynamorphModel": "obj.dynamorph.model",
     "DynamorphSimulation": "obj.dynamorph.simulation",
     "DynamorphCollision": "obj.dynamorph.collision",

@@ -18,6 +18,7 @@ def _modules() -> tuple[ModuleType, ...]:
     from .ui.operators import (
         attachments,
         bake_options,
+        channels,
         collision,
         compare,
         drags,
@@ -51,6 +52,7 @@ def _modules() -> tuple[ModuleType, ...]:
         collision,
         targets,
         poses,
+        channels,
         sculpting,
         materials,
         transfer,

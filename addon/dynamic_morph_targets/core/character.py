@@ -74,7 +74,8 @@ class Target:
     the whole skeleton as `Skeleton.local_transforms`; rig_world (4, 4): where the armature stood then.
     fade_out_angle: joint angle from its pose, radians, at which the target has faded out; 0 for never. motion_amount:
     how much of the tissue's motion shows in its pose, 0 to 1. frequency: undamped, Hz, from which a build computes its
-    stiffness, 0 where the material says it.
+    stiffness, 0 where the material says it. channel: name of a number that places it too, '' without one; reached_at:
+    its value in the target's pose. It is 0 in the poses of all others.
     """
 
     name: str
@@ -86,6 +87,8 @@ class Target:
     fade_out_angle: float = 0.0
     motion_amount: float = 1.0
     frequency: float = 0.0
+    channel: str = ""
+    reached_at: float = 0.0
 
 
 @dataclass(frozen=True)

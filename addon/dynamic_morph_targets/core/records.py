@@ -50,7 +50,7 @@ def bake_inputs(record: str) -> dict:
     be changed.
     """
     needed = {"targets": _are_groups, "animation": _is_animation, "content_id": _is_text}
-    known = {"simulation": _is_group, "output": _is_group, "collision": _is_group, "painted": _is_text}
+    known = dict.fromkeys(("simulation", "output", "collision", "channels"), _is_group) | {"painted": _is_text}
     return _read(record, BAKE, needed, {**SETTINGS, **known, "colliders": _are_colliders, "together": _are_texts})
 
 

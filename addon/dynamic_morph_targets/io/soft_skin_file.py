@@ -10,6 +10,7 @@ import numpy as np
 
 from ..core.character import Character
 from ..core.model.model import Model
+from ..core.motion import posing
 from ..core.motion.posing import Posing
 from ..core.motion.rig_samples import RigSamples
 from . import model_file
@@ -30,15 +31,17 @@ def packed(model: Model, character: Character, world: RigSamples, gravity: tuple
             arrays[name] = array.astype(np.float32).astype(np.float64)
         elif array.dtype.kind == "i":
             arrays[name] = array.astype(np.int32)
+    channels = posing.channels(character.targets)
     described = {
         "name": character.name,
         "blending": character.settings.blending,
         "targets": [target.name for target in character.targets],
         "sets": [
             {"name": each.name, "bones": _placing(character, {bone for t in each.targets for bone in t.bones})}
+            | ({"channels": [channels.index(name) for name in posing.channels(each.targets)]} if channels else {})
             for each in character.target_sets
         ],
-    }
+    } | ({"channels": channels} if channels else {})
     meta = {name: meta[name] for name in ("settings", "bone_names")} | {"character": described}
     return model_file.pack(arrays | _arrays(model, character, world, gravity), meta)
 
@@ -52,7 +55,9 @@ def _arrays(model: Model, character: Character, world: RigSamples, gravity: tupl
     targets = character.targets
     materials = [character.material(index) for index in range(len(targets))]
     bones, weights = _influences(character.weights)
-    return {
+    channels = posing.channels(targets)
+    placed = {"target_channels": posing.reached(targets, channels)} if channels else {}
+    return placed | {
         "vertices": character.vertices.astype(np.float32),
         "triangles": character.triangles.astype(np.int32),
         "influence_bones": bones,

@@ -273,6 +273,8 @@ def _edited(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         session = remembered.live.sessions[obj.session_uid]
         if moved or (obj.dynamorph.collision.use and any(_reshapes(update, obj) for update in updates)):
             session.rig_changed()
+        if not events.is_playing() and session.are_channels_elsewhere(obj):
+            events.soon(_show_present, 0.0)
         if reskinned:
             events.soon(_after_stroke, STROKE)
         if reskinned and way_to_skin(obj) != session.skinning:

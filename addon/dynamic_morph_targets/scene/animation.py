@@ -52,6 +52,8 @@ def follow_list(obj: bpy.types.Object, path: str, before: list[int]) -> None:
                 remove(curve)
             elif found and place != int(found[1]):
                 curve.data_path = f"{path}[{place}]{curve.data_path[found.end() :]}"
+                if curve.driver:  # Blender tries one that did not work at its old place only when it is changed
+                    curve.driver.type = curve.driver.type
 
     if data and any(element.match(curve.data_path) for curve in curves(data.action, data.action_slot)):
         _own_action(obj, data)

@@ -137,6 +137,12 @@ def shown_changed(group: bpy.types.PropertyGroup, _context: bpy.types.Context) -
     emit(Event.SHOWN_CHANGED, group.id_data)
 
 
+def channel_moved(channel: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
+    """update: of a number that is read where Blender evaluates it, which it does when it is told."""
+    channel.id_data.update_tag()
+    shown_changed(channel, context)
+
+
 def mesh_changed(group: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
     """update: of a property that chooses a mesh or a vertex group on which a model depends."""
     if group.id_data.dynamorph.model.content_id:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The settings of a soft skin that a simulation follows where they are keyed or driven. They are read with the rig;
-what must not depend on the present frame has one value for all frames instead.
+"""The settings of a soft skin that a simulation follows where they are keyed or driven, and the channels that place its
+targets. They are read with the rig; what must not depend on the present frame has one value for all frames instead.
 """
 
 from __future__ import annotations
@@ -10,8 +10,9 @@ from contextlib import suppress
 from typing import NamedTuple
 
 import bpy
+import numpy as np
 
-from ..core.motion.keyed import Setting
+from ..core.motion.keyed import KeyedSettings, Setting
 from . import animation
 from .plain import plain
 from .skin import named_targets
@@ -24,7 +25,8 @@ PROPERTY = "keyed"  # custom properties, with a number behind, whose drivers rea
 
 class Keyed(NamedTuple):
     """path: from the object; always: instead of its value, at all frames; least: that it may be; driven: what its
-    driver reads, '' without one: what else changes it is animation.
+    driver reads, '' without one: what else changes it is animation. moved: whether anything does, as it must but for
+    channels.
     """
 
     setting: Setting
@@ -32,19 +34,37 @@ class Keyed(NamedTuple):
     always: float
     least: float
     driven: str
+    moved: bool
 
 
 def settings(obj: bpy.types.Object) -> list[Keyed]:
-    """Those of `obj` that are keyed or driven. Fast enough for every frame."""
+    """Those of `obj` that are keyed or driven, and the channels in use. Fast enough for every frame."""
     moved = [path for path in animation.moved_paths(obj) if path.startswith("dynamorph.")]
-    if not moved:
+    used = channels(obj)
+    if not (moved or used):
         return []
-    known = {f"dynamorph.{path}": Setting(kind) for path, kind in OF_OBJECT.items()}
+    known = {channel.path_from_id("value"): Setting("CHANNEL", channel.name) for channel in used}
+    still = [path for path in known if path not in moved]
+    known |= {f"dynamorph.{path}": Setting(kind) for path, kind in OF_OBJECT.items()}
     if not obj.dynamorph.collision.use_friction:  # then it does not count
         del known["dynamorph.collision.friction"]
     for name, target in named_targets(obj):
         known |= {f"{target.path_from_id()}.{own}": Setting(kind, name) for own, kind in OF_TARGETS.items()}
-    return [_keyed(obj, known[path], path) for path in moved if path in known]
+    found = [_keyed(obj, known[path], path) for path in moved if path in known]
+    return found + [Keyed(known[path], path, obj.path_resolve(path), -np.inf, "", False) for path in still]
+
+
+def channels(obj: bpy.types.Object) -> list[bpy.types.PropertyGroup]:
+    """Those that place targets which are not muted."""
+    used = {target.channel for target in obj.dynamorph.targets if target.channel and not target.mute}
+    return [channel for channel in obj.dynamorph.channels if channel.name in used] if used else []
+
+
+def present_channels(obj: bpy.types.Object) -> KeyedSettings | None:
+    """Where the channels in use stand, one sample; None without any."""
+    used = channels(obj)
+    found = tuple(Setting("CHANNEL", channel.name) for channel in used)
+    return KeyedSettings(found, np.array([[channel.value for channel in used]])) if used else None
 
 
 def _keyed(obj: bpy.types.Object, setting: Setting, path: str) -> Keyed:
@@ -53,12 +73,13 @@ def _keyed(obj: bpy.types.Object, setting: Setting, path: str) -> Keyed:
     curves = [curve for curve in animation.played(obj.animation_data) if curve.data_path == path]
     first = [curve.keyframe_points[0].co.y for curve in curves if len(curve.keyframe_points)]
     always = min(max([*first, described.default][0], described.hard_min), described.hard_max)
-    return Keyed(setting, path, always, described.hard_min, _driven(obj, path))
+    return Keyed(setting, path, always, described.hard_min, _driven(obj, path), True)
 
 
 def drivers_of(obj: bpy.types.Object, path: str) -> list[bpy.types.FCurve]:
     """The drivers of a property that are not muted."""
-    return [curve for curve in obj.animation_data.drivers if curve.data_path == path and not curve.mute]
+    drivers = obj.animation_data.drivers if obj.animation_data else ()
+    return [curve for curve in drivers if curve.data_path == path and not curve.mute]
 
 
 def _driven(obj: bpy.types.Object, path: str) -> str:
@@ -116,9 +137,18 @@ def first_keys(obj: bpy.types.Object) -> dict[Setting, float]:
     return {each.setting: each.always for each in settings(obj) if not each.driven}
 
 
-def recorded(obj: bpy.types.Object) -> dict[Setting, str | None]:
-    """What a bake notes of them instead of their values: what drives them; None where curves do, whose hash it has."""
-    return {each.setting: each.driven or None for each in settings(obj)}
+def held(obj: bpy.types.Object, track: KeyedSettings) -> KeyedSettings:
+    """The channels of a track, where curves of `obj` move them with the value of their first key."""
+    kept, first = track.without(*OF_OBJECT.values(), *OF_TARGETS.values()), first_keys(obj)
+    values = [np.full(len(kept.values), first[each]) if each in first else kept.of(*each) for each in kept.settings]
+    return KeyedSettings(kept.settings, np.array(values).reshape(-1, len(kept.values)).T)
+
+
+def recorded(obj: bpy.types.Object) -> dict[Setting, str | float | None]:
+    """What a bake notes of them instead of their values: what drives them; None where curves do, whose hash it has. Of
+    a channel that nothing moves it is the value.
+    """
+    return {each.setting: each.driven or None if each.moved else each.always for each in settings(obj)}
 
 
 def watch(watcher: bpy.types.Object, obj: bpy.types.Object, wanted: Sequence[Keyed]) -> None:

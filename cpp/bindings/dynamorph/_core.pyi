@@ -164,9 +164,9 @@ class TargetSet:
     """
     Targets whose weights sum to one.
     """
-    def __init__(self, bones: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], names: collections.abc.Sequence[str], poses: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64]], radii: collections.abc.Sequence[typing.SupportsFloat | typing.SupportsIndex] = []) -> None:
+    def __init__(self, bones: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], names: collections.abc.Sequence[str], poses: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64]], radii: collections.abc.Sequence[typing.SupportsFloat | typing.SupportsIndex] = [], channels: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex] = [], values: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]] = []) -> None:
         """
-        bones: indices of the bones; their local rotations place the targets. poses: for each target, the local transforms (B, 4, 4) of the whole skeleton. radii: for each target, the joint angle in radians at which it has faded out; 0, the default, means never. The first target gets the weight that the others lose, and its own radius is ignored.
+        bones: indices of the bones; their local rotations place the targets. poses: for each target, the local transforms (B, 4, 4) of the whole skeleton. radii: for each target, the joint angle in radians at which it has faded out; 0, the default, means never. The first target gets the weight that the others lose, and its own radius is ignored. channels: indices of the channels that place the targets too; values: for each target, the values (C) of all channels.
         """
 class PoseSpace:
     """
@@ -176,13 +176,13 @@ class PoseSpace:
         """
         sets: their targets, one set after the other, are the columns of `weights`. Raises Error when two targets of a set have the same pose, and names both.
         """
-    def distances(self, local: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+    def distances(self, local: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], channels: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] = ...) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
-        Distances (S, J) in radians from the local transforms (S, B, 4, 4) to each target's pose: the root of the summed squares of the joint angles at the bones of its set.
+        Distances (S, J) in radians from the local transforms (S, B, 4, 4) and channels (S, C) to each target's pose: the root of the summed squares of the joint angles at the bones of its set, and of the ways along its channels, where that between the farthest values of a channel counts as a right angle.
         """
-    def weights(self, local: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+    def weights(self, local: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], channels: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] = ...) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
-        Weights (S, J) at the local transforms (S, B, 4, 4). The weights of each set are non-negative and sum to 1. At its own pose, a target has weight 1.
+        Weights (S, J) at the local transforms (S, B, 4, 4) and, where channels place targets, their values (S, C). The weights of each set are non-negative and sum to 1. At its own pose, a target has weight 1.
         """
     @property
     def targets(self) -> int:

@@ -303,8 +303,8 @@ def test_a_copy_keeps_the_keys_of_its_original(arm):
     bpy.context.scene.collection.objects.link(copied)
     assert copied.animation_data.action == arm.animation_data.action
     targets.remove(copied, 1)
-    assert [each.setting.target for each in keyed.settings(copied)] == ["smile"]
-    assert [each.setting.target for each in keyed.settings(arm)] == ["smile"]
+    assert [each.setting.name for each in keyed.settings(copied)] == ["smile"]
+    assert [each.setting.name for each in keyed.settings(arm)] == ["smile"]
 
 
 def test_a_comparison_is_of_what_was_simulated(arm):
@@ -376,7 +376,7 @@ def test_keys_follow_their_targets_into_a_setup(arm):
     setup["targets"][1:] = setup["targets"][:0:-1]
     setups.apply(arm, setup)
     assert [target.name for target in arm.dynamorph.targets][1:] == ["smile", "flexed"]
-    assert [each.setting.target for each in keyed.settings(arm)] == ["smile"]
+    assert [each.setting.name for each in keyed.settings(arm)] == ["smile"]
 
 
 def test_what_is_no_number_is_refused(arm):

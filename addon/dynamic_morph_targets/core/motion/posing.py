@@ -16,6 +16,7 @@ from ..engine import dynamorph
 from ..errors import SceneError
 from ..geometry import determinant, interpolated, inverse, vertex_areas
 from ..model.model import Model
+from .keyed import KeyedSettings
 from .rig_samples import ForceField, RigSamples
 
 FLAT = 1e-9  # determinant of a node's transform below which it counts as collapsed
@@ -41,10 +42,28 @@ def placing_bones(character: WithTargets) -> list[int]:
     return [index for index, name in enumerate(names) if name in placing]
 
 
+def channels(targets: Sequence[Target]) -> list[str]:
+    """The names (C,) of the channels that place targets."""
+    return list(dict.fromkeys(target.channel for target in targets if target.channel))
+
+
+def reached(targets: Sequence[Target], names: Sequence[str]) -> np.ndarray:
+    """The values (J, C) of channels in the targets' poses."""
+    values = [[target.reached_at if target.channel == name else 0.0 for name in names] for target in targets]
+    return np.array(values).reshape(len(targets), len(names))
+
+
+def channels_of(keyed: KeyedSettings | None, samples: int, targets: Sequence[Target]) -> np.ndarray:
+    """The values (S, C) of the channels that place targets; 0 where a track does not have them."""
+    read = [keyed and keyed.of("CHANNEL", name) for name in channels(targets)]
+    return np.array([np.zeros(samples) if values is None else values for values in read]).reshape(-1, samples).T
+
+
 def pose_space(character: WithTargets) -> dynamorph.PoseSpace:
     """Raises dynamorph.Error, naming both, when two targets have the same pose; SceneError on a missing bone."""
     names = character.skeleton.names
     sets, labels = [], iter(target_labels(character.target_sets))
+    known = channels(character.targets)
     for target_set in character.target_sets:
         named = sorted({bone for target in target_set.targets for bone in target.bones})
         missing = [bone for bone in named if bone not in names]
@@ -60,7 +79,9 @@ def pose_space(character: WithTargets) -> dynamorph.PoseSpace:
                 [names.index(bone) for bone in named],
                 [next(labels) for _ in target_set.targets],
                 [target.local for target in target_set.targets],
-                radii=[target.fade_out_angle for target in target_set.targets],
+                [target.fade_out_angle for target in target_set.targets],
+                [known.index(name) for name in channels(target_set.targets)],
+                [*reached(target_set.targets, known)],
             )
         )
     return dynamorph.PoseSpace(sets)
@@ -80,7 +101,8 @@ class Posing:
     def posed(self, rig: RigSamples) -> tuple[np.ndarray, np.ndarray]:
         """Transforms as `frames`, and target weights (S, J)."""
         local = self._model.skeleton.local_transforms(rig.pose, placing_bones(self._character))
-        return self.frames(rig), self._space.weights(local)
+        values = channels_of(rig.track(KeyedSettings), len(rig), self._character.targets)
+        return self.frames(rig), self._space.weights(local, values)
 
     def frames(self, rig: RigSamples) -> np.ndarray:
         """The transforms for the engine: of the bones (S, B + 1, 3, 4), or of the free nodes (S, n, 3, 4)."""

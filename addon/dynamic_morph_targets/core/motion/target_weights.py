@@ -51,20 +51,21 @@ class Space:
     def __init__(self, name: str, skeleton: Skeleton, target_sets: tuple[TargetSet, ...], order: list[int]):
         self.name, self.skeleton, self.target_sets, self.order = name, skeleton, target_sets, order
         self.targets = [target for target_set in target_sets for target in target_set.targets]
-        self.placing = posing.placing_bones(self)
+        self.placing, self.channels = posing.placing_bones(self), posing.channels(self.targets)
         self.engine = posing.pose_space(self)
         self.begins = np.cumsum([0, *(len(target_set.targets) for target_set in target_sets)])
         self.limits = self._limits()
 
-    def weights_at(self, pose: np.ndarray) -> TargetWeights:
-        """At evaluated poses (F, B, 4, 4), armature space."""
+    def weights_at(self, pose: np.ndarray, channels: np.ndarray) -> TargetWeights:
+        """At evaluated poses (F, B, 4, 4), armature space, and values of the channels (F, C)."""
         with np.errstate(all="ignore"):  # of a bone scaled to zero, which the engine refuses by name
             local = self.skeleton.local_transforms(pose, self.placing)
-        nearest = np.minimum.reduceat(self.engine.distances(local), self.begins[:-1], axis=1)
-        return TargetWeights(self.target_sets, self.engine.weights(local), nearest, self.limits)
+        nearest = np.minimum.reduceat(self.engine.distances(local, channels), self.begins[:-1], axis=1)
+        return TargetWeights(self.target_sets, self.engine.weights(local, channels), nearest, self.limits)
 
     def _limits(self) -> np.ndarray:
-        apart = self.engine.distances(np.array([target.local for target in self.targets]))
+        values = posing.reached(self.targets, self.channels)
+        apart = self.engine.distances(np.array([target.local for target in self.targets]), values)
         np.fill_diagonal(apart, np.inf)
         gaps = [
             apart[begin:end, begin:end].min(axis=1).max()

@@ -196,8 +196,11 @@ def residuals(
     authored = character.with_settings(method="DYNAMIC")  # which leaves out no target
     poses = np.array([target.local for target in authored.targets])
     shapes = np.array([target.shape for target in authored.targets])
-    sculpted = np.tensordot(posing.pose_space(authored).weights(poses), shapes, 1)
-    weights = posing.pose_space(character).weights(poses)
+    weights, of_authored = (
+        posing.pose_space(each).weights(poses, posing.reached(authored.targets, posing.channels(each.targets)))
+        for each in (character, authored)
+    )
+    sculpted = np.tensordot(of_authored, shapes, 1)
     statics, to_meters = Statics(model, character), character.to_bind.T
     found = {}
     for j, target in enumerate(authored.targets):

@@ -228,7 +228,7 @@ def _read_shot(given: BakeInput, skinning: Skinning, request: Request, fits: boo
     given.has_shot, given.settings = True, replace(settings, **request.changes)
     given.solver = request.solver or run_settings.bake_solver(obj)
     given.inputs = staleness.bake_inputs(skinning, given.settings)
-    given.keyed = tuple(each.path.removeprefix("dynamorph.") for each in keyed.settings(obj))
+    given.keyed = tuple(each.path.removeprefix("dynamorph.") for each in keyed.settings(obj) if each.moved)
     given.inputs |= {"animation": animation.animation(skinning), "painted": staleness.map_hash(given.character)}
     given.inputs |= {"colliders": collider_state.states(obj)} if given.settings.collision else {}
     chosen = obj.dynamorph.simulation

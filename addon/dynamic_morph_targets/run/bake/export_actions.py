@@ -17,6 +17,7 @@ from ...core.motion.baked import Bake
 from ...core.motion.keyed import KeyedSettings
 from ...core.motion.rig_samples import RigSamples
 from ...core.result import keys
+from ...scene import keyed
 from ...scene.references import rig_of
 from ...write import actions
 from ...write.actions import Clip, laid_out
@@ -50,10 +51,13 @@ class ClipJob(Job):
             )
 
     def end_chunk(self) -> RigSamples | None:
-        """Clips are at other frames than the keys of settings, so these have the values of their first keys."""
-        samples = super().end_chunk()
+        """Clips are at other frames than the keys of settings, so these have the values of their first keys. Channels
+        that are driven follow the clip as its rig does.
+        """
+        samples, obj = super().end_chunk(), self.request.target.find()
         assert samples is not None  # it has a shot
-        return replace(samples, tracks=tuple(each for each in samples.tracks if not isinstance(each, KeyedSettings)))
+        tracks = (keyed.held(obj, each) if isinstance(each, KeyedSettings) else each for each in samples.tracks)
+        return replace(samples, tracks=tuple(tracks))
 
     def sample(self, seconds: float = np.inf) -> bool:
         with laid_out(rig_of(self.request.target.find()), self._clips):

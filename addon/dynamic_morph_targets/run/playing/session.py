@@ -11,7 +11,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ...core.character import Character, Skeleton
+from ...core.character import Character, Skeleton, same
 from ...core.errors import SceneError
 from ...core.message import Message, joined
 from ...core.motion import handover, rig_samples
@@ -103,7 +103,7 @@ class Session:
         self._states: dict[int, tuple[int, State]] = {}
         self.skinning, self.painted = way_to_skin(obj), painted(obj)
         self._placing, self._material = _placing(obj), _materials(obj)
-        self._sampled = _sampling(obj)
+        self._sampled, self._channels = _sampling(obj), keyed.present_channels(obj)
         settings = self.tissue.player.settings
         moving = len(self.tissue.probe.rest) if self.tissue.probe else 1
         self._kept = min(KEPT, max(1, STATE_BYTES // (4 * (96 * moving + 8 * self.tissue.dofs))))
@@ -134,6 +134,9 @@ class Session:
         """
         self._sync_settings(obj, settings)
         before, fraction = math.floor(time), time % 1.0
+        if before == self.now and self.are_channels_elsewhere(obj) and not events.is_playing():
+            self._frames = {}  # dragged while it stands: it begins at this frame once more
+        self._channels = keyed.present_channels(obj)
         if fraction and self._frames and before + 1 == self.first:  # a shutter that opens before the first frame
             before, fraction = self.first, 0.0
         elif not fraction or before not in self._frames:
@@ -164,6 +167,10 @@ class Session:
     def knows(self, time: float) -> bool:
         """Whether a frame, or a time between two, has been simulated already."""
         return {math.floor(time), math.ceil(time)} <= self._frames.keys()
+
+    def are_channels_elsewhere(self, obj: bpy.types.Object) -> bool:
+        """Whether a channel has moved since the frame that shows."""
+        return not same(self._channels, keyed.present_channels(obj))
 
     def rig_changed(self) -> None:
         """The rig moves differently from now on."""
@@ -326,7 +333,8 @@ def _materials(obj: bpy.types.Object) -> dict[str, Material]:
 def _placing(obj: bpy.types.Object) -> tuple[str, list[tuple]]:
     """All else that a running simulation takes from the targets: cheap to compare at each frame."""
     targets = [
-        (target.name, target.mute, tuple(target.rig_world), target.placing()) for target in obj.dynamorph.targets
+        (target.name, target.mute, target.region, tuple(target.rig_world), target.placing())
+        for target in obj.dynamorph.targets
     ]
     return obj.dynamorph.model.blending, targets
 

@@ -21,6 +21,8 @@ from ...core.character import Target, TargetSet
 from ...core.errors import SceneError, sentence
 from ...core.message import Message
 from ...core.motion import rig_samples
+from ...core.motion.keyed import KeyedSettings
+from ...core.motion.posing import channels_of
 from ...core.motion.target_weights import Space, TargetWeights
 from ...core.settings import Material
 from ...scene import events, references, skin
@@ -41,7 +43,7 @@ def space_of(obj: bpy.types.Object) -> Space:
     targets = _placed_targets(obj)
     placing = {rig.data.bones.get(name) for target in targets for name in target.bone_names()} - {None}
     parents = tuple(bone.parent.name for bone in placing if bone.parent)
-    placed = tuple((target.name, target.placing()) for target in targets)
+    placed = tuple((target.name, target.region, target.placing()) for target in targets)
     return _space(obj.session_uid, (bones_key(rig.data), parents, placed))
 
 
@@ -62,8 +64,9 @@ def _space(session_uid: int, _authored: tuple) -> Space:
     def placed(target: bpy.types.PropertyGroup) -> Target:
         local = target.local(skeleton)
         return Target(
-            target.name, np.zeros((0, 3)), target.bone_names(), local, np.eye(4), Material(), target.fade_out_angle
-        )
+            target.name, np.zeros((0, 3)), target.bone_names(), local, np.eye(4), Material(), target.fade_out_angle,
+            channel=target.channel, reached_at=target.reached_at,
+        )  # fmt: skip
 
     regions = dict.fromkeys(["", *(target.region for target in others)])
     sets = tuple(
@@ -83,7 +86,9 @@ def weights_now(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Target
     rig = checks.armature_modifier(obj).object.evaluated_get(depsgraph)
     if len(rig.pose.bones) != len(space.order):
         raise SceneError("The bones of '{name}' are being edited", name=rig.name)
-    return space.weights_at(rig_motion.pose_matrices(rig, space.order)[None])
+    at = {channel.name: channel.value for channel in obj.dynamorph.channels}
+    channels = [[at.get(name, 0.0) for name in space.channels]]
+    return space.weights_at(rig_motion.pose_matrices(rig, space.order)[None], np.array(channels))
 
 
 # Over the frames ---------------------------------------------------------------------------------------------------
@@ -91,14 +96,15 @@ def weights_now(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Target
 
 @dataclass(eq=False)
 class RigPoses:
-    """An armature's evaluated poses (F, B, 4, 4) from frame `start` on, for a skeleton with these bones. stale: an
-    animation was edited since. problem: why there are no poses.
+    """An armature's evaluated poses (F, B, 4, 4) from frame `start` on, for a skeleton with these bones, and what is
+    keyed of the soft skin. stale: an animation was edited since. problem: why there are no poses.
     """
 
     start: int
     end: int
     bones: tuple
     pose: np.ndarray
+    keyed: KeyedSettings | None = None
     stale: bool = False
     problem: str = ""
 
@@ -132,7 +138,9 @@ class Reading:
                 self._sampling = rig_motion.RigSampling(obj, self._shot.start, self._shot.end, 1)
             if not self._sampling.advance(obj, seconds):
                 return False
-            self._shot.pose = rig_samples.keep_collapsed(self._sampling.samples(), self._skeleton)[0].pose
+            samples = self._sampling.samples()
+            self._shot.pose = rig_samples.keep_collapsed(samples, self._skeleton)[0].pose
+            self._shot.keyed = samples.track(KeyedSettings)
         except SceneError as error:
             self._shot.problem = sentence(error)
             remembered.live.poses[self._rig] = self._shot
@@ -164,7 +172,7 @@ def drawn(obj: bpy.types.Object) -> tuple[RigPoses, TargetWeights] | None:
 
 @states.cached(opened, 4)
 def _over(space: Space, shot: RigPoses) -> TargetWeights:
-    return space.weights_at(shot.pose)
+    return space.weights_at(shot.pose, channels_of(shot.keyed, len(shot.pose), space.targets))
 
 
 def problem(obj: bpy.types.Object) -> str:

@@ -117,7 +117,7 @@ def _target(source: Source, target: Any, always: dict[Setting, float]) -> Target
     local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)
     return Target(
         target.name, shape, target.bone_names(), local, rig_world, target.material(),
-        target.fade_out_angle, amount, keyed.frequency_of(target),
+        target.fade_out_angle, amount, keyed.frequency_of(target), target.channel, target.reached_at,
     )  # fmt: skip
 
 

@@ -125,9 +125,16 @@ def pose(source: Source, target: Any) -> Iterator[Problem]:
 
 def alike(source: Source, targets: list) -> Iterator[Problem]:
     """Targets of one set that cannot be distinguished."""
-    name, skeleton = source.obj.name, source.skeleton
+    obj, skeleton = source.obj, source.skeleton
+    name = obj.name
     for target in targets[1:]:
-        if not target.bones:
+        if target.channel and target.channel not in obj.dynamorph.channels:
+            text = "'{name}': channel '{channel}' of target '{target}' is gone: choose another"
+            yield Problem(text, name=name, channel=target.channel, target=target.name)
+        elif target.channel and not target.reached_at:
+            text = "'{name}': target '{target}' is reached at 0 of its channel, as all others are: set Reached At"
+            yield Problem(text, name=name, target=target.name)
+        elif not (target.bones or target.channel):
             yield Problem(
                 "'{name}': target '{target}' has no bones: pose the armature away from the neutral target and press "
                 "Capture Pose",
@@ -139,7 +146,7 @@ def alike(source: Source, targets: list) -> Iterator[Problem]:
     local = [target.local(skeleton)[used] for target in targets]
     for i, first in enumerate(targets):
         for k, second in enumerate(targets[i + 1 :], i + 1):
-            if same_pose(local[i], local[k]):
+            if same_pose(local[i], local[k]) and first.reached == second.reached:
                 yield Problem(
                     "'{name}': targets '{first}' and '{second}' have the same pose in the bones that place targets: "
                     "capture one of them in another pose, choose its bones, or remove it",

@@ -18,7 +18,7 @@ from ...core.errors import SceneError
 from ...core.geometry import determinant, inverse, invertible, turned
 from ...core.motion.colliders import ColliderTrack
 from ...core.motion.keyed import KeyedSettings
-from ...core.motion.rig_samples import ForceField, RigSamples
+from ...core.motion.rig_samples import ForceField, RigSamples, Track
 from .. import keyed
 from ..check import checks
 from ..check.checks import armature_modifier
@@ -119,15 +119,17 @@ def sample_present(obj: bpy.types.Object, probe: Probe | None = None) -> RigSamp
     """One sample of the rig in the pose that the artist sees; probe: as in `RigSampling`. Raises SceneError."""
     skeleton, local, rig_world = current_pose(obj)
     pose, world = skeleton.pose(local)[None], world_now(obj)[None]
+    channels = keyed.present_channels(obj)
+    tracks: tuple[Track, ...] = (channels,) if channels else ()
     if probe is None:
-        return RigSamples(pose, rig_world[None], world)
+        return RigSamples(pose, rig_world[None], world, tracks)
     rig, frame = armature_modifier(obj).object, bpy.context.scene.frame_float
     with rig_scene(obj, rig, probe) as (scene, follower):
         scene.frame_set(int(frame), subframe=frame % 1.0)
         placed = inverse(world[0]) @ rig_world
         nodes = probe.in_poses(scene, follower, rig, pose)
         target_nodes = probe.in_target_poses(scene, follower, rig, placed)
-    return RigSamples(pose, rig_world[None], world, (nodes,), target_nodes)
+    return RigSamples(pose, rig_world[None], world, (nodes, *tracks), target_nodes)
 
 
 def present_colliders(obj: bpy.types.Object) -> tuple[ColliderTrack, ...]:

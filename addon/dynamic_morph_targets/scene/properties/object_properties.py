@@ -26,7 +26,8 @@ from .bake_properties import (
     DynamorphSimulation,
 )
 from .model_properties import DynamorphAttachment, DynamorphMode, DynamorphModel
-from .target_properties import DynamorphBone, DynamorphBonePose, DynamorphKey, DynamorphTarget
+from .target_place import DynamorphBone, DynamorphBonePose, DynamorphChannel
+from .target_properties import DynamorphKey, DynamorphTarget
 
 
 class DynamorphSettings(PropertyGroup):
@@ -34,6 +35,10 @@ class DynamorphSettings(PropertyGroup):
 
     targets: CollectionProperty(
         name="Targets", description="Dynamic morph targets; the first is the neutral one", type=DynamorphTarget,
+        override=OVERRIDE_LIST,
+    )  # fmt: skip
+    channels: CollectionProperty(
+        name="Channels", description="Numbers that place targets in pose space", type=DynamorphChannel,
         override=OVERRIDE_LIST,
     )  # fmt: skip
     active_target_index: IntProperty(
@@ -176,6 +181,7 @@ CLASSES = (
     DynamorphKey,
     DynamorphBone,
     DynamorphBonePose,
+    DynamorphChannel,
     DynamorphTarget,
     DynamorphAttachment,
     DynamorphModel,

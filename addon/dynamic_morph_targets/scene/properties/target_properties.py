@@ -4,28 +4,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import asdict
 
 import bpy
-import numpy as np
 from bpy.types import PropertyGroup
 
-from ...core.character import Skeleton
 from ...core.material import calibration, oscillation
 from ...core.material.feel import FEELS
 from ...core.settings import Material
 from .. import keyed
 from ..events import shown_changed
-from ..keyless import ANIMATED, BoolProperty, CollectionProperty, FloatProperty, FloatVectorProperty, StringProperty
-from ..references import OVERRIDE, OVERRIDE_LIST, KeyReference, key_displacement, key_hash
+from ..keyless import ANIMATED, BoolProperty, FloatProperty, StringProperty
+from ..references import OVERRIDE, KeyReference, key_displacement, key_hash
 from ..skin import unit_scale
+from .target_place import Placed
 
 NEUTRAL = "Neutral"
 MASS_DAMPING, STIFFNESS_DAMPING = FEELS["NATURAL"].damping.values()  # of a new soft skin
-IDENTITY = tuple(np.eye(4).ravel())
 NEVER = 1e5  # seconds, for a swing that nothing damps
 
 
@@ -37,21 +35,6 @@ class DynamorphKey(KeyReference, PropertyGroup):
 
     def looks_like(self, block: bpy.types.ShapeKey) -> bool:
         return key_hash(block) == self.key_hash or math.isclose(key_displacement(block), self.reach, rel_tol=0.01)
-
-
-class DynamorphBone(PropertyGroup):
-    """The name of a bone that places a target in pose space."""
-
-
-class DynamorphBonePose(PropertyGroup):
-    """One bone of a captured pose. Matrices are row after row."""
-
-    rest: FloatVectorProperty(
-        name="Rest", description="Rest matrix, to find a renamed bone", size=16, override=OVERRIDE
-    )
-    local: FloatVectorProperty(
-        name="Local", description="Transform relative to the evaluated parent", size=16, override=OVERRIDE
-    )
 
 
 def _get_bounce(target: DynamorphTarget) -> float:
@@ -126,7 +109,7 @@ def _region_chosen(target: DynamorphTarget, _context: bpy.types.Context) -> None
     target.auto_region = False  # `regions.update` sets it again for those that it chooses itself
 
 
-class DynamorphTarget(KeyReference, PropertyGroup):
+class DynamorphTarget(KeyReference, Placed, PropertyGroup):
     """A dynamic morph target: a shape key, the pose at which the skin takes it, and the elastic properties there.
 
     The first target of an object is the neutral one; its shape is the Basis.
@@ -165,12 +148,6 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         "stays, and Bounce and Settle Time follow",
         default=STIFFNESS_DAMPING, min=0.0, max=10.0, soft_max=0.1, step=0.1, precision=4, override=OVERRIDE,
     )  # fmt: skip
-    fade_out_angle: FloatProperty(
-        name="Fade-Out Angle",
-        description="Distance from its pose, over all its bones, at which the target has faded out. 0 is no limit: it "
-        "reaches until another target is nearer. Set it if the target shows in poses that it is not meant for",
-        default=0.0, min=0.0, soft_max=np.pi, subtype="ANGLE", override=OVERRIDE,
-    )  # fmt: skip
     amount: FloatProperty(
         name="Amount",
         description="How much of the motion is shown in this target's pose and region. Lower it for poses that should "
@@ -193,22 +170,6 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     made_region: StringProperty(
         name="Region As Made", description="Hash of the automatic region's weights, to tell whether they were painted",
         options={"SKIP_SAVE"}, override=OVERRIDE,
-    )  # fmt: skip
-    bones: CollectionProperty(
-        name="Bones", description="Bones whose rotations decide when the target applies", type=DynamorphBone,
-        override=OVERRIDE_LIST,
-    )  # fmt: skip
-    auto_bones: BoolProperty(
-        name="Automatic Bones",
-        description="Whether Finish Sculpting chooses the bones from the sculpt. Bones that you choose stay",
-        override=OVERRIDE,
-    )  # fmt: skip
-    pose: CollectionProperty(
-        name="Pose", description="The captured pose of every bone", type=DynamorphBonePose, override=OVERRIDE_LIST
-    )
-    rig_world: FloatVectorProperty(
-        name="Armature Transform", description="World transform of the armature when the pose was captured",
-        size=16, default=IDENTITY, override=OVERRIDE,
     )  # fmt: skip
     frequency: FloatProperty(
         name="Frequency",
@@ -297,42 +258,8 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         if self.frequency and self.reference:
             self.set_computed_stiffness(calibration.stiffness_for(self.reference, self.density, self.frequency))
 
-    def bone_names(self) -> tuple[str, ...]:
-        return tuple(bone.name for bone in self.bones)
-
-    def set_bones(self, names: Iterable[str], automatic: bool = False) -> None:
-        """automatic: nobody chose them by hand."""
-        self.auto_bones = automatic
-        self.bones.clear()
-        for name in names:
-            self.bones.add().name = name
-
     def set_region(self, group: str, automatic: bool) -> None:
         """automatic: `regions.update` keeps the vertex group up to date."""
         if self.region != group:
             self.region = group
         self.auto_region = automatic
-
-    def set_pose(self, skeleton: Skeleton, local: np.ndarray, rig_world: np.ndarray) -> None:
-        """Store a pose: local (B, 4, 4) as `Skeleton.local_transforms` gives it, rig_world (4, 4)."""
-        self.pose.clear()
-        for name, rest, transform in zip(skeleton.names, skeleton.rest, local, strict=True):
-            bone = self.pose.add()
-            bone.name, bone.rest, bone.local = name, rest.ravel(), transform.ravel()
-        self.rig_world = rig_world.ravel()
-
-    def placing(self) -> tuple:
-        """Everything that places the target among others, for comparison: cheap enough for every frame."""
-        return self.region, self.fade_out_angle, self.bone_names(), self.pose_bytes()
-
-    def pose_bytes(self) -> bytes:
-        """The captured transforms, float32."""
-        stored = np.empty(16 * len(self.pose), np.float32)
-        self.pose.foreach_get("local", stored)
-        return stored.tobytes()
-
-    def local(self, skeleton: Skeleton) -> np.ndarray:
-        """The captured pose (B, 4, 4) in the skeleton's order; bones added since then are at rest."""
-        stored = np.frombuffer(self.pose_bytes(), np.float32).reshape(-1, 4, 4).astype(np.float64)
-        by_name = dict(zip((bone.name for bone in self.pose), stored, strict=True))
-        return np.array([by_name.get(name, np.eye(4)) for name in skeleton.names]).reshape(-1, 4, 4)

@@ -250,6 +250,7 @@ def bake_inputs(skinned: Skinning, simulation: SimulationSettings) -> dict:
         part, _, name = path.partition(".")
         if name in inputs[part] and Setting(kind) in moved:
             inputs[part][name] = moved[Setting(kind)]
+    inputs["channels"] = {each.name: value for each, value in moved.items() if each.kind == "CHANNEL"}
     for name, target in named_targets(obj):
         values = plain(target, skip=(*KEY_REFERENCE, *UNUSED))
         values |= {own: moved[Setting(kind, name)] for own, kind in keyed.OF_TARGETS.items() if (kind, name) in moved}
@@ -262,6 +263,9 @@ def _changes(obj: bpy.types.Object, then: dict, now: dict) -> list[str]:
     """The differences between two inputs of `obj`, as sentences. Entries that `then` lacks have not changed."""
     settings = obj.dynamorph
     found = _target_changes(obj, then["targets"], now["targets"])
+    known, channels = then.get("channels", {}), now.get("channels", {})
+    moved = [name for name in known if name in channels and known[name] != channels[name]]
+    found += [Message('channel "{name}" changed', name=name) for name in moved]
     known = {"model": settings.model, "simulation": settings.simulation, "output": settings.output}
     known |= {"collision": settings.collision, "groups": settings, "scene": None}
     for part, group in known.items():

@@ -12,7 +12,7 @@ from ...core.errors import SceneError
 from ...scene.check import checks
 from ...scene.motion import rig_motion
 from ...scene.registration import of_classes
-from ...write.authoring import controls, regions, targets
+from ...write.authoring import channels, controls, regions, targets
 from ...write.bake import muting
 from ..base import TargetOperator, listed
 
@@ -44,6 +44,7 @@ def go_to_pose(operator: bpy.types.Operator, obj: bpy.types.Object) -> None:
     skeleton, *_ = rig_motion.current_pose(obj)
     local = obj.dynamorph.active_target.local(skeleton)
     targets.pose_rig(checks.armature_modifier(obj).object, skeleton, local)
+    operator.warn(channels.go_to(obj, obj.dynamorph.active_target))
     elsewhere = targets.bones_elsewhere(obj, skeleton, local)
     if elsewhere:
         text = rpt_("Constraints or drivers keep bones out of this pose: {bones}")

@@ -68,6 +68,7 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
         block = targets.new_key(obj, self.key or self._default_name(obj), shape)
         target = targets.add(obj, block)
         target.set_pose(*pose)
+        targets.take_channel(obj, target)
         targets.choose_bones(obj, target, pose[0], np.zeros_like(shape))  # all that are turned, until it is sculpted
         targets.begin_sculpting(obj, block, self.mode, is_new=True)
 
@@ -76,9 +77,10 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
         targets.check_can_sculpt(obj)
         skeleton, local, rig_world = rig_motion.current_pose(obj)
         bones = rig_motion.bones_turned(obj, skeleton, obj.dynamorph.targets[0].local(skeleton), local)
-        if not bones:
+        channels = targets.channels_now(obj)
+        if not (bones or channels):
             raise SceneError("No bone is turned away from the neutral pose: pose the armature first")
-        other = targets.at_pose_of(obj, skeleton, local, bones)
+        other = targets.at_pose_of(obj, skeleton, local, bones, channels)
         # Another limb that is turned too may have a target there: by its sculpt it comes into another set.
         if other and (obj.dynamorph.model.hold != "THICKNESS" or set(bones) <= {*other.bone_names()}):
             raise SceneError(

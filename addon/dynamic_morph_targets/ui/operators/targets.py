@@ -17,7 +17,7 @@ from ...scene.check import checks
 from ...scene.motion import rig_motion
 from ...scene.references import rest_skeleton
 from ...scene.registration import of_classes
-from ...write.authoring import mirror, regions, suggest, targets
+from ...write.authoring import channels, mirror, regions, suggest, targets
 from ...write.authoring.targets import sculpted_key
 from ...write.bake import muting
 from ..base import SoftSkinOperator, TargetOperator
@@ -94,7 +94,7 @@ class DYNAMORPH_OT_suggest_targets(JobOperator, Operator):
         obj, (found, skipped), added = task.object.find(), task.result, []
         for suggestion in found:
             skeleton, local, _ = suggestion.pose
-            other = targets.at_pose_of(obj, skeleton, local, suggestion.bones)
+            other = targets.at_pose_of(obj, skeleton, local, suggestion.bones, {})
             if other:
                 skipped.append(f"'{suggestion.key}': it has the pose of '{other.name}'")
                 continue
@@ -126,6 +126,7 @@ class DYNAMORPH_OT_remove_target(TargetOperator, Operator):
                 muting.show_target(obj, "")
             left = regions.automatic_regions(obj, [target])
             targets.remove(obj, settings.active_target_index)
+            channels.remove_unused(obj)
             regions.update(obj, left)
             return
         remove_soft_skin(obj)

@@ -65,6 +65,7 @@ class DYNAMORPH_MT_targets(Menu):
         layout = self.layout
         layout.operator_context = "INVOKE_DEFAULT"
         layout.operator("dynamorph.suggest_targets", icon="DRIVER")
+        layout.operator("dynamorph.add_tension", icon="FORCE_FORCE")
         layout.separator()
         layout.operator("dynamorph.duplicate_target", icon="DUPLICATE")
         layout.operator("dynamorph.mirror_target", icon="ARROW_LEFTRIGHT")
@@ -122,6 +123,19 @@ def draw_extent(layout: bpy.types.UILayout, obj: bpy.types.Object, target: Dynam
     row.prop_search(target, "region", obj, "vertex_groups", text="")
     row.operator("dynamorph.region_from_sculpt", text="", icon="AUTO", depress=target.auto_region)
     draw_limit(column, target, "fade_out_angle")
+    draw_channel(column, obj.dynamorph, target)
+
+
+def draw_channel(layout: bpy.types.UILayout, settings: DynamorphSettings, target: DynamorphTarget) -> None:
+    """The slider of the selected target's channel, wherever that comes from, and where the target is reached."""
+    channel = settings.channels.get(target.channel)
+    if channel is None:
+        return
+    column = layout.column(align=True)
+    row = column.row(align=True)
+    row.prop(channel, "value", text=channel.name, translate=False, slider=True)
+    row.operator("dynamorph.remove_channel", text="", icon="X")
+    column.prop(target, "reached_at")
 
 
 def bones_title(obj: bpy.types.Object) -> str:

@@ -17,7 +17,7 @@ from ...scene.check import checks, data_checks
 from ...scene.properties.target_properties import DynamorphTarget
 from ...scene.read import mesh_data
 from ...scene.references import key_points, rest_skeleton
-from . import regions, targets
+from . import channels, regions, targets
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 TOLERANCE = 1e-3  # of the mesh's size; the largest distance of a vertex's partner from its mirror image
@@ -31,8 +31,10 @@ def mirror_target(obj: bpy.types.Object, overwrite: bool) -> list[Message]:
     source, index = settings.active_target, settings.active_target_index
     skeleton = rest_skeleton(checks.skinned(obj).rig.data)
     local = mirrored_pose(skeleton, source.local(skeleton))
-    bones = _bones(source, skeleton, local)
     region = "" if source.auto_region else bpy.utils.flip_name(source.region)
+    channel = bpy.utils.flip_name(source.channel)
+    elsewhere = channel != source.channel or (source.region != region and not source.auto_region)
+    bones = _bones(source, skeleton, local, elsewhere)
     warnings = []
     if region and region not in obj.vertex_groups:
         text = "There is no vertex group '{region}': the mirrored target has no Region"
@@ -50,12 +52,16 @@ def mirror_target(obj: bpy.types.Object, overwrite: bool) -> list[Message]:
     target.made_region = ""
     target.set_pose(skeleton, local, mirrored_world(source.rig_world))
     target.set_bones(bones, source.auto_bones)
+    if channel:
+        target.channel = channels.ensure(obj, channel).name
     regions.update(obj)
     return warnings + warned
 
 
-def _bones(source: DynamorphTarget, skeleton: Skeleton, mirrored: np.ndarray) -> list[str]:
-    """The target's bones on the other side. Raises SceneError where there is no other side."""
+def _bones(source: DynamorphTarget, skeleton: Skeleton, mirrored: np.ndarray, elsewhere: bool) -> list[str]:
+    """The target's bones on the other side. elsewhere: whether its channel or region is another there. Raises
+    SceneError where there is no other side.
+    """
     if bpy.utils.flip_name(source.name) == source.name:
         raise SceneError("'{name}' does not say its side: give it a name that ends in .L or .R", name=source.name)
     bones = [bpy.utils.flip_name(bone) for bone in source.bone_names()]
@@ -63,7 +69,7 @@ def _bones(source: DynamorphTarget, skeleton: Skeleton, mirrored: np.ndarray) ->
     if missing:
         raise SceneError("Bone '{bone}' is missing: '{name}' has no other side", bone=missing[0], name=source.name)
     used = [name in {*bones, *source.bone_names()} for name in skeleton.names]
-    if data_checks.same_pose(source.local(skeleton)[used], mirrored[used]):
+    if not elsewhere and data_checks.same_pose(source.local(skeleton)[used], mirrored[used]):
         raise SceneError("'{name}' has a symmetric pose, which its mirror image would share", name=source.name)
     return bones
 

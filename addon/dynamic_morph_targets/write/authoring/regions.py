@@ -6,8 +6,8 @@ below it carry, that is 4 c (1 - c), times the turn of the bone. A bone further 
 does not matter. What counts is how joints bend the sculpt's region, of those that bend the sculpt itself or skin it.
 
 *Regions.* A vertex group that is 1 where the sculpt moves the skin and a little further, and falls smoothly to 0 over
-about the radius of what is sculpted, along the skin. Targets that share a bone compete for the same poses, so they have
-one group together, the union of theirs; the others' weights do not depend on what these limbs do.
+about the radius of what is sculpted, along the skin. Targets that share a bone or a channel compete for the same poses,
+so they have one group together, the union of theirs; the others' weights do not depend on what these limbs do.
 """
 
 from __future__ import annotations
@@ -118,9 +118,9 @@ def update(obj: bpy.types.Object, left: Iterable[str] = ()) -> None:
     chosen = [target for target in settings.targets[1:] if not target.auto_region]
     made = {target.region for target in automatic if target.made_region or target.region.startswith(REGION)}
     free = made - {target.region for target in chosen}
-    for together in _sharing_bones(automatic):
-        bones = _bones(together)
-        company = next((target for target in chosen if bones & _bones([target])), None)
+    for together in _placed_together(automatic):
+        places = _places(together)
+        company = next((target for target in chosen if places & _places([target])), None)
         if company:  # whose region belongs to the artist
             group, digest = company.region, ""
         else:
@@ -156,15 +156,17 @@ def _not_painted(obj: bpy.types.Object, automatic: list, groups: VertexGroups) -
     return [target for target in automatic if target.auto_region]
 
 
-def _bones(targets: list) -> set[str]:
-    return {bone for target in targets for bone in target.bone_names()}
+def _places(targets: list) -> set[tuple[str, str]]:
+    """The bones and channels that place targets."""
+    bones = {("bone", bone) for target in targets for bone in target.bone_names()}
+    return bones | {("channel", target.channel) for target in targets if target.channel}
 
 
-def _sharing_bones(targets: list) -> list[list]:
-    """The targets in sets, so that those of different sets have no bone in common."""
+def _placed_together(targets: list) -> list[list]:
+    """The targets in sets, so that those of different sets have no bone and no channel in common."""
     sets: list[list] = []
     for target in targets:
-        joined = [one for one in sets if _bones(one) & _bones([target])]
+        joined = [one for one in sets if _places(one) & _places([target])]
         sets = [one for one in sets if one not in joined] + [[*(each for one in joined for each in one), target]]
     return sets
 

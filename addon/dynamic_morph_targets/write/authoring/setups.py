@@ -5,6 +5,7 @@ A setup names shape keys, bones and vertex groups, and holds none of their conte
 
     format, version
     targets: a list, the neutral one first, each its properties, "bones" (names) and "pose" (rest and local, by bone)
+    channels: a list, each its properties and "source", the full data path of the property that drives it, or ""
     skin, model, simulation, collision, output: properties by name, collision with the name of its "collection" or "";
     modes: a list of such
     attachments: a list, each its properties and "object", the name of another mesh or ""
@@ -25,7 +26,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...core.errors import SetupError
+from ...core.errors import SceneError, SetupError
 from ...core.geometry import determinant, turned
 from ...core.motion.keyed import Setting
 from ...core.painted_map import MAPS
@@ -38,12 +39,13 @@ from ...scene.plain import fits, is_text, plain, wanted
 from ...scene.properties.bake_properties import DynamorphCollision, DynamorphOutput, DynamorphSimulation
 from ...scene.properties.model_properties import DynamorphAttachment, DynamorphMode, DynamorphModel
 from ...scene.properties.object_properties import DynamorphSettings
-from ...scene.properties.target_properties import DynamorphBonePose, DynamorphTarget
+from ...scene.properties.target_place import DynamorphBonePose, DynamorphChannel
+from ...scene.properties.target_properties import DynamorphTarget
 from ...scene.references import KEY_REFERENCE
 from ...scene.skin import named_targets
 from ..assign import assign
 from ..bake.writer import ensure_basis
-from . import regions
+from . import channels, regions
 
 FORMAT = "dynamorph setup"
 VERSION = 1
@@ -64,11 +66,12 @@ NOT_AUTHORED = {
     DynamorphMode: ("name",),
     DynamorphTarget: KEY_REFERENCE[1:],  # the name is in the file
     DynamorphBonePose: ("name",),
+    DynamorphChannel: (),
     DynamorphAttachment: (),
 }
 # More than anything could use, so that a file of another kind does not block Blender: the engine takes about 60 shapes
 # that differ, and a pose for each of them has all bones.
-MOST = {"targets": 1000, "modes": 1000, "attachments": 1000}
+MOST = {"targets": 1000, "channels": 1000, "modes": 1000, "attachments": 1000}
 MOST_BONES = 100_000  # in the poses of all targets together
 PARTS = {
     "skin": DynamorphSettings,
@@ -98,6 +101,7 @@ def of_object(obj: bpy.types.Object) -> dict:
             }
             for target in settings.targets
         ],
+        "channels": [{**authored(each), "source": channels.source_path(obj, each)} for each in settings.channels],
         "skin": authored(settings),
         "model": authored(settings.model),
         "simulation": authored(settings.simulation),
@@ -114,6 +118,8 @@ def of_object(obj: bpy.types.Object) -> dict:
     for path, kind in keyed.OF_OBJECT.items():
         part, _, name = path.partition(".")
         setup[part][name] = always.get(Setting(kind), setup[part][name])
+    for channel in setup["channels"]:
+        channel["value"] = always.get(Setting("CHANNEL", channel["name"]), 0.0)
     for (target, _), values in zip(named_targets(obj), setup["targets"], strict=True):
         values |= {name: always.get(Setting(kind, target), values[name]) for name, kind in keyed.OF_TARGETS.items()}
     return setup
@@ -135,6 +141,8 @@ def apply(obj: bpy.types.Object, setup: dict) -> dict[str, list[str]]:
     ensure_basis(obj)
     settings, lacking = obj.dynamorph, _Lacking(obj)
     _apply_targets(obj, rig, setup["targets"], lacking)
+    for channel in setup.get("channels", []):
+        _apply_channel(obj, channel, lacking)
     assign(settings, lacking.without_lost_groups(setup.get("skin", {}), GROUPS))
     assign(settings.model, setup.get("model", {}))
     assign(settings.simulation, setup.get("simulation", {}))
@@ -174,6 +182,16 @@ def _apply_targets(obj: bpy.types.Object, rig: bpy.types.Object, entries: list[d
     regions.update(obj)
 
 
+def _apply_channel(obj: bpy.types.Object, values: dict, lacking: _Lacking) -> None:
+    channel, path = channels.ensure(obj, values["name"]), values.get("source", "")
+    assign(channel, _simple(values))
+    if path and channels.source_path(obj, channel) != path:
+        try:
+            channels.drive(channel, channels.named(path))
+        except SceneError:
+            lacking.present("properties", [path], [])
+
+
 def _apply_collision(collision: DynamorphCollision, values: dict, lacking: _Lacking) -> None:
     assign(collision, _simple(values))
     if "collection" in values:
@@ -200,7 +218,8 @@ def _apply_pieces(obj: bpy.types.Object, entries: list[dict], lacking: _Lacking)
 
 def _simple(entry: dict) -> dict:
     """The simple properties in an entry."""
-    return {name: value for name, value in entry.items() if name not in ("bones", "pose", "object", "collection")}
+    named = ("bones", "pose", "object", "collection", "source")
+    return {name: value for name, value in entry.items() if name not in named}
 
 
 def _apply_pose(target: DynamorphTarget, rig: bpy.types.Object, pose: dict[str, dict], lacking: _Lacking) -> None:
@@ -278,19 +297,22 @@ def check(setup: object) -> None:
             version=version,
             known=VERSION,
         )
-    targets, modes, attachments = setup.get("targets"), setup.get("modes", []), setup.get("attachments", [])
-    if not isinstance(targets, list) or not targets or not isinstance(modes, list) or not isinstance(attachments, list):
+    lists = {"targets": setup.get("targets"), **{name: setup.get(name, []) for name in MOST if name != "targets"}}
+    if not all(isinstance(each, list) for each in lists.values()) or not lists["targets"]:
         raise SetupError("The setup has no list of targets")
-    _check_counts(targets=targets, modes=modes, attachments=attachments)
+    _check_counts(lists)
+    targets = lists["targets"]
     for target in targets:
         _check_target(target)
     names = Counter(target["name"] for target in targets[1:])
     for name, count in names.items():
         if count > 1:
             raise SetupError("Two targets are called '{name}'", name=name)
-    for i, mode in enumerate(modes):
+    for i, mode in enumerate(lists["modes"]):
         _check_values(f"Mode {i + 1}", DynamorphMode, mode)
-    for i, attachment in enumerate(attachments):
+    for i, channel in enumerate(lists["channels"]):
+        _check_channel(f"Channel {i + 1}", channel)
+    for i, attachment in enumerate(lists["attachments"]):
         _check_attachment(f"Attachment {i + 1}", attachment)
     for part, kind in PARTS.items():
         values = setup.get(part, {})
@@ -301,7 +323,7 @@ def check(setup: object) -> None:
         _check_values(part.capitalize(), kind, values)
 
 
-def _check_counts(**lists: list) -> None:
+def _check_counts(lists: dict[str, list]) -> None:
     """Raises SetupError for more of something than any setup needs."""
     text = "The setup has {count} {what}, and {most} are the most: it was not made for a soft skin"
     for what, entries in lists.items():
@@ -335,6 +357,13 @@ def _check_target(target: Any) -> None:
         raise SetupError(
             "{where}: {bone} is a transform that flattens", where=where, bone=list(matrices)[flat.argmax()]
         )
+
+
+def _check_channel(where: str, channel: Any) -> None:
+    names = [channel.get("name"), channel.get("source", "")] if isinstance(channel, dict) else [None]
+    if not all(map(is_text, names)) or not names[0]:
+        raise SetupError("{where} has no name", where=where)
+    _check_values(where, DynamorphChannel, _simple(channel))
 
 
 def _check_attachment(where: str, attachment: Any) -> None:

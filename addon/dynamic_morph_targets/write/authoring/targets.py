@@ -30,6 +30,7 @@ from ..bake.writer import ensure_basis
 from ..reconcile import reconcile
 from . import regions
 
+NEAR = 1e-3  # of a channel: what a slider shows
 NOTHING = 1e-6  # of the coordinates; smaller differences are round-off, not sculpted
 
 
@@ -83,7 +84,7 @@ def blended_shape(obj: bpy.types.Object, local: np.ndarray) -> np.ndarray:
     if not active or engine.engine_problem():
         return np.zeros((len(obj.data.vertices), 3))
     reconcile(obj)
-    return _blend(_authored(obj), local)
+    return _blend(_authored(obj), local, channels_now(obj))
 
 
 def _authored(obj: bpy.types.Object) -> Character:
@@ -91,11 +92,14 @@ def _authored(obj: bpy.types.Object) -> Character:
     return extract.character(obj).with_settings(method="DYNAMIC")
 
 
-def _blend(character: Character, local: np.ndarray) -> np.ndarray:
-    """The shape (V, 3), local space, of a character's blended targets in a pose (B, 4, 4)."""
+def _blend(character: Character, local: np.ndarray, channels: dict[str, float]) -> np.ndarray:
+    """The shape (V, 3), local space, of a character's blended targets in a pose (B, 4, 4), where channels that are not
+    named are 0.
+    """
     if not character.authored_sets:
         return np.zeros_like(character.vertices)
-    weights = posing.pose_space(character).weights(local[None])[0]
+    values = [[channels.get(name, 0.0) for name in posing.channels(character.targets)]]
+    weights = posing.pose_space(character).weights(local[None], values)[0]
     return np.tensordot(weights, [target.shape[character.own_vertices] for target in character.targets], 1)
 
 
@@ -171,14 +175,32 @@ def copy_settings(source: DynamorphTarget, target: DynamorphTarget) -> None:
 
 
 def at_pose_of(
-    obj: bpy.types.Object, skeleton: Skeleton, local: np.ndarray, bones: Collection[str]
+    obj: bpy.types.Object, skeleton: Skeleton, local: np.ndarray, bones: Collection[str], channels: dict[str, float]
 ) -> DynamorphTarget | None:
-    """The target, other than the neutral one, that a pose (B, 4, 4) with these bones cannot be distinguished from."""
+    """The target, other than the neutral one, that a pose (B, 4, 4) with these bones, and channels that are not 0,
+    cannot be distinguished from.
+    """
     for target in obj.dynamorph.targets[1:]:
         used = [name in {*bones, *target.bone_names()} for name in skeleton.names]
-        if data_checks.same_pose(target.local(skeleton)[used], local[used]):
+        if data_checks.same_pose(target.local(skeleton)[used], local[used]) and _alike(target.reached, channels):
             return target
     return None
+
+
+def channels_now(obj: bpy.types.Object) -> dict[str, float]:
+    """Where the channels stand that are away from 0."""
+    return {channel.name: channel.value for channel in obj.dynamorph.channels if abs(channel.value) > NEAR}
+
+
+def _alike(first: dict[str, float], second: dict[str, float]) -> bool:
+    return all(abs(first.get(name, 0.0) - second.get(name, 0.0)) <= NEAR for name in first | second)
+
+
+def take_channel(obj: bpy.types.Object, target: DynamorphTarget) -> None:
+    """Let a target be reached where its channel stands, or, without one, the first that is away from 0."""
+    now = {name: value for name, value in channels_now(obj).items() if target.channel in ("", name)}
+    for name, value in [*now.items()][:1]:
+        target.channel, target.reached_at = name, value
 
 
 # The armature ------------------------------------------------------------------------------------------------------
@@ -276,15 +298,15 @@ def learn_from_sculpt(obj: bpy.types.Object) -> None:
         return
     show_target(obj, name)
     skeleton = rest_skeleton(checks.armature_modifier(obj).object.data)
-    local = target.local(skeleton)
+    local, channels = target.local(skeleton), target.reached
     sculpted = mesh_data.target_shape(obj, name)
     if is_new and not (target.mute or engine.engine_problem()):
-        sculpted = sculpted - _blend(_with_sets(obj, name, with_set=True), local)
+        sculpted = sculpted - _blend(_with_sets(obj, name, with_set=True), local, channels)
     if target.auto_bones and np.abs(sculpted).max() > NOTHING * np.abs(key_points(animation.keys_of(obj)[name])).max():
         choose_bones(obj, target, skeleton, sculpted)
     regions.update(obj)
     if is_new and target.region and not (target.mute or engine.engine_problem()):
-        others = _blend(_with_sets(obj, name, with_set=False), local)
+        others = _blend(_with_sets(obj, name, with_set=False), local, channels)
         if others.any():
             set_shape(animation.keys_of(obj)[name], mesh_data.target_shape(obj, name) - others)
             regions.update(obj)
@@ -309,7 +331,9 @@ def _is_in_pose(obj: bpy.types.Object, target: DynamorphTarget, depsgraph: bpy.t
         return False
     bones = target.bone_names() or skeleton.names
     used = [name in bones for name in skeleton.names]
-    return data_checks.same_pose(target.local(skeleton)[used], local[used])
+    return data_checks.same_pose(target.local(skeleton)[used], local[used]) and _alike(
+        target.reached, channels_now(obj)
+    )
 
 
 def _with_sets(obj: bpy.types.Object, name: str, with_set: bool) -> Character:
@@ -349,15 +373,16 @@ def sculpted_key(obj: bpy.types.Object) -> bpy.types.ShapeKey:
 def capture(
     obj: bpy.types.Object, target: DynamorphTarget, pose: tuple[Skeleton, np.ndarray, np.ndarray]
 ) -> list[Message]:
-    """Store a pose as returned by `rig_motion.current_pose`. The target is placed by those bones that are turned away
-    from the neutral pose and bend the sculpt. Returns warnings.
+    """Store a pose as returned by `rig_motion.current_pose`, and where its channel stands. The target is placed by
+    those bones that are turned away from the neutral pose and bend the sculpt. Returns warnings.
     """
     skeleton, local, rig_world = pose
     target.set_pose(skeleton, local, rig_world)
     if target == obj.dynamorph.targets[0]:
         return []
+    take_channel(obj, target)
     choose_bones(obj, target, skeleton)
-    if target.bones:
+    if target.bones or target.channel:
         return []
     text = "'{name}': no bone is turned away from the neutral pose. Pose it, then Capture Pose"
     return [Message(text, name=target.name)]
