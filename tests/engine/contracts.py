@@ -92,7 +92,8 @@ def scene() -> SimpleNamespace:
     turned = np.repeat(np.eye(4)[None], 2, 0)
     turned[1, 1:3, 1:3] = [[0.0, -1.0], [1.0, 0.0]]
     s.local, s.turned = np.repeat(np.eye(4)[None], 2, 0), turned
-    s.set = dynamorph.TargetSet([1], ["a", "b"], [s.local, turned])
+    s.channels = {"channels": [0], "values": [[0.0], [1.0]]}
+    s.set = dynamorph.TargetSet([1], ["a", "b"], [s.local, turned], **s.channels)
     s.space = dynamorph.PoseSpace([s.set])
     s.cut = dynamorph.MeshCut(s.tube, vertices, s.triangles)
     s.thickness = dynamorph.Thickness(vertices, s.triangles)
@@ -158,8 +159,8 @@ USES: dict[str, Callable] = {
     "ReducedModel": lambda model: run_on(dynamorph.Simulation(model, 0.01)),
     "Simulation": run_on,
     "State": gone_on,
-    "TargetSet": lambda target_set: dynamorph.PoseSpace([target_set]).weights(scene().turned[None]),
-    "PoseSpace": lambda space: (space.weights(scene().turned[None]), space.distances(scene().turned[None])),
+    "TargetSet": lambda target_set: dynamorph.PoseSpace([target_set]).weights(scene().turned[None], [[0.5]]),
+    "PoseSpace": lambda space: [at(scene().turned[None], [[0.5]]) for at in (space.weights, space.distances)],
     "Embedding": lambda embedding: (
         embedding.interpolate(scene().nodes),
         dynamorph.extend_to_nodes(scene().mesh, embedding, np.ones((len(embedding.nodes), 2))),
@@ -206,10 +207,10 @@ def calls() -> dict[str, tuple[object, dict]]:
         "Thickness.at": (s.thickness, {"points": s.vertices}),
         "Thickness.covering": (s.thickness, {"points": s.vertices, "tolerance": 0.1}),
         "TargetSet": (lib, {"bones": [1], "names": ["a", "b"], "poses": [s.local, s.turned],
-                            "radii": [0.0, 1.0]}),
+                            "radii": [0.0, 1.0], **s.channels}),
         "PoseSpace": (lib, {"sets": [s.set]}),
-        "PoseSpace.distances": (s.space, {"local": s.turned[None]}),
-        "PoseSpace.weights": (s.space, {"local": s.turned[None]}),
+        "PoseSpace.distances": (s.space, {"local": s.turned[None], "channels": [[0.5]]}),
+        "PoseSpace.weights": (s.space, {"local": s.turned[None], "channels": [[0.5]]}),
         "MorphTarget": (lib, {"name": "flexed", "displacement": s.shape, **material, "set": 0, "shifted": False}),
         "SoftBody": (lib, {"mesh": s.mesh, "fill": s.ones, "stiffness": s.ones, "region_weights": s.ones[:, None],
                            "pinned": s.pinned.tolist(), "weights": np.ones((s.n, 1)), "hold": s.ones}),

@@ -330,6 +330,7 @@ def test_of_a_long_bake_the_first_frames_are_kept(scene, still, monkeypatch):
 FOLLOWED = (
     "dynamorph.targets[0].stiffness",
     "dynamorph.targets[0].amount",
+    "dynamorph.channels[0].value",
     "dynamorph.simulation.amount",
     "dynamorph.collision.distance",
     "dynamorph.collision.friction",

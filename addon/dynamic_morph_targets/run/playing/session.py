@@ -15,11 +15,11 @@ from ...core.character import Character, Skeleton, same
 from ...core.errors import SceneError
 from ...core.message import Message, joined
 from ...core.motion import handover, rig_samples
-from ...core.motion.contact import Touched, touched
+from ...core.motion.contact import Touched
 from ...core.motion.grab import Grab, together
 from ...core.motion.keyed import Setting
 from ...core.motion.loops import begin_again
-from ...core.motion.player import Frame, State, statistics
+from ...core.motion.player import Frame, State
 from ...core.motion.rig_samples import RigSamples
 from ...core.painted_map import MAPS
 from ...core.settings import Material, SimulationSettings
@@ -155,14 +155,7 @@ class Session:
 
     def touched(self) -> Touched | None:
         """How deep the simulated frames went into colliders; None without Collision."""
-        player, numbers = self.tissue.player, sorted(self._frames)
-        if player.collision is None or not numbers:
-            return None
-        names = ("contacts", "penetration", "too_deep", "too_deep_sample", "too_deep_collider", "unusable_colliders")
-        steps = statistics([self._frames[number] for number in numbers], names)
-        return touched(
-            np.array(numbers), dict(zip(names, steps.T, strict=True)), player.collision, self.tissue.model.bone_names
-        )
+        return self.tissue.touched(self._frames)
 
     def knows(self, time: float) -> bool:
         """Whether a frame, or a time between two, has been simulated already."""

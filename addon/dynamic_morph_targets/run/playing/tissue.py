@@ -12,7 +12,8 @@ import numpy as np
 from ...core.character import Character
 from ...core.errors import SceneError, SelfCheckError
 from ...core.motion import simulate
-from ...core.motion.player import Frame, Player
+from ...core.motion.contact import Touched, touched
+from ...core.motion.player import Frame, Player, statistics
 from ...core.settings import SimulationSettings
 from ...scene import skin
 from ...scene.motion import run_settings
@@ -106,6 +107,16 @@ class Tissue:
             with suppress(SceneError):  # it was deleted
                 surface.show(values, depsgraph)
         return shown
+
+    def touched(self, frames: dict[int, Frame]) -> Touched | None:
+        """How deep simulated frames, by number, went into colliders; None without Collision."""
+        player, numbers = self.player, sorted(frames)
+        if player.collision is None or not numbers:
+            return None
+        names = ("contacts", "penetration", "too_deep", "too_deep_sample", "too_deep_collider", "unusable_colliders")
+        steps = statistics([frames[number] for number in numbers], names)
+        by_name = dict(zip(names, steps.T, strict=True))
+        return touched(np.array(numbers), by_name, player.collision, self.model.bone_names)
 
     def moved(self, values: np.ndarray) -> float:
         """The largest distance of a point from where the targets' shapes alone would have it: meters."""

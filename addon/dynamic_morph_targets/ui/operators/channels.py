@@ -15,9 +15,7 @@ from ..base import SoftSkinOperator, TargetOperator
 
 
 class DYNAMORPH_OT_add_channel(TargetOperator, Operator):
-    """Let this property place the selected target, too: it is reached at the present value. It may be a custom property
-    or the value of a shape key, of any object, bone or armature
-    """
+    """Let this property place the selected target too, which is reached at the property's present value"""
 
     bl_idname = "dynamorph.add_channel"
     bl_label = "Add Channel"
@@ -33,7 +31,7 @@ class DYNAMORPH_OT_add_channel(TargetOperator, Operator):
 
 
 class DYNAMORPH_OT_remove_channel(TargetOperator, Operator):
-    """Let bones alone place the selected target. A channel that places no other target goes"""
+    """Let bones alone place the selected target. A channel that places no other target is removed"""
 
     bl_idname = "dynamorph.remove_channel"
     bl_label = "Remove Channel"
@@ -45,9 +43,7 @@ class DYNAMORPH_OT_remove_channel(TargetOperator, Operator):
 
 
 class DYNAMORPH_OT_add_tension(SoftSkinOperator, Operator):
-    """Add a slider that tenses the selected target's region, or the whole body, without any bone: a target that is
-    eight times as firm, and that you may sculpt. Key or drive the slider
-    """
+    """Add a slider that tenses the selected target's region, or the whole body, by a firm target without any bone"""
 
     bl_idname = "dynamorph.add_tension"
     bl_label = "Add Tension"
