@@ -21,11 +21,11 @@ BLUR_FRAME = 25  # he falls
 SAMPLES = 32  # of Cycles
 MAP = {0.0: (0.03, 0.1, 0.8), 0.5: (0.1, 0.6, 0.1), 0.9: (0.95, 0.35, 0.03), 1.0: (0.8, 0.02, 0.01)}  # of Firmness
 
-Motion = dict[str, np.ndarray]  # of each mesh that moves (F, V): how far it is from plain skinning, meters
+Motion = dict[str, np.ndarray]  # of each mesh that moves (F, V), meters
 
 
 def motion(body: bpy.types.Object) -> Motion:
-    """Of all baked meshes, at each frame of the scene."""
+    """Of all baked meshes, at each frame of the scene: how far they are from plain skinning."""
     meshes = [obj for obj in bpy.context.scene.objects if is_baked(obj)]
     baked = played(meshes)
     cast.activate(body)
@@ -33,6 +33,13 @@ def motion(body: bpy.types.Object) -> Motion:
     plain = played(meshes)
     bpy.ops.dynamorph.show_plain()
     return {name: np.linalg.norm(points - plain[name], axis=2) for name, points in baked.items()}
+
+
+def since(frame: int) -> Motion:
+    """Of all baked meshes, at each frame of the scene: how far the skin is from where it was at one of them."""
+    found = played([obj for obj in bpy.context.scene.objects if is_baked(obj)])
+    k = frame - bpy.context.scene.frame_start
+    return {name: np.linalg.norm(points - points[k], axis=2) for name, points in found.items()}
 
 
 def is_baked(obj: bpy.types.Object) -> bool:
@@ -78,11 +85,13 @@ def views(name: str, recipe: Recipe, folder: Path) -> tuple[list[Image.Image], s
     body = open_file(folder / f"{name}_done.blend")
     if name == "motion_blur":
         return blurred(recipe), ""
-    moved = motion(body)
+    moved = since(recipe.since) if recipe.since else motion(body)
     red, frame = farthest(moved)
     frame = recipe.frame or frame
     legend = f"frame {frame}; the skin's own motion: gray none, red {1000 * red:.0f} mm"
-    if name == "firm_parts":
+    if recipe.since:
+        left = rendered(recipe, recipe.since)
+    elif name == "firm_parts":
         paint(body.data, firmness(body), MAP)
         left = rendered(recipe, frame)
     else:

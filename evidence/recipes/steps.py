@@ -59,6 +59,7 @@ class Hands:
 class Recipe:
     """start: makes the scene of NAME_start.blend, and returns its body; steps: all that the page says then. draft: the
     frames that a draft bakes, all if none are given. Of the picture, frame: by default that of the largest motion;
+    since: a frame that is shown on the left, and from which on the motion is measured, instead of plain skinning;
     close: the part of what the camera sees, around `focus`, world space; hidden: an object that is not shown on the
     right. export: suffix of a file beside the .blend.
     """
@@ -69,6 +70,7 @@ class Recipe:
     about: str
     draft: tuple[int, int] | None = None
     frame: int = 0
+    since: int = 0
     close: float = 0.62
     focus: Sequence[float] = (0.0, 0.0, 0.95)
     panes: tuple[str, str] = ("plain skinning", "baked")
@@ -105,12 +107,70 @@ def bulge(hands: Hands, body: bpy.types.Object) -> None:
     hands.add_soft_skin(body)
     bpy.context.scene.frame_set(FLEXED)
     OPS.new_from_pose(key="Biceps", mode="SCULPT")
-    strokes = np.empty(3 * len(body.data.vertices), np.float32)
-    body.data.attributes[SCULPT].data.foreach_get("vector", strokes)
-    key = body.data.shape_keys.key_blocks["Biceps"]
-    key.points.foreach_set("co", (points_of(key) + strokes.reshape(-1, 3)).astype(np.float32).ravel())
+    sculpt(body, "Biceps")
     OPS.finish_sculpt()
     OPS.apply_material(preset="MUSCLE_FLEXED")
+    hands.bake(body)
+
+
+def still_arm(hands: Hands) -> bpy.types.Object:
+    """The same, and the arm stays as it is while it is carried to the side and back."""
+    body, scene = relaxed_arm(hands), bpy.context.scene
+    rig = body.find_armature()
+    rig.animation_data_clear()
+    root = next(bone for bone in rig.pose.bones if bone.parent is None)
+    for frame, place in ((1, 0.0), (10, 0.0), (14, 0.06), (18, 0.0), (46, 0.0), (50, 0.06), (54, 0.0)):
+        root.location.x = place
+        root.keyframe_insert("location", frame=frame)
+    scene.frame_start, scene.frame_end = 1, 72
+    scene.frame_set(1)
+    return body
+
+
+def flex(hands: Hands, body: bpy.types.Object) -> None:
+    hands.add_soft_skin(body)
+    OPS.add_tension()
+    OPS.sculpt_target(mode="SCULPT")
+    sculpt(body, "Tension")
+    OPS.finish_sculpt()
+    OPS.region_from_sculpt()
+    for frame, value in ((24, 0.0), (30, 1.0), (62, 1.0), (68, 0.0)):
+        body.dynamorph.channels["Tension"].value = value
+        body.dynamorph.channels["Tension"].keyframe_insert("value", frame=frame)
+    hands.bake(body)
+
+
+def sculpt(body: bpy.types.Object, name: str) -> None:
+    """What the brush does in Sculpt Mode: the strokes that the body has as an attribute."""
+    strokes = np.empty(3 * len(body.data.vertices), np.float32)
+    body.data.attributes[SCULPT].data.foreach_get("vector", strokes)
+    key = body.data.shape_keys.key_blocks[name]
+    key.points.foreach_set("co", (points_of(key) + strokes.reshape(-1, 3)).astype(np.float32).ravel())
+
+
+def breathing(_hands: Hands) -> bpy.types.Object:
+    """Herbert with a key for a full breath, whose value is animated, as animators have them."""
+    body = cast.herbert(cast.stand, "Stand")
+    body.shape_key_add(name="Basis", from_mix=False)
+    key = body.shape_key_add(name="Breath", from_mix=False)
+    points = points_of(key)
+    near = np.linalg.norm((points - NAVEL) / (1.3 * BELLY), axis=1)[:, None]
+    outward = points - np.array(NAVEL) * (1.0, 0.0, 1.0)
+    swell = 0.05 * (1.0 - near**2).clip(0.0) ** 2 * outward / np.linalg.norm(outward, axis=1, keepdims=True)
+    key.points.foreach_set("co", (points + swell).astype(np.float32).ravel())
+    scene = bpy.context.scene
+    for frame, value in ((1, 0.0), (18, 1.0), (36, 0.0), (54, 1.0), (72, 0.0)):
+        key.value = value
+        key.keyframe_insert("value", frame=frame)
+    scene.frame_start, scene.frame_end = 1, 72
+    scene.frame_set(1)
+    return body
+
+
+def breathe(hands: Hands, body: bpy.types.Object) -> None:
+    hands.add_soft_skin(body)
+    OPS.add_target(key="Breath")
+    OPS.add_channel(data_path=f'{body.data.shape_keys!r}.key_blocks["Breath"].value')
     hands.bake(body)
 
 
@@ -265,6 +325,14 @@ RECIPES = {
     "bulge": Recipe(
         relaxed_arm, bulge, "A biceps that bulges", "The flexed biceps bulges as sculpted and is firm.",
         draft=(76, 84), frame=FLEXED, close=0.36, focus=(0.4, 0.0, 0.74),
+    ),
+    "flex": Recipe(
+        still_arm, flex, "Flex without moving", "A slider tenses the biceps: it bulges and is firm, and no bone moves.",
+        draft=(20, 34), frame=40, close=0.36, focus=(0.4, 0.0, 0.6),
+    ),
+    "breathe": Recipe(
+        breathing, breathe, "Breathe", "A key that is animated already becomes soft tissue that swings on.",
+        draft=(1, 20), frame=18, since=1, focus=(0.0, 0.0, 1.0), panes=("before a breath", "breathed in"),
     ),
     "firm_parts": Recipe(
         hopping, firm_parts, "Hands and feet that stay still",

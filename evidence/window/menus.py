@@ -7,8 +7,8 @@ from pathlib import Path
 
 import bpy
 import driver
-from driver import ASIDE, step, until
-from editors import ADDON, close, job_done, physics, properties, select_target, settings, sidebar, skin, view
+from driver import ASIDE, Task, step, until
+from editors import ADDON, close, from_menu, job_done, physics, properties, select_target, settings, sidebar, skin, view
 from files import arrows, open_materials, open_presets
 
 
@@ -125,6 +125,42 @@ def object_data():
             break
     driver.photograph("opened_DYNAMORPH_PT_object_data")
     yield from driver.click((x, header))
+
+
+@step("A slider that flexes without a bone", picture=sidebar)
+def add_channel():
+    """By the menu of a slider of Blender's: here a shape key's value, in the Data tab."""
+    yield from select_target(1)
+    task = Task("a slider that flexes without a bone", 2)
+    value = yield from properties.find('key_blocks["flexed"].value')
+    yield from driver.move(value)
+    yield from driver.tap("RIGHTMOUSE", value)
+    yield from driver.drawn()
+    driver.photograph("menu_of_a_slider")
+    yield from arrows(value, "UP_ARROW", 1)  # the last entry
+    yield from driver.tap("RET", value)
+    target = settings().targets[1]
+    yield from until(lambda: target.channel == "flexed", "the channel")
+    task.done()
+    skin().data.shape_keys.key_blocks["flexed"].value = 0.5
+    yield from until(lambda: settings().channels[0].value == 0.5, "the slider to follow")
+    yield from sidebar.find("channels[0].value")
+    yield from sidebar.find("targets[1].reached_at")
+    driver.photograph("opened_channel")
+    skin().data.shape_keys.key_blocks["flexed"].value = 0.0
+    yield from sidebar.press("dynamorph.remove_channel")
+    yield from until(lambda: not settings().channels, "the channel to be removed")
+
+
+@step("Add Tension")
+def add_tension():
+    yield from from_menu("DOWN_ARROW", "DOWN_ARROW")
+    yield from until(lambda: len(settings().channels) == 1, "the slider")
+    yield from sidebar.find("channels[0].value")
+    yield from sidebar.press("dynamorph.remove_target")
+    yield from until(lambda: not settings().channels, "the target to be removed")
+    skin().shape_key_remove(skin().data.shape_keys.key_blocks["Tension"])
+    yield from sidebar.fold("DYNAMORPH_PT_targets")
 
 
 @step("The extension's preferences")

@@ -65,6 +65,24 @@ def check_bulge(cooked):
     assert cooked.of_bones("chest") * cooked.size < 0.1 * flexed.max()
 
 
+def check_flex(cooked):
+    neutral, tension = cooked.body.dynamorph.targets
+    assert not tension.bone_names() and tension.region and tension.channel == "Tension"
+    assert tension.stiffness == pytest.approx(8 * neutral.stiffness, rel=1e-3)
+    assert tuple(cooked.plain[-1][0]) == tuple(cooked.plain[0][0])  # no bone moves
+    relaxed, tense = cooked.motion[0], cooked.motion[-1]
+    assert relaxed.max() < 0.005 < 0.02 < tense.max()
+    assert cooked.of_bones("chest") * cooked.size < 0.1 * tense.max()
+
+
+def check_breathe(cooked):
+    neutral, breath = cooked.body.dynamorph.targets
+    assert not breath.bone_names() and (breath.channel, breath.reached_at) == ("Breath", 1.0)
+    swelled = np.linalg.norm(cooked.baked[17] - cooked.baked[0], axis=1)
+    assert 0.04 < swelled.max() < 0.06
+    assert cooked.of_bones("head", "hand", "foot") < 0.001
+
+
 def check_firm_parts(cooked):
     assert cooked.of_bones("hand", "thumb", "foot", "ball") < 0.001
     assert cooked.near(steps.NAVEL, steps.BELLY).max() > 0.02
@@ -164,6 +182,8 @@ def frames() -> range:
 CHECKS = {
     "jiggle": check_jiggle,
     "bulge": check_bulge,
+    "flex": check_flex,
+    "breathe": check_breathe,
     "firm_parts": check_firm_parts,
     "collision": check_collision,
     "grab": check_grab,

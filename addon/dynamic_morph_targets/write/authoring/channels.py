@@ -149,6 +149,8 @@ def add(obj: bpy.types.Object, target: DynamorphTarget, read: Property) -> None:
         target.channel = _free_name(obj, read.title)
         drive(ensure(obj, target.channel), read)
     target.reached_at = away
+    if target.auto_bones:
+        targets.choose_bones(obj, target, rest_skeleton(Skinning.of(obj).rig.data))
     regions.update(obj)
 
 

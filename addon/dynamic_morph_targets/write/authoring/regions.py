@@ -43,14 +43,20 @@ LESS = 0.25  # of the largest bend; joints that bend less do not place the targe
 
 
 def driver_bones(
-    obj: bpy.types.Object, skeleton: Skeleton, neutral: np.ndarray, local: np.ndarray, shape: np.ndarray
+    obj: bpy.types.Object,
+    skeleton: Skeleton,
+    neutral: np.ndarray,
+    local: np.ndarray,
+    shape: np.ndarray,
+    alone: bool = True,
 ) -> list[str]:
     """Names of the bones, turned from one pose (B, 4, 4) to another, that place a target with the shape (V, 3).
 
-    Of a shape that moves nothing they are all that are turned. Raises SceneError.
+    Of a shape that moves nothing they are all that are turned. alone: nothing else places it; otherwise there are none
+    where no joint bends the sculpt. Raises SceneError.
     """
     names = rig_motion.bones_turned(obj, skeleton, neutral, local)
-    if len(names) < 2 or not _moves(shape):
+    if len(names) < 1 + alone or not _moves(shape):
         return names
     skin = Source.of(checks.skinned(obj)).weights[:, :-1]
     skins, bends = _of_skin(skeleton, skin, _is_sculpted(shape))
@@ -59,7 +65,7 @@ def driver_bones(
     candidates = [skeleton.names.index(name) for name in names]
     largest = counts[candidates].max()
     if largest <= 0.0:
-        return _nearest(skeleton, candidates, skins)
+        return _nearest(skeleton, candidates, skins) if alone else []
     return [skeleton.names[bone] for bone in candidates if counts[bone] >= LESS * largest]
 
 

@@ -166,7 +166,8 @@ def choose_bones(
         there = target.name in animation.keys_of(obj)
         shape = mesh_data.target_shape(obj, target.name) if there else np.zeros((0, 3))
     neutral, local = obj.dynamorph.targets[0].local(skeleton), target.local(skeleton)
-    target.set_bones(regions.driver_bones(obj, skeleton, neutral, local, shape), automatic=True)
+    bones = regions.driver_bones(obj, skeleton, neutral, local, shape, alone=not target.channel)
+    target.set_bones(bones, automatic=True)
 
 
 def copy_settings(source: DynamorphTarget, target: DynamorphTarget) -> None:
