@@ -89,20 +89,21 @@ void read_contact(const VectorXd& numbers, State& state) {
 void bind_grabs(py::module_& m) {
   py::class_<Springs>(m, "Grabs", "Springs that pull points of a skin to places in the world.")
       .def(py::init([](const Either<SkinMap>& skin, const IndexArray& points, const FloatArray& goals,
-                       const VectorXd& stiffness) {
+                       const FloatArray& stiffness) {
              using Column = Eigen::Matrix<std::int32_t, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
              const Column column = to_indices<Column>(IndexArray(points.attr("reshape")(-1, 1)), "points");
              check_shape("goals", goals, {-1, column.size(), 3});
-             check_size("stiffness", stiffness.size(), column.size());
+             if (stiffness.ndim() == 2)
+               check_shape("stiffness", stiffness, {goals.shape(0), column.size()});
+             else
+               check_shape("stiffness", stiffness, {column.size()});
              check_finite("goals", Eigen::Map<const VectorXd>(goals.data(), goals.size()));
-             if (!stiffness.allFinite() || (stiffness.array() < 0).any())
-               throw std::invalid_argument("stiffness: must be finite and not negative");
+             for (py::ssize_t i = 0; i < stiffness.size(); ++i) check_not_negative("stiffness", stiffness.data()[i]);
              return Springs{skin, stiffness, {column.data(), column.data() + column.size()}, goals};
            }),
            "skin"_a, "points"_a, "goals"_a, "stiffness"_a,
            "skin: of the simulation's model. points (K): of the skin. goals (S, K, 3): meters, world space, at the end "
-           "of each step. "
-           "stiffness (K): N/m.");
+           "of each step. stiffness (K), or (S, K) for each step: N/m.");
 }
 
 using EdgesArray = Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor>;

@@ -103,15 +103,16 @@ struct Report : StepReport {
 /// Springs between points of a skin and goals (S, K, 3), one row of goals for each step.
 struct Springs {
   Either<SkinMap> skin;
-  VectorXd stiffness;  ///< (K)
+  FloatArray stiffness;  ///< (K), or (S, K)
   std::vector<int> points;
   FloatArray goals;
 
   void at(py::ssize_t step, std::vector<Grab>& out) const {
     out.clear();
     const double* goal = goals.data() + step * goals.shape(1) * 3;
+    const double* firm = stiffness.data() + (stiffness.ndim() == 2 ? step * stiffness.shape(1) : 0);
     for (size_t k = 0; k < points.size(); ++k, goal += 3)
-      out.push_back({points[k], Vector3d(goal[0], goal[1], goal[2]), stiffness(Eigen::Index(k))});
+      out.push_back({points[k], Vector3d(goal[0], goal[1], goal[2]), firm[k]});
   }
 };
 

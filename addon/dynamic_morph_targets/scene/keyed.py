@@ -155,10 +155,17 @@ def watch(watcher: bpy.types.Object, obj: bpy.types.Object, wanted: Sequence[Key
     """Give an object drivers that read the settings of `obj` wherever the dependency graph evaluates it."""
     for k, each in enumerate(wanted):
         watcher[f"{PROPERTY}{k}"] = 0.0
-        driver = watcher.driver_add(f'["{PROPERTY}{k}"]').driver
-        driver.type = "SUM"
-        target = driver.variables.new().targets[0]
-        target.id, target.data_path = obj, each.path
+        follow(watcher.driver_add(f'["{PROPERTY}{k}"]'), obj, each.path)
+
+
+def follow(curve: bpy.types.FCurve, owner: bpy.types.ID, path: str) -> bpy.types.DriverVariable:
+    """Let a driver be equal to a property, to the last bit; returns its variable."""
+    curve.keyframe_points.clear()  # Blender 5.2 begins with two, between which it is off by 1e-7
+    curve.driver.type = "SUM"
+    variable = curve.driver.variables.new()
+    variable.targets[0].id_type = owner.id_type
+    variable.targets[0].id, variable.targets[0].data_path = owner, path
+    return variable
 
 
 def values(watcher: bpy.types.Object, wanted: Sequence[Keyed]) -> list[float]:

@@ -207,14 +207,10 @@ def drive(channel: DynamorphChannel, read: Property) -> None:
     for owner in (read.owner, channel.id_data):  # a driver fails, and for good, on copies that lack what is new
         owner.update_tag()
     channel.driver_remove("value")
-    driver = channel.driver_add("value").driver
-    variable = driver.variables.new()
-    variable.name = "var"
-    variable.targets[0].id_type = read.owner.id_type
-    variable.targets[0].id, variable.targets[0].data_path = read.owner, read.path
-    driver.type = "SCRIPTED" if read.rest else "SUM"
+    curve = channel.driver_add("value")
+    variable = keyed.follow(curve, read.owner, read.path)
     if read.rest:
-        driver.expression = f"var - {read.rest:g}"
+        curve.driver.type, curve.driver.expression = "SCRIPTED", f"{variable.name} - {read.rest:g}"
 
 
 def _is_of(read: Property | None, other: Property) -> bool:
