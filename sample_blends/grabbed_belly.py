@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Grabbed belly: the torso of the rolling ball, whose belly recorded drags pull up and aside. Meters."""
+"""Grabbed belly: the torso of the rolling ball, whose belly a hand grips, pulls up and aside. Meters."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 import rolling_ball
-from dynamic_morph_targets.core.motion.grab import FIRM, Grab, as_text, pinch
-from dynamic_morph_targets.scene.character import extract
+from dynamic_morph_targets.core.motion.grab import Patch, pinch
+from dynamic_morph_targets.write.authoring import grips
 from stage import (
     add_ball,
     add_camera,
@@ -34,8 +34,8 @@ AWAY = np.array([0.0, 0.0, 3.0])  # where it is meanwhile, out of the picture
 
 README = """Grabbed belly
 
-A torso of three bones lies on its back. A hand pulls the belly up and lets it go, then pulls it aside. The drags were
-recorded, as Record Drags does it; a ball shows where the hand is. The torso has Feel Cartoon and Quality Full.
+A torso of three bones lies on its back. A hand pulls the belly up and lets it go, then pulls it aside. The hand is a
+ball, which grips the skin as Attach does it: its Strength is keyed. The torso has Feel Cartoon and Quality Full.
 
 Select Torso, press Bake in the Dynamorph tab, then Play.
 """
@@ -51,20 +51,17 @@ def path_of_hand(start: np.ndarray) -> np.ndarray:
     return path
 
 
-def record(torso: bpy.types.Object) -> np.ndarray:
-    """Let a hand grab the torso, which stands still; the hand's path."""
-    character = extract.character(torso)
+def hold(torso: bpy.types.Object, handle: bpy.types.Object) -> np.ndarray:
+    """Let the hand grip the torso, which stands still, while it pulls; the hand's path."""
     points = np.array([torso.matrix_world @ vertex.co for vertex in torso.data.vertices])
     start = points[np.linalg.norm(points - GRABBED, axis=1).argmin()]
     vertices, share = pinch(points, start, RADIUS, np.ones(len(points), bool))
-    _, shear = character.material(0).lame()
-    stiffness = np.round(FIRM * shear * RADIUS * share)  # the same in every Blender
-    path = path_of_hand(start)
-    torso.dynamorph.simulation.drags = as_text({
-        frame: Grab(vertices, np.round(points[vertices] + place - start, 6), stiffness)
-        for frame, place in enumerate(path, 1) if (place != AWAY).any()
-    })  # fmt: skip
-    return path
+    patch = Patch(len(points), vertices, np.round(points[vertices] - start, 6), np.round(share, 6), RADIUS)
+    strengths = [(1, 0.0)]
+    for first, _, last, _ in PULLS:
+        strengths += [(first, 1.0), (last + grips.SOON, 0.0)]
+    grips.hold_from(torso, grips.add(torso, "Hand", handle, patch), strengths)
+    return path_of_hand(start)
 
 
 def make(path: Path) -> None:
@@ -78,5 +75,5 @@ def make(path: Path) -> None:
     bpy.ops.dynamorph.apply_feel(feel="CARTOON")
     torso.dynamorph.simulation.max_displacement = FARTHEST
     bpy.context.view_layer.update()
-    write_curves(handle, "Hand", {"location": record(torso)}, cuts=range(1, FRAMES))
+    write_curves(handle, "Hand", {"location": hold(torso, handle)}, cuts=range(1, FRAMES))
     save_scene(path)

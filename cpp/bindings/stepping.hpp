@@ -116,6 +116,13 @@ struct Springs {
   }
 };
 
+/// What such springs pull: nothing where there are none. Throws std::invalid_argument for a skin of another model.
+template <class Model>
+Grabs<Model> pulled(const Model&, const std::optional<Springs>& springs) {
+  if (!springs) return {};
+  return {springs->skin.template of<Model>("grabs: the skin"), {}};
+}
+
 /// Forces on the nodes (n, 3), the same at all steps, or (S, n, 3), newtons in world space; empty for none.
 class External {
  public:
@@ -180,10 +187,8 @@ class Moving {
     if (stiffness_) check_shape("stiffness", *stiffness_, {steps(), weights_.shape(1)});
     check_each_step("distance", distance_, steps());
     check_each_step("self_friction", self_friction_, steps());
-    if (springs_) {
-      check_shape("grabs: goals", springs_->goals, {steps(), -1, 3});
-      grabs_.skin = springs_->skin.template of<Model>("grabs: the skin");
-    }
+    if (springs_) check_shape("grabs: goals", springs_->goals, {steps(), -1, 3});
+    grabs_ = pulled(model, springs_);
     for (const ColliderMotion& collider : colliders_)
       if (collider.steps() != steps())
         throw std::invalid_argument("colliders: expected the motion of " + std::to_string(steps()) + " steps, got " +

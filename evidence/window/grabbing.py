@@ -53,7 +53,7 @@ def hands() -> dict:
 def choose():
     global before
     before = keys()
-    yield from physics("advanced", "solver")
+    yield from physics("grips")
     yield from frames.click(limb.FIRST)
     yield from sidebar.press("dynamorph.live")
     yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on")
@@ -133,12 +133,12 @@ def record():
     yield from until(lambda: not hands(), "the hand to let go")
     yield from frames.stop()
     yield from properties.press("dynamorph.record_drags")
-    yield from until(lambda: settings().simulation.drags, "the drags to be kept")
+    yield from until(lambda: len(settings().grips), "the drags to be kept")
     yield from driver.drawn()
     driver.photograph("grab_recorded", properties.box)
-    yield from properties.press("dynamorph.clear_drags")
-    yield from until(lambda: not settings().simulation.drags, "the drags to be removed")
-    yield from close("solver", "advanced")
+    yield from properties.press("dynamorph.remove_grip")
+    yield from until(lambda: not len(settings().grips), "the drags to be removed")
+    yield from close("grips")
 
 
 @step("Without it")

@@ -94,6 +94,7 @@ PANELS: dict[str, tuple[Region, tuple[str | tuple[str, float], ...]]] = {
             "model.hold_head",
         ),
     ),
+    "grips": (properties, (("dynamorph.attach", RIGHT), ("dynamorph.remove_grip", RIGHT), "dynamorph.record_drags")),
     "collision": (
         properties,
         (
@@ -138,7 +139,6 @@ PANELS: dict[str, tuple[Region, tuple[str | tuple[str, float], ...]]] = {
             "simulation.samples",
             "simulation.gravity",
             "simulation.initial_state",
-            "dynamorph.record_drags",
         ),
     ),
 }

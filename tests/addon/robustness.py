@@ -6,7 +6,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from bl_ext.user_default.dynamic_morph_targets.core.motion.grab import Grab, as_text
+from bl_ext.user_default.dynamic_morph_targets.core.motion.grab import Grab
 from bl_ext.user_default.dynamic_morph_targets.core.result.judge import Limits, Verdict
 from bl_ext.user_default.dynamic_morph_targets.run import remembered
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
@@ -17,7 +17,7 @@ from builders import activate, evaluated_points, fingerprint, keys_of, make_box,
 from test_targets import drive
 
 OPS = bpy.ops.dynamorph
-DRAGS = {3: Grab(np.array([5]), np.array([[0.4, 0.0, 1.0]]), np.array([100.0]))}
+DRAGS = {3: {0: Grab(np.array([5]), np.array([[0.4, 0.0, 1.0]]), np.array([100.0]))}}
 
 
 def coarse(obj):
@@ -177,8 +177,14 @@ def recording(obj):
     remembered.live.sessions[obj.session_uid].recorded = dict(DRAGS)
 
 
-def dragged(obj):
-    obj.dynamorph.simulation.drags = as_text(DRAGS)
+def gripped(obj):
+    """By an empty, which stays selected."""
+    hook = bpy.data.objects.new("Hook", None)
+    bpy.context.scene.collection.objects.link(hook)
+    hook.location = (0.4, 0.0, 1.0)
+    hook.select_set(True)
+    activate(obj)
+    OPS.attach()
 
 
 def baked(obj):
@@ -261,7 +267,9 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "build_cage": (target_selected, {}),
     "capture_pose": (posed, {}),
     "check_targets": (built, {}),
-    "clear_drags": (dragged, {}),
+    "attach": (gripped, {}),
+    "attach_here": (gripped, {}),
+    "remove_grip": (gripped, {}),
     "collide": (box_selected, {}),
     "compare_beside": (baked, {}),
     "compare_full": (baked, {}),

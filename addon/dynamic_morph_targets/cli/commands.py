@@ -44,7 +44,7 @@ from .record import Done, ProgressPrinter, print_table
 SETTABLE = (*(field.name for field in fields(Material)), "fade_out_angle", "amount")  # properties of a target
 # Properties with an option that does more than to set them, or that no number or word can set.
 NOT_ALIKE = {
-    "use_scene_range", "frame_start", "frame_end", "substeps", "drags", "format", "use", "collection", "use_self",
+    "use_scene_range", "frame_start", "frame_end", "substeps", "format", "use", "collection", "use_self",
     "use_friction",
 }  # fmt: skip
 # All other properties of the panels are options of the same name. Of the model's, those that the engine knows.

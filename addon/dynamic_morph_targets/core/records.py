@@ -21,7 +21,7 @@ VERSION = 1
 BUILD = "The record of the last build cannot be read: press Build Model"
 BAKE = "The record of the last bake cannot be read: bake again"
 VERDICT = "The verdict on this bake cannot be read: bake again"
-DRAGS = "The recorded drags cannot be read: clear them"
+PATCH = "What a grip holds cannot be read: press Attach Here"
 SLOT = "The other set of settings cannot be read: press Copy to replace it"
 LAST_FRAME = 1_048_574  # that Blender can show
 MATERIAL = {field.name for field in fields(Material)}
@@ -50,7 +50,7 @@ def bake_inputs(record: str) -> dict:
     be changed.
     """
     needed = {"targets": _are_groups, "animation": _is_animation, "content_id": _is_text}
-    known = dict.fromkeys(("simulation", "output", "collision", "channels"), _is_group) | {"painted": _is_text}
+    known = dict.fromkeys(("simulation", "output", "collision", "channels", "grips"), _is_group) | {"painted": _is_text}
     return _read(record, BAKE, needed, {**SETTINGS, **known, "colliders": _are_colliders, "together": _are_texts})
 
 
@@ -72,15 +72,19 @@ def colliders(record: str) -> list[list[str]]:
     return _read(record, BAKE, {"colliders": _are_colliders}, {})["colliders"] if record else []
 
 
-def drags_text(drags: list[dict]) -> str:
-    """A record of how the skin was dragged: `frame`, `vertices` (K), `goals` (K, 3), `stiffness` (K) of each."""
-    return text({"drags": drags})
+def patch_text(values: dict) -> str:
+    """A record of a `grab.Patch`."""
+    return text(values)
 
 
-@lru_cache(maxsize=16)
-def drags(record: str) -> list[dict]:
-    """What `drags_text` noted. Not to be changed."""
-    return _read(record, DRAGS, {"drags": _are_drags}, {})["drags"]
+@lru_cache(maxsize=64)
+def patch(record: str) -> dict:
+    """What `patch_text` noted. Not to be changed."""
+    values = _read(record, PATCH, PATCH_FIELDS, {})
+    sizes = {len(values[name]) for name in ("vertices", "offsets", "share")}
+    if len(sizes) != 1 or 0 in sizes or max(values["vertices"]) >= values["count"] or min(values["share"]) < 0:
+        raise RecordError(PATCH)
+    return values
 
 
 def verdict(record: str) -> dict:
@@ -203,30 +207,21 @@ def _are_colliders(value: object) -> TypeGuard[list[list[str]]]:
     return isinstance(value, list) and all(_are_texts(each) and len(each) == 3 for each in value)
 
 
-def _are_drags(value: object) -> TypeGuard[list[dict]]:
-    return isinstance(value, list) and all(map(_is_drag, value))
-
-
-def _is_drag(value: object) -> bool:
-    if not (isinstance(value, dict) and value.keys() == DRAG and is_number(value["frame"])):
-        return False
-    vertices, goals, stiffness = value["vertices"], value["goals"], value["stiffness"]
-    return (
-        abs(value["frame"]) <= LAST_FRAME
-        and _are_indices(vertices)
-        and _are_numbers(stiffness)
-        and isinstance(goals, list)
-        and len(vertices) == len(stiffness) == len(goals) > 0
-        and min(stiffness) >= 0
-        and all(_are_numbers(goal) and len(goal) == 3 for goal in goals)
-    )
+def _are_places(value: object) -> bool:
+    return isinstance(value, list) and all(_are_numbers(place) and len(place) == 3 for place in value)
 
 
 def _are_texts(value: object) -> TypeGuard[list[str]]:
     return isinstance(value, list) and all(map(_is_text, value))
 
 
-DRAG = {"frame", "vertices", "goals", "stiffness"}
+PATCH_FIELDS: dict[str, Callable[[object], bool]] = {
+    "count": lambda value: type(value) is int and value > 0,
+    "vertices": _are_indices,
+    "offsets": _are_places,
+    "share": _are_numbers,
+    "radius": lambda value: is_number(value) and value > 0,
+}
 LIMITS = {"displacement", "thickness"}
 HELD: dict[str, Callable[[object], bool]] = {
     "bone": _is_text,

@@ -108,8 +108,7 @@ class SimulationSettings:
     about the targets' shapes, 1 for further modes; amount: on all of it. max_displacement, max_thickness: how far
     the skin may move away from its targets' shapes, as fractions of the body's size and of its thickness there; 0
     for no limit. collision: whether colliders stop the skin; distance: how far from them, as a fraction of the
-    body's size. self_collision: whether the body does, too; self_friction: of its skin on itself. drags: that were
-    recorded, `grab.as_text`.
+    body's size. self_collision: whether the body does, too; self_friction: of its skin on itself.
     """
 
     frame_start: int = 1
@@ -130,7 +129,6 @@ class SimulationSettings:
     distance: float = 0.002
     self_collision: bool = False
     self_friction: float = 0.0
-    drags: str = ""
     speed: float = 1.0
 
     def __post_init__(self) -> None:

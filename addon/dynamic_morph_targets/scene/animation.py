@@ -164,11 +164,13 @@ def is_animated(skinning: Skinning) -> bool:
 
 
 def _movers(skinning: Skinning) -> list:
-    """The objects that move the skin, all their parents, and what their constraints and drivers follow, as a source
-    armature or the goal of IK.
+    """The objects that move or hold the skin, all their parents, and what their constraints and drivers follow, as a
+    source armature or the goal of IK.
     """
     moving: list = []
-    _add_with_parents((skinning.rig, skinning.obj, *(modifier.object for modifier in skinning.modifiers)), moving)
+    holding = [grip.object for grip in skinning.obj.dynamorph.grips if not grip.mute]
+    skinned_by = (modifier.object for modifier in skinning.modifiers)
+    _add_with_parents((skinning.rig, skinning.obj, *skinned_by, *holding), moving)
     for mover in moving:  # grows
         _add_with_parents(_followed(mover), moving)
     return moving

@@ -38,12 +38,13 @@ class Keyed(NamedTuple):
 
 
 def settings(obj: bpy.types.Object) -> list[Keyed]:
-    """Those of `obj` that are keyed or driven, and the channels in use. Fast enough for every frame."""
+    """Those of `obj` that are keyed or driven, and the channels and grips in use. Fast enough for every frame."""
     moved = [path for path in animation.moved_paths(obj) if path.startswith("dynamorph.")]
-    used = channels(obj)
-    if not (moved or used):
+    used, held = channels(obj), [grip for grip in obj.dynamorph.grips if not grip.mute]
+    if not (moved or used or held):
         return []
     known = {channel.path_from_id("value"): Setting("CHANNEL", channel.name) for channel in used}
+    known |= {grip.path_from_id("strength"): Setting("GRIP", grip.name) for grip in held}
     still = [path for path in known if path not in moved]
     known |= {f"dynamorph.{path}": Setting(kind) for path, kind in OF_OBJECT.items()}
     if not obj.dynamorph.collision.use_friction:  # then it does not count
@@ -102,12 +103,12 @@ def _variable(variable: bpy.types.DriverVariable) -> list:
             with suppress(ValueError):  # there is no such property
                 value = owner.path_resolve(target.data_path)
         elif owner and variable.type != "SINGLE_PROP":
-            value = _stands(owner, target.bone_target)
+            value = stands(owner, target.bone_target)
         read.append((getattr(owner, "name", ""), plain(target, skip=("id",)), value))
     return [variable.name, variable.type, read]
 
 
-def _stands(owner: bpy.types.ID, bone: str) -> list:
+def stands(owner: bpy.types.ID, bone: str) -> list:
     """How an object, or a bone of it, is placed by what nothing moves."""
     moved = animation.moved_paths(owner)
     placed = owner.pose.bones.get(bone) if bone and getattr(owner, "pose", None) else owner
@@ -138,7 +139,7 @@ def first_keys(obj: bpy.types.Object) -> dict[Setting, float]:
 
 
 def held(obj: bpy.types.Object, track: KeyedSettings) -> KeyedSettings:
-    """The channels of a track, where curves of `obj` move them with the value of their first key."""
+    """The channels and grips of a track, where curves of `obj` move them with the value of their first key."""
     kept, first = track.without(*OF_OBJECT.values(), *OF_TARGETS.values()), first_keys(obj)
     values = [np.full(len(kept.values), first[each]) if each in first else kept.of(*each) for each in kept.settings]
     return KeyedSettings(kept.settings, np.array(values).reshape(-1, len(kept.values)).T)

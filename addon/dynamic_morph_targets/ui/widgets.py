@@ -101,10 +101,6 @@ def characters(width: float, scale: float) -> int:
     return max(int((width / scale - FRAME) / CHARACTER), SHORTEST)
 
 
-def draw_drags(layout: bpy.types.UILayout, obj: bpy.types.Object) -> None:
-    """What records drags of the skin, and plays them."""
-    simulation, row = obj.dynamorph.simulation, layout.row(align=True)
-    row.operator("dynamorph.record_drags", icon="REC", depress=grabbing.is_recording(obj))
-    if simulation.drags:
-        row.operator("dynamorph.clear_drags", text="", icon="X")
-        layout.prop(simulation, "use_drags")
+def draw_record(layout: bpy.types.UILayout, obj: bpy.types.Object) -> None:
+    """What records drags of the skin."""
+    layout.operator("dynamorph.record_drags", icon="REC", depress=grabbing.is_recording(obj))

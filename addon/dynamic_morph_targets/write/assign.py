@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Settings from plain data into property groups."""
+"""Settings from plain data into property groups, and names for new ones."""
 
 from __future__ import annotations
+
+from collections.abc import Collection
 
 import bpy
 
@@ -15,3 +17,8 @@ def assign(group: bpy.types.PropertyGroup, values: dict) -> None:
         for name, value in values.items():
             if name in group.bl_rna.properties and plain(group).get(name) != value:
                 setattr(group, name, value)
+
+
+def free_name(taken: Collection[str], stem: str) -> str:
+    """The first of "stem 1", "stem 2", ... that is not taken."""
+    return next(name for number in range(1, len(taken) + 2) if (name := f"{stem} {number}") not in taken)

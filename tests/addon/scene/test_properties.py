@@ -35,7 +35,7 @@ def test_a_new_soft_skin_is_built_by_default(arm):
 def test_every_setting_of_a_simulation_is_read(soft_arm):
     """By its name, but for those that the scene or other settings decide."""
     chosen, scene = soft_arm.dynamorph.simulation, bpy.context.scene
-    decided = {"frame_start", "frame_end", "substeps", "gravity", "drags"}
+    decided = {"frame_start", "frame_end", "substeps", "gravity"}
     named = {each.name for each in dataclasses.fields(settings.SimulationSettings)} - decided
     props = [prop for prop in chosen.bl_rna.properties if prop.identifier in named]
     assert len(props) >= 8

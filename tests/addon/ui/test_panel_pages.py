@@ -38,7 +38,7 @@ def all_settings(soft_arm) -> set:
     found = settings_of(soft_arm)
     settings.active_target_index = 1
     settings.simulation.use_scene_range = False
-    settings.simulation.drags = "[]"
+    settings.grips.add()
     settings.collision.use = settings.collision.use_friction = True
     bpy.ops.object.effector_add(type="WIND")
     settings.attachments.add()

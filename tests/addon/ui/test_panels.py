@@ -287,7 +287,7 @@ MOST = 36  # settings
 
 def test_few_settings_are_drawn(soft_arm, stand_in):
     """With every section open, for a target of a body that collides and is baked. Frames, friction, force fields and
-    recorded drags are drawn only where they do something.
+    grips are drawn only where they do something.
     """
     soft_arm.dynamorph.active_target_index, soft_arm.dynamorph.collision.use = 1, True
     bpy.ops.dynamorph.bake()

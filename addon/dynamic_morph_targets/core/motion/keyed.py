@@ -14,8 +14,8 @@ from .rig_samples import RigSamples, Track
 
 
 class Setting(NamedTuple):
-    """STIFFNESS or TARGET_AMOUNT of the target of this name ('' for the neutral one), the CHANNEL of this name, or,
-    without a name, AMOUNT, DISTANCE or FRICTION.
+    """STIFFNESS or TARGET_AMOUNT of the target of this name ('' for the neutral one), the CHANNEL or GRIP of this
+    name, or, without a name, AMOUNT, DISTANCE or FRICTION.
     """
 
     kind: str
@@ -24,7 +24,9 @@ class Setting(NamedTuple):
 
 @dataclass(frozen=True)
 class KeyedSettings(Track):
-    """settings (K,), those that are keyed or driven, and all channels; values (S, K): as the artist sees them."""
+    """settings (K,), those that are keyed or driven, and all channels and grips; values (S, K): as the artist sees
+    them.
+    """
 
     SAMPLED = ("values",)
     settings: tuple[Setting, ...]

@@ -19,7 +19,7 @@ from ..model.model import EngineModel, Model
 from ..settings import SimulationSettings
 from .amounts import Amounts
 from .contact import Collision, as_bits
-from .grab import Hand, from_text
+from .grab import Hand
 from .keyed import amounts_of, for_engine
 from .posing import Posing
 from .prepared import prepared
@@ -121,7 +121,6 @@ class Player:
             self.engine = ready.engine
             self._shapes = model.target_coordinates(self.engine)
             self.hand = Hand(model, self.engine, character)
-            self.hand.track = from_text(settings.drags, len(character.vertices))
             if settings.collision:
                 self.collision = Collision(model, self.engine, character)
             self._simulation = _simulation_of(self, self.engine, ready.limit, self._asked_by_engine())
@@ -189,7 +188,8 @@ class Player:
         else:
             lies_on = self.collision.motions(rig[:1].still(1)) if self.collision else None
             keyed = (None if values is None else values[0] for values in for_engine(rig[:1], self.character, self.size))
-            begun = self._simulation.start(bones[0], bones[-1], weights[0], lies_on, *keyed)
+            held = self.hand.springs(rig[:1], slice(0, 1), 1) if self.hand else None
+            begun = self._simulation.start(bones[0], bones[-1], weights[0], held, lies_on, *keyed)
         self.number = self.settings.first
         return first_frame(self, rig, self.coordinates, weights[0], begun)
 
@@ -234,8 +234,6 @@ class Player:
             keyed, amounts = for_engine(moving, self.character, self.size), amounts_of(moving, self.character)
             for k, number in enumerate(chunk):
                 self.number = int(number)
-                if self.hand:
-                    self.hand.begin(self.number)
                 if self._keep_going and not self._keep_going(self):
                     raise dynamorph.Cancelled("canceled")
                 for left in reversed(range(samples)):
@@ -243,7 +241,7 @@ class Player:
                     steps = slice(end - stride, end)
                     push = self._push(moving[steps], bones[steps])
                     stops = self.collision.motions(moving[steps]) if self.collision else None
-                    grabs = self.hand.springs(steps, substeps) if self.hand else None
+                    grabs = self.hand.springs(moving[steps], steps, substeps) if self.hand else None
                     of_steps = (None if values is None else values[steps] for values in keyed)
                     motion = bones[steps], weights[steps], push, grabs, stops, *of_steps
                     shown = None if amounts is None else amounts[end - 1]

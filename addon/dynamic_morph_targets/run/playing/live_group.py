@@ -18,7 +18,7 @@ class Member(Protocol):
 
     tissue: Tissue
     rig: Any
-    grabs: tuple[Grab, ...]
+    grabs: dict[int, Grab]
 
     @property
     def last_simulated(self) -> int | None: ...
@@ -54,7 +54,7 @@ class LiveGroup:
         players = [session.tissue.player for session in sessions]
         for session, player in zip(sessions, players, strict=True):
             if player.hand:
-                player.hand.pull(session.grabs)
+                player.hand.pull([*session.grabs.values()])
         if len(players) == 1:
             sessions[0].keep(last + 1, players[0].advance(rigs[0], last + 1))
             return

@@ -16,7 +16,7 @@ from ...core.errors import SceneError
 from ...core.message import Message, joined
 from ...core.motion import handover, rig_samples
 from ...core.motion.contact import Touched
-from ...core.motion.grab import Grab, together
+from ...core.motion.grab import Grab
 from ...core.motion.keyed import Setting
 from ...core.motion.loops import begin_again
 from ...core.motion.player import Frame, State
@@ -24,7 +24,7 @@ from ...core.motion.rig_samples import RigSamples
 from ...core.painted_map import MAPS
 from ...core.settings import Material, SimulationSettings
 from ...scene import events, keyed, references, skin, skinning
-from ...scene.motion import colliders, rig_motion
+from ...scene.motion import colliders, grips, rig_motion
 from ...scene.read import mesh_data, probe
 from ...scene.read.sampling_scene import SamplingScene
 from ...scene.store import model_store, staleness
@@ -94,8 +94,8 @@ class Session:
         self.content_id = obj.dynamorph.model.content_id
         self.first = self.last = 0  # frames simulated from and to, while there are any
         self.now: int | None = None  # the one that shows, or just before
-        self.grabs: tuple[Grab, ...] = ()  # by which the artist pulls the skin
-        self.recorded: dict[int, Grab] | None = None  # those to each frame, while they are recorded
+        self.grabs: dict[int, Grab] = {}  # by which the artist pulls the skin, by the number of the hand
+        self.recorded: dict[int, dict[int, Grab]] | None = None  # those to each frame, while they are recorded
         self.group = LiveGroup([self], [obj.name])
         self.dropped: list[Message] = []  # what to say of frames that playback left out, more than are simulated
         self.rig_changes = 0  # how often the rig's motion was edited
@@ -268,7 +268,7 @@ class Session:
         """Take the next frame, with the state after it."""
         self._frames[number], self.last = frame, number
         if self.recorded is not None:
-            self.recorded[number] = together(self.grabs)
+            self.recorded[number] = self.grabs
         if len(self._frames) > self._shown:
             del self._frames[self.first]
             self.first += 1
@@ -304,7 +304,8 @@ def _sampling(obj: bpy.types.Object) -> tuple:
     moved = keyed.settings(obj)
     friction = None if Setting("FRICTION") in (each.setting for each in moved) else collision.friction
     stops = [other.session_uid for other in colliders.colliders(obj)], collision.use_friction, friction, moved
-    return obj.dynamorph.simulation.fields, render.frame_map_old, render.frame_map_new, skin.unit_scale(), stops
+    held = [(grip.name, grip.object and grip.object.session_uid, grip.bone, grip.patch) for grip in grips.used(obj)]
+    return held, obj.dynamorph.simulation.fields, render.frame_map_old, render.frame_map_new, skin.unit_scale(), stops
 
 
 def _physics(settings: SimulationSettings) -> SimulationSettings:

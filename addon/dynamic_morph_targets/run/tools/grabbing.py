@@ -7,6 +7,7 @@ frame discards. Nothing of the file is changed but what Live shows.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -17,9 +18,10 @@ from ...core import engine, errors, logger
 from ...core.errors import SceneError
 from ...core.message import Message
 from ...core.model.model import Model
-from ...core.motion.grab import FIRM, Grab, as_text, from_text, pinch, together
+from ...core.motion.grab import FIRM, Grab, pinch
 from ...core.motion.player import Frame, Player, changed
 from ...scene import events, skin
+from ...write.authoring import grips
 from .. import live, remembered
 from ..playing.session import Session
 
@@ -68,18 +70,17 @@ class Copy:
         """Whether the session still shows that frame of the same motion of the rig."""
         return (self.now, self._rig_changes) == (session.now, session.rig_changes)
 
-    def step(self, player: Player, grabs: tuple[Grab, ...]) -> Frame:
+    def step(self, player: Player, grabs: Sequence[Grab]) -> Frame:
         """The next frame; the player is left as it was."""
         assert player.hand is not None
         state, number = player.state, player.number
-        track = player.hand.track
-        player.state, player.hand.track = self._state, {}
+        player.state = self._state
         player.hand.pull(grabs)
         try:
             frame = player.advance(self._rig, self.now)
             self._state = player.state
         finally:
-            player.state, player.number, player.hand.track = state, number, track
+            player.state, player.number = state, number
         self.frames += 1
         return frame
 
@@ -182,7 +183,7 @@ class Grabbing:
         assert self._copy is not None
         tissue, player = session.tissue, session.tissue.player
         self._grow_older(None)
-        tissue.show(tissue.values(self._copy.step(player, session.grabs)))
+        tissue.show(tissue.values(self._copy.step(player, [*session.grabs.values()])))
         if self._copy.frames % self._frames(CALM_SECONDS) == 0:
             before, self._shown = self._shown, tissue.skin.written
             moved = np.inf if before is None or self._shown is None else np.abs(self._shown - before).max()
@@ -218,7 +219,7 @@ class Grabbing:
             self._copy.frames = 0
 
     def _apply(self) -> None:
-        self._session.grabs = tuple(hold.grab(skin.unit_scale()) for hold in self.holds.values())
+        self._session.grabs = {number: hold.grab(skin.unit_scale()) for number, hold in self.holds.items()}
 
 
 def _moving(model: Model) -> np.ndarray:
@@ -248,17 +249,12 @@ def is_recording(obj: bpy.types.Object) -> bool:
     return session is not None and session.recorded is not None
 
 
-def recorded(obj: bpy.types.Object) -> tuple[str, int]:
-    """Ends the recording. Returns all drags of the shot, as text, with those from before, and in how many frames they
-    are new. Raises RecordError.
-    """
+def recorded(obj: bpy.types.Object) -> int:
+    """Ends the recording: grips do what the hands did. Returns how many hands there were."""
     session = remembered.live.sessions[obj.session_uid]
-    new = {frame: grab for frame, grab in (session.recorded or {}).items() if len(grab.vertices)}
-    session.recorded = None
-    track = from_text(obj.dynamorph.simulation.drags, len(session.tissue.character.vertices))
-    for frame, grab in new.items():
-        track[frame] = together([each for each in (track.get(frame), grab) if each])
-    return as_text(track), len(new)
+    drags, session.recorded = session.recorded or {}, None
+    _, shear = session.tissue.character.material(0).lame()
+    return len(grips.from_drags(obj, drags, shear, skin.unit_scale()))
 
 
 def begin(obj: bpy.types.Object) -> Grabbing:

@@ -29,7 +29,7 @@ from ..read.worlds import in_meters, not_a_number, refuse_overflow, world_now
 from ..references import rest_skeleton, rig_of
 from ..skin import shown_objects, unit_scale
 from ..skinning import Skinning
-from . import colliders
+from . import colliders, grips
 
 PUSHING = {"WIND", "FORCE", "VORTEX", "TURBULENCE"}  # kinds of force fields
 MOVED = np.radians(5.0)  # a bone turned further than this from the neutral pose places a target by default
@@ -182,6 +182,8 @@ class RigSampling:
         self._rig_world, self._object_world = np.empty((2, self.count, 4, 4))
         self._fields = tuple(_empty_samples(source.field, self.count, self._unit) for source in sources)
         self._colliders = [each for each in colliders.readers(obj, self.count) if each.name not in without]
+        refuse(grips.problems(obj))
+        self._grips = [grips.GripReader(grip, self.count) for grip in grips.used(obj)]
         self._keyed = keyed.settings(obj)
         for each in self._keyed:
             if not all(curve.driver.is_valid for curve in keyed.drivers_of(obj, each.path)):
@@ -206,13 +208,17 @@ class RigSampling:
             text = "'{name}' or something that moves it changed while it was being read: start again"
             raise SceneError(text, name=obj.name)
         stopping = [self._collider(reader.name) for reader in self._colliders]
-        with self._scene.opened(obj, rig, self.probe, (*sources, *stopping), self._keyed) as (scene, follower):
+        holding = [reader.find(obj) for reader in self._grips]
+        others = *sources, *stopping, *holding
+        with self._scene.opened(obj, rig, self.probe, others, self._keyed) as (scene, follower):
             if self.probe and self._nodes is None:
                 self._nodes = self.probe.empty_samples(self.count)
             while self.done < self.count:
                 self._read(scene, obj, follower, rig, sources)
                 for collider, reader in zip(stopping, self._colliders, strict=True):
                     reader.read(self.done, collider.evaluated_get(scene.view_layers[0].depsgraph), self.frame)
+                for holder, grip in zip(holding, self._grips, strict=True):
+                    grip.read(self.done, holder.evaluated_get(scene.view_layers[0].depsgraph))
                 if self.probe:
                     self.probe.read(scene, follower, self._nodes.points[self.done])
                 if self.probe and self._target_nodes is None:  # with the objects where they are at the first sample
@@ -269,7 +275,8 @@ class RigSampling:
         settings = self._settings()
         if settings and (friction := settings.of("FRICTION")) is not None:
             stopping = [replace(track, friction=friction) for track in stopping]
-        tracks = (*fields, *stopping, *filter(None, (settings, self._nodes)))
+        holding = [reader.track(partial(in_meters, unit=self._unit)) for reader in self._grips]
+        tracks = (*fields, *stopping, *holding, *filter(None, (settings, self._nodes)))
         samples = RigSamples(pose, worlds[:, 0], worlds[:, 1], tracks, self._target_nodes)
         refuse_overflow(np.concatenate([worlds, samples.pose], axis=1), self._moving, self._frame)
         flat = np.argwhere(determinant(worlds[..., :3, :3]) == 0)  # bones may collapse: `keep_collapsed`

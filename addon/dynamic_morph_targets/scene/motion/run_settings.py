@@ -91,6 +91,5 @@ def simulation_settings(
         "distance": known.get(Setting("DISTANCE"), collision.distance),
         "self_collision": collision.use and collision.use_self,
         "self_friction": friction if collision.use_friction else SimulationSettings.self_friction,
-        "drags": chosen.drags if chosen.use_drags else "",
     }
     return SimulationSettings(**{**authored, **read})

@@ -178,18 +178,6 @@ class DynamorphSimulation(PropertyGroup):
         override=OVERRIDE,
     )  # fmt: skip
 
-    use_drags: BoolProperty(
-        name="Recorded Drags",
-        description="Let the recorded drags pull the skin, in Live and in bakes. Turn it off to see the shot without "
-        "them",
-        default=True, override=OVERRIDE,
-    )  # fmt: skip
-    drags: StringProperty(  # grab.as_text
-        name="Recorded Drags",
-        description="How the skin is dragged, as Record Drags noted it",
-        options={"HIDDEN"}, override=OVERRIDE,
-    )  # fmt: skip
-
     @property
     def is_patch(self) -> bool:
         """Whether the range goes into the last bake."""

@@ -25,6 +25,7 @@ from .bake_properties import (
     DynamorphSculpt,
     DynamorphSimulation,
 )
+from .grip_properties import DynamorphGrip
 from .model_properties import DynamorphAttachment, DynamorphMode, DynamorphModel
 from .target_place import DynamorphBone, DynamorphBonePose, DynamorphChannel
 from .target_properties import DynamorphKey, DynamorphTarget
@@ -70,6 +71,12 @@ class DynamorphSettings(PropertyGroup):
         name="Attachments", description="Parts of the mesh and other meshes that do not simply belong to the body",
         type=DynamorphAttachment, override=OVERRIDE_LIST,
     )  # fmt: skip
+    grips: CollectionProperty(
+        name="Grips", description="What holds patches of the skin", type=DynamorphGrip, override=OVERRIDE_LIST
+    )
+    active_grip_index: IntProperty(
+        name="Active Grip", description="Index of the grip selected in the list", min=0, override=OVERRIDE
+    )
     active_attachment_index: IntProperty(
         name="Active Attachment", description="Index of the attachment selected in the list", min=0, override=OVERRIDE
     )
@@ -108,6 +115,11 @@ class DynamorphSettings(PropertyGroup):
         """The target selected in the list, or None."""
         inside = 0 <= self.active_target_index < len(self.targets)
         return self.targets[self.active_target_index] if inside else None
+
+    @property
+    def active_grip(self) -> DynamorphGrip | None:
+        """The grip selected in the list, or None."""
+        return self.grips[self.active_grip_index] if self.active_grip_index < len(self.grips) else None
 
     @property
     def active_attachment(self) -> DynamorphAttachment | None:
@@ -183,6 +195,7 @@ CLASSES = (
     DynamorphBonePose,
     DynamorphChannel,
     DynamorphTarget,
+    DynamorphGrip,
     DynamorphAttachment,
     DynamorphModel,
     DynamorphMode,

@@ -28,7 +28,7 @@ from ...core.painted_map import EXCLUDED, MAX_DISTANCE
 from ...core.settings import ENGINE, FREE_SETTINGS, SimulationSettings
 from ...io import whole
 from .. import animation, keyed, skin
-from ..motion import collider_state, colliders, run_settings
+from ..motion import collider_state, colliders, grips, run_settings
 from ..plain import plain
 from ..references import KEY_REFERENCE
 from ..skin import attached_meshes, named_targets, own_attachments, shown_attachments
@@ -239,7 +239,6 @@ def bake_inputs(skinned: Skinning, simulation: SimulationSettings) -> dict:
         inputs["model"]["solver"] = run_settings.bake_solver(obj)
     inputs["groups"]["armature_modifiers"] = skinned.settings()
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
-    inputs["simulation"]["drags"] = crc32(simulation.drags.encode())
     for name in ("distance", "self_collision", "self_friction"):  # as the artist set them, below
         del inputs["simulation"][name]
     names = ["distance", "use_self", "use_friction", *(["friction"] if settings.collision.use_friction else [])]
@@ -250,6 +249,7 @@ def bake_inputs(skinned: Skinning, simulation: SimulationSettings) -> dict:
         part, _, name = path.partition(".")
         if name in inputs[part] and Setting(kind) in moved:
             inputs[part][name] = moved[Setting(kind)]
+    inputs["grips"] = {grip.name: _grip(grip, moved[Setting("GRIP", grip.name)]) for grip in grips.used(obj)}
     inputs["channels"] = {each.name: value for each, value in moved.items() if each.kind == "CHANNEL"}
     for name, target in named_targets(obj):
         values = plain(target, skip=(*KEY_REFERENCE, *UNUSED))
@@ -259,6 +259,12 @@ def bake_inputs(skinned: Skinning, simulation: SimulationSettings) -> dict:
     return json.loads(json.dumps(inputs))
 
 
+def _grip(grip: bpy.types.PropertyGroup, strength: str | float | None) -> list:
+    """What a bake notes of a grip, beside the animation of what holds."""
+    stands = keyed.stands(grip.object, grip.bone) if grip.object else []
+    return [grip.object.name if grip.object else "", grip.bone, crc32(grip.patch.encode()), strength, stands]
+
+
 def _changes(obj: bpy.types.Object, then: dict, now: dict) -> list[str]:
     """The differences between two inputs of `obj`, as sentences. Entries that `then` lacks have not changed."""
     settings = obj.dynamorph
@@ -266,6 +272,9 @@ def _changes(obj: bpy.types.Object, then: dict, now: dict) -> list[str]:
     known, channels = then.get("channels", {}), now.get("channels", {})
     moved = [name for name in known if name in channels and known[name] != channels[name]]
     found += [Message('channel "{name}" changed', name=name) for name in moved]
+    held, holding = then.get("grips", {}), now.get("grips", {})
+    let_go = [name for name in held | holding if held.get(name) != holding.get(name)] if "grips" in now else []
+    found += [Message('grip "{name}" changed', name=name) for name in let_go]
     known = {"model": settings.model, "simulation": settings.simulation, "output": settings.output}
     known |= {"collision": settings.collision, "groups": settings, "scene": None}
     for part, group in known.items():

@@ -24,7 +24,7 @@ from ...scene import events, registration, skin
 from ...scene.read import mesh_data
 from ...scene.registration import of_classes
 from ..base import report_errors
-from ..widgets import draw_drags
+from ..widgets import draw_record
 
 TAP, TAP_PIXELS = 0.4, 4  # a press that is shorter in seconds, and moves less, slaps
 HAND_PIXELS = 12  # from the middle of a hand: a press there lets it go
@@ -169,7 +169,7 @@ class GrabTool(WorkSpaceTool):
     def draw_settings(context: bpy.types.Context, layout: bpy.types.UILayout, _tool: bpy.types.WorkSpaceTool) -> None:
         obj = skin.mesh_in(context)
         if obj is not None and obj.dynamorph.targets:
-            draw_drags(layout, obj)
+            draw_record(layout, obj)
 
     bl_keymap = (
         (DYNAMORPH_OT_let_go.bl_idname, {"type": "ESC", "value": "PRESS"}, None),

@@ -16,6 +16,7 @@ from ...core.message import translated
 from ...scene import skin
 from ...scene.motion import rig_motion
 from ...scene.registration import of_classes
+from ...write.assign import free_name
 from ...write.authoring import targets
 from ...write.authoring.targets import sculpted_key
 from ...write.bake import muting
@@ -90,7 +91,7 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
 
     def _default_name(self, obj: bpy.types.Object) -> str:
         keys = obj.data.shape_keys
-        return targets.free_name(keys.key_blocks.keys() if keys else (), "Pose")
+        return free_name(keys.key_blocks.keys() if keys else (), "Pose")
 
 
 class DYNAMORPH_OT_sculpt_target(SculptOperator, TargetOperator, Operator):

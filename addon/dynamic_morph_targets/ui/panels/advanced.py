@@ -14,7 +14,7 @@ from ...scene.motion import rig_motion
 from ...scene.properties import scripted
 from ...scene.properties.model_properties import DynamorphMode
 from ...scene.properties.object_properties import DynamorphSettings
-from ..widgets import draw_drags, draw_limit, draw_message, draw_setting, draw_with_button, pair
+from ..widgets import draw_limit, draw_message, draw_setting, draw_with_button, pair
 
 
 class DYNAMORPH_UL_modes(UIList):
@@ -93,4 +93,3 @@ def draw_solver(layout: bpy.types.UILayout, context: bpy.types.Context, obj: bpy
         draw_setting(layout, obj.dynamorph.simulation, "fields")
         draw_message(layout, "A Wind or Force field of strength 1 pushes with 1 N/m² of skin", icon="INFO")
     draw_setting(layout, obj.dynamorph.simulation, "initial_state")
-    draw_drags(layout, obj)

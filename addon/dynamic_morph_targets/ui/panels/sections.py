@@ -23,6 +23,7 @@ from .bake import draw_bake, draw_details, draw_export, draw_result, draw_setup,
 from .collision import draw_beside, draw_collision, is_beside
 from .compare import draw_compare, draw_shake_test
 from .feel import draw_feel, draw_firmness, draw_material, draw_max_distance
+from .grips import DYNAMORPH_UL_grips, draw_grips, grips_title
 from .status import draw_messages, draw_top
 from .targets import (
     DYNAMORPH_MT_targets,
@@ -112,6 +113,7 @@ SIDEBAR_SECTIONS = (
 # Once.
 PHYSICS_SECTIONS = (
     Section("attachments", "", "physics", draw_attachments, title=attachments_title),
+    Section("grips", "", "physics", draw_grips, title=grips_title),
     Section("collision", "Collision", "physics", draw_collision, switch=lambda obj: (obj.dynamorph.collision, "use")),
     Section("bake", "Bake Settings", "physics", draw_bake),
     Section("export", "Export", "physics", draw_export),
@@ -192,6 +194,7 @@ def draw_status(header: bpy.types.Header, _context: bpy.types.Context) -> None:
 CLASSES = (
     DYNAMORPH_UL_targets,
     DYNAMORPH_UL_attachments,
+    DYNAMORPH_UL_grips,
     DYNAMORPH_UL_modes,
     DYNAMORPH_MT_targets,
     DYNAMORPH_PT_sidebar,

@@ -18,6 +18,7 @@ from ...scene.properties.target_place import DynamorphChannel
 from ...scene.properties.target_properties import DynamorphTarget
 from ...scene.references import rest_skeleton
 from ...scene.skinning import Skinning
+from ..assign import free_name
 from . import regions, targets
 
 TENSE = 8.0  # times as stiff as at rest; a muscle that tenses is four to ten times as stiff
@@ -160,7 +161,7 @@ def add_tension(obj: bpy.types.Object, region: str) -> DynamorphTarget:
     """
     keys = obj.data.shape_keys
     taken = {*(keys.key_blocks.keys() if keys else ()), *(channel.name for channel in obj.dynamorph.channels)}
-    name = TENSION if TENSION not in taken else targets.free_name(taken, TENSION)
+    name = TENSION if TENSION not in taken else free_name(taken, TENSION)
     block = targets.new_key(obj, name, np.zeros((len(obj.data.vertices), 3)))
     target, neutral = targets.add(obj, block), obj.dynamorph.targets[0]
     skeleton = rest_skeleton(Skinning.of(obj).rig.data)
@@ -219,4 +220,4 @@ def _is_of(read: Property | None, other: Property) -> bool:
 
 def _free_name(obj: bpy.types.Object, title: str) -> str:
     taken = [channel.name for channel in obj.dynamorph.channels]
-    return title if title not in taken else targets.free_name(taken, title)
+    return title if title not in taken else free_name(taken, title)

@@ -13,8 +13,9 @@ from ...scene.check import checks
 from ...scene.read import mesh_data
 from ...scene.read.source import Source
 from .. import storage
+from ..assign import free_name
 from ..bake import writer
-from . import controls, targets
+from . import controls
 from .fixes import owned
 from .mirror import mirror_partners
 
@@ -95,7 +96,7 @@ def _map_name(obj: bpy.types.Object, of: PaintedMap) -> str:
     rig = references.rig_of(obj)
     taken = {group.name for mesh in (obj, *skin.attached_meshes(obj)) for group in mesh.vertex_groups}
     taken |= {bone.name for bone in rig.data.bones} if rig else set()
-    return targets.free_name(taken, of.label) if of.label in taken else of.label
+    return free_name(taken, of.label) if of.label in taken else of.label
 
 
 def _choose(obj: bpy.types.Object, of: PaintedMap, name: str) -> None:

@@ -71,11 +71,6 @@ def copy_key(obj: bpy.types.Object, name: str) -> bpy.types.ShapeKey:
     return block
 
 
-def free_name(taken: Collection[str], stem: str) -> str:
-    """The first of "stem 1", "stem 2", ... that is not taken."""
-    return next(name for number in range(1, len(taken) + 2) if (name := f"{stem} {number}") not in taken)
-
-
 def blended_shape(obj: bpy.types.Object, local: np.ndarray) -> np.ndarray:
     """The shape (V, 3), local space, of the blended targets in a pose (B, 4, 4); zero without the engine. Raises
     SceneError.
