@@ -11,7 +11,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from stage import paint_for_workbench
+from stage import add_ball, add_material, paint_for_workbench
 
 from . import cast
 
@@ -21,6 +21,7 @@ SCULPT = "Biceps sculpt"  # the mesh attribute that stands for the sculptor's st
 HANDS, FEET = ("hand", "thumb", "index", "middle", "ring", "pinky"), ("foot", "ball")
 NAVEL, BELLY = (0.0, -0.2, 0.98), 0.2  # of Herbert: where his belly is, and its radius, meters
 FLEXED = 80  # frame of the shoulder
+HELD = 6  # frame in which a ball touches the belly
 DRAG = range(4, 13)  # frames in which a hand drags
 
 
@@ -232,6 +233,31 @@ def grab(hands: Hands, body: bpy.types.Object) -> None:
     hands.bake(body)
 
 
+def touched(_hands: Hands) -> bpy.types.Object:
+    """Herbert, and a ball that touches his belly, goes away and stays there."""
+    body = cast.herbert(cast.stand, "Stand")
+    points = shown(body)
+    place = points[np.linalg.norm(points - NAVEL, axis=1).argmin()]
+    ball = add_ball("Ball", 0.02, add_material("Ball", (0.95, 0.62, 0.08), 0.4))
+    for frame, way in ((1, (0.0, -0.3, 0.0)), (HELD, (0.0, 0.0, 0.0)), (20, (0.09, -0.17, 0.03))):
+        ball.location = place + way
+        ball.keyframe_insert("location", frame=frame)
+    cast.activate(body)
+    return body
+
+
+def strap(hands: Hands, body: bpy.types.Object) -> None:
+    hands.add_soft_skin(body)
+    bpy.context.scene.frame_set(HELD)
+    cast.activate(body, bpy.data.objects["Ball"])
+    OPS.attach()
+    grip = body.dynamorph.grips[0]
+    for frame, strength in ((HELD - 1, 0.0), (HELD, 1.0), (24, 1.0), (25, 0.0)):
+        grip.strength = strength
+        grip.keyframe_insert("strength", frame=frame)
+    hands.bake(body)
+
+
 def drag(body: bpy.types.Object) -> None:
     """Play once, and meanwhile pull the belly forward and let go: what the mouse does with the tool."""
     package = type(body.dynamorph).__module__.rpartition(".scene.")[0]
@@ -348,6 +374,10 @@ RECIPES = {
     "grab": Recipe(
         lambda _hands: cast.herbert(cast.stand, "Stand"), grab, "Grab it by hand",
         "Drag the skin with the mouse, let go, and keep the drag in the shot.", draft=(1, 24),
+    ),
+    "strap": Recipe(
+        touched, strap, "A strap, a hand", "An object takes hold of the skin, pulls it, and lets go.",
+        draft=(1, 30), frame=23,
     ),
     "clothes": Recipe(
         dressed, one_click, "Clothes and eyes", "Shirt and shorts follow the belly; eyes and cap do not."

@@ -110,6 +110,15 @@ def check_grab(cooked):
     assert moved[-1] < 0.5 * moved[pulled]
 
 
+def check_strap(cooked):
+    (grip,) = cooked.body.dynamorph.grips
+    ball = bpy.data.objects["Ball"]
+    assert grip.object == ball
+    moved = cooked.near(steps.NAVEL, steps.BELLY)
+    assert moved[: steps.HELD].max() < 0.005 < 0.03 < moved[22]  # held, it comes along
+    assert moved[29] < 0.7 * moved[22]  # let go, it swings back
+
+
 def check_clothes(cooked):
     attached = {each.object.name: each.attached_by for each in cooked.body.dynamorph.attachments}
     assert {attached["Shirt"], attached["Shorts"]} == {"WITH_BODY"} and attached["Eye"] == attached["Cap"] == "RIGID"
@@ -187,6 +196,7 @@ CHECKS = {
     "firm_parts": check_firm_parts,
     "collision": check_collision,
     "grab": check_grab,
+    "strap": check_strap,
     "clothes": check_clothes,
     "walk_cycle": check_walk_cycle,
     "rigify": check_rigify,

@@ -118,7 +118,8 @@ class Hand:
         self._firm = FIRM * shear
         self._pulled = NOTHING  # by the artist, at the end of this frame
         self._before = NOTHING  # and where this was at the end of the last one
-        self._vertices, self._skin = NOTHING.vertices, None
+        self._vertices = NOTHING.vertices  # that were pulled last
+        self._skin: Any = None  # these
 
     def pull(self, grabs: Sequence[Grab]) -> None:
         """What the artist does in the next frame. Where the same vertices are pulled as before, they are led to their
