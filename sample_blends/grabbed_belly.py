@@ -35,7 +35,8 @@ AWAY = np.array([0.0, 0.0, 3.0])  # where it is meanwhile, out of the picture
 README = """Grabbed belly
 
 A torso of three bones lies on its back. A hand pulls the belly up and lets it go, then pulls it aside. The hand is a
-ball, which grips the skin as Attach does it: its Strength is keyed. The torso has Feel Cartoon and Quality Full.
+ball, which grips the skin as Attach to Object does it, while its Strength is 1. The torso has Feel Cartoon and Quality
+Full.
 
 Select Torso, press Bake in the Dynamorph tab, then Play.
 """

@@ -355,9 +355,9 @@ void bind_simulation(py::module_& m) {
       .def(
           "start",
           [](AnySimulation& s, const FloatArray& now, const FloatArray& next, const VectorXd& weights,
-             const std::optional<Springs>& grabs, const std::optional<std::vector<ColliderMotion>>& colliders,
-             const std::optional<VectorXd>& stiffness, const std::optional<double>& distance,
-             const std::optional<double>& self_friction) {
+             const std::optional<std::vector<ColliderMotion>>& colliders, const std::optional<VectorXd>& stiffness,
+             const std::optional<double>& distance, const std::optional<double>& self_friction,
+             const std::optional<Springs>& grabs) {
             const Transforms a = transforms("now", now), b = transforms("next", next);
             const std::vector<ColliderStep> met = at_rest(colliders);
             if (distance) check_not_negative("distance", *distance);
@@ -373,8 +373,8 @@ void bind_simulation(py::module_& m) {
               }));
             });
           },
-          "now"_a, "next"_a, "weights"_a, "grabs"_a = py::none(), "colliders"_a = py::none(),
-          "stiffness"_a = py::none(), "distance"_a = py::none(), "self_friction"_a = py::none(),
+          "now"_a, "next"_a, "weights"_a, "colliders"_a = py::none(), "stiffness"_a = py::none(),
+          "distance"_a = py::none(), "self_friction"_a = py::none(), "grabs"_a = py::none(),
           "Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to "
           "`next` backward. grabs: what pulls the skin then, with goals of one step. colliders: what the skin lies on "
           "then, each with the motion of one step in which it stays "

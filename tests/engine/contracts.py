@@ -246,7 +246,7 @@ def calls() -> dict[str, tuple[object, dict]]:
         "Simulation.solve_static": (started, {"bones": s.bones, "weights": s.weights, **push, "guess": r,
                                               "stiffness": moment["stiffness"]}),
         "Simulation.start": (started, {"now": s.bones, "next": s.next, "weights": s.weights,
-                                       "colliders": [s.collider_motion], **moment}),
+                                       "colliders": [s.collider_motion], **moment, "grabs": s.grabs}),
         "Simulation.state": (started, {"value": state}),
         "State": (lib, {name: getattr(state, name) for name in ("coordinates", "bones", "limit", "contact", "dents")}),
         "StepReport": (lib, {}),

@@ -838,7 +838,7 @@ class Simulation:
         """
         Returns (coordinates, StepReport) of the static solution. The search starts from `guess`, or from the blended targets.
         """
-    def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], grabs: Grabs | None = None, colliders: collections.abc.Sequence[ColliderMotion] | None = None, stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None, distance: typing.SupportsFloat | typing.SupportsIndex | None = None, self_friction: typing.SupportsFloat | typing.SupportsIndex | None = None) -> StepReport:
+    def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], colliders: collections.abc.Sequence[ColliderMotion] | None = None, stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None, distance: typing.SupportsFloat | typing.SupportsIndex | None = None, self_friction: typing.SupportsFloat | typing.SupportsIndex | None = None, grabs: Grabs | None = None) -> StepReport:
         """
         Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to `next` backward. grabs: what pulls the skin then, with goals of one step. colliders: what the skin lies on then, each with the motion of one step in which it stays where it is. stiffness (J), distance, self_friction: as of `advance`, then.
         """

@@ -331,6 +331,7 @@ FOLLOWED = (
     "dynamorph.targets[0].stiffness",
     "dynamorph.targets[0].amount",
     "dynamorph.channels[0].value",
+    "dynamorph.grips[0].strength",
     "dynamorph.simulation.amount",
     "dynamorph.collision.distance",
     "dynamorph.collision.friction",

@@ -20,7 +20,7 @@ class DYNAMORPH_OT_attach(SoftSkinOperator, Operator):
     """Let the other selected object, or in Pose Mode the active bone, hold the skin where it is now"""
 
     bl_idname = "dynamorph.attach"
-    bl_label = "Attach"
+    bl_label = "Attach to Object"
 
     group: StringProperty(
         name="Group", description="Vertex group of the patch; empty for the nearest skin", options={"SKIP_SAVE"}

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Setups: what the artist authored about a soft skin as plain data, for files and for other meshes.
 
-A setup names shape keys, bones and vertex groups, and holds none of their contents:
+A setup names shape keys, bones and vertex groups, and holds none of their contents; grips, which are of a shot, are not
+in it:
 
     format, version
     targets: a list, the neutral one first, each its properties, "bones" (names) and "pose" (rest and local, by bone)
@@ -57,6 +58,7 @@ NOT_AUTHORED = {
         "active_target_index",
         "active_mode_index",
         "active_attachment_index",
+        "active_grip_index",
         "had_keys",
     ),
     DynamorphModel: {"name", *DynamorphModel.__annotations__}.difference(field.name for field in fields(ModelSettings)),
