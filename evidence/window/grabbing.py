@@ -8,7 +8,7 @@ import driver
 import frames
 import limb
 import numpy as np
-from driver import measure, step, until
+from driver import Task, measure, step, until
 from editors import addon, close, keys, on_screen, physics, properties, settings, shown, sidebar, skin, view, viewport
 
 PULLED = 70  # pixels
@@ -138,6 +138,38 @@ def record():
     driver.photograph("grab_recorded", properties.box)
     yield from properties.press("dynamorph.remove_grip")
     yield from until(lambda: not len(settings().grips), "the drags to be removed")
+
+
+@step("Let an object hold the skin")
+def attach():
+    """An empty beside the arm, selected before it: not by hand, because that is Blender's."""
+    hook = bpy.data.objects.new("Hook", None)
+    bpy.context.scene.collection.objects.link(hook)
+    hook.location = limb.BALL_AT, -0.2, 0.0
+    hook.select_set(True)
+    yield from driver.drawn()
+    task = Task("an object that holds the skin, with a key", 2)
+    yield from properties.press("dynamorph.attach")
+    yield from until(lambda: len(settings().grips) == 1, "the grip")
+    x, y = yield from properties.find("grips[0].strength")
+    driver.actions += 1
+    yield from driver.move((x, y))
+    yield from driver.tap("I", (x, y))
+    yield from until(lambda: addon("scene.animation").moved_paths(skin()), "the key")
+    task.done()
+    driver.photograph("grip_attached", properties.box)
+    before_it = shown()
+    hook.location.y -= 0.08
+    bpy.context.scene.frame_set(limb.FIRST)
+    for frame in range(limb.FIRST, limb.FIRST + 12):
+        bpy.context.scene.frame_set(frame)
+    pulled = float(np.abs(shown() - before_it).max())
+    measure("Skin that an object pulls", f"{1e3 * pulled:.1f} mm of 80")
+    assert pulled > 0.01 and not addon("run.live").problem(skin())
+    yield from properties.press("dynamorph.remove_grip")
+    yield from until(lambda: not len(settings().grips), "the grip to be removed")
+    bpy.data.objects.remove(hook)
+    skin().animation_data_clear()
     yield from close("grips")
 
 

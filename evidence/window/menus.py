@@ -127,7 +127,7 @@ def object_data():
     yield from driver.click((x, header))
 
 
-@step("A slider that flexes without a bone", picture=sidebar)
+@step("A slider that flexes without a bone")
 def add_channel():
     """By the menu of a slider of Blender's: here a shape key's value, in the Data tab."""
     yield from select_target(1)

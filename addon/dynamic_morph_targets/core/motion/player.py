@@ -187,9 +187,11 @@ class Player:
             begun = NO_STEPS
         else:
             lies_on = self.collision.motions(rig[:1].still(1)) if self.collision else None
-            keyed = (None if values is None else values[0] for values in for_engine(rig[:1], self.character, self.size))
+            keyed = for_engine(rig[:1], self.character, self.size)
+            stiffness, distance, friction = (None if values is None else values[0] for values in keyed)
             held = self.hand.springs(rig[:1], slice(0, 1), 1) if self.hand else None
-            begun = self._simulation.start(bones[0], bones[-1], weights[0], lies_on, *keyed, held)
+            at_first = lies_on, stiffness, distance, friction, held
+            begun = self._simulation.start(bones[0], bones[-1], weights[0], *at_first)
         self.number = self.settings.first
         return first_frame(self, rig, self.coordinates, weights[0], begun)
 
