@@ -187,6 +187,18 @@ def gripped(obj):
     OPS.attach()
 
 
+def gripped_elsewhere(obj):
+    """What grips it has moved since."""
+    gripped(obj)
+    bpy.data.objects["Hook"].location.x += 1.0
+    bpy.context.view_layer.update()
+
+
+def with_channel(obj):
+    target_selected(obj)
+    OPS.add_channel(data_path='bpy.data.objects["Arm"].pass_index')
+
+
 def baked(obj):
     OPS.bake()
 
@@ -268,7 +280,7 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "capture_pose": (posed, {}),
     "check_targets": (built, {}),
     "attach": (gripped, {}),
-    "attach_here": (gripped, {}),
+    "attach_here": (gripped_elsewhere, {}),
     "remove_grip": (gripped, {}),
     "collide": (box_selected, {}),
     "compare_beside": (baked, {}),
@@ -294,7 +306,7 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "mirror_target": (two_sides, {}),
     "add_channel": (target_selected, {"data_path": 'bpy.data.objects["Arm"].pass_index'}),
     "add_tension": (target_selected, {}),
-    "remove_channel": (target_selected, {}),
+    "remove_channel": (with_channel, {}),
     "move_target": (two_targets, {"direction": "DOWN"}),
     "new_from_pose": (posed, {"key": "Bent"}),
     "paint_firmness": (target_selected, {}),
