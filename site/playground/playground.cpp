@@ -157,7 +157,7 @@ MatrixXd Playground::local() const {
     for (Eigen::Index b = 0; at && b < out.rows(); ++b) {
       if (slider_of[std::size_t(b)] != int(s) || character.parents[std::size_t(b)] < 0) continue;
       const Matrix4 one = character.target_poses[at->one].row(b).reshaped<Eigen::RowMajor>(4, 4);
-      const Matrix4 two = character.target_poses[at->partwo].row(b).reshaped<Eigen::RowMajor>(4, 4);
+      const Matrix4 two = character.target_poses[at->two].row(b).reshaped<Eigen::RowMajor>(4, 4);
       const Eigen::Quaterniond q(Matrix3d(one.topLeftCorner<3, 3>())), r(Matrix3d(two.topLeftCorner<3, 3>()));
       Matrix4 turned = out.row(b).reshaped<Eigen::RowMajor>(4, 4);
       turned.topLeftCorner<3, 3>() = q.slerp(at->part, r).toRotationMatrix();
@@ -174,7 +174,7 @@ VectorXd Playground::channels() const {
     if (const auto at = between(s))
       for (int c : character.sets[s].channels) {
         const double one = character.target_channels(Eigen::Index(at->one), c);
-        out(c) = one + at->part * (character.target_channels(Eigen::Index(at->partwo), c) - one);
+        out(c) = one + at->part * (character.target_channels(Eigen::Index(at->two), c) - one);
       }
   return out;
 }
