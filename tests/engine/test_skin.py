@@ -116,6 +116,39 @@ def test_ten_thousand_random_drags_stay_finite_and_leave_nothing_behind():
     assert np.abs(simulation.coordinates - rest).max() < 1e-6
 
 
+def test_springs_may_be_as_firm_as_each_step_says():
+    """As in calls of one step each, and constant as given once; of no stiffness, as without any."""
+    random, (skin, _) = np.random.default_rng(6), skin_of(REDUCED)
+    bones, weights = np.repeat(STILL[None], 12, 0), np.repeat(NEUTRAL[None], 12, 0)
+    goals, firm = random.normal(scale=0.1, size=(12, 2, 3)), 10.0 ** random.uniform(0.0, 4.0, (12, 2))
+    at_once, one_by_one, once, each, none, free = (simulation_of(REDUCED) for _ in range(6))
+    at_once.advance(bones, weights, grabs=dynamorph.Grabs(skin, [0, 3], goals, firm))
+    for k in range(12):
+        grab = dynamorph.Grabs(skin, [0, 3], goals[k : k + 1], firm[k])
+        one_by_one.advance(bones[k : k + 1], weights[k : k + 1], grabs=grab)
+    assert np.array_equal(at_once.coordinates, one_by_one.coordinates)
+    once.advance(bones, weights, grabs=dynamorph.Grabs(skin, [0, 3], goals, firm[0]))
+    each.advance(bones, weights, grabs=dynamorph.Grabs(skin, [0, 3], goals, np.repeat(firm[:1], 12, 0)))
+    assert np.array_equal(once.coordinates, each.coordinates)
+    none.advance(bones, weights, grabs=dynamorph.Grabs(skin, [0, 3], goals, np.zeros((12, 2))))
+    free.advance(bones, weights)
+    np.testing.assert_allclose(none.coordinates, free.coordinates, atol=1e-15)
+
+
+@pytest.mark.parametrize("model", [FULL, REDUCED], ids=["full", "responses"])
+def test_what_begins_with_a_grip_begins_in_balance_with_it(model):
+    """Nothing moves as long as nothing else does, and the spring pulls as hard as the tissue does."""
+    simulation, (skin, _) = simulation_of(model), skin_of(model)
+    goal = skin.positions(STILL, NEUTRAL, np.zeros(model.dofs))[[0]] + [0.0, 0.0, 0.02]
+    held = dynamorph.Grabs(skin, [0], goal[None], [300.0])
+    assert simulation.start(STILL, STILL, NEUTRAL, grabs=held).converged
+    begun = simulation.coordinates.copy()
+    assert np.abs(begun).max() > 1e-4
+    bones, weights = np.repeat(STILL[None], 48, 0), np.repeat(NEUTRAL[None], 48, 0)
+    simulation.advance(bones, weights, grabs=dynamorph.Grabs(skin, [0], np.repeat(goal[None], 48, 0), [300.0]))
+    np.testing.assert_allclose(simulation.coordinates, begun, atol=1e-6 * np.abs(begun).max())
+
+
 def test_forces_may_differ_from_step_to_step():
     """As in calls of one step each, and the same at all steps as a constant force."""
     push = np.random.default_rng(5).normal(size=(12, len(FULL.displacement(np.zeros(FULL.dofs))), 3))

@@ -15,6 +15,7 @@ import numpy as np
 from bpy_extras import anim_utils
 
 from .plain import plain
+from .skin import used_grips
 from .skinning import Skinning
 
 GROUP = "Dynamorph"  # of the curves of baked keys, which tells them from the artist's in the same Action
@@ -168,7 +169,7 @@ def _movers(skinning: Skinning) -> list:
     source armature or the goal of IK.
     """
     moving: list = []
-    holding = [grip.object for grip in skinning.obj.dynamorph.grips if not grip.mute]
+    holding = [grip.object for grip in used_grips(skinning.obj)]
     skinned_by = (modifier.object for modifier in skinning.modifiers)
     _add_with_parents((skinning.rig, skinning.obj, *skinned_by, *holding), moving)
     for mover in moving:  # grows

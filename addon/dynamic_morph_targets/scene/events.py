@@ -137,10 +137,10 @@ def shown_changed(group: bpy.types.PropertyGroup, _context: bpy.types.Context) -
     emit(Event.SHOWN_CHANGED, group.id_data)
 
 
-def channel_moved(channel: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
-    """update: of a number that is read where Blender evaluates it, which it does when it is told."""
-    channel.id_data.update_tag()
-    shown_changed(channel, context)
+def sampled_changed(group: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
+    """update: of a number that is read with the rig, from where Blender evaluates it, which it does when it is told."""
+    group.id_data.update_tag()
+    shown_changed(group, context)
 
 
 def mesh_changed(group: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The settings of a soft skin that a simulation follows where they are keyed or driven, and the channels that place its
-targets. They are read with the rig; what must not depend on the present frame has one value for all frames instead.
+"""The settings of a soft skin that a simulation follows where they are keyed or driven, the channels that place its
+targets, and how firmly grips hold. They are read with the rig; what must not depend on the present frame has one value
+for all frames instead.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from ..core.motion.keyed import KeyedSettings, Setting
 from . import animation
 from .plain import plain
-from .skin import named_targets
+from .skin import named_targets, used_grips
 
 OF_OBJECT = {"simulation.amount": "AMOUNT", "collision.distance": "DISTANCE", "collision.friction": "FRICTION"}
 OF_TARGETS = {"stiffness": "STIFFNESS", "amount": "TARGET_AMOUNT"}
@@ -25,8 +26,8 @@ PROPERTY = "keyed"  # custom properties, with a number behind, whose drivers rea
 
 class Keyed(NamedTuple):
     """path: from the object; always: instead of its value, at all frames; least: that it may be; driven: what its
-    driver reads, '' without one: what else changes it is animation. moved: whether anything does, as it must but for
-    channels.
+    driver reads, '' without one: what else changes it is animation. moved: whether anything changes it, as always but
+    for channels and grips.
     """
 
     setting: Setting
@@ -40,7 +41,7 @@ class Keyed(NamedTuple):
 def settings(obj: bpy.types.Object) -> list[Keyed]:
     """Those of `obj` that are keyed or driven, and the channels and grips in use. Fast enough for every frame."""
     moved = [path for path in animation.moved_paths(obj) if path.startswith("dynamorph.")]
-    used, held = channels(obj), [grip for grip in obj.dynamorph.grips if not grip.mute]
+    used, held = channels(obj), used_grips(obj)
     if not (moved or used or held):
         return []
     known = {channel.path_from_id("value"): Setting("CHANNEL", channel.name) for channel in used}

@@ -87,6 +87,11 @@ def named_targets(obj: bpy.types.Object) -> list[tuple]:
     return [(target.name if i else "", target) for i, target in enumerate(obj.dynamorph.targets)]
 
 
+def used_grips(obj: bpy.types.Object) -> list:
+    """The grips of `obj` that hold something."""
+    return [grip for grip in obj.dynamorph.grips if not grip.mute]
+
+
 def target_of_active_key(obj: bpy.types.Object) -> int | None:
     """Index of the target whose shape the active shape key is; the Basis is that of the neutral one. None: of none."""
     key = obj.active_shape_key

@@ -113,17 +113,29 @@ def listed(names: Sequence[str]) -> str:
     return translated(message.listed(names), rpt_)
 
 
-class TargetOperator(SoftSkinOperator):
+class ElementOperator(SoftSkinOperator):
+    """Mixin: works on the element that is selected in a list. active: its property of the settings."""
+
+    active: str
+    nothing_selected: str
+
+    @classmethod
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        reason = super().disabled_reason(context)
+        if not reason and getattr(skin.mesh_in(context).dynamorph, cls.active) is None:
+            return cls.nothing_selected
+        return reason
+
+
+class TargetOperator(ElementOperator):
     """Mixin: works on the target that is selected in the list."""
 
+    active, nothing_selected = "active_target", "Select a target in the list"
     neutral_too = False
 
     @classmethod
     def disabled_reason(cls, context: bpy.types.Context) -> str:
-        disabled_reason = super().disabled_reason(context)
-        settings = not disabled_reason and skin.mesh_in(context).dynamorph
-        if settings and settings.active_target is None:
-            return "Select a target in the list"
-        if settings and settings.active_target_index == 0 and not cls.neutral_too:
+        reason = super().disabled_reason(context)
+        if not reason and skin.mesh_in(context).dynamorph.active_target_index == 0 and not cls.neutral_too:
             return "Select a target other than the neutral one"
-        return disabled_reason
+        return reason

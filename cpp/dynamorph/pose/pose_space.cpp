@@ -14,7 +14,7 @@ namespace {
 
 constexpr double kHalfRound = 150 * kPi / 180;  // radians; beyond it, angles the other way round matter
 constexpr double kSamePose = 0.5 * kPi / 180;   // radians; closer poses make the interpolation ill-conditioned
-constexpr double kChannel = kPi / 2;            // radians that a channel's whole range counts
+constexpr double kChannel = kPi / 2;            // radians that a channel's whole range counts: a bent elbow
 
 /// The angle between two rotations, the short way round.
 double joint_angle(const Rotations& reference, const Rotations& pose, int bone) {

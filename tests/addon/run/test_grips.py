@@ -182,6 +182,23 @@ def test_what_lets_go_rings(arm, hook):
     assert not staleness.outdated(arm)
 
 
+@pytest.mark.parametrize("solver", ["REDUCED", "FULL"])
+def test_grips_are_the_same_at_any_step(arm, hook, solver):
+    """At 120, 240 and 384 steps a second, with a strength that is keyed."""
+    without_rig(arm)
+    bpy.ops.dynamorph.attach()
+    for frame, strength in ((3, 0.0), (6, 1.0)):
+        arm.dynamorph.grips[0].strength = strength
+        arm.dynamorph.grips[0].keyframe_insert("strength", frame=frame)
+    arm.dynamorph.model.solver, rest, shots = solver, shown(arm), []
+    for substeps in (5, 10, 16):
+        arm.dynamorph.simulation.substeps = substeps
+        shots.append(bake(arm))
+    moved = apart(shots[-1], [rest] * len(shots[-1]))
+    print([apart(shot, shots[-1]) / moved for shot in shots])
+    assert apart(shots[0], shots[2]) < 0.1 * moved and apart(shots[1], shots[2]) < 0.05 * moved
+
+
 def test_a_weaker_grip_gives_way(arm, hook):
     without_rig(arm)
     bpy.ops.dynamorph.attach()

@@ -17,8 +17,9 @@ from .contact import carried
 from .keyed import KeyedSettings
 from .rig_samples import RigSamples, Track
 
+RADIUS = 0.03  # of the body's size: of what a hand takes hold of
 MOST = 8  # vertices that a hand pulls: more would only take time
-MOST_OF_GROUP = 24  # that something holds
+MOST_OF_GROUP = 24  # the same of a group, which may be wider
 FIRM = 30.0  # of the springs together, in shear moduli of the tissue times the radius that they pull: skin follows
 
 
@@ -152,6 +153,5 @@ class Hand:
         keyed, patch = rig.track(KeyedSettings), grip.patch
         strength = keyed.of("GRIP", grip.name) if keyed else None
         goals = patch.offsets @ grip.world[:, :3, :3].swapaxes(1, 2) + grip.world[:, None, :3, 3]
-        return goals, (np.ones(len(rig)) if strength is None else strength)[:, None] * (
-            self._firm * patch.radius * patch.share
-        )
+        strengths = np.ones(len(rig)) if strength is None else strength
+        return goals, strengths[:, None] * (self._firm * patch.radius * patch.share)

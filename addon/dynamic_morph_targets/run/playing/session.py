@@ -24,7 +24,7 @@ from ...core.motion.rig_samples import RigSamples
 from ...core.painted_map import MAPS
 from ...core.settings import Material, SimulationSettings
 from ...scene import events, keyed, references, skin, skinning
-from ...scene.motion import colliders, grips, rig_motion
+from ...scene.motion import colliders, rig_motion
 from ...scene.read import mesh_data, probe
 from ...scene.read.sampling_scene import SamplingScene
 from ...scene.store import model_store, staleness
@@ -304,7 +304,9 @@ def _sampling(obj: bpy.types.Object) -> tuple:
     moved = keyed.settings(obj)
     friction = None if Setting("FRICTION") in (each.setting for each in moved) else collision.friction
     stops = [other.session_uid for other in colliders.colliders(obj)], collision.use_friction, friction, moved
-    held = [(grip.name, grip.object and grip.object.session_uid, grip.bone, grip.patch) for grip in grips.used(obj)]
+    held = [
+        (grip.name, grip.object and grip.object.session_uid, grip.bone, grip.patch) for grip in skin.used_grips(obj)
+    ]
     return held, obj.dynamorph.simulation.fields, render.frame_map_old, render.frame_map_new, skin.unit_scale(), stops
 
 

@@ -18,14 +18,13 @@ from ...core import engine, errors, logger
 from ...core.errors import SceneError
 from ...core.message import Message
 from ...core.model.model import Model
-from ...core.motion.grab import FIRM, Grab, pinch
+from ...core.motion.grab import FIRM, RADIUS, Grab, pinch
 from ...core.motion.player import Frame, Player, changed
 from ...scene import events, skin
 from ...write.authoring import grips
 from .. import live, remembered
 from ..playing.session import Session
 
-RADIUS = 0.03  # of the body's size: of what a hand takes hold of
 FARTHEST = 0.25  # of the size: that a hand leads the skin away from where it took hold
 HELD = 0.5  # of a node, from 0 to 1: where the bones have more of it, it does not move by itself
 SLAP, SLAP_SECONDS = 0.06, 2 / 24  # of the size: how far a slap leads the skin in, and for how long

@@ -11,16 +11,12 @@ import numpy as np
 from ...core.errors import SceneError
 from ...core.motion.grab import GripTrack, Patch
 from ..check.problem import Problem
-
-
-def used(obj: bpy.types.Object) -> list:
-    """The grips of `obj` that hold something."""
-    return [grip for grip in obj.dynamorph.grips if not grip.mute]
+from ..skin import used_grips
 
 
 def problems(obj: bpy.types.Object) -> Iterator[Problem]:
     """What prevents that they hold. Raises RecordError."""
-    for grip in used(obj):
+    for grip in used_grips(obj):
         if grip.object is None:
             text = "'{name}': what holds '{grip}' is gone: remove it from Grips"
             yield Problem(text, name=obj.name, grip=grip.name)

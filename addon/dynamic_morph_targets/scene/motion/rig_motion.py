@@ -27,7 +27,7 @@ from ..read.probe import Probe
 from ..read.sampling_scene import SamplingScene, rig_scene
 from ..read.worlds import in_meters, not_a_number, refuse_overflow, world_now
 from ..references import rest_skeleton, rig_of
-from ..skin import shown_objects, unit_scale
+from ..skin import shown_objects, unit_scale, used_grips
 from ..skinning import Skinning
 from . import colliders, grips
 
@@ -183,7 +183,7 @@ class RigSampling:
         self._fields = tuple(_empty_samples(source.field, self.count, self._unit) for source in sources)
         self._colliders = [each for each in colliders.readers(obj, self.count) if each.name not in without]
         refuse(grips.problems(obj))
-        self._grips = [grips.GripReader(grip, self.count) for grip in grips.used(obj)]
+        self._grips = [grips.GripReader(grip, self.count) for grip in used_grips(obj)]
         self._keyed = keyed.settings(obj)
         for each in self._keyed:
             if not all(curve.driver.is_valid for curve in keyed.drivers_of(obj, each.path)):

@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 from bpy.types import PropertyGroup
 
-from ..events import channel_moved
+from ..events import sampled_changed
 from ..keyless import ANIMATED, BoolProperty, FloatProperty, PointerProperty, StringProperty
 from ..references import OVERRIDE
 
@@ -28,7 +28,7 @@ class DynamorphGrip(PropertyGroup):
         description="How firmly the patch is held: 1 as by Grab Soft Skin, 0 not at all. Key it to take hold and to "
         "let go",
         default=1.0, min=0.0, max=100.0, soft_max=1.0, step=1, options=ANIMATED, override=OVERRIDE,
-        update=channel_moved,
+        update=sampled_changed,
     )  # fmt: skip
     patch: StringProperty(  # grab.Patch.text
         name="Patch", description="The vertices that are held, and where", options={"HIDDEN"}, override=OVERRIDE

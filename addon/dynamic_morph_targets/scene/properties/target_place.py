@@ -9,7 +9,7 @@ import numpy as np
 from bpy.types import PropertyGroup
 
 from ...core.character import Skeleton
-from ..events import channel_moved
+from ..events import sampled_changed
 from ..keyless import ANIMATED, BoolProperty, CollectionProperty, FloatProperty, FloatVectorProperty, StringProperty
 from ..references import OVERRIDE, OVERRIDE_LIST
 
@@ -28,7 +28,7 @@ class DynamorphChannel(PropertyGroup):
         description="Places the targets that name it: 0 is where it does nothing. Drag it, key it, or drive it by any "
         "property. It acts in Live and in bakes",
         default=0.0, soft_min=0.0, soft_max=1.0, step=1, precision=3, options=ANIMATED, override=OVERRIDE,
-        update=channel_moved,
+        update=sampled_changed,
     )  # fmt: skip
 
 

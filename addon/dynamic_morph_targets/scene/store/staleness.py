@@ -28,7 +28,7 @@ from ...core.painted_map import EXCLUDED, MAX_DISTANCE
 from ...core.settings import ENGINE, FREE_SETTINGS, SimulationSettings
 from ...io import whole
 from .. import animation, keyed, skin
-from ..motion import collider_state, colliders, grips, run_settings
+from ..motion import collider_state, colliders, run_settings
 from ..plain import plain
 from ..references import KEY_REFERENCE
 from ..skin import attached_meshes, named_targets, own_attachments, shown_attachments
@@ -249,7 +249,7 @@ def bake_inputs(skinned: Skinning, simulation: SimulationSettings) -> dict:
         part, _, name = path.partition(".")
         if name in inputs[part] and Setting(kind) in moved:
             inputs[part][name] = moved[Setting(kind)]
-    inputs["grips"] = {grip.name: _grip(grip, moved[Setting("GRIP", grip.name)]) for grip in grips.used(obj)}
+    inputs["grips"] = {grip.name: _grip(grip, moved[Setting("GRIP", grip.name)]) for grip in skin.used_grips(obj)}
     inputs["channels"] = {each.name: value for each, value in moved.items() if each.kind == "CHANNEL"}
     for name, target in named_targets(obj):
         values = plain(target, skip=(*KEY_REFERENCE, *UNUSED))

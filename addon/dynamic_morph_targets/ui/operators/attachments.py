@@ -14,7 +14,7 @@ from ...scene import skin
 from ...scene.registration import of_classes
 from ...write.authoring import attachments
 from ...write.bake import writer
-from ..base import SoftSkinOperator, listed
+from ..base import ElementOperator, SoftSkinOperator, listed
 
 
 class DYNAMORPH_OT_find_attachments(SoftSkinOperator, Operator):
@@ -49,15 +49,10 @@ class DYNAMORPH_OT_add_attachment(SoftSkinOperator, Operator):
         settings.active_attachment_index = len(settings.attachments) - 1
 
 
-class PieceOperator(SoftSkinOperator):
+class PieceOperator(ElementOperator):
     """Mixin: works on the attachment selected in the list."""
 
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        disabled_reason = super().disabled_reason(context)
-        if not disabled_reason and skin.mesh_in(context).dynamorph.active_attachment is None:
-            return "Select an attachment in the list first"
-        return disabled_reason
+    active, nothing_selected = "active_attachment", "Select an attachment in the list first"
 
 
 class DYNAMORPH_OT_remove_attachment(PieceOperator, Operator):

@@ -13,7 +13,7 @@ from ...run.tools import grabbing
 from ...scene import skin
 from ...scene.registration import of_classes
 from ...write.authoring import grips
-from ..base import SoftSkinOperator
+from ..base import ElementOperator, SoftSkinOperator
 
 
 class DYNAMORPH_OT_attach(SoftSkinOperator, Operator):
@@ -35,15 +35,10 @@ class DYNAMORPH_OT_attach(SoftSkinOperator, Operator):
         self.report({"INFO"}, rpt_("'{name}' holds the skin from here on: key its Strength").format(name=grip.name))
 
 
-class GripOperator(SoftSkinOperator):
+class GripOperator(ElementOperator):
     """Mixin: works on the grip that is selected in the list."""
 
-    @classmethod
-    def disabled_reason(cls, context: bpy.types.Context) -> str:
-        reason = super().disabled_reason(context)
-        if not reason and skin.mesh_in(context).dynamorph.active_grip is None:
-            return "Select a grip in the list first"
-        return reason
+    active, nothing_selected = "active_grip", "Select a grip in the list first"
 
 
 class DYNAMORPH_OT_attach_here(GripOperator, Operator):

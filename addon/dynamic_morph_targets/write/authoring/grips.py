@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.errors import SceneError
 from ...core.geometry import diagonal, inverse, invertible, vertex_areas
-from ...core.motion.grab import FIRM, Grab, Patch, pinch, spread
+from ...core.motion.grab import FIRM, RADIUS, Grab, Patch, pinch, spread
 from ...scene import animation
 from ...scene.motion.grips import holder_world
 from ...scene.properties.grip_properties import DynamorphGrip
@@ -19,7 +19,6 @@ from ...scene.read.mesh_data import VertexGroups
 from ...scene.skin import unit_scale
 from ..assign import free_name
 
-RADIUS = 0.03  # of the body's size: of what is taken hold of without a group, as a hand does
 DRAG = "Drag"
 SOON = 0.02  # frames: a key so long after a frame is not seen at it; Blender makes one of two that are nearer
 
