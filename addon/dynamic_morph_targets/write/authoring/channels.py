@@ -21,9 +21,9 @@ from ...scene.skinning import Skinning
 from ..assign import free_name
 from . import regions, targets
 
-TENSE = 8.0  # times as stiff as at rest; a muscle that tenses is four to ten times as stiff
+TENSE = 8.0  # times as stiff as relaxed; along its fibers, a muscle at full contraction is 31 times so (presets)
 TENSION = "Tension"
-ENDLESS = 1e9
+ENDLESS = 1e9  # of what has no largest value, Blender says the largest number that it can store
 
 
 class Property:
@@ -105,13 +105,9 @@ def full_path(owner: bpy.types.ID, path: str) -> str:
 # The channels of a soft skin ---------------------------------------------------------------------------------------
 
 
-def find(obj: bpy.types.Object, name: str) -> DynamorphChannel | None:
-    return next((channel for channel in obj.dynamorph.channels if channel.name == name), None)
-
-
 def ensure(obj: bpy.types.Object, name: str) -> DynamorphChannel:
     """The channel of this name; it is made where there is none."""
-    channel = find(obj, name)
+    channel = obj.dynamorph.channels.get(name)
     if channel is None:
         channel = obj.dynamorph.channels.add()
         channel.name = name
@@ -211,7 +207,7 @@ def drive(channel: DynamorphChannel, read: Property) -> None:
     curve = channel.driver_add("value")
     variable = keyed.follow(curve, read.owner, read.path)
     if read.rest:
-        curve.driver.type, curve.driver.expression = "SCRIPTED", f"{variable.name} - {read.rest:g}"
+        curve.driver.type, curve.driver.expression = "SCRIPTED", f"{variable.name} - {read.rest!r}"
 
 
 def _is_of(read: Property | None, other: Property) -> bool:
