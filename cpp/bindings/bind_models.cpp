@@ -2,6 +2,7 @@
 #include "dynamorph/mesh/embedding.hpp"
 #include "dynamorph/models/extend_shapes.hpp"
 #include "dynamorph/models/full_model.hpp"
+#include "dynamorph/models/posed_shape.hpp"
 #include "dynamorph/reduced/modes/basis.hpp"
 #include "model_interface.hpp"
 
@@ -121,10 +122,56 @@ void bind_full_model(py::module_& m) {
   bind_model(full);
 }
 
+void bind_posed_shape(py::module_& m) {
+  py::class_<PosedShape>(m, "PosedShape", "What `shape_by_physics` found.")
+      .def_property_readonly(
+          "skin", [](const PosedShape& s) { return s.skin; }, "Displacements of the skin (P, 3), bind space, meters.")
+      .def_property_readonly(
+          "nodes", [](const PosedShape& s) { return s.nodes; },
+          "Displacements of the nodes (n, 3), bind space, meters.")
+      .def_readonly("least_volume", &PosedShape::least_volume,
+                    "Of a tet with that displacement, in bind space, relative to rest.")
+      .def_readonly("overlap", &PosedShape::overlap,
+                    "How deep the skin is still in itself, meters: the bones leave no room there.")
+      .def_readonly("overlaps", &PosedShape::overlaps, "The point that is deepest, or -1.")
+      .def_readonly("plain", &PosedShape::plain,
+                    "How much of plain skinning stays at each point (P), from 0 to 1, where it cannot be inverted.")
+      .def_readonly("iterations", &PosedShape::iterations, "Of Newton's method, in all steps.")
+      .def_readonly("converged", &PosedShape::converged, "Whether the last step ended.");
+
+  m.def(
+      "shape_by_physics",
+      [](const TetMesh& mesh, const VectorXd& stiffness, const MatrixXd& weights, const FloatArray& rest,
+         const Embedding& embedding, const MatrixXd& skin_weights, const IndexArray& triangles,
+         const VectorXd& thickness, const std::vector<FloatArray>& path, const py::object& progress) {
+        const Points points = as_points(flat_points("rest", rest, -1));
+        check_finite("rest", points);
+        const PosedBody body{mesh,
+                             stiffness,
+                             normalized(weights),
+                             {points, embedding, normalized(skin_weights), {}},
+                             to_indices<Triangles>(triangles, "triangles"),
+                             thickness};
+        std::vector<Transforms> bones;
+        for (const FloatArray& each : path) bones.push_back(transforms("path", each));
+        const ProgressFn report = with_gil(progress);
+        return without_gil([&] { return shape_by_physics(body, bones, report); });
+      },
+      "mesh"_a, "stiffness"_a, "weights"_a, "rest"_a, "embedding"_a, "skin_weights"_a, "triangles"_a, "thickness"_a,
+      "path"_a, "progress"_a = py::none(),
+      R"(The shape that a soft body has in a pose, found by statics: what an artist would sculpt there.
+
+stiffness (m): of each tet, relative to the others. weights (n, B) of the nodes and skin_weights (P, B) at any positive
+scale. rest (P, 3), embedding: of the skin, bind space, meters. triangles (T, 3): of the skin, outward. thickness (P):
+from the skin to the middle of the body, meters. path: skin transforms (B, 3, 4) of the bones, from near rest to the
+pose. progress: called with 0..1, returns False to cancel. Raises Error for transforms that are not finite.)");
+}
+
 }  // namespace
 
 void bind_models(py::module_& m) {
   bind_morph_target(m);
   bind_soft_body(m);
   bind_full_model(m);
+  bind_posed_shape(m);
 }

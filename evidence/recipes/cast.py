@@ -126,6 +126,14 @@ def crouched(bones: Skeleton, drop: np.ndarray) -> Turns:
     return turns
 
 
+def lift_knee(_bones: Skeleton) -> tuple[np.ndarray, Turns]:
+    """He stands on his right leg, and lifts the left knee."""
+    frames = np.arange(48)
+    lifted = curve(frames, (0, 0), (8, 0), (18, 1), (32, 1), (42, 0))
+    turns = {"thigh_l": about(0, -80 * lifted), "calf_l": about(0, 115 * lifted)}
+    return np.zeros((len(frames), 3)), turns
+
+
 def hop_height() -> np.ndarray:
     """How high he is (F,) above where he stands: he crouches, pushes himself off, falls back, and rises. 48 frames."""
     crouch, fast = 0.17, 4 / FPS  # meters, and seconds in which he pushes himself off, or is stopped

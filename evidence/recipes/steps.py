@@ -21,6 +21,7 @@ SCULPT = "Biceps sculpt"  # the mesh attribute that stands for the sculptor's st
 HANDS, FEET = ("hand", "thumb", "index", "middle", "ring", "pinky"), ("foot", "ball")
 NAVEL, BELLY = (0.0, -0.2, 0.98), 0.2  # of Herbert: where his belly is, and its radius, meters
 FLEXED = 80  # frame of the shoulder
+LIFTED = 24  # frame in which the knee is lifted
 HELD = 6  # frame in which a ball touches the belly
 DRAG = range(4, 13)  # frames in which a hand drags
 
@@ -111,6 +112,14 @@ def bulge(hands: Hands, body: bpy.types.Object) -> None:
     sculpt(body, "Biceps")
     OPS.finish_sculpt()
     OPS.apply_material(preset="MUSCLE_FLEXED")
+    hands.bake(body)
+
+
+def shape(hands: Hands, body: bpy.types.Object) -> None:
+    hands.add_soft_skin(body)
+    bpy.context.scene.frame_set(LIFTED)
+    cast.activate(body)
+    OPS.shape_by_physics()
     hands.bake(body)
 
 
@@ -351,6 +360,11 @@ RECIPES = {
     "bulge": Recipe(
         relaxed_arm, bulge, "A biceps that bulges", "The flexed biceps bulges as sculpted and is firm.",
         draft=(76, 84), frame=FLEXED, close=0.36, focus=(0.4, 0.0, 0.74),
+    ),
+    "shape": Recipe(
+        lambda _hands: cast.herbert(cast.lift_knee, "Lift Knee"), shape, "Shape a pose by physics",
+        "Knee and hip bend as soft tissue does, and nobody sculpted them.",
+        draft=(16, 28), frame=LIFTED, close=0.45, focus=(0.1, -0.15, 0.8),
     ),
     "flex": Recipe(
         still_arm, flex, "Flex without moving", "A slider tenses the biceps: it bulges and is firm, and no bone moves.",

@@ -309,6 +309,7 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "remove_channel": (with_channel, {}),
     "move_target": (two_targets, {"direction": "DOWN"}),
     "new_from_pose": (posed, {"key": "Bent"}),
+    "shape_by_physics": (posed, {}),
     "paint_firmness": (target_selected, {}),
     "paint_max_distance": (target_selected, {}),
     "region_from_sculpt": (target_selected, {}),

@@ -194,6 +194,9 @@ def calls() -> dict[str, tuple[object, dict]]:
     state = touched(s.collider_motion)[1].state
     points = {"rest": s.points, "embedding": s.embedding, "weights": np.ones((len(s.points), 1)),
               "residual_shapes": np.zeros((2, len(s.points), 3))}  # fmt: skip
+    along = np.clip(5.0 * s.nodes[:, :1] - 0.5, 0.0, 1.0)
+    bent = np.hstack([1.0 - along, along])
+    turned = np.array([[[0.0, -1.0, 0.0, 0.2], [1.0, 0.0, 0.0, -0.2], [0.0, 0.0, 1.0, 0.0]]])
     own_limits = s.limits | {"groups": s.groups, "painted": s.painted, "stretch": 0.4,
                              "edges_between": 100, "tissue": s.limit.tissue}  # fmt: skip
     found = {
@@ -270,6 +273,11 @@ def calls() -> dict[str, tuple[object, dict]]:
                                   "tails": s.tails, "ratio": 0.4}),
         "reduce": (lib, {"model": s.full, "U": s.basis.U, "progress": going}),
         "symmetric_like": (lib, {"mesh": s.tube, **skin}),
+        "shape_by_physics": (lib, {"mesh": s.mesh, "stiffness": s.ones, "weights": bent, "rest": s.nodes,
+                                   "embedding": dynamorph.embed(s.mesh, s.nodes), "skin_weights": bent,
+                                   "triangles": s.limits["triangles"], "thickness": np.full(s.n, 0.05),
+                                   "path": [np.repeat(s.bones, 2, 0), np.concatenate([s.bones, turned])],
+                                   "progress": going}),
         "set_threads": (lib, {"limit": 2}),
         "tetrahedralize": (_mesher, {**skin, "target_nodes": 120, "inner": np.array([[0.0, 0.0, 1.0]])}),
         "unpack_model": (lib, {"buffer": b"\0" * 16}),

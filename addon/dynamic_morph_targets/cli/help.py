@@ -17,6 +17,7 @@ EXAMPLES = {
     "build": "--all --cache-dir models",
     "report": "--object Body --json figures.json",
     "fit": "--object Body --target Flexed --oscillation swing.csv --in-place",
+    "shape": "--object Body --target Flexed --in-place",
     "collect": "reports -o index.html --expect 12",
     "delete-bake": "--all --in-place",
     "info": "--all",

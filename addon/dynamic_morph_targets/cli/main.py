@@ -52,6 +52,7 @@ from .help import Parser, Version, add_parser, epilog, without_buttons
 from .info import run_info
 from .parsers import file_of, name_of, number, path_of
 from .record import record
+from .shape import add_shape
 
 COLLECT = "make one page from many reports; fails if one of them is missing or reports a failure"
 # 70 and 75 as EX_SOFTWARE and EX_TEMPFAIL of sysexits.h.
@@ -163,6 +164,7 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
     add_build(command)
     add_report(command)
     add_fit(command)
+    add_shape(command)
     add_collect(commands, opens_file)
     command("delete-bake", run_delete_bake, "delete bakes and restore the target keys")
     command("info", run_info, "print the contents of the file", writes=False)

@@ -8,7 +8,7 @@ import numpy.typing
 import scipy.sparse
 import typing
 import typing_extensions
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Contact', 'Coupling', 'Deformation', 'Embedding', 'Error', 'FullModel', 'Grabs', 'Integrator', 'LimitedTissue', 'LocalResponses', 'MaterialModel', 'MeshCut', 'MorphTarget', 'MotionLimit', 'PoseSpace', 'ReducedModel', 'ReducedTables', 'ResponseBasis', 'SelfContact', 'Simulation', 'Skin', 'SoftBody', 'State', 'StepReport', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'measure_deformation', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'symmetric_like', 'unpack_model']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Collider', 'ColliderMotion', 'Contact', 'Coupling', 'Deformation', 'Embedding', 'Error', 'FullModel', 'Grabs', 'Integrator', 'LimitedTissue', 'LocalResponses', 'MaterialModel', 'MeshCut', 'MorphTarget', 'MotionLimit', 'PoseSpace', 'PosedShape', 'ReducedModel', 'ReducedTables', 'ResponseBasis', 'SelfContact', 'Simulation', 'Skin', 'SoftBody', 'State', 'StepReport', 'TargetSet', 'TetMesh', 'Thickness', 'adapt_response_basis', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage_surface', 'make_response_basis', 'measure_deformation', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'shape_by_physics', 'symmetric_like', 'unpack_model']
 class Error(RuntimeError):
     """
     A body that cannot be simulated. The message says what to do.
@@ -390,6 +390,50 @@ class FullModel:
     def dofs(self) -> int:
         """
         Number of coordinates.
+        """
+class PosedShape:
+    """
+    What `shape_by_physics` found.
+    """
+    @property
+    def converged(self) -> bool:
+        """
+        Whether the last step ended.
+        """
+    @property
+    def iterations(self) -> int:
+        """
+        Of Newton's method, in all steps.
+        """
+    @property
+    def least_volume(self) -> float:
+        """
+        Of a tet with that displacement, in bind space, relative to rest.
+        """
+    @property
+    def nodes(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+        """
+        Displacements of the nodes (n, 3), bind space, meters.
+        """
+    @property
+    def overlap(self) -> float:
+        """
+        How deep the skin is still in itself, meters: the bones leave no room there.
+        """
+    @property
+    def overlaps(self) -> int:
+        """
+        The point that is deepest, or -1.
+        """
+    @property
+    def plain(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        How much of plain skinning stays at each point (P), from 0 to 1, where it cannot be inverted.
+        """
+    @property
+    def skin(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+        """
+        Displacements of the skin (P, 3), bind space, meters.
         """
 class Basis:
     """
@@ -994,6 +1038,15 @@ def reduce(model: FullModel, basis: ResponseBasis, progress: typing.Any = None) 
 def set_threads(limit: typing.SupportsInt | typing.SupportsIndex) -> None:
     """
     Uses at most this many cores from now on; 0 means all that the process may use. Results do not depend on it.
+    """
+def shape_by_physics(mesh: TetMesh, stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], rest: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], embedding: Embedding, skin_weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], thickness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], path: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64]], progress: typing.Any = None) -> PosedShape:
+    """
+    The shape that a soft body has in a pose, found by statics: what an artist would sculpt there.
+    
+    stiffness (m): of each tet, relative to the others. weights (n, B) of the nodes and skin_weights (P, B) at any positive
+    scale. rest (P, 3), embedding: of the skin, bind space, meters. triangles (T, 3): of the skin, outward. thickness (P):
+    from the skin to the middle of the body, meters. path: skin transforms (B, 3, 4) of the bones, from near rest to the
+    pose. progress: called with 0..1, returns False to cancel. Raises Error for transforms that are not finite.
     """
 def symmetric_like(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32]) -> TetMesh:
     """

@@ -24,6 +24,24 @@ void check(MaterialModel material_model) {
                                 std::to_string(int(material_model)));
 }
 
+namespace {
+
+/// map: from the neutral shape of a tet to another one.
+bool is_usable(const Matrix3d& map) {
+  const double ratio = map.determinant();
+  return ratio >= 0.2 && ratio <= 5 && Eigen::JacobiSVD<Matrix3d>(map).singularValues()(2) >= 0.2;
+}
+
+}  // namespace
+
+std::vector<bool> usable(const TetMesh& mesh, const VectorXd& displacement) {
+  const Points x = mesh.nodes + as_points(displacement);
+  std::vector<bool> out;
+  for (Eigen::Index e = 0; e < mesh.tets.rows(); ++e)
+    out.push_back(is_usable(edges(x, mesh.tets, e) * edges(mesh.nodes, mesh.tets, e).inverse()));
+  return out;
+}
+
 RestShape rest_shape(const TetMesh& mesh, const VectorXd& displacement, const VectorXd& scale, bool shifted) {
   const Points& X = mesh.nodes;
   const Points x = X + as_points(displacement);
@@ -33,13 +51,10 @@ RestShape rest_shape(const TetMesh& mesh, const VectorXd& displacement, const Ve
     const Matrix3d neutral = edges(X, mesh.tets, e);
     const Matrix3d deformed = edges(x, mesh.tets, e);
     const Matrix3d map = deformed * neutral.inverse();
-    const double ratio = map.determinant();
-    const bool usable = ratio >= 0.2 && ratio <= 5 && Eigen::JacobiSVD<Matrix3d>(map).singularValues()(2) >= 0.2;
-    const bool about_shape = usable && !shifted;
+    const bool usable = is_usable(map), about_shape = usable && !shifted;
     const Matrix3d& rest = about_shape ? deformed : neutral;
     Element& element = shape.elements[e];
-    element.gradients.rightCols<3>() = rest.inverse().transpose();
-    element.gradients.col(0) = -element.gradients.rightCols<3>().rowwise().sum();
+    element.gradients = gradients_of(rest);
     element.weight = rest.determinant() / 6 * scale(e);
     // Either way F(d) = I. The deformed rest shape gives F0 = D(X) D(X+d)^-1, the neutral one F0 = I - grad d.
     element.origin = about_shape ? Matrix3d(neutral * deformed.inverse()) : Matrix3d(2 * Matrix3d::Identity() - map);

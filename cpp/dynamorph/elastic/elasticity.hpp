@@ -44,6 +44,9 @@ struct RestShape {
   int fallbacks = 0;  ///< elements that keep the neutral rest shape
 };
 
+/// Which tets (m) such a shape leaves usable; the others would fall back.
+std::vector<bool> usable(const TetMesh& mesh, const VectorXd& displacement);
+
 /// displacement (3n): meters. scale (m): multiplies each element's volume. shifted: all elements keep the neutral rest
 /// shape, so that the stiffness is that of the neutral at any displacement.
 RestShape rest_shape(const TetMesh& mesh, const VectorXd& displacement, const VectorXd& scale, bool shifted = false);

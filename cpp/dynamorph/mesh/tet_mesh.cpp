@@ -2,6 +2,7 @@
 #include "dynamorph/mesh/tet_mesh.hpp"
 
 #include <Eigen/Geometry>
+#include <Eigen/LU>
 #include <algorithm>
 #include <array>
 #include <string>
@@ -43,6 +44,19 @@ VectorXd volumes(const TetMesh& mesh) {
   VectorXd v(mesh.tets.rows());
   for (Eigen::Index t = 0; t < v.size(); ++t) v[t] = determinant(mesh, t) / 6;
   return v;
+}
+
+Gradients gradients_of(const Matrix3d& edges) {
+  Gradients out;
+  out.rightCols<3>() = edges.inverse().transpose();
+  out.col(0) = -out.rightCols<3>().rowwise().sum();
+  return out;
+}
+
+Gradients gradients_of(const TetMesh& mesh, Eigen::Index tet) {
+  Matrix3d edges;
+  for (int k = 0; k < 3; ++k) edges.col(k) = mesh.nodes.row(mesh.tets(tet, k + 1)) - mesh.nodes.row(mesh.tets(tet, 0));
+  return gradients_of(edges);
 }
 
 std::vector<std::pair<int, int>> face_neighbors(const Tets& tets) {

@@ -25,6 +25,12 @@ TetMesh make_tet_mesh(Points nodes, Tets tets);
 /// Volume of every tet, cubic meters.
 VectorXd volumes(const TetMesh& mesh);
 
+/// Of a tet's linear shape functions, 1/m: one column per node.
+using Gradients = Eigen::Matrix<double, 3, 4>;
+/// Those of the tet with these edges from its first node to the others (columns).
+Gradients gradients_of(const Matrix3d& edges);
+Gradients gradients_of(const TetMesh& mesh, Eigen::Index tet);
+
 /// Any two tets that share a face.
 std::vector<std::pair<int, int>> face_neighbors(const Tets& tets);
 

@@ -16,6 +16,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import bpy
+import numpy as np
 import pytest
 from bl_ext.user_default.dynamic_morph_targets.cli import help, main
 from bl_ext.user_default.dynamic_morph_targets.core import errors as core_errors
@@ -23,6 +24,7 @@ from bl_ext.user_default.dynamic_morph_targets.core import memory
 from bl_ext.user_default.dynamic_morph_targets.io import disk, paths, report_page
 from bl_ext.user_default.dynamic_morph_targets.run.bake import batch
 from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.write import storage
 from builders import make_arm, make_ball, make_soft
 
@@ -547,6 +549,35 @@ def test_messages_name_commands_instead_of_buttons(shot, run):
     assert {button.removeprefix("press ") for button in help.INSTEAD} <= labels | {"Bake"}  # it has a longer label
     assert help.without_buttons("press Bake, or press Baked") == "run dynamorph bake, or press Baked"
     assert help.without_buttons("press Add Soft Skin in Blender first") == "press Add Soft Skin in Blender first"
+
+
+def test_physics_sculpts_a_target(shot, run):
+    sculpted = shot.parent / "sculpted.blend"
+    code, out, errors = run("shape", shot, "--object", "Arm", "--target", "flexed", "-o", sculpted)
+    assert code == 0 and not errors and f"saved {sculpted}" in out
+    shapes = []
+    for path in (shot, sculpted):
+        bpy.ops.wm.open_mainfile(filepath=str(path))
+        shapes.append(mesh_data.target_shape(bpy.data.objects["Arm"], "flexed"))
+    assert np.isfinite(shapes[1]).all() and np.abs(shapes[1] - shapes[0]).max() > 1e-3
+    for words, said in ((("--target", "Neutral"), "the neutral target"), (("--target", "none"), "has no target named"),
+                        (("--target", "flexed", "--frame", 2), "already")):  # fmt: skip
+        code, _, errors = run("shape", shot, "--object", "Arm", *words, "-o", sculpted)
+        assert code == 2 and said in errors and errors.count("\n") == 1
+
+
+def test_physics_sculpts_a_new_target_at_a_frame(shot, run):
+    bpy.ops.wm.open_mainfile(filepath=str(shot))
+    bone = bpy.data.objects["Arm Rig"].pose.bones["lower"]
+    for frame, angle in ((1, 0.0), (5, 0.9)):
+        bone.rotation_euler.z = angle
+        bone.keyframe_insert("rotation_euler", frame=frame)
+    bpy.ops.wm.save_as_mainfile(filepath=str(shot))
+    arguments = ("shape", shot, "--object", "Arm", "--target", "Bent", "--frame", 5, "-o", shot.parent / "bent.blend")
+    code, _, errors = run(*arguments)
+    assert code == 0 and not errors
+    bpy.ops.wm.open_mainfile(filepath=str(shot.parent / "bent.blend"))
+    assert "Bent" in bpy.data.objects["Arm"].dynamorph.targets
 
 
 @pytest.mark.fault("B01")

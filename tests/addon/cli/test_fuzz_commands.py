@@ -73,7 +73,7 @@ def test_setups_with_another_value(soft, saved, tmp_path_factory, where, value):
     load(setup, soft)
 
 
-COMMANDS = ("check", "bake", "build", "report", "fit", "collect", "delete-bake", "info", "nonsense")
+COMMANDS = ("check", "bake", "build", "report", "fit", "shape", "collect", "delete-bake", "info", "nonsense")
 WORDS = (
     "--object", "Arm", "--all", "-o", "{folder}/out.blend", "--in-place", "--frames", "1", "3", "-1", "--substeps",
     "--report", "{folder}/report.json", "--set", "flexed.stiffness=1e4", "flexed.x=1", "=", "--format", "gltf", "pc2",

@@ -10,8 +10,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from bl_ext.user_default.dynamic_morph_targets.core.geometry import diagonal
+from bl_ext.user_default.dynamic_morph_targets.core.geometry import diagonal, signed_volume
 from bl_ext.user_default.dynamic_morph_targets.core.result import judge
+from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from recipes import cast, pictures, steps
 
 ROOT = Path(__file__).parents[3]
@@ -63,6 +64,17 @@ def check_bulge(cooked):
     flexed = cooked.motion[steps.FLEXED - bpy.context.scene.frame_start]
     assert flexed.max() > 0.02
     assert cooked.of_bones("chest") * cooked.size < 0.1 * flexed.max()
+
+
+def check_shape(cooked):
+    _, pose = cooked.body.dynamorph.targets
+    assert {"thigh_l", "calf_l"} <= {*pose.bone_names()} and pose.region
+    lifted = steps.LIFTED - bpy.context.scene.frame_start
+    triangles = mesh_data.mesh_triangles(cooked.body.data)
+    volumes = [signed_volume(each, triangles) for each in (cooked.plain[lifted], cooked.baked[lifted])]
+    plain, shaped = np.array(volumes) / signed_volume(cast.coordinates(cooked.body.data), triangles) - 1.0
+    assert plain < -0.02 and abs(shaped) < 0.5 * abs(plain)
+    assert cooked.of_bones("head", "hand_r") < 0.001
 
 
 def check_flex(cooked):
@@ -191,6 +203,7 @@ def frames() -> range:
 CHECKS = {
     "jiggle": check_jiggle,
     "bulge": check_bulge,
+    "shape": check_shape,
     "flex": check_flex,
     "breathe": check_breathe,
     "firm_parts": check_firm_parts,

@@ -10,17 +10,18 @@ from bpy.props import EnumProperty, StringProperty
 from bpy.types import Operator
 
 from ...core import engine, errors
-from ...core.character import Skeleton
 from ...core.errors import SceneError
 from ...core.message import translated
+from ...run.tools import shaping
+from ...run.work import task
 from ...scene import skin
-from ...scene.motion import rig_motion
 from ...scene.registration import of_classes
 from ...write.assign import free_name
 from ...write.authoring import targets
 from ...write.authoring.targets import sculpted_key
 from ...write.bake import muting
 from ..base import SoftSkinOperator, TargetOperator, report_errors
+from .jobs import JobOperator
 from .poses import go_to_pose
 
 SCULPT_MODE = EnumProperty(
@@ -59,39 +60,55 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
     def _ask(self, context: bpy.types.Context) -> set[str]:
         obj = skin.mesh_in(context)
         self._check(obj)
-        self.key = self.key or self._default_name(obj)
+        self.key = self.key or free_key_name(obj)
         return context.window_manager.invoke_props_dialog(self)
 
     def apply(self, obj: bpy.types.Object) -> None:
         pose = self._check(obj)
         shape = targets.blended_shape(obj, pose[1])
         muting.show_target(obj, "")
-        block = targets.new_key(obj, self.key or self._default_name(obj), shape)
+        block = targets.new_key(obj, self.key or free_key_name(obj), shape)
         target = targets.add(obj, block)
         target.set_pose(*pose)
         targets.take_channel(obj, target)
         targets.choose_bones(obj, target, pose[0], np.zeros_like(shape))  # all that are turned, until it is sculpted
         targets.begin_sculpting(obj, block, self.mode, is_new=True)
 
-    def _check(self, obj: bpy.types.Object) -> tuple[Skeleton, np.ndarray, np.ndarray]:
+    def _check(self, obj: bpy.types.Object) -> targets.Pose:
         """The current pose. Raises SceneError if it cannot have a new target."""
         targets.check_can_sculpt(obj)
-        skeleton, local, rig_world = rig_motion.current_pose(obj)
-        bones = rig_motion.bones_turned(obj, skeleton, obj.dynamorph.targets[0].local(skeleton), local)
-        channels = targets.channels_now(obj)
-        if not (bones or channels):
-            raise SceneError("No bone is turned away from the neutral pose: pose the armature first")
-        other = targets.at_pose_of(obj, skeleton, local, bones, channels)
-        # Another limb that is turned too may have a target there: by its sculpt it comes into another set.
-        if other and (obj.dynamorph.model.hold != "THICKNESS" or set(bones) <= {*other.bone_names()}):
+        pose, other = targets.posed_target(obj)
+        if other:
             raise SceneError(
                 "The armature is in the pose of '{name}': change the pose, or sculpt that target", name=other.name
             )
-        return skeleton, local, rig_world
+        return pose
 
-    def _default_name(self, obj: bpy.types.Object) -> str:
-        keys = obj.data.shape_keys
-        return free_name(keys.key_blocks.keys() if keys else (), "Pose")
+
+def free_key_name(obj: bpy.types.Object) -> str:
+    keys = obj.data.shape_keys
+    return free_name(keys.key_blocks.keys() if keys else (), "Pose")
+
+
+class DYNAMORPH_OT_shape_by_physics(SculptOperator, JobOperator, Operator):
+    """Bend the body into the current pose as soft tissue bends, and make the shape that it takes there a target"""
+
+    bl_idname = "dynamorph.shape_by_physics"
+    bl_label = "Shape by Physics"
+    goal = "SHAPE"
+
+    def _batch(self, obj: bpy.types.Object) -> task.Task:
+        targets.check_can_sculpt(obj)
+        self.pose, other = targets.posed_target(obj)
+        self.key = other.name if other else free_key_name(obj)
+        return task.Task(obj, self.goal, shaping.shape(obj.session_uid, self.pose[1]))
+
+    def _done(self, task: task.Task) -> set[str]:
+        obj = task.object.find()
+        warnings = shaping.write(obj, self.pose, self.key, task.result)
+        self.report({"INFO"}, rpt_("Shape of '{name}' found").format(name=obj.dynamorph.active_target.name))
+        self.warn(warnings)
+        return {"FINISHED"}
 
 
 class DYNAMORPH_OT_sculpt_target(SculptOperator, TargetOperator, Operator):
@@ -132,6 +149,7 @@ class DYNAMORPH_OT_finish_sculpt(SoftSkinOperator, Operator):
 
 CLASSES = (
     DYNAMORPH_OT_new_from_pose,
+    DYNAMORPH_OT_shape_by_physics,
     DYNAMORPH_OT_sculpt_target,
     DYNAMORPH_OT_finish_sculpt,
 )

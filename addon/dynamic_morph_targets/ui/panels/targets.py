@@ -99,7 +99,9 @@ def draw_target_list(layout: bpy.types.UILayout, settings: DynamorphSettings) ->
     if settings.sculpt.active:
         layout.operator("dynamorph.finish_sculpt", icon="CHECKMARK")
     else:
-        layout.operator("dynamorph.new_from_pose", icon="SCULPTMODE_HLT")
+        row = layout.row(align=True)
+        row.operator("dynamorph.new_from_pose", icon="SCULPTMODE_HLT")
+        row.operator("dynamorph.shape_by_physics", icon="PHYSICS")
 
 
 def draw_pose(layout: bpy.types.UILayout, settings: DynamorphSettings) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import asdict, replace
+from typing import TypeAlias
 
 import bpy
 import numpy as np
@@ -31,6 +32,7 @@ from ..reconcile import reconcile
 from . import regions
 
 NEAR = 1e-3  # of a channel: what a slider shows
+Pose: TypeAlias = tuple[Skeleton, np.ndarray, np.ndarray]  # as returned by `rig_motion.current_pose`
 NOTHING = 1e-6  # of the coordinates; smaller differences are round-off, not sculpted
 
 
@@ -79,10 +81,10 @@ def blended_shape(obj: bpy.types.Object, local: np.ndarray) -> np.ndarray:
     if not active or engine.engine_problem():
         return np.zeros((len(obj.data.vertices), 3))
     reconcile(obj)
-    return _blend(_authored(obj), local, channels_now(obj))
+    return _blend(authored(obj), local, channels_now(obj))
 
 
-def _authored(obj: bpy.types.Object) -> Character:
+def authored(obj: bpy.types.Object) -> Character:
     """With all its targets, whichever its method simulates. Raises SceneError."""
     return extract.character(obj).with_settings(method="DYNAMIC")
 
@@ -183,6 +185,20 @@ def at_pose_of(
     return None
 
 
+def posed_target(obj: bpy.types.Object) -> tuple[Pose, DynamorphTarget | None]:
+    """The current pose, and the target that is there already. Raises SceneError if the armature is at rest."""
+    skeleton, local, rig_world = rig_motion.current_pose(obj)
+    bones = rig_motion.bones_turned(obj, skeleton, obj.dynamorph.targets[0].local(skeleton), local)
+    channels = channels_now(obj)
+    if not (bones or channels):
+        raise SceneError("No bone is turned away from the neutral pose: pose the armature first")
+    other = at_pose_of(obj, skeleton, local, bones, channels)
+    # Another limb that is turned too may have a target there: by its sculpt it comes into another set.
+    if other and obj.dynamorph.model.hold == "THICKNESS" and not set(bones) <= {*other.bone_names()}:
+        other = None
+    return (skeleton, local, rig_world), other
+
+
 def channels_now(obj: bpy.types.Object) -> dict[str, float]:
     """Where the channels stand that are away from 0."""
     return {channel.name: channel.value for channel in obj.dynamorph.channels if abs(channel.value) > NEAR}
@@ -281,14 +297,20 @@ def show_as_before(obj: bpy.types.Object) -> None:
 
 
 def learn_from_sculpt(obj: bpy.types.Object) -> None:
-    """Choose bones and regions from the sculpt, unless the artist has chosen them, and show it in its pose.
-
-    What other sets of targets show there is removed from a new key, because they still show it. Raises SceneError, and
-    the exceptions of `engine.expected_errors`.
-    """
+    """`learn` of the target that was sculpted. Raises the same."""
     remembered = obj.dynamorph.sculpt
     name, is_new = remembered.key.name, remembered.is_new
     remembered.key.name, remembered.is_new = "", False
+    learn(obj, name, is_new)
+
+
+def learn(obj: bpy.types.Object, name: str, is_new: bool) -> None:
+    """Choose the bones and regions of the target `name` from its shape, unless the artist has chosen them, and show it
+    in its pose.
+
+    is_new: the shape is all that shows there. What other sets of targets show there is removed from it, because they
+    still show it. Raises SceneError, and the exceptions of `engine.expected_errors`.
+    """
     target = next((target for target in obj.dynamorph.targets[1:] if target.name == name), None)
     if target is None or name not in animation.keys_of(obj):
         return
@@ -335,7 +357,7 @@ def _is_in_pose(obj: bpy.types.Object, target: DynamorphTarget, depsgraph: bpy.t
 def _with_sets(obj: bpy.types.Object, name: str, with_set: bool) -> Character:
     """The character without a target and, unless `with_set`, without its whole set."""
     reconcile(obj)
-    character, sets = _authored(obj), []
+    character, sets = authored(obj), []
     for target_set in character.authored_sets:
         others = tuple(target for target in target_set.targets[1:] if target.name != name)
         if with_set or len(others) == len(target_set.targets) - 1:
@@ -366,10 +388,8 @@ def sculpted_key(obj: bpy.types.Object) -> bpy.types.ShapeKey:
     return block
 
 
-def capture(
-    obj: bpy.types.Object, target: DynamorphTarget, pose: tuple[Skeleton, np.ndarray, np.ndarray]
-) -> list[Message]:
-    """Store a pose as returned by `rig_motion.current_pose`, and where its channel stands. The target is placed by
+def capture(obj: bpy.types.Object, target: DynamorphTarget, pose: Pose) -> list[Message]:
+    """Store a pose, and where its channel stands. The target is placed by
     those bones that are turned away from the neutral pose and bend the sculpt. Returns warnings.
     """
     skeleton, local, rig_world = pose
