@@ -34,6 +34,8 @@ PAGES = {
     "panels/feel.md": (*ENGINE, *ADDON, "evidence/feels.py"),
     "collision.md": (*ENGINE, *ADDON, "evidence/collision.py", "evidence/collision_press.py"),
     "choices.md": ("cpp/dynamorph", "evidence/choices.py"),
+    "shapes.md": (*ENGINE, *ADDON, "evidence/shapes.py", "evidence/shapes_cheek.py", "evidence/shapes_joints.py",
+                  "evidence/shapes_posed.py", "evidence/recipes", "sample_blends/*.blend"),
     "limit.md": (*ENGINE, *ADDON, "evidence/limit.py"),
     "rigs.md": (*ENGINE, *ADDON, "evidence/rigs_page.py", "tests/addon/rig_families.py",
                 "tests/addon/human.py"),

@@ -347,6 +347,23 @@ def remove_target():
     bpy.context.scene.frame_set(1)
 
 
+@step("Shape by Physics")
+def shape_by_physics():
+    """In two actions: a frame in which the elbow is bent, and the button."""
+    before = len(settings().targets)
+    bpy.context.scene.frame_set((limb.FIRST + limb.FLEXED) // 2)
+    yield from driver.drawn()
+    yield from sidebar.press("dynamorph.shape_by_physics")
+    yield from until(lambda: len(settings().targets) == before + 1, "the target")
+    name, blocks = settings().active_target.name, skin().data.shape_keys.key_blocks
+    moved = [(point.co - rest.co).length for point, rest in zip(blocks[name].data, blocks[0].data, strict=True)]
+    assert max(moved) > 1e-3
+    yield from sidebar.press("dynamorph.remove_target")
+    yield from until(lambda: len(settings().targets) == before, "the target to be removed")
+    skin().shape_key_remove(blocks[name])
+    bpy.context.scene.frame_set(1)
+
+
 @step("Add Target, with several keys to choose from")
 def add_target():
     """Two keys more and a target's many bones, not by hand, so that a menu and a section come."""

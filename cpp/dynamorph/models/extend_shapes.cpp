@@ -12,9 +12,10 @@ namespace dynamorph {
 
 namespace {
 
-constexpr double kPull = 1e4;   // of the mean nodal stiffness, per vertex
-constexpr double kFirmer = 30;  // times, in each round, what would be crushed
-constexpr int kRounds = 12;     // in which it becomes as good as rigid
+constexpr double kPull = 1e4;     // of the mean nodal stiffness, per vertex
+constexpr double kFirmer = 10;    // times, in each round, around what would be crushed
+constexpr double kFirmest = 1e6;  // times: as good as rigid
+constexpr int kRounds = 20;
 
 SparseMatrix stiffness_of(const std::shared_ptr<SoftBody>& body) {
   MorphTarget neutral;
@@ -34,14 +35,21 @@ void extend(const std::shared_ptr<SoftBody>& body, const SparseMatrix& B, double
   for (Eigen::Index j = 0; j < out.cols(); ++j) out.col(j) = body->expand(solution.col(j));
 }
 
-/// Tets that a shape would crush or turn inside out are made firmer until it does not; the surface is not met there.
+/// Where a shape would crush tets or turn them inside out, they and those beside them are made firmer until it does
+/// not; the surface is not met there.
 VectorXd uncrushed(const SoftBody& body, const SparseMatrix& B, double pull, const VectorXd& surface, MatrixXd nodes) {
+  const Tets& tets = body.mesh.tets;
   auto firm = std::make_shared<SoftBody>(body);
   for (int round = 0; round < kRounds; ++round) {
     const std::vector<bool> good = usable(body.mesh, nodes.col(0));
     if (std::find(good.begin(), good.end(), false) == good.end()) break;
+    std::vector<bool> at_bad(std::size_t(body.mesh.nodes.rows()));
     for (std::size_t t = 0; t < good.size(); ++t)
-      if (!good[t]) firm->stiffness_scale(Eigen::Index(t)) *= kFirmer;
+      if (!good[t])
+        for (const int node : tets.row(Eigen::Index(t))) at_bad[std::size_t(node)] = true;
+    for (Eigen::Index t = 0; t < tets.rows(); ++t)
+      if (std::any_of(tets.row(t).begin(), tets.row(t).end(), [&](int node) { return at_bad[std::size_t(node)]; }))
+        firm->stiffness_scale(t) = std::min(kFirmer * firm->stiffness_scale(t), kFirmest * body.stiffness_scale(t));
     extend(firm, B, pull, surface, nodes);
   }
   return nodes.col(0);

@@ -37,7 +37,7 @@ constexpr double kBent = 5e-3;                  // of 1 - the least singular val
 constexpr double kGivesWay = 1,
                  kHeld = 2;                                   // thicknesses from what is bent
 constexpr double kNotInvertible = 0.3, kInvertible = 0.4;     // least singular value
-constexpr int kIterations = 10, kLastIterations = 40;         // of Newton's method a step, and in the pose
+constexpr int kIterations = 10, kLastIterations = 24;         // of Newton's method a step, and in the pose
 constexpr double kNegligible = 1e-2, kLastNegligible = 1e-3;  // step, in thicknesses
 constexpr int kHalvings = 14;
 

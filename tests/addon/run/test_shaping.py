@@ -14,6 +14,7 @@ from bl_ext.user_default.dynamic_morph_targets.scene.motion import rig_motion
 from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
 from builders import evaluated_points, refused, rig_of
+from mathutils import Euler, Matrix
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -99,6 +100,22 @@ def test_what_prevents_it_is_said_and_changes_nothing(bent):
     bpy.context.view_layer.update()
     refused(OPS.shape_by_physics, "turn off Preserve Volume")
     assert (key_points(bent), names(bent)) == before
+
+
+def test_neither_scale_nor_place_of_armature_and_object_matter(bent):
+    OPS.shape_by_physics()
+    expected = mesh_data.target_shape(bent, bent.dynamorph.active_target.name)
+    bent.dynamorph.active_target_index = 1
+    OPS.remove_target()
+    world = Matrix.LocRotScale((3.0, 1.0, -2.0), Euler((0.0, 0.0, 0.0)), (0.5,) * 3)
+    worlds = {obj: world @ obj.matrix_world for obj in (rig_of(bent), bent)}
+    for obj, moved in worlds.items():
+        obj.matrix_world = moved
+        bpy.context.view_layer.update()
+    bpy.context.view_layer.update()
+    OPS.shape_by_physics()
+    found = mesh_data.target_shape(bent, bent.dynamorph.active_target.name)
+    assert np.abs(found - expected).max() < 0.1 * np.abs(expected).max()
 
 
 def test_it_can_be_canceled(bent):

@@ -11,7 +11,7 @@ import numpy as np
 from ..character import Character
 from ..engine import dynamorph
 from ..errors import SceneError
-from ..geometry import diagonal
+from ..geometry import diagonal, inverse
 from ..motion.rig_samples import RigSamples
 from .build import build_cage
 from .hold import BodyThickness
@@ -35,10 +35,15 @@ class PosedShape:
 
 
 def shape_in_pose(
-    character: Character, path: np.ndarray, previous: Model | None, report: Callable[[float], object]
+    character: Character,
+    path: np.ndarray,
+    worlds: tuple[np.ndarray, np.ndarray],
+    previous: Model | None,
+    report: Callable[[float], object],
 ) -> PosedShape:
-    """path (S, B, 4, 4): local transforms of the bones, from near rest to the pose. previous: a model whose cage is
-    used again if it fits. report: called with 0..1. Raises SceneError, and what the engine raises.
+    """path (S, B, 4, 4): local transforms of the bones, from near rest to the pose. worlds: of armature and object
+    (4, 4). previous: a model whose cage is used again if it fits. report: called with 0..1. Raises SceneError, and what
+    the engine raises.
     """
     if character.probed:
         raise SceneError(
@@ -56,8 +61,11 @@ def shape_in_pose(
         return True
 
     model = build_cage(character, building, previous)
-    still = np.broadcast_to(np.eye(4), (len(path), 4, 4))
-    frames = RigSamples(model.skeleton.pose(path), still, still).skin_matrices(model.skeleton, model.to_bind)
+    rig = RigSamples(model.skeleton.pose(path), *(np.repeat(world[None], len(path), 0) for world in worlds))
+    # As seen from bind space, where lengths are meters however armature and object are scaled.
+    to_bind = inverse(rig.object_from_bind(model.to_bind))[:, None]
+    frames = to_bind[..., :3, :3] @ rig.skin_matrices(model.skeleton, model.to_bind)
+    frames[..., 3] += to_bind[..., :3, 3]
     points, triangles = character.bind_points, character.triangles
     thickness = model.thickness if model.thickness.size else BodyThickness.of(points, triangles).at_skin
     found = dynamorph.shape_by_physics(

@@ -15,6 +15,8 @@ from ...core.geometry import turned
 from ...core.message import Message
 from ...core.model import posed
 from ...core.model.posed import PosedShape
+from ...scene.check import checks
+from ...scene.read.worlds import world_now
 from ...scene.skin import find
 from ...scene.store import model_store
 from ...write.authoring import targets
@@ -31,7 +33,8 @@ def shape(session_uid: int, local: np.ndarray) -> Chunks[PosedShape]:
     character, previous = targets.authored(obj), None
     with suppress(ModelFileError):  # then its cage is built
         previous = model_store.load_model(obj)
-    work = partial(posed.shape_in_pose, character, path_to(local), previous)
+    worlds = world_now(checks.armature_modifier(obj).object), world_now(obj)
+    work = partial(posed.shape_in_pose, character, path_to(local), worlds, previous)
     return (yield from elsewhere(work, Message("Bending '{name}'", name=obj.name), obj.name, reports=True))
 
 
