@@ -129,7 +129,7 @@ def soft(body: bpy.types.Object) -> bpy.types.Object:
 
 
 def measured(name: str, path: Path | None, joint: Joint) -> Measured | None:
-    """None where the rig has no such bone."""
+    """None where the rig has no such bone, or skinning bends nothing there."""
     body = opened(path, joint)
     rig = body.find_armature()
     bones = {plain_name(bone.name): bone for bone in rig.pose.bones}
@@ -152,6 +152,8 @@ def measured(name: str, path: Path | None, joint: Joint) -> Measured | None:
     triangles = first[places[mesh_data.mesh_triangles(body.data)]]
     triangles = triangles[(np.diff(np.sort(triangles, axis=1)) > 0).all(axis=1)]
     moved = np.linalg.norm(shape @ model.to_bind.T, axis=1)
+    if not moved.any():
+        return None
     far = np.median(model.thickness[: len(shape)][moved > 0.1 * moved.max()]) / 3.0 / body.matrix_world.median_scale
     whole = np.ones(len(triangles), bool)
     limb = (moved > 0.02 * moved.max())[triangles].all(axis=1)
@@ -220,7 +222,8 @@ SHOWN = (("Herbert", "knee"), ("mh_male_53bones", "hip"), ("Woman_Casual", "elbo
 TEXT = """## Shape by Physics
 
 Joints of six characters, bent by {angle}°: plain skinning, and the target that *Shape by Physics* makes there. An
-elbow's angle counts from the straight arm. Shape keys that the rig drives itself are off.
+elbow's angle counts from the straight arm. Shape keys that the rig drives itself are off. Where a character is made of
+several meshes, it is the one that the joint bends; where skinning bends none, the joint is left out.
 
 - *Pairs*: of triangles that intersect, and whose places at rest are farther apart than a third of the limb's
   thickness, plain and shaped. Asked: at most 5% of plain skinning's.

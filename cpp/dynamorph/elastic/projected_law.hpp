@@ -23,7 +23,7 @@ struct VolumeLaw {
   double value, slope, curvature;
 };
 
-/// Stable neo-Hookean flesh (2018, equation 14 without its logarithm), at rest where F = I: c = mu and
+/// The stable neo-Hookean law (2018, equation 14 without its logarithm), at rest where F = I: c = mu and
 /// f(J) = lambda / 2 (J - a)^2 with a = 1 + mu / lambda.
 VolumeLaw stable_volume(double lambda, double mu, double J);
 

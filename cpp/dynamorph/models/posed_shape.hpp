@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The shape that a soft body has in a pose, found by statics: what an artist would sculpt there, instead of what linear
-// blend skinning makes of it. Over the bind-space displacements u of a tet mesh's nodes, with x_i = A_i (X_i + u_i) +
-// a_i their places in the pose, it minimizes
+// blend skinning makes of it. Over the bind-space displacements u of a tet mesh's nodes, whose places in the pose are
+// x = A (X + u) + a, it minimizes
 //
-//   sum_t V_t (psi(F_t(x)) + b(det F_t(X + u))) + sum_i h_i / 2 |A_i u_i|^2 + sum_c k_c / 2 ramp(d - gap_c)^2:
+//   sum_t V_t (psi(F_t(x)) + b(det F_t(X + u))) + sum_i h_i / 2 |A_i u_i|^2 + sum_c k_c / 2 max(d - gap_c, 0)^2:
 //
-// flesh that keeps its volume about the rest shape *in the pose*, where the elasticity of a target is about its own
-// shape in bind space; a barrier that keeps that shape usable as a target's; the hold of the bones; and the skin's
+// soft tissue that keeps its volume about the rest shape *in the pose*, where the elasticity of a target is about its
+// own shape in bind space; a barrier that keeps that shape usable as a target's; the hold of the bones; and the skin's
 // contact with itself. The bones take it from rest to the pose in steps, each from the last. The skin goes with the
 // nodes by the smooth embedding, and back through its own skinning to bind space.
 //
-// The hold gives way around what the bones bend: nodes that skinning has crushed, and what is less than the thickness
-// of the body from them. Farther than three of it nothing moves. Where skinning cannot be inverted well, it stays.
+// The hold gives way around its sources, nodes that skinning crushes or puts into other skin: it is firm at the bones
+// and weak at the skin within a thickness of the body from them, whole from two, and nothing moves farther away. Where
+// skinning cannot be inverted well, it stays.
 #pragma once
 
 #include <vector>

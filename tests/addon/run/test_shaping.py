@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shape by Physics: a target's shape is what flesh does in its pose, for the button and for the command line."""
+"""Shape by Physics: a target's shape is what soft tissue does in its pose, for the button and for the command line."""
 
 from math import radians
 

@@ -89,7 +89,7 @@ TEST_CASE("at rest the laws exert nothing, and the stable one is as stiff as Hoo
   CHECK(0.5 * u.dot(tangent * u) == doctest::Approx(kVolume * kMu * shear * shear / 2).epsilon(1e-9));
 }
 
-TEST_CASE("the projected tangent has no negative part where flesh is crushed or inside out") {
+TEST_CASE("the projected tangent has no negative part where tissue is crushed or inside out") {
   for (const double size : {0.6, 0.9, 1.5}) {
     VectorXd forces;
     Tangent tangent;

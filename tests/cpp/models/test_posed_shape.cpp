@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The shape that flesh has in a pose: a bar that two bones bend.
+// The shape that soft tissue has in a pose: a bar that two bones bend.
 #include <doctest/doctest.h>
 
 #include "dynamorph/core/errors.hpp"
