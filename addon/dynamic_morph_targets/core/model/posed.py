@@ -61,7 +61,8 @@ def shape_in_pose(
         return True
 
     model = build_cage(character, building, previous)
-    rig = RigSamples(model.skeleton.pose(path), *(np.repeat(world[None], len(path), 0) for world in worlds))
+    rig_world, object_world = (np.repeat(world[None], len(path), 0) for world in worlds)
+    rig = RigSamples(model.skeleton.pose(path), rig_world, object_world)
     # As seen from bind space, where lengths are meters however armature and object are scaled.
     to_bind = inverse(rig.object_from_bind(model.to_bind))[:, None]
     frames = to_bind[..., :3, :3] @ rig.skin_matrices(model.skeleton, model.to_bind)
