@@ -218,7 +218,7 @@ def least_volume(model: object) -> float:
 
 # The page -------------------------------------------------------------------------------------------------------------
 
-SHOWN = (("Herbert", "knee"), ("mh_male_53bones", "hip"), ("Woman_Casual", "elbow"))
+SHOWN = (("Herbert", "knee"), ("mh_male", "hip"), ("Woman_Casual", "elbow"))
 TEXT = """## Shape by Physics
 
 Joints of six characters, bent by {angle}°: plain skinning, and the target that *Shape by Physics* makes there. An

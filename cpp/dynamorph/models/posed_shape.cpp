@@ -80,7 +80,7 @@ class Statics {
 
  private:
   struct Part {
-    Eigen::Vector4i nodes, unknowns;  ///< an unknown's first row; -1 where nothing moves
+    Eigen::Vector4i nodes, unknowns;  ///< numbers of nodes, and among those that move; -1: it does not
     Gradients gradients;
     double weight;  ///< m^3
   };
@@ -99,7 +99,7 @@ class Statics {
   void place(const VectorXd& u);
   void find_touches();
   void find_overlap(PosedShape& shape) const;
-  /// Squares of how far what touches is from being apart, with half the contact's stiffness.
+  /// Energy of what touches.
   double contact_energy() const;
   double value(const VectorXd& u);
   void linearize(const VectorXd& u);

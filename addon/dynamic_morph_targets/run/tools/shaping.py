@@ -13,8 +13,8 @@ from mathutils import Matrix, Quaternion
 from ...core.errors import ModelFileError
 from ...core.geometry import turned
 from ...core.message import Message
-from ...core.model import posed
-from ...core.model.posed import PosedShape
+from ...core.motion import posed
+from ...core.motion.posed import PosedShape
 from ...scene.check import checks
 from ...scene.read.worlds import world_now
 from ...scene.skin import find

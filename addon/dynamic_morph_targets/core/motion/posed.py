@@ -12,10 +12,10 @@ from ..character import Character
 from ..engine import dynamorph
 from ..errors import SceneError
 from ..geometry import diagonal, inverse
-from ..motion.rig_samples import RigSamples
-from .build import build_cage
-from .hold import BodyThickness
-from .model import Model
+from ..model.build import build_cage
+from ..model.hold import BodyThickness
+from ..model.model import Model
+from .rig_samples import RigSamples
 
 CAGE = 0.3  # of the time, where it has to be built
 DEEP = 0.003  # body sizes: skin that is less deep in itself does not show
