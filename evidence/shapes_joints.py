@@ -160,8 +160,11 @@ def measured(name: str, path: Path | None, joint: Joint) -> Measured | None:
     bend(bone, axis, 0)
     rest = shown(body, key, 0.0)
 
+    at_rest = {*map(tuple, intersecting_pairs(rest, triangles, rest, far).tolist())}
+
     def state(points: np.ndarray) -> State:
         pairs = intersecting_pairs(points, triangles, rest, far)
+        pairs = np.array([pair for pair in pairs.tolist() if tuple(pair) not in at_rest], int).reshape(-1, 2)
         # The rest of the body keeps its volume: what is gained or lost is the limb's.
         gained = volume_of(points, triangles, whole) - volume_of(rest, triangles, whole)
         volume = 1.0 + gained / volume_of(rest, triangles, limb)
@@ -226,7 +229,7 @@ elbow's angle counts from the straight arm. Shape keys that the rig drives itsel
 several meshes, it is the one that the joint bends; where skinning bends none, the joint is left out.
 
 - *Pairs*: of triangles that intersect, and whose places at rest are farther apart than a third of the limb's
-  thickness, plain and shaped. Asked: at most 5% of plain skinning's.
+  thickness, plain and shaped, but those that intersect at rest. Asked: at most 5% of plain skinning's.
 - *Depth*: of the deepest vertex in a triangle of another piece of skin, % of the body's size, plain and shaped. Asked:
   at most 0.3.
 - *Volume*: gained or lost, % of the limb between the places where the shape begins, plain and shaped. Asked: at most 2.

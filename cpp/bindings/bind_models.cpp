@@ -112,13 +112,7 @@ void bind_full_model(py::module_& m) {
           },
           "target"_a, "k"_a,
           "Returns (omega (k) in rad/s, mass-orthonormal shapes (3 free, k)) at a target's shape. Raises Error when "
-          "the body can move without resistance, as about a line on which all pinned nodes are.")
-      .def(
-          "fallbacks",
-          [](const FullModel& model, int target) { return model.shape(checked_target(model, target)).fallbacks; },
-          "target"_a,
-          "Number of tetrahedra that keep the neutral rest shape, because the target's sculpt would invert or crush "
-          "them.");
+          "the body can move without resistance, as about a line on which all pinned nodes are.");
   bind_model(full);
 }
 
@@ -126,9 +120,6 @@ void bind_posed_shape(py::module_& m) {
   py::class_<PosedShape>(m, "PosedShape", "What `shape_by_physics` found.")
       .def_property_readonly(
           "skin", [](const PosedShape& s) { return s.skin; }, "Displacements of the skin (P, 3), bind space, meters.")
-      .def_property_readonly(
-          "nodes", [](const PosedShape& s) { return s.nodes; },
-          "Displacements of the nodes (n, 3), bind space, meters.")
       .def_readonly("least_volume", &PosedShape::least_volume,
                     "Of a tet with that displacement, in bind space, relative to rest.")
       .def_readonly("overlap", &PosedShape::overlap,

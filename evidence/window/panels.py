@@ -60,6 +60,7 @@ PANELS: dict[str, tuple[Region, tuple[str | tuple[str, float], ...]]] = {
             ("dynamorph.remove_target", RIGHT),
             ("dynamorph.move_target", RIGHT),
             "dynamorph.new_from_pose",
+            ("dynamorph.shape_by_physics", RIGHT),
             "dynamorph.capture_pose",
             ("dynamorph.sculpt_target", RIGHT),
             "region",

@@ -229,7 +229,6 @@ def calls() -> dict[str, tuple[object, dict]]:
                                             "surfaces": np.zeros((2, len(s.embedding.nodes), 3))}),
         "FullModel": (lib, {"body": s.body, "targets": s.targets, "material_model": s.material_model,
                             "blending": s.blending}),
-        "FullModel.fallbacks": (s.full, {"target": 1}),
         "FullModel.linear_modes": (s.full, {"target": 0, "k": 4}),
         "ReducedTables": (lib, {"material_model": s.material_model, **{
             name: getattr(s.with_responses, name) for name in (

@@ -252,7 +252,7 @@ def test_the_kept_file_is_read_and_written_alike():
 def test_a_summary_is_stored_without_its_seconds():
     full = Summary(
         nodes=4, tets=1, pinned=2, held=0.5, held_parts=1, defects={"components": 2}, quality={"under_5": 0.25},
-        glued={"tets": 3}, dofs=12, modes=6, tabulated=5, targets=2, fallbacks={"flexed": 1}, fitted=(1, 20),
+        glued={"tets": 3}, dofs=12, modes=6, tabulated=5, targets=2, fitted=(1, 20),
         warnings=("The brace { stays",), seconds={"modes": 0.5},
     )  # fmt: skip
     assert all(getattr(full, name) != value for name, value in vars(Summary()).items())

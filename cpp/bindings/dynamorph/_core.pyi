@@ -361,10 +361,6 @@ class FullModel:
         """
         Elastic energy, J, at target weights (J) and coordinates q.
         """
-    def fallbacks(self, target: typing.SupportsInt | typing.SupportsIndex) -> int:
-        """
-        Number of tetrahedra that keep the neutral rest shape, because the target's sculpt would invert or crush them.
-        """
     def inertia(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], density: typing.SupportsFloat | typing.SupportsIndex) -> scipy.sparse.csc_matrix:
         """
         The mass matrix A^T M A in the model's coordinates, at the bones' transforms (B, 3, 4). That of a FullModel is a scipy.sparse matrix, for which SciPy must be installed.
@@ -409,11 +405,6 @@ class PosedShape:
     def least_volume(self) -> float:
         """
         Of a tet with that displacement, in bind space, relative to rest.
-        """
-    @property
-    def nodes(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
-        """
-        Displacements of the nodes (n, 3), bind space, meters.
         """
     @property
     def overlap(self) -> float:

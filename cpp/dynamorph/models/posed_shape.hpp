@@ -36,7 +36,6 @@ struct PosedBody {
 
 struct PosedShape {
   Points skin;              ///< displacement of the points (P, 3), bind space
-  Points nodes;             ///< of the nodes (n, 3)
   double least_volume = 1;  ///< of a tet with that displacement, bind space, relative to rest
   double overlap = 0;       ///< by which the skin is still in itself, meters: the bones leave no room
   int overlaps = -1;        ///< the point that is deepest

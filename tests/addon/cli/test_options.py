@@ -229,16 +229,13 @@ def items_of(setting):
     return setting.enum_items if setting.type == "ENUM" else ()
 
 
-BY_STAGE_OR_TARGET = ("seconds", "fallbacks")  # whose own keys are of that build
-
-
 def keys_in(value):
-    """All keys of nested JSON data."""
+    """All keys of nested JSON data, but those of stages."""
     if isinstance(value, list):
         return {key for each in value for key in keys_in(each)}
     if not isinstance(value, dict):
         return set()
-    inner = [keys_in(each) for name, each in value.items() if name not in BY_STAGE_OR_TARGET]
+    inner = [keys_in(each) for name, each in value.items() if name != "seconds"]
     return set(value).union(*inner)
 
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Shape by Physics: a target's shape is what soft tissue does in its pose, for the button and for the command line."""
 
+import json
 from math import radians
 
 import bpy
@@ -15,6 +16,7 @@ from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.scene.store import model_store
 from builders import evaluated_points, refused, rig_of
 from mathutils import Euler, Matrix
+from test_live import play
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -64,7 +66,7 @@ def test_the_pose_gets_a_target_that_keeps_the_volume(bent):
     assert np.abs(mesh_data.target_shape(bent, target.name)).max() > 0.01
 
 
-def test_such_a_target_is_built_without_crushed_tetrahedra_and_baked(bent):
+def test_such_a_target_is_built_without_crushed_tetrahedra_played_and_baked(bent):
     OPS.shape_by_physics()
     bent.dynamorph.model.modes = 12
     assert OPS.build() == {"FINISHED"}
@@ -74,8 +76,19 @@ def test_such_a_target_is_built_without_crushed_tetrahedra_and_baked(bent):
     for displacement in model.displacements:
         assert (np.linalg.det(edges(model.nodes + displacement)) / before).min() >= 0.1
     assert not model.summary.warnings
-    bpy.context.scene.frame_end = 4
+    rig = rig_of(bent)
+    for frame, height in ((1, 0.0), (9, 0.1), (17, 0.0)):
+        rig.location.z = height
+        rig.keyframe_insert("location", frame=frame)
+    OPS.live()
+    hop = play(bent, range(1, 20))
+    OPS.live()
+    shape = hop[0]
+    assert np.abs(hop - shape).max() > 1e-3  # it swings about the shape
+    assert np.abs(hop - shape).max() < 0.2 * np.ptp(shape)
+    bpy.context.scene.frame_end = 12
     assert OPS.bake() == {"FINISHED"}
+    assert json.loads(bent.dynamorph.bake.verdict)["inverted"] == 0.0
 
 
 def test_again_in_that_pose_it_is_the_same_target(bent):

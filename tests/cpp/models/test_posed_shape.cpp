@@ -4,6 +4,7 @@
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/models/posed_shape.hpp"
+#include "dynamorph/models/posed_statics.hpp"
 #include "scenes.hpp"
 
 using namespace dynamorph;
@@ -139,6 +140,36 @@ TEST_CASE("where skinning cannot be inverted, it stays") {
   for (Eigen::Index p = 0; p < shape.skin.rows(); ++p)
     if (shape.plain(p) == 1) CHECK(shape.skin.row(p).norm() == 0);
   CHECK(shape.skin.allFinite());
+}
+
+TEST_CASE("the energy's derivatives, with and without contact") {
+  const PosedBody body = bar();
+  for (const double degrees : {15., 110.}) {
+    const Transforms pose = bent(degrees, Vector3d::UnitY()).back();
+    PosedStatics statics(body, pose);
+    statics.pose(pose);
+    const Eigen::Index size = statics.size();
+    const VectorXd u = 1e-3 * VectorXd::LinSpaced(size, 0, 40).array().sin();
+    statics.linearize(u);
+    const bool touches = statics.touches() > 0;
+    CHECK(touches == (degrees > 90));
+    const VectorXd gradient = statics.gradient();
+    const SparseMatrix hessian = statics.hessian();
+    CHECK(statics.value(u) == doctest::Approx(statics.energy()).epsilon(1e-12));
+    const double h = 1e-7;
+    for (int k = 0; k < 5; ++k) {
+      const VectorXd d = (VectorXd::LinSpaced(size, k, 90 + 7 * k).array().cos()).matrix().normalized();
+      const double slope = (statics.value(u + h * d) - statics.value(u - h * d)) / (2 * h);
+      CHECK(gradient.dot(d) == doctest::Approx(slope).epsilon(1e-5));
+      if (touches) continue;  // its Hessian has the tets' part alone
+      statics.linearize(u + h * d);
+      const VectorXd ahead = statics.gradient();
+      statics.linearize(u - h * d);
+      const VectorXd curve = (ahead - statics.gradient()) / (2 * h);
+      CHECK((hessian * d - curve).norm() < 0.1 * curve.norm());  // little is left out where little bends
+      CHECK(d.dot(hessian * d) >= (1 - 1e-5) * d.dot(curve));
+    }
+  }
 }
 
 TEST_CASE("a shape in a pose can be canceled, and bad input is refused") {

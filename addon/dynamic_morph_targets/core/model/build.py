@@ -25,7 +25,6 @@ from .summary import Summary
 
 SimulateShot = Callable[[Model, Report], tuple[np.ndarray, np.ndarray]]
 FITTED_IN_FULL = 1500  # degrees of freedom up to which a shot is simulated unreduced, to fit modes to it
-FEW = 1e-3  # fraction of the tetrahedra that may fall back without a warning
 CAGE_SHARE = 0.35  # of the time of a build
 DRAFT = 40  # modes of a draft
 # What a model takes over from an earlier one with the same tissue, and what the summary says of that.
@@ -78,14 +77,11 @@ def build(
         with stages("Polynomials", 0.20) as report:
             model = _reduced(model, full, basis, report)
     model.made.update(made)
-    fallbacks = _fallbacks(full, character.targets)
     return model.with_summary(
         dofs=full.dofs,
         modes=model.modes.shape[1],
         tabulated=model.basis.shape[1],
         targets=character.target_count,
-        fallbacks=fallbacks,
-        warnings=(*model.summary.warnings, *_fallback_warnings(fallbacks, len(model.tets))),
         seconds=stages.seconds,
     )
 
@@ -253,7 +249,7 @@ def _model(character: Character, hashes: dict[str, str], **known: Any) -> Model:
 
 def _with_tissue(character: Character, hashes: dict[str, str], previous: Model | None, stages: Stages) -> Model:
     """The tetrahedra around the skin with everything that they inherit from it; the targets' shapes are added later."""
-    if _fits(previous, hashes, CAGE_DEPENDENCIES) and not _cage_warnings(previous):  # which names may have outdated
+    if _fits(previous, hashes, CAGE_DEPENDENCIES) and not previous.summary.warnings:  # which names may have outdated
         return _with_tissue_of(previous, character, hashes, stages)
     tissue = cage.make_cage(character, previous if _fits(previous, hashes, MESH_DEPENDENCIES) else None, stages)
     hold, painted = tissue.hold, bool((tissue.firmness != firmness.NEUTRAL).any())
@@ -299,12 +295,6 @@ def _with_tissue_of(previous: Model, character: Character, hashes: dict[str, str
     return model
 
 
-def _cage_warnings(model: Model) -> list[str]:
-    """The warnings that do not come from the targets' shapes."""
-    of_shapes = _fallback_warnings(model.summary.fallbacks, model.summary.tets)
-    return [text for text in model.summary.warnings if text not in of_shapes]
-
-
 def _shape_targets(model: Model, body: dynamorph.SoftBody, targets: list[Target]) -> None:
     """Extends each sculpted shape to the nodes. What the cage cannot represent becomes a residual shape."""
     sculpted = [j for j, target in enumerate(targets) if target.shape.any()]
@@ -312,22 +302,6 @@ def _shape_targets(model: Model, body: dynamorph.SoftBody, targets: list[Target]
         shapes = np.array([targets[j].shape for j in sculpted])
         model.displacements[sculpted] = body.extend_shapes(model.embedding, shapes @ model.to_bind.T)
         model.residual_shapes[sculpted] = shapes - model.surface(model.displacements[sculpted])
-
-
-def _fallbacks(full: dynamorph.FullModel, targets: list[Target]) -> dict[str, int]:
-    """How many tetrahedra each target's sculpt would crush or invert. There they keep the neutral shape."""
-    counts = {target.name: full.fallbacks(j) for j, target in enumerate(targets)}
-    return {name: count for name, count in counts.items() if count}
-
-
-def _fallback_warnings(fallbacks: dict[str, int], tets: int) -> list[str]:
-    """A warning with advice for each target where they are more than a few."""
-    return [
-        f"Target '{name}' would crush or invert {count} of {tets} tetrahedra, which stay as in the neutral shape: "
-        "sculpt it smoother, or raise Cage Nodes"
-        for name, count in fallbacks.items()
-        if count > FEW * tets
-    ]
 
 
 # What a model depends on -------------------------------------------------------------------------------------------

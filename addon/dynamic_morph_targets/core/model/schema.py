@@ -158,7 +158,7 @@ def _is_range(value: object) -> bool:
 # The fields of a stored `summary.Summary`.
 SUMMARY: dict[str, Callable[[object], bool]] = {
     **dict.fromkeys(("nodes", "tets", "pinned", "held_parts", "dofs", "modes", "tabulated", "targets"), _is_count),
-    **dict.fromkeys(("defects", "glued", "fallbacks"), _by_text(_is_count)),
+    **dict.fromkeys(("defects", "glued"), _by_text(_is_count)),
     "held": is_number,
     "quality": _by_text(is_number),
     "fitted": _is_range,

@@ -13,9 +13,8 @@ class Summary:
     nodes, tets: of the cage. pinned: number of its nodes that bones move; held: mean of the hold, or fraction of the
     nodes that are pinned; held_parts: number of loose parts that are pinned. defects: of the skin; quality: of the
     tetrahedra; glued: what was found, and cut, where skin merely touches. dofs, modes: of what is simulated;
-    tabulated: number of the modes with energy tables; targets: `Character.target_count`. fallbacks: number of
-    tetrahedra that keep the neutral shape, by target. fitted: first and last frame of the shot to which the modes were
-    fitted. seconds: of the build by stage; they are not stored.
+    tabulated: number of the modes with energy tables; targets: `Character.target_count`. fitted: first and last frame
+    of the shot to which the modes were fitted. seconds: of the build by stage; they are not stored.
     """
 
     nodes: int = 0
@@ -30,7 +29,6 @@ class Summary:
     modes: int = 0
     tabulated: int = 0
     targets: int = 0
-    fallbacks: dict[str, int] = field(default_factory=dict)
     fitted: tuple[int, int] | None = None
     warnings: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)

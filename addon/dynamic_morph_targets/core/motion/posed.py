@@ -23,9 +23,9 @@ DEEP = 0.003  # body sizes: skin that is less deep in itself does not show
 
 @dataclass(frozen=True)
 class PosedShape:
-    """shape (V, 3): displacement of the vertices, local space. overlap: how deep the skin is still in itself, meters,
-    or 0 where that does not show; overlaps: the bone of the vertex that is deepest. plain: a bone at which plain
-    skinning stays, because it cannot be inverted; '' if there is none.
+    """shape (V, 3): displacement of the object's own vertices, local space. overlap: how deep the skin is in itself,
+    meters, or 0 where that does not show; overlaps: the bone of the vertex that is deepest. plain: a bone at which
+    plain skinning stays, because it cannot be inverted; '' if there is none.
     """
 
     shape: np.ndarray
@@ -67,11 +67,15 @@ def shape_in_pose(
     to_bind = inverse(rig.object_from_bind(model.to_bind))[:, None]
     frames = to_bind[..., :3, :3] @ rig.skin_matrices(model.skeleton, model.to_bind)
     frames[..., 3] += to_bind[..., :3, 3]
+    # The body's own mesh alone: clothes and eyes are in it at rest, or it in them.
+    own = character.own_vertices
     points, triangles = character.bind_points, character.triangles
     thickness = model.thickness if model.thickness.size else BodyThickness.of(points, triangles).at_skin
+    points, triangles = points[own], triangles[(triangles < own.stop).all(axis=1)]
     found = dynamorph.shape_by_physics(
-        dynamorph.TetMesh(model.nodes, model.tets), model.fill, model.node_weights, points, model.embedding,
-        character.weights.clip(0.0), triangles, thickness, list(frames), shaping,
+        dynamorph.TetMesh(model.nodes, model.tets), model.fill, model.node_weights, points,
+        dynamorph.Embedding(model.embedding_nodes[own], model.embedding_weights[own]),
+        character.weights[own].clip(0.0), triangles, thickness[own], list(frames), shaping,
     )  # fmt: skip
     deep = found.overlap > DEEP * diagonal(points)
     return PosedShape(

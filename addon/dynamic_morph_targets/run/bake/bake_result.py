@@ -310,9 +310,7 @@ def model_summary(given: BakeInput, model: Model) -> str:
     targets = f"{count} target{'s' * (count > 1)}"
     if not made.tets:
         return f"{targets}, nothing to simulate"
-    kept = sum(made.fallbacks.values())
-    crushed = f", crushed tetrahedra: {kept}" if kept else ""
-    return f"{made.nodes} nodes, {made.modes} modes, {targets}{crushed}"
+    return f"{made.nodes} nodes, {made.modes} modes, {targets}"
 
 
 def cage_summary(model: Model) -> str:

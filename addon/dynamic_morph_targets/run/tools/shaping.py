@@ -57,18 +57,13 @@ def write(obj: bpy.types.Object, pose: targets.Pose, name: str, found: PosedShap
     """Make what was found the shape of the target `name` in that pose; a new one if there is none. It is selected, and
     shown in its pose. Returns warnings. Raises SceneError.
     """
-    own = found.shape[: len(obj.data.vertices)]
     place = obj.dynamorph.targets.find(name)
     muting.show_target(obj, "")
     if place > 0:
         obj.dynamorph.active_target_index = place
-        targets.sculpt_anew(targets.sculpted_key(obj), own)
+        targets.sculpt_anew(targets.sculpted_key(obj), found.shape)
     else:
-        target = targets.add(obj, targets.new_key(obj, name, own))
-        target.set_pose(*pose)
-        targets.take_channel(obj, target)
-        targets.choose_bones(obj, target, pose[0], own)
-        name = target.name
+        name = targets.add_in_pose(obj, name, found.shape, pose, found.shape).name
     targets.learn(obj, name, is_new=True)
     return _warnings(found)
 

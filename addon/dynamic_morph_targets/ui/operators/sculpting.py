@@ -67,11 +67,9 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
         pose = self._check(obj)
         shape = targets.blended_shape(obj, pose[1])
         muting.show_target(obj, "")
-        block = targets.new_key(obj, self.key or free_key_name(obj), shape)
-        target = targets.add(obj, block)
-        target.set_pose(*pose)
-        targets.take_channel(obj, target)
-        targets.choose_bones(obj, target, pose[0], np.zeros_like(shape))  # all that are turned, until it is sculpted
+        unsculpted = np.zeros_like(shape)  # all bones that are turned place it, until it is sculpted
+        target = targets.add_in_pose(obj, self.key or free_key_name(obj), shape, pose, unsculpted)
+        block = obj.data.shape_keys.key_blocks[target.name]
         targets.begin_sculpting(obj, block, self.mode, is_new=True)
 
     def _check(self, obj: bpy.types.Object) -> targets.Pose:

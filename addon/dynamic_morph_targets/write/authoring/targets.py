@@ -128,6 +128,19 @@ def add(obj: bpy.types.Object, block: bpy.types.ShapeKey, after: int | None = No
     return settings.active_target
 
 
+def add_in_pose(
+    obj: bpy.types.Object, name: str, shape: np.ndarray, pose: Pose, sculpted: np.ndarray
+) -> DynamorphTarget:
+    """A target with a new key of this shape (V, 3), local space, in a pose; the bones that place it follow from what is
+    `sculpted` (V, 3). Raises SceneError.
+    """
+    target = add(obj, new_key(obj, name, shape))
+    target.set_pose(*pose)
+    take_channel(obj, target)
+    choose_bones(obj, target, pose[0], sculpted)
+    return target
+
+
 def move(obj: bpy.types.Object, index: int, wanted: int) -> None:
     """Move a target to another place in the list, and select it there."""
     settings = obj.dynamorph
