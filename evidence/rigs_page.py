@@ -22,6 +22,7 @@ import bpy
 import characters
 import numpy as np
 import rig_families
+import soft_parts
 from assets import require
 from bench import machine
 from bl_ext.user_default.dynamic_morph_targets.scene.check import body_checks
@@ -36,7 +37,7 @@ BEGIN, END = "<!-- tried -->", "<!-- end of tried -->"
 FIXTURE = "rig_families.py"
 SCALP = 0.06  # of the height: the uppermost skin, which belongs to the head
 HEAD = ("family", "file", "skin", "bones (deforming)", "click", "build", "bake", "head held", "head moves",
-        "skin moves", "in *Messages*")  # fmt: skip
+        "skin moves", "parts", "in *Messages*")  # fmt: skip
 FILES = {  # of ../shared/assets: the family, and the clip and frames that are played
     "mh_male_53bones.blend": ("MPFB", "gen_jump", (18, 34)),
     "mh_chubby_53bones.blend": ("MPFB", "gen_run_in_place", (40, 56)),
@@ -107,13 +108,17 @@ def measured(opened: Callable[[], Tried]) -> tuple[str, ...]:
         said += [problem.text for problem, _ in messages.messages(body)]
     seconds += [""] * (3 - len(seconds))
     if failed:
-        return (*about, *seconds, body.dynamorph.model.head or "none", "", "", f"**{failed}**")
+        return (*about, *seconds, body.dynamorph.model.head or "none", "", "", "", f"**{failed}**")
     with quiet():
         skin, face = (after - before for after, before in zip(shown(tried), plain, strict=True))
     assert np.isfinite(skin).all(), body.name
     height = plain[1][0, :, 2]
     moves = farthest(skin), farthest(face[:, height > height.max() - SCALP * np.ptp(plain[0][0, :, 2])])
-    return (*about, *seconds, body.dynamorph.model.head or "none", moves[1], moves[0], "; ".join(dict.fromkeys(said)))
+    with quiet():
+        parts = soft_parts.found_right(body, list(dict.fromkeys([body, tried.face])))
+    found = f"{len(parts)} of {len(soft_parts.PLACES)}"
+    head = body.dynamorph.model.head or "none"
+    return (*about, *seconds, head, moves[1], moves[0], found, "; ".join(dict.fromkeys(said)))
 
 
 def shown(tried: Tried) -> list[np.ndarray]:
@@ -132,7 +137,7 @@ def farthest(moved: np.ndarray) -> str:
 
 def write(rows: list[tuple[str, ...]]) -> None:
     """Put the table between the marks of the page. Raises ValueError without them."""
-    lines = [HEAD, ("---",) * 2 + ("---:",) * 5 + ("---",) + ("---:",) * 2 + ("---",)]
+    lines = [HEAD, ("---",) * 2 + ("---:",) * 5 + ("---",) + ("---:",) * 3 + ("---",)]
     lines += [[cell.replace("|", "\\|") for cell in row] for row in rows]
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
     about = f"{measured_at(PAGE.name)}. Blender {bpy.app.version_string}, {machine()}."

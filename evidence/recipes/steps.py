@@ -199,13 +199,7 @@ def firm_parts(hands: Hands, body: bpy.types.Object) -> None:
     select_bones(body.parent, (*HANDS, *FEET))
     OPS.hold_bones()
     cast.activate(body)
-    OPS.paint_firmness()
-    group = body.vertex_groups[body.dynamorph.firmness_group]
-    points = cast.coordinates(body.data)
-    near = np.linalg.norm((points - NAVEL) / BELLY, axis=1)
-    for vertex in np.flatnonzero(near < 1.0):  # a brush of weight 0.2 with a soft border
-        group.add([int(vertex)], 0.2 + 0.3 * float(near[vertex]) ** 2, "REPLACE")
-    OPS.paint_firmness()
+    body.dynamorph.parts["Belly"].firmness = 0.2
     hands.bake(body)
 
 

@@ -39,6 +39,17 @@ class Skeleton:
         """Inverse rest matrices (B, 4, 4)."""
         return inverse(self.rest)
 
+    @cached_property
+    def below(self) -> np.ndarray:
+        """Whether (B, B) the second bone is the first or one of its descendants."""
+        below, count = np.eye(len(self.names), dtype=bool), 0
+        children = np.flatnonzero(self.parents >= 0)
+        while below.sum() > count:  # parents may come after their children, see `references.as_moved`
+            count = below.sum()
+            for bone in children[::-1]:
+                below[self.parents[bone]] |= below[bone]
+        return below
+
     def local_transforms(self, pose: np.ndarray, bones: list[int] | None = None) -> np.ndarray:
         """Each bone's transform relative to its evaluated parent, with the rest transform removed: the identity in the
         rest pose.

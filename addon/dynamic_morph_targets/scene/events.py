@@ -23,6 +23,7 @@ class Event(Enum):
 
     SHOWN_CHANGED = "what is shown of an object's motion"  # (object)
     MESH_CHANGED = "what a built model depends on, but no setting tells: a cage, a map"  # ()
+    PART_SET = "the firmness of a part of a body was set"  # (object, name of the part, firmness)
     LOOK_ASKED = "a panel shows a body that nobody has looked at as it is now"  # (look, object): to call look(object)
     WEIGHTS_ASKED = "someone wants to see the weights over the frames"  # ()
 

@@ -20,7 +20,8 @@ class OpenFile:
     them are built, with their characters. bodies: a body's state at the last look, and what looked wrong. cuts: when
     it was last looked for meshes that cut a body, and their names; edits: how often something was moved or edited.
     key_hashes: by shape key and what is hashed of it, its fingerprint and its hash. asked: looks that panels ask
-    for, and at what. left_out: Actions, of the file that is being saved. read_poses: `read_poses.ReadPoses`.
+    for, and at what. parts: of a body, in which state they were found, and their shares of its meshes. left_out:
+    Actions, of the file that is being saved. read_poses: `read_poses.ReadPoses`.
     """
 
     models: dict[tuple[int, str], Model] = field(default_factory=dict)
@@ -31,6 +32,7 @@ class OpenFile:
     key_hashes: dict[tuple, tuple] = field(default_factory=dict)
     asked: set[tuple[Callable, int]] = field(default_factory=set)
     left_out: list[bpy.types.Action] = field(default_factory=list)
+    parts: dict[int, tuple[int, dict[str, Any]]] = field(default_factory=dict)
     read_poses: dict[int, Any] = field(default_factory=dict)
 
 

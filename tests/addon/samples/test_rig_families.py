@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 import pytest
 import rig_families
+import soft_parts
 from bl_ext.user_default.dynamic_morph_targets.scene.check import body_checks, checks
 from bl_ext.user_default.dynamic_morph_targets.ui import messages
 from builders import activate, evaluated_points, fingerprint
@@ -81,6 +82,7 @@ def tried(addon, request):
     found.baked = shown([body, face])
     OPS.delete_bake()
     found.after, found.restored = fingerprint(body), shown([body, face])
+    found.parts = soft_parts.found_right(body, [body] if face == body else [body, face])
     return found
 
 
@@ -88,6 +90,10 @@ def test_one_click_makes_the_body_soft_and_holds_its_head(tried):
     assert tried.soft and tried.problems == []
     assert tried.head == HEADS.get(tried.name, tried.figure.family.head)
     assert tried.attached == ATTACHED.get(tried.name, {})
+
+
+def test_its_soft_parts_are_found(tried):
+    assert tried.parts == ["Chest", "Belly", "Glutes", "Thighs", "Upper Arms", "Cheeks"]
 
 
 def test_what_is_worth_knowing_is_in_the_messages(tried):

@@ -117,7 +117,7 @@ def heads(skeleton: Skeleton, weights: np.ndarray, points: np.ndarray, triangles
     weights (V, B + 1); points (V, 3) bind space; triangles (T, 3).
     """
     areas = vertex_areas(points, triangles)
-    below = _below(skeleton)
+    below = skeleton.below
     share = weights[:, :-1].T @ areas / max(areas.sum(), 1e-300) @ below.T
     named = [bone for bone, name in enumerate(skeleton.names) if NAMED_HEAD.search(name.replace("_", " "))]
     named = [bone for bone in named if share[bone] > NAMED_SHARE[0]]
@@ -135,7 +135,7 @@ def head_rigidity(
     """How rigid (V,) the heads on the bones `found` make the skin: 1 on them, less along the neck, 0 beyond. Arguments
     as for `heads`.
     """
-    below, areas = _below(skeleton), vertex_areas(points, triangles)
+    below, areas = skeleton.below, vertex_areas(points, triangles)
     share = weights[:, :-1].T @ areas / max(areas.sum(), 1e-300)
     of_bone = np.zeros(len(skeleton.names))
     for head in found:
@@ -145,17 +145,6 @@ def head_rigidity(
             of_bone[neck] = max(of_bone[neck], ON_NECK)
         of_bone[below[head]] = 1.0
     return (weights[:, :-1] @ of_bone / WHOLLY).clip(0.0, 1.0)
-
-
-def _below(skeleton: Skeleton) -> np.ndarray:
-    """Whether (B, B) the second bone is the first or one of its descendants."""
-    below, count = np.eye(len(skeleton.names), dtype=bool), 0
-    children = np.flatnonzero(skeleton.parents >= 0)
-    while below.sum() > count:  # parents may come after their children, see `references.as_moved`
-        count = below.sum()
-        for bone in children[::-1]:
-            below[skeleton.parents[bone]] |= below[bone]
-    return below
 
 
 def _looking_like_heads(
@@ -168,7 +157,8 @@ def _looking_like_heads(
     areas: np.ndarray,
 ) -> list[int]:
     """The bone with the thickest compact blob at the end of a neck without a twin on the other side, if there is one.
-    below: see `_below`; share (B,), carried (V, B): of the area and of each vertex's weight, including descendants.
+    below: see `Skeleton.below`; share (B,), carried (V, B): of the area and of each vertex's weight, including
+    descendants.
     """
     candidates = []
     smallest, largest = SHARE[0] * (1.0 - ALIKE), SHARE[1] * (1.0 + ALIKE)  # a twin may be a little smaller, or larger

@@ -8,8 +8,9 @@ from dataclasses import fields
 import bpy
 from bpy.types import PropertyGroup
 
+from ...core.firmness import NEUTRAL
 from ...core.settings import METHODS, ModelSettings
-from ..events import mesh_changed, shown_changed
+from ..events import Event, emit, mesh_changed, shown_changed
 from ..keyless import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 from ..references import OVERRIDE
 
@@ -36,6 +37,21 @@ def _is_other_mesh(chosen: DynamorphAttachment | DynamorphModel, obj: bpy.types.
 def _choice_made(attachment: DynamorphAttachment, _context: bpy.types.Context) -> None:
     if attachment.reason:
         attachment.reason = ""
+
+
+def _part_set(part: DynamorphPart, _context: bpy.types.Context) -> None:
+    emit(Event.PART_SET, part.id_data, part.name, part.firmness)
+
+
+class DynamorphPart(PropertyGroup):
+    """A soft part of the body, by its `name`."""
+
+    firmness: FloatProperty(
+        name="Firmness",
+        description="How firm this part of the body is, on both sides: 0 is softest, 0.5 unchanged, and 1 held by the "
+        "bones. It shifts the Firmness map there, which you can go on painting",
+        default=NEUTRAL, min=0.0, max=1.0, subtype="FACTOR", override=OVERRIDE, update=_part_set,
+    )  # fmt: skip
 
 
 class DynamorphAttachment(PropertyGroup):

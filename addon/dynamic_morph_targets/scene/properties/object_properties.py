@@ -26,7 +26,7 @@ from .bake_properties import (
     DynamorphSimulation,
 )
 from .grip_properties import DynamorphGrip
-from .model_properties import DynamorphAttachment, DynamorphMode, DynamorphModel
+from .model_properties import DynamorphAttachment, DynamorphMode, DynamorphModel, DynamorphPart
 from .target_place import DynamorphBone, DynamorphBonePose, DynamorphChannel
 from .target_properties import DynamorphKey, DynamorphTarget
 
@@ -52,6 +52,10 @@ class DynamorphSettings(PropertyGroup):
         override=OVERRIDE,
         update=events.mesh_changed,
     )
+    parts: CollectionProperty(
+        name="Parts", description="Soft parts of the body, such as its belly, found by its bones", type=DynamorphPart,
+        override=OVERRIDE_LIST,
+    )  # fmt: skip
     max_distance_group: StringProperty(
         name="Max Distance",
         description="Vertex group that scales how far the skin may move: 1 as far as Max Displacement says, 0 not at "
@@ -196,6 +200,7 @@ CLASSES = (
     DynamorphChannel,
     DynamorphTarget,
     DynamorphGrip,
+    DynamorphPart,
     DynamorphAttachment,
     DynamorphModel,
     DynamorphMode,

@@ -12,7 +12,7 @@ from ...core.errors import SceneError
 from ...run import live
 from ...scene import skin
 from ...scene.registration import of_classes
-from ...write.authoring import attachments
+from ...write.authoring import attachments, parts
 from ...write.bake import writer
 from ..base import ElementOperator, SoftSkinOperator, listed
 
@@ -25,6 +25,7 @@ class DYNAMORPH_OT_find_attachments(SoftSkinOperator, Operator):
 
     def apply(self, obj: bpy.types.Object) -> set[str]:
         found = attachments.find(obj)
+        parts.find(obj)
         if not found:
             self.report({"INFO"}, rpt_("'{name}' has no other attachments").format(name=obj.name))
             return {"CANCELLED"}

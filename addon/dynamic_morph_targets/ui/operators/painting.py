@@ -3,16 +3,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty
 from bpy.types import Operator
 
-from ...core.message import Message
+from ...core.errors import DynamorphError
+from ...core.message import Message, translated
 from ...core.painted_map import FIRMNESS, MAX_DISTANCE, PaintedMap
-from ...scene import skin
+from ...scene import events, skin
 from ...scene.registration import of_classes
-from ...write.authoring import painting
+from ...write.authoring import painting, parts
 from ..base import SoftSkinOperator
 
 
@@ -97,6 +100,17 @@ class DYNAMORPH_OT_mirror_max_distance(Mirror, Operator):
     of = MAX_DISTANCE
 
 
+def _set_part(obj: bpy.types.Object, name: str, firmness: float) -> None:
+    """A slider of a part was moved, or a script has set it; what is in the way is said in a pop-up."""
+    try:
+        parts.set_firmness(obj, name, firmness)
+    except DynamorphError as problem:
+        if bpy.app.background:
+            raise
+        text = translated(str(problem), rpt_)
+        bpy.context.window_manager.popup_menu(lambda menu, _: menu.layout.label(text=text), icon="ERROR")
+
+
 def draw_tools(layout: bpy.types.UILayout, obj: bpy.types.Object, of: PaintedMap) -> None:
     """What helps to paint a map; Blender's own buttons where it has some."""
     column = layout.column(align=True)
@@ -121,4 +135,15 @@ CLASSES = (
     DYNAMORPH_OT_mirror_firmness,
     DYNAMORPH_OT_mirror_max_distance,
 )
-register, unregister = of_classes(CLASSES)
+_register_classes, _unregister_classes = of_classes(CLASSES)
+LISTENERS: dict[events.Event, Callable[..., object]] = {events.Event.PART_SET: _set_part}
+
+
+def register() -> None:
+    _register_classes()
+    events.subscribe(LISTENERS)
+
+
+def unregister() -> None:
+    events.unsubscribe(LISTENERS)
+    _unregister_classes()

@@ -24,7 +24,7 @@ from ...scene.read.worlds import world_now
 from ...scene.references import armature_modifiers
 from ...scene.registration import of_classes
 from ...scene.skinning import Skinning
-from ...write.authoring import attachments
+from ...write.authoring import attachments, parts
 from ...write.authoring.fixes import FIXES
 from ...write.bake import writer
 from .. import messages
@@ -114,7 +114,7 @@ def _find_attachments(obj: bpy.types.Object) -> list[str]:
     try:
         attachments.find(obj)
         read_again()  # they have groups of their own
-        extract.character(obj, without_targets=True)
+        parts.find(obj, extract.character(obj, without_targets=True))
     except SceneError as error:
         return [sentence(error)]
     return []

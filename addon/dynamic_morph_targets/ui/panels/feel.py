@@ -75,6 +75,11 @@ def draw_material(layout: bpy.types.UILayout, _context: bpy.types.Context, obj: 
 
 
 def draw_firmness(layout: bpy.types.UILayout, context: bpy.types.Context, obj: bpy.types.Object) -> None:
+    """What a body has by nature, from soft to firm, and the map that these sliders write."""
+    column = layout.column(align=True)
+    column.enabled = obj.mode != "EDIT"  # Blender changes no vertex group then
+    for part in obj.dynamorph.parts:
+        column.prop(part, "firmness", text=iface_(part.name), slider=True, translate=False)
     _draw_map(layout, context, obj, FIRMNESS)
 
 

@@ -42,10 +42,10 @@ def enter(obj: bpy.types.Object, of: PaintedMap) -> None:
         bpy.context.view_layer.objects.active = obj
         obj.select_set(True)
         bpy.ops.object.mode_set(mode="WEIGHT_PAINT", toggle=True)  # remembers the mesh's own mode
-    name = _map_name(obj, of)
+    name = map_name(obj, of)
     if name not in obj.vertex_groups:
-        _write(obj, name, np.full(len(obj.data.vertices), of.neutral))
-    _choose(obj, of, name)
+        write(obj, name, np.full(len(obj.data.vertices), of.neutral))
+    choose(obj, of, name)
 
 
 def leave(obj: bpy.types.Object) -> None:
@@ -57,7 +57,7 @@ def leave(obj: bpy.types.Object) -> None:
     objects.active = posed or active
     if posed:
         bpy.ops.object.mode_set(mode="POSE")
-    _look(obj)
+    look(obj)
 
 
 def hold_selected_bones(obj: bpy.types.Object) -> None:
@@ -65,11 +65,11 @@ def hold_selected_bones(obj: bpy.types.Object) -> None:
     writer.check_not_edited(obj)
     owned(obj.data)
     held = _held_by_bones(obj)
-    name = _map_name(obj, FIRMNESS)
+    name = map_name(obj, FIRMNESS)
     weights = mesh_data.group_weights(obj, [name], FIRMNESS.neutral)[:, 0]
-    _write(obj, name, np.maximum(weights, FIRMNESS.neutral + (1.0 - FIRMNESS.neutral) * held))
-    _choose(obj, FIRMNESS, name)
-    _look(obj)
+    write(obj, name, np.maximum(weights, FIRMNESS.neutral + (1.0 - FIRMNESS.neutral) * held))
+    choose(obj, FIRMNESS, name)
+    look(obj)
 
 
 def mirror(obj: bpy.types.Object, of: PaintedMap, to: str) -> int:
@@ -83,11 +83,11 @@ def mirror(obj: bpy.types.Object, of: PaintedMap, to: str) -> int:
         raise SceneError("'{name}' is not symmetric about its X axis: paint the other side yourself", name=obj.name)
     name = getattr(obj.dynamorph, of.group)
     weights = mesh_data.group_weights(obj, [name], of.neutral)[:, 0]
-    _write(obj, name, np.where(overwritten, weights[partners], weights))
+    write(obj, name, np.where(overwritten, weights[partners], weights))
     return int(np.count_nonzero(partners < 0))
 
 
-def _map_name(obj: bpy.types.Object, of: PaintedMap) -> str:
+def map_name(obj: bpy.types.Object, of: PaintedMap) -> str:
     """The vertex group of a map. A new one is named like no bone and no group of the meshes in the cage, because what
     is written there would be skin weights, or the artist's.
     """
@@ -99,14 +99,14 @@ def _map_name(obj: bpy.types.Object, of: PaintedMap) -> str:
     return free_name(taken, of.label) if of.label in taken else of.label
 
 
-def _choose(obj: bpy.types.Object, of: PaintedMap, name: str) -> None:
+def choose(obj: bpy.types.Object, of: PaintedMap, name: str) -> None:
     """Make this vertex group the map, and the active one."""
     if getattr(obj.dynamorph, of.group) != name:
         setattr(obj.dynamorph, of.group, name)
     obj.vertex_groups.active_index = obj.vertex_groups[name].index
 
 
-def _write(obj: bpy.types.Object, name: str, weights: np.ndarray) -> None:
+def write(obj: bpy.types.Object, name: str, weights: np.ndarray) -> None:
     """Write weights (V,), rounded to a thousandth, to the vertex group of this name; it is created if there is none.
     Raises SceneError.
     """
@@ -118,7 +118,7 @@ def _write(obj: bpy.types.Object, name: str, weights: np.ndarray) -> None:
         group.add(np.flatnonzero(steps == step).tolist(), step / STEPS, "REPLACE")
 
 
-def _look(obj: bpy.types.Object) -> None:
+def look(obj: bpy.types.Object) -> None:
     if obj.dynamorph.model.content_id:
         storage.show_stale(obj)
 

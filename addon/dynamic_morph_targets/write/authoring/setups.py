@@ -8,7 +8,7 @@ in it:
     targets: a list, the neutral one first, each its properties, "bones" (names) and "pose" (rest and local, by bone)
     channels: a list, each its properties and "source", the full data path of the property that drives it, or ""
     skin, model, simulation, collision, output: properties by name, collision with the name of its "collection" or "";
-    modes: a list of such
+    modes, parts: lists of such
     attachments: a list, each its properties and "object", the name of another mesh or ""
 
 What a file leaves out stays as it is. `check` refuses a setup wholly, before `apply` writes anything.
@@ -38,7 +38,7 @@ from ...scene.check import checks
 from ...scene.motion import rig_motion
 from ...scene.plain import fits, is_text, plain, wanted
 from ...scene.properties.bake_properties import DynamorphCollision, DynamorphOutput, DynamorphSimulation
-from ...scene.properties.model_properties import DynamorphAttachment, DynamorphMode, DynamorphModel
+from ...scene.properties.model_properties import DynamorphAttachment, DynamorphMode, DynamorphModel, DynamorphPart
 from ...scene.properties.object_properties import DynamorphSettings
 from ...scene.properties.target_place import DynamorphBonePose, DynamorphChannel
 from ...scene.properties.target_properties import DynamorphTarget
@@ -70,10 +70,11 @@ NOT_AUTHORED = {
     DynamorphBonePose: ("name",),
     DynamorphChannel: (),
     DynamorphAttachment: (),
+    DynamorphPart: (),
 }
 # More than anything could use, so that a file of another kind does not block Blender: the engine takes about 60 shapes
 # that differ, and a pose for each of them has all bones.
-MOST = {"targets": 1000, "channels": 1000, "modes": 1000, "attachments": 1000}
+MOST = {"targets": 1000, "channels": 1000, "modes": 1000, "attachments": 1000, "parts": 1000}
 MOST_BONES = 100_000  # in the poses of all targets together
 PARTS = {
     "skin": DynamorphSettings,
@@ -110,6 +111,7 @@ def of_object(obj: bpy.types.Object) -> dict:
         "collision": {**authored(settings.collision), "collection": collection.name if collection else ""},
         "output": authored(settings.output),
         "modes": [authored(mode) for mode in settings.modes],
+        "parts": [authored(part) for part in settings.parts],
         "attachments": [
             {**authored(each), "object": each.object.name if each.object else ""}
             for each in settings.attachments
@@ -157,6 +159,10 @@ def apply(obj: bpy.types.Object, setup: dict) -> dict[str, list[str]]:
         assign(mode, values)
     if "attachments" in setup:
         _apply_pieces(obj, setup["attachments"], lacking)
+    parts = {part["name"]: part["firmness"] for part in setup.get("parts", [])}
+    for name in lacking.present("parts of the body", parts, settings.parts):
+        if settings.parts[name].firmness != parts[name]:
+            settings.parts[name].firmness = parts[name]
     return lacking.names
 
 
@@ -312,6 +318,10 @@ def check(setup: object) -> None:
             raise SetupError("Two targets are called '{name}'", name=name)
     for i, mode in enumerate(lists["modes"]):
         _check_values(f"Mode {i + 1}", DynamorphMode, mode)
+    for i, part in enumerate(lists["parts"]):
+        _check_values(f"Part {i + 1}", DynamorphPart, part)
+        if set(part) != {"name", "firmness"}:
+            raise SetupError("Part {number}: name and firmness are needed", number=i + 1)
     for i, channel in enumerate(lists["channels"]):
         _check_channel(f"Channel {i + 1}", channel)
     for i, attachment in enumerate(lists["attachments"]):

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sliders of a body's soft parts, such as its belly: which parts there are, and what a slider does to the map."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ...core.character import Character
+from ...core.firmness import NEUTRAL
+from ...core.geometry import vertex_areas
+from ...core.model import body_parts, rigid
+from ...core.painted_map import FIRMNESS
+from ...scene import references
+from ...scene.character import extract
+from ...scene.check import checks
+from ...scene.read import mesh_data
+from ...scene.read.source import Source
+from ...scene.remembered import opened
+from ..bake import writer
+from . import painting
+from .fixes import owned
+
+OWN = 0.2  # of a part's area; where the soft skin's own mesh has as much of it, other meshes follow that
+
+
+def find(obj: bpy.types.Object, character: Character | None = None) -> None:
+    """List the parts that a soft skin has. Those that are listed already keep their sliders. Raises SceneError."""
+    listed, found = obj.dynamorph.parts, _shares(obj, character)
+    for index in reversed(range(len(listed))):
+        if listed[index].name not in found:
+            listed.remove(index)
+    for name in found:
+        if name not in listed:
+            listed.add().name = name
+
+
+def set_firmness(obj: bpy.types.Object, name: str, firmness: float) -> None:
+    """Shift the Firmness map in a part, with a soft border, until its mean there is `firmness`: what is painted stays
+    as different from that as it was. Raises SceneError.
+    """
+    found = _shares(obj).get(name, ())
+    group = painting.map_name(obj, FIRMNESS)
+    for mesh, _ in found:
+        writer.check_not_edited(mesh)
+        owned(mesh.data)
+    for mesh, share in found:
+        weights = mesh_data.group_weights(mesh, [group], NEUTRAL)[:, 0]
+        shift = firmness - NEUTRAL - share @ (weights - NEUTRAL) / (share @ share)
+        painting.write(mesh, group, (weights + shift * share).clip(0.0, 1.0))
+        mesh.data.update_tag()  # Live looks
+    if found:
+        painting.choose(obj, FIRMNESS, group)
+        painting.look(obj)
+
+
+def _shares(
+    obj: bpy.types.Object, character: Character | None = None
+) -> dict[str, list[tuple[bpy.types.Object, np.ndarray]]]:
+    """Of each part of a soft skin: meshes, and how much of their vertices (V,) belongs to it. Remembered, because a
+    slider that is dragged asks often. Raises SceneError.
+    """
+    source = Source.of(checks.skinned(obj))
+    meshes = [source.obj, *(mesh.obj for mesh in source.meshes)]
+    points = [(mesh.session_uid, mesh_data.rest_points(mesh).tobytes()) for mesh in meshes]
+    state = hash((references.bones_key(source.rig.data), *points))
+    if opened.parts.get(obj.session_uid, (None,))[0] != state:
+        opened.parts[obj.session_uid] = state, _looked_for(source, meshes, character or extract.read(source, True))
+    return opened.parts[obj.session_uid][1]
+
+
+def _looked_for(
+    source: Source, meshes: list[bpy.types.Object], whole: Character
+) -> dict[str, list[tuple[bpy.types.Object, np.ndarray]]]:
+    bind, skeleton = whole.vertices @ whole.to_bind.T, whole.skeleton
+    moved = references.as_moved(skeleton, source.rig)
+    heads = rigid.heads(moved, whole.weights, bind, whole.triangles)
+    of_head = rigid.head_rigidity(moved, whole.weights, bind, whole.triangles, heads)
+    joints = source.bone_segments([source.rig.data.bones[name] for name in skeleton.names])[:, 0]
+    found = body_parts.find(skeleton, joints, bind, whole.triangles, whole.weights, of_head)
+    areas, ends = vertex_areas(bind, whole.triangles), np.cumsum([len(mesh.data.vertices) for mesh in meshes])
+    shares = {}
+    for name, share in found.items():
+        of_meshes = list(zip(meshes, np.split(share, ends[:-1]), strict=True))
+        own = (share * areas)[: ends[0]].sum() >= OWN * (share @ areas)
+        shares[name] = [each for each in of_meshes[: 1 if own else None] if each[1].any()]
+    return shares
