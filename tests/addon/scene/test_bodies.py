@@ -458,6 +458,45 @@ def test_the_artist_can_make_something_hard_soft(scene, way):
     assert obj.dynamorph.bake.exists
 
 
+def chest():
+    """A box and its lid, which share the hinge."""
+    return [(*tube_between(0.0, 1.0, 9), "upper"), (*tube_between(1.0, 1.4, 5), "lower")], {}
+
+
+def spring():
+    """One skin, each ring of which follows one bone."""
+    points, faces = tube_between(0.0, 3.0, 31)
+    return [(points * [0.2, 0.2, 1.0], faces, np.eye(3)[points[:, 2].astype(int).clip(0, 2)])], {}
+
+
+def drone():
+    rotors = [(*ball((x, y, 1.0), 0.2), "lower") for x in (-1.0, 1.0) for y in (-1.0, 1.0)]
+    return [(*ball((0.0, 0.0, 1.0), 0.8, 16), "upper"), *rotors], {"lower": "Rotor_FL"}
+
+
+def skull():
+    return [(*ball((0.0, 0.0, 1.0), 0.8, 16), "upper")], {"upper": "skull"}
+
+
+@pytest.mark.parametrize("made", [chest, spring, drone, skull])
+def test_a_hard_thing_that_is_no_robot_is_recognized(scene, made):
+    """Its skin follows one bone each, as a soft character's does not; so one bone or two make no jelly of it."""
+    rig = make_figure(scene)["Figure Rig"]
+    for name in ("Body", "Top", "Cap", "Eye"):
+        bpy.data.objects.remove(bpy.data.objects[name])
+    skins, names = made()
+    obj = merged(scene, rig, skins)
+    for before, name in names.items():
+        rig.data.bones[before].name = name
+    OPS.add_soft_skin()
+    text = "'Merged': nothing soft found: paint Firmness"
+    assert obj.dynamorph.model.warnings == text and text in " ".join(drawn(obj))
+    obj.vertex_groups.new(name="Firm").add(range(len(obj.data.vertices)), 0.0, "REPLACE")
+    obj.dynamorph.firmness_group = "Firm"
+    obj.dynamorph.attachments.clear()
+    assert (extract.character(obj).cage_index >= 0).all()
+
+
 def test_a_jelly_on_one_bone_is_soft(scene):
     rig = make_figure(scene)["Figure Rig"]
     for name in ("Body", "Top", "Cap", "Eye"):

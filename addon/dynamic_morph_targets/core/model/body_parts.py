@@ -15,12 +15,12 @@ import numpy as np
 
 from ..character import Skeleton
 from ..geometry import diagonal, smooth_step, vertex_areas
+from . import rigid
 
 CHEST, BELLY, GLUTES, THIGHS, UPPER_ARMS, CHEEKS = "Chest", "Belly", "Glutes", "Thighs", "Upper Arms", "Cheeks"
 PARTS = (CHEST, BELLY, GLUTES, THIGHS, UPPER_ARMS, CHEEKS)
 LEAST = 0.0005  # of the skin's area; a part that has less is not there
 STICK = 0.01  # of the body's size: radius of a limb that is bone alone
-WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^\x00-\x7f]+|\d+")
 FAMILIES = {"def", "org", "bip", "j", "cc", "c", "base", "valve", "skeleton"}  # words of rigs, not of bodies
 SIDES = {"l": 1, "left": 1, "左": 1, "r": -1, "right": -1, "右": -1}
 # What means nothing else, and what may also mean the part below it, so that only the topmost such bone counts.
@@ -76,7 +76,7 @@ def _described(name: str) -> tuple[str, int]:
     """The words of a bone's name without those of its family of rigs, and its side: 1 left, -1 right, 0 neither."""
     words: list[str] = []
     side = 0
-    for word in WORD.findall(re.sub("[左右]", r" \g<0> ", name.rpartition(":")[2])):
+    for word in rigid.WORD.findall(re.sub("[左右]", r" \g<0> ", name.rpartition(":")[2])):
         word = word.lower()
         if not side and word in SIDES:
             side = SIDES[word]

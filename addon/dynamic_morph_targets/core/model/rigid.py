@@ -17,6 +17,23 @@ THIN = 0.12  # of its width: mean thickness of a part that bends with what it li
 NEARLY_ALL = 0.95  # of its vertices; more of them follow the bone of a rigid part
 COINCIDE = 1e-5  # of the body's size; points nearer than this are at one place
 SOFT_SHARE = 0.12  # of the volume of its parts; a wholly hard character has less soft volume
+HARD_SHARE = 0.98  # of the area; where more follows one bone each, nothing bends: of soft characters at most 0.65 does
+MUCH = 0.1  # of the area; a bone that carries more of a hard thing is a part of it, as a lid is
+HARD_NAMES = {
+    "lid",
+    "bottom",
+    "hinge",
+    "spring",
+    "coil",
+    "rotor",
+    "propeller",
+    "wheel",
+    "gear",
+    "piston",
+    "door",
+    "skull",
+}
+WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^\x00-\x7f]+|\d+")  # of a bone's name
 NAMED_HEAD = re.compile(r"(?<![a-z])(head|skull)(?![a-z])|^頭", re.IGNORECASE)  # in MMD's models Japanese
 NAMED_SHARE = (0.005, 0.6)  # of the area; a bone with such a name carries more if it is a head
 SHARE = (0.03, 0.45)  # the same for a bone without such a name
@@ -76,6 +93,18 @@ def rigid_parts(labels: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np
     same = np.abs(weights - (sums / sizes[:, None])[labels]).max(axis=1, initial=0.0) < 1.0 - RIGID
     nearly_all = [np.bincount(labels, follows, count) >= NEARLY_ALL * sizes for follows in (one, same)]
     return nearly_all[0] | nearly_all[1], bones
+
+
+def is_machine(skeleton: Skeleton, weights: np.ndarray, points: np.ndarray, triangles: np.ndarray) -> bool:
+    """Whether nearly all of a skin follows one bone each, as of a chest with a lid, a drone or a spring: two bones carry
+    much of it, or one that is called as parts of such things are. Arguments as for `heads`.
+    """
+    areas, names = vertex_areas(points, triangles), skeleton.names
+    rigid = weights[:, :-1] > RIGID
+    carried = rigid.T @ areas / max(areas.sum(), 1e-300)
+    much = [name for name, share in zip(names, carried, strict=True) if share > MUCH]
+    named = any(word.lower() in HARD_NAMES for name in much for word in WORD.findall(name))
+    return carried.sum() > HARD_SHARE and (len(much) > 1 or named)
 
 
 def thin_parts(points: np.ndarray, triangles: np.ndarray, labels: np.ndarray, largest: float) -> np.ndarray:

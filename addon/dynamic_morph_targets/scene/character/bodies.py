@@ -209,7 +209,8 @@ def _refuse_hard(
     areas = vertex_areas(bind, whole.triangles)
     share = np.bincount(labels, areas * soft) / np.maximum(np.bincount(labels, areas), 1e-300)
     other = sum(rigid.part_volumes(points, triangles)[1].sum() for points, triangles in beside)
-    if volumes @ share <= rigid.SOFT_SHARE * (volumes.sum() + other):
+    little = volumes @ share <= rigid.SOFT_SHARE * (volumes.sum() + other)
+    if little or rigid.is_machine(whole.single.skeleton, whole.weights, bind, whole.triangles):
         raise SceneError("'{name}': nothing soft found: paint Firmness", name=obj.name)
 
 

@@ -240,6 +240,8 @@ def _leave_something_soft(found: list[_Found]) -> None:
     bones = {bone for each in found for bone in each.bones.tolist()}
     if len(bones) >= FEWEST_BONES or not all(each.hard.all() for each in found):
         return
+    if rigid.is_machine(found[0].source.skeleton, *_all_together(found)):
+        return
     areas = [_areas(each) for each in found]
     largest = max(range(len(found)), key=lambda k: areas[k].max())
     found[largest].hard[areas[largest].argmax()] = False

@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 
 from ...core.character import Character
+from ...core.errors import SceneError
 from ...core.firmness import NEUTRAL
 from ...core.geometry import vertex_areas
 from ...core.model import body_parts, rigid
@@ -25,8 +26,12 @@ OWN = 0.2  # of a part's area; where the soft skin's own mesh has as much of it,
 
 
 def find(obj: bpy.types.Object, character: Character | None = None) -> None:
-    """List the parts that a soft skin has. Those that are listed already keep their sliders. Raises SceneError."""
-    listed, found = obj.dynamorph.parts, _shares(obj, character)
+    """List the parts that a soft skin has, none of what cannot be read yet. Those that are listed keep their sliders."""
+    listed = obj.dynamorph.parts
+    try:
+        found = _shares(obj, character)
+    except SceneError:
+        found = {}
     for index in reversed(range(len(listed))):
         if listed[index].name not in found:
             listed.remove(index)
