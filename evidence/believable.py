@@ -84,7 +84,8 @@ root of a fin, counts as the body that it is sunk into, a pocket as the coat tha
 thickness. *Stretch*: length of edges, compared with plain skinning. *Stretch, least, of the bones' own*: divided by the
 same figure of plain skinning, because the bones alone may make an edge vanish where a joint folds. *Flipped*: share of
 the surface that turns over. *Inverted*: share of the cage's volume that turns inside out. *Thin parts*: how much the
-thinnest fifth of the surface moves, compared with the thickest, if that is at least twice as thick. *Seam*: gap between
+thinnest fifth of the surface moves, compared with the thickest, if that is at least twice as thick. *Hands and feet*:
+how much they move, compared with the torso, where arms and legs are found by their bones' names. *Seam*: gap between
 meshes that touch at rest. *Alive*: motion of the liveliest tenth of the surface, and the share of it that moves at
 least a tenth as much; counted where the clip shakes the thickest fifth of the character by {shaken:g} of its size, so a
 clip that moves only the wings does not count. *Flicker*: how often the skin's own motion turns from frame to frame: a
@@ -181,6 +182,7 @@ LIMITS = (
     Limit("flipped", "flipped", high=0.001),
     Limit("inverted", "inverted", high=0.001),
     Limit("thin_moves", "thin parts", high=0.3),
+    Limit("ends_move", "hands and feet", high=0.5),
     Limit("seam", "seam", high=1e-6),
     Limit("alive", "alive", low=0.002, high=0.03, moving=True),
     Limit("alive_area", "alive area", low=0.1, moving=True),

@@ -20,6 +20,8 @@ alive, alive_area        RMS motion about its mean of the liveliest tenth, of si
                          of that
 thin_moves               RMS motion of the thinnest fifth of the surface over that of the thickest fifth; None where
                          that is not twice as thick: there are no thin parts
+ends_move                RMS motion of hands and feet over that of the torso; None where no arms and legs are found by
+                         their bones' names
 shaken                   RMS acceleration of the thickest fifth of the surface in plain skinning over (2 pi 3.5 Hz)^2,
                          of size: how far tissue of 3.5 Hz is asked to move
 flicker, flicker_plain   how often the displacement turns, and plain skinning in the world, see judge.flicker_of
@@ -43,7 +45,10 @@ import project  # noqa: F401
 
 import bpy
 import numpy as np
+from dynamic_morph_targets.core.character import Skeleton
 from dynamic_morph_targets.core.geometry import diagonal, vertex_areas
+from dynamic_morph_targets.core.model import rigid
+from dynamic_morph_targets.core.model.body_parts import RiggedSkin, limb_ends
 from dynamic_morph_targets.core.result.judge import SPLINTER, flicker_of, quantiles
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
@@ -103,6 +108,7 @@ def measure(scene) -> dict:
         "flipped": round(max(flipped(obj, baked[obj], plain[obj]) for obj in soft) / skin.areas.sum(), 5),
         **liveliness(motion, skin),
         "thin_moves": rounded_or_none(thin_moves(motion, skin), 3),
+        "ends_move": rounded_or_none(ends_move(soft, motion, skin), 3),
         "shaken": rounded_or_none(shaken(world[:, skin.thick], skin.areas[skin.thick], rate), 4),
         "flicker": round(flicker(motion, skin.areas), 3),
         "flicker_plain": round(flicker(world, skin.areas), 3),
@@ -396,6 +402,40 @@ def thin_moves(motion: np.ndarray, skin: Skin) -> float | None:
         return None
     moves, thin = swings(motion), skin.thickness <= low  # false where it is not known
     return skin.mean(moves, thin) / max(skin.mean(moves, skin.thick), 1e-12)
+
+
+def ends_move(soft: Sequence, motion: np.ndarray, skin: Skin) -> float | None:
+    rigged = rigged_skin(soft, skin)
+    if not rigged.arms or not rigged.legs:
+        return None
+    of_limbs = rigged.on(np.any([limb.bones for limb in (*rigged.arms, *rigged.legs)], axis=0))
+    heads = rigid.heads(rigged.skeleton, rigged.weights, rigged.points, rigged.triangles)
+    of_head = rigged.on(np.any([rigged.skeleton.below[head] for head in heads], axis=0)) if heads else 0.0
+    moves, ends = swings(motion), limb_ends(rigged) > 0.9
+    torso = (of_limbs + of_head < 0.1) & (rigged.weights[:, -1] == 0.0)
+    return skin.mean(moves, np.flatnonzero(ends)) / max(skin.mean(moves, np.flatnonzero(torso)), 1e-12)
+
+
+def rigged_skin(soft: Sequence, skin: Skin) -> RiggedSkin:
+    """All soft meshes on the armature of the first one, world space."""
+    rig = armatures(soft[0])[0].object
+    bones = list(rig.data.bones)
+    names = [bone.name for bone in bones]
+    parents = np.array([names.index(bone.parent.name) if bone.parent else -1 for bone in bones])
+    skeleton = Skeleton(tuple(names), parents, np.array([bone.matrix_local for bone in bones]))
+    heads = np.array([rig.matrix_world @ bone.head_local for bone in bones])
+    weights, triangles, first = np.zeros((len(skin.rest), len(bones) + 1)), [], 0
+    for obj in soft:
+        place = {group.index: names.index(group.name) for group in obj.vertex_groups if group.name in names}
+        for vertex in obj.data.vertices:
+            for element in vertex.groups:
+                if element.group in place:
+                    weights[first + vertex.index, place[element.group]] = element.weight
+        triangles.append(triangles_of(obj) + first)
+        first += len(obj.data.vertices)
+    sums = weights.sum(axis=1, keepdims=True)
+    weights = np.where(sums > 0.0, weights / np.maximum(sums, 1e-12), np.eye(len(bones) + 1)[-1])
+    return RiggedSkin(skeleton, heads, skin.rest, np.concatenate(triangles), weights)
 
 
 def swings(motion: np.ndarray) -> np.ndarray:

@@ -70,7 +70,7 @@ class ModelSettings:
     cage_nodes: int = 2000
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin within which the bone holds nodes
     hold: str = "THICKNESS"  # what holds the body: its thickness, by a continuous energy, or pins near the BONES
-    hold_head: bool = True  # the skin of the head is held as if it were rigid
+    hold_head: bool = True  # the skin of head, hands and feet is held as if it were rigid
     basis: str = "RESPONSES"  # of a reduced model: tabulated MODES, or few of them and many linear RESPONSES
 
     @property

@@ -8,6 +8,7 @@ import rig_families
 from bl_ext.user_default.dynamic_morph_targets.core import errors
 from bl_ext.user_default.dynamic_morph_targets.core.model import body_parts
 from bl_ext.user_default.dynamic_morph_targets.run import live
+from bl_ext.user_default.dynamic_morph_targets.scene.character import extract
 from bl_ext.user_default.dynamic_morph_targets.scene.check import checks
 from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from bl_ext.user_default.dynamic_morph_targets.scene.read.source import Source
@@ -168,19 +169,38 @@ def test_an_edited_mesh_is_looked_at_again(body):
 def test_sticks_have_no_soft_parts(body):
     """Arms and legs that are bone alone, as of a drawn figure, keep only the trunk's and the head's."""
     source = Source.of(checks.skinned(body))
-    skeleton, to_bind = source.skeleton, source.to_bind
-    heads = source.bone_segments([source.rig.data.bones[name] for name in skeleton.names])[:, 0]
-    place = source.points @ to_bind.T
+    rest, mesh = (source.skeleton, source.bone_heads), (source.triangles, source.weights)
+    place = source.points @ source.to_bind.T
     none = np.zeros(len(place))
-    found = body_parts.find(skeleton, heads, place, source.triangles, source.weights, none)
+    found = body_parts.find(body_parts.RiggedSkin(*rest, place, *mesh), none)
     assert {"Thighs", "Upper Arms"} <= set(found)
     thin, (x, _, z) = place.copy(), place.T
     arms, legs = np.abs(x) > 0.2, (np.abs(x) < 0.2) & (z < 0.93)
     thin[arms, 1:] = [0.0, 1.41] + 0.1 * (place[arms, 1:] - [0.0, 1.41])
     middles = np.column_stack([0.11 * np.sign(x[legs]), np.zeros(legs.sum())])
     thin[legs, :2] = middles + 0.1 * (place[legs, :2] - middles)
-    found = body_parts.find(skeleton, heads, thin, source.triangles, source.weights, none)
+    found = body_parts.find(body_parts.RiggedSkin(*rest, thin, *mesh), none)
     assert set(found).isdisjoint({"Thighs", "Upper Arms"})
+
+
+def test_fists_as_thick_as_the_trunk_are_held(scene):
+    """As of a stout cartoon; thin hands are held anyway."""
+    figure = rig_families.make("Human Generator")
+    body = figure.body
+    fist = np.array([0.74, 0.0, 1.41])
+    for block in body.data.shape_keys.key_blocks:
+        place = np.array([point.co for point in block.data])
+        away = np.abs(place) - np.abs(fist)
+        hands = np.abs(place[:, 0]) > 0.66
+        place[hands] = np.sign(place[hands]) * (np.abs(fist) + 3.0 * away[hands])
+        block.data.foreach_set("co", place.ravel())
+    OPS.add_soft_skin()
+    found = extract.character(body)
+    own = np.arange(len(body.data.vertices))
+    x = np.abs(found.vertices[own, 0])
+    assert (found.rigidity[own][x > 0.72] == 1.0).all() and not found.rigidity[own][(x > 0.2) & (x < 0.5)].any()
+    body.dynamorph.model.hold_head = False
+    assert not extract.character(body).rigidity[own][x > 0.72].any()
 
 
 def test_an_animal_has_no_such_parts(soft_arm):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -31,45 +32,106 @@ THIGH = re.compile(r"thigh|upper ?leg|up ?leg|足(?!首|先)"), re.compile(r"leg
 # second, 1, or as heights in the trunk.
 ALONG_LIMB = (0.05, 0.25, 0.8, 0.98)
 HEIGHTS = {CHEST: (0.5, 0.62, 0.92, 1.05), BELLY: (-0.05, 0.1, 0.45, 0.58), GLUTES: (-0.32, -0.2, 0.1, 0.24)}
+TO_END = (0.45, 0.95)  # of an upper arm's or a thigh's length from its second joint: where hand or foot begins
 FACING = (-0.1, 0.35)  # of half of the trunk's depth from its middle, forward, or back for the glutes
 CHEEK, CHEEK_SIZE = (0.6, 0.5, -0.36), (0.6, 0.6, 0.5)  # its middle and radii in the head's box: left, front, up
 
 
 @dataclass(frozen=True)
 class Limb:
-    """side: 1 left, -1 right; bones (B,) bool: it, and what hangs on it; joints (2, 3): where it begins and bends."""
+    """side: 1 left, -1 right; bones (B,) bool: it, and what hangs on it; lower (B,): what hangs on its second joint;
+    joints (2, 3): where it begins and bends.
+    """
 
     side: int
     bones: np.ndarray
+    lower: np.ndarray
     joints: np.ndarray
 
 
-def find(
-    skeleton: Skeleton,
-    heads: np.ndarray,
-    points: np.ndarray,
-    triangles: np.ndarray,
-    weights: np.ndarray,
-    of_head: np.ndarray,
-) -> dict[str, np.ndarray]:
-    """The parts of PARTS that a body has, and how much each vertex belongs to each (V,), 0 to 1.
+@dataclass(frozen=True)
+class RiggedSkin:
+    """heads (B, 3): of the bones, and points (V, 3): bind space; triangles (T, 3); weights (V, B + 1)."""
 
-    heads (B, 3): of the bones, and points (V, 3): bind space; triangles (T, 3); weights (V, B + 1); of_head (V,): see
+    skeleton: Skeleton
+    heads: np.ndarray
+    points: np.ndarray
+    triangles: np.ndarray
+    weights: np.ndarray
+
+    @cached_property
+    def areas(self) -> np.ndarray:
+        return vertex_areas(self.points, self.triangles)
+
+    def on(self, bones: np.ndarray) -> np.ndarray:
+        """The share (V,) of the skin that bones (B,) bool carry."""
+        return self.weights[:, :-1] @ bones
+
+    @cached_property
+    def arms(self) -> list[Limb]:
+        """The left upper arm and the right one, or none."""
+        return self._limbs(UPPER_ARM)
+
+    @cached_property
+    def legs(self) -> list[Limb]:
+        """The same of the thighs."""
+        return self._limbs(THIGH)
+
+    def _limbs(self, kinds: Sequence[re.Pattern[str]]) -> list[Limb]:
+        below, described = self.skeleton.below, [_described(name) for name in self.skeleton.names]
+        carried = below @ (self.weights[:, :-1].T @ self.areas)
+        for kind in kinds:
+            named = np.array([bool(side and kind.match(words)) for words, side in described], bool)
+            topmost = named & ~(below[named].sum(axis=0) > named)
+            if kind is not kinds[0]:
+                named &= topmost | [bool(PIECE.search(words)) for words, _ in described]
+            best = []
+            for side in (1, -1):
+                bones = [bone for bone in np.flatnonzero(topmost) if described[bone][1] == side]
+                limbs = [limb for bone in bones if (limb := self._limb(bone, side, named, carried))]
+                best += [max(limbs, key=lambda limb: carried[limb.bones].max())] if limbs else []
+            if len(best) == 2:
+                return best
+        return []
+
+    def _limb(self, bone: int, side: int, named: np.ndarray, carried: np.ndarray) -> Limb | None:
+        """A limb that begins with this bone. It bends where what carries most of those that are named otherwise
+        begins.
+        """
+        below, heads = self.skeleton.below, self.heads
+        others = [other for other in np.flatnonzero(below[bone] & ~named) if named[self.skeleton.parents[other]]]
+        others = [other for other in others if (heads[other] != heads[bone]).any()]
+        if not others:
+            return None
+        bends = max(others, key=lambda other: (carried[other], below[other].sum()))
+        return Limb(side, below[bone], below[bends], heads[[bone, bends]])
+
+
+def find(skin: RiggedSkin, of_head: np.ndarray) -> dict[str, np.ndarray]:
+    """The parts of PARTS that a body has, and how much each vertex belongs to each (V,), 0 to 1. of_head (V,): see
     `rigid.head_rigidity`.
     """
-    below, areas = skeleton.below, vertex_areas(points, triangles)
-    carried = below @ (weights[:, :-1].T @ areas)
-    arms, legs = (_limbs(skeleton, heads, below, carried, kinds) for kinds in (UPPER_ARM, THIGH))
-    found = {}
+    found, arms, legs = {}, skin.arms, skin.legs
     for name, limbs in ((UPPER_ARMS, arms), (THIGHS, legs)):
-        if limbs and _radius(limbs, points, areas, weights) > STICK * diagonal(points):
-            found[name] = sum(_between_joints(limb, points) * (weights[:, :-1] @ limb.bones) for limb in limbs)
+        if limbs and _radius(limbs, skin) > STICK * diagonal(skin.points):
+            found[name] = sum(_between_joints(limb, skin.points) * skin.on(limb.bones) for limb in limbs)
     if arms and legs:
-        of_limbs = weights[:, :-1] @ np.any([limb.bones for limb in (*arms, *legs)], axis=0)
-        of_legs = weights[:, :-1] @ np.any([limb.bones for limb in legs], axis=0)
-        trunk = (1.0 - of_limbs - of_head - weights[:, -1]).clip(0.0)
-        found |= _of_trunk(_upright(arms, legs, points), trunk, trunk + of_legs, of_head)
-    return {name: found[name] for name in PARTS if name in found and found[name] @ areas > LEAST * areas.sum()}
+        of_legs = skin.on(np.any([limb.bones for limb in legs], axis=0))
+        of_arms = skin.on(np.any([limb.bones for limb in arms], axis=0))
+        trunk = (1.0 - of_arms - of_legs - of_head - skin.weights[:, -1]).clip(0.0)
+        found |= _of_trunk(_upright(arms, legs, skin.points), trunk, trunk + of_legs, of_head)
+    whole = skin.areas.sum()
+    return {name: found[name] for name in PARTS if name in found and found[name] @ skin.areas > LEAST * whole}
+
+
+def limb_ends(skin: RiggedSkin) -> np.ndarray:
+    """How much (V,) of a skin belongs to hands and feet: less along forearms and shins."""
+    out = np.zeros(len(skin.points))
+    for limb in (*skin.arms, *skin.legs):
+        length = np.linalg.norm(limb.joints[1] - limb.joints[0])
+        away = np.linalg.norm(skin.points - limb.joints[1], axis=1) / length
+        out += smooth_step(away, *TO_END) * skin.on(limb.lower)
+    return out
 
 
 def _described(name: str) -> tuple[str, int]:
@@ -83,49 +145,6 @@ def _described(name: str) -> tuple[str, int]:
         elif words or not (word in FAMILIES or word.isdigit()):
             words.append(word)
     return " ".join(words), side
-
-
-def _limbs(
-    skeleton: Skeleton,
-    heads: np.ndarray,
-    below: np.ndarray,
-    carried: np.ndarray,
-    kinds: Sequence[re.Pattern[str]],
-) -> list[Limb]:
-    """The left limb and the right one, or none. carried (B,): area of the skin on a bone and on those below it."""
-    described = [_described(name) for name in skeleton.names]
-    for kind in kinds:
-        named = np.array([bool(side and kind.match(words)) for words, side in described], bool)
-        topmost = named & ~(below[named].sum(axis=0) > named)
-        if kind is not kinds[0]:
-            named &= topmost | [bool(PIECE.search(words)) for words, _ in described]
-        best = []
-        for side in (1, -1):
-            of_side = [bone for bone in np.flatnonzero(topmost) if described[bone][1] == side]
-            limbs = [limb for bone in of_side if (limb := _limb(bone, side, skeleton, heads, below, named, carried))]
-            best += [max(limbs, key=lambda limb: carried[limb.bones].max())] if limbs else []
-        if len(best) == 2:
-            return best
-    return []
-
-
-def _limb(
-    bone: int,
-    side: int,
-    skeleton: Skeleton,
-    heads: np.ndarray,
-    below: np.ndarray,
-    named: np.ndarray,
-    carried: np.ndarray,
-) -> Limb | None:
-    """A limb that begins with this bone. It bends where what carries most of those that are named otherwise begins."""
-    parents = skeleton.parents
-    others = [other for other in np.flatnonzero(below[bone] & ~named) if named[parents[other]]]
-    others = [other for other in others if (heads[other] != heads[bone]).any()]
-    if not others:
-        return None
-    bends = max(others, key=lambda other: (carried[other], below[other].sum()))
-    return Limb(side, below[bone], heads[[bone, bends]])
 
 
 def _along(limb: Limb, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -145,11 +164,11 @@ def _between_joints(limb: Limb, points: np.ndarray) -> np.ndarray:
     return _within(_along(limb, points)[0], ALONG_LIMB)
 
 
-def _radius(limbs: list[Limb], points: np.ndarray, areas: np.ndarray, weights: np.ndarray) -> float:
+def _radius(limbs: list[Limb], skin: RiggedSkin) -> float:
     """The mean distance of the skin of limbs from their lines, meters; 0 without skin."""
-    skin = np.array([areas * _between_joints(limb, points) * (weights[:, :-1] @ limb.bones) for limb in limbs])
-    away = np.array([_along(limb, points)[1] for limb in limbs])
-    return float((skin * away).sum() / max(skin.sum(), 1e-300))
+    shares = [skin.areas * _between_joints(limb, skin.points) * skin.on(limb.bones) for limb in limbs]
+    away = [_along(limb, skin.points)[1] for limb in limbs]
+    return float(np.vdot(shares, away) / max(np.sum(shares), 1e-300))
 
 
 def _upright(arms: list[Limb], legs: list[Limb], points: np.ndarray) -> np.ndarray:

@@ -96,8 +96,8 @@ def rigid_parts(labels: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np
 
 
 def is_machine(skeleton: Skeleton, weights: np.ndarray, points: np.ndarray, triangles: np.ndarray) -> bool:
-    """Whether nearly all of a skin follows one bone each, as of a chest with a lid, a drone or a spring: two bones carry
-    much of it, or one that is called as parts of such things are. Arguments as for `heads`.
+    """Whether nearly all of a skin follows one bone each, as of a chest with a lid, a drone or a spring: two bones
+    carry much of it, or one that is called as parts of such things are. Arguments as for `heads`.
     """
     areas, names = vertex_areas(points, triangles), skeleton.names
     rigid = weights[:, :-1] > RIGID

@@ -20,6 +20,7 @@ from ...core.errors import SceneError
 from ...core.firmness import kept
 from ...core.geometry import diagonal, inverse, vertex_areas
 from ...core.model import rigid
+from ...core.model.body_parts import RiggedSkin, limb_ends
 from ...core.painted_map import EXCLUDED, FIRMNESS, MAX_DISTANCE, PaintedMap
 from .. import references
 from ..read import mesh_data
@@ -59,7 +60,8 @@ def joined(source: Source, single: Character) -> Character:
         moved = references.as_moved(single.skeleton, source.rig)
         found = rigid.heads(moved, whole.weights, bind, whole.triangles)
         head = rigid.head_rigidity(moved, whole.weights, bind, whole.triangles, found)
-        rigidity = np.maximum(rigidity, head * kept(firmness))
+        skin = RiggedSkin(single.skeleton, source.bone_heads, bind, whole.triangles, whole.weights)
+        rigidity = np.maximum(rigidity, np.maximum(head, limb_ends(skin)) * kept(firmness))
     joint_bones = dict.fromkeys(bone for each in (source, *meshes) for bone in each.skinning.bones(source.rig))
     attachments = [
         Attachment(

@@ -213,8 +213,8 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     hold_head: BoolProperty(
         name="Hold Head",
-        description="Hold the skin of the head as if it were bone, less and less along the neck. Paint Firmness "
-        "with 0 where it must stay soft",
+        description="Hold the skin of head, hands and feet as if it were bone, less and less along neck, forearms and "
+        "shins. Paint Firmness with 0 where it must stay soft",
         default=ModelSettings.hold_head, override=OVERRIDE,
     )  # fmt: skip
     head: StringProperty(name="Head", description="Bone of the head, found together with the attachments")

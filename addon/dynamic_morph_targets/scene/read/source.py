@@ -136,6 +136,12 @@ class Source:
         return bone_segments(bones, inverse(self.world) @ self.rig_world, self.to_bind)
 
     @cached_property
+    def bone_heads(self) -> np.ndarray:
+        """Heads (B, 3) of the skeleton's bones at rest, bind space."""
+        bones = self.rig.data.bones
+        return self.bone_segments([bones[name] for name in self.skeleton.names])[:, 0]
+
+    @cached_property
     def meshes(self) -> list[Source]:
         """The other meshes in the cage of a soft skin."""
         return [self.attachment(Skinning.of(each)) for each in attached_meshes(self.obj)]

@@ -9,7 +9,6 @@ import numpy as np
 from ...core.character import Character
 from ...core.errors import SceneError
 from ...core.firmness import NEUTRAL
-from ...core.geometry import vertex_areas
 from ...core.model import body_parts, rigid
 from ...core.painted_map import FIRMNESS
 from ...scene import references
@@ -26,7 +25,7 @@ OWN = 0.2  # of a part's area; where the soft skin's own mesh has as much of it,
 
 
 def find(obj: bpy.types.Object, character: Character | None = None) -> None:
-    """List the parts that a soft skin has, none of what cannot be read yet. Those that are listed keep their sliders."""
+    """List the parts that a soft skin has, none of what cannot be read yet. What is listed keeps its slider."""
     listed = obj.dynamorph.parts
     try:
         found = _shares(obj, character)
@@ -81,12 +80,12 @@ def _looked_for(
     moved = references.as_moved(skeleton, source.rig)
     heads = rigid.heads(moved, whole.weights, bind, whole.triangles)
     of_head = rigid.head_rigidity(moved, whole.weights, bind, whole.triangles, heads)
-    joints = source.bone_segments([source.rig.data.bones[name] for name in skeleton.names])[:, 0]
-    found = body_parts.find(skeleton, joints, bind, whole.triangles, whole.weights, of_head)
-    areas, ends = vertex_areas(bind, whole.triangles), np.cumsum([len(mesh.data.vertices) for mesh in meshes])
+    joints = source.bone_heads
+    skin = body_parts.RiggedSkin(skeleton, joints, bind, whole.triangles, whole.weights)
+    ends = np.cumsum([len(mesh.data.vertices) for mesh in meshes])
     shares = {}
-    for name, share in found.items():
+    for name, share in body_parts.find(skin, of_head).items():
         of_meshes = list(zip(meshes, np.split(share, ends[:-1]), strict=True))
-        own = (share * areas)[: ends[0]].sum() >= OWN * (share @ areas)
+        own = (share * skin.areas)[: ends[0]].sum() >= OWN * (share @ skin.areas)
         shares[name] = [each for each in of_meshes[: 1 if own else None] if each[1].any()]
     return shares
