@@ -15,27 +15,33 @@ def block(solver, upper, held=False, stiff=1.0, law=dynamorph.MaterialModel.LINE
     """The lower or the upper one. held: the far side is. high, above: the upper one's height, and where it begins."""
     nodes, tets = bar((6, 6, 3), (SIDES, SIDES, high))
     nodes = nodes - [SIDES / 2, SIDES / 2, high]
-    z, far = -HIGH / 2, -HIGH
+    far = -HIGH
     if upper:
         nodes = nodes * [1.0, 1.0, -1.0] + [0.0, 0.0, above]
-        tets, z, far = tets[:, [0, 2, 1, 3]].astype(np.int32), above + high / 2, above + high
+        tets, far = tets[:, [0, 2, 1, 3]].astype(np.int32), above + high
     held_nodes = (np.abs(nodes[:, 2] - far) < 1e-6) & held
-    s = SimpleNamespace(mesh=dynamorph.TetMesh(nodes, tets), upper=upper)
-    ones = np.ones(len(tets))
+    centers = np.array([[x, y, 0.0] for x in np.linspace(-0.09, 0.09, 10) for y in np.linspace(-0.09, 0.09, 10)])
+    centers[:, 2] = above + high / 2 if upper else -HIGH / 2
+    s = made_of(nodes, tets, held_nodes, upper, soft_as=(solver, law, stiff), centers=centers, radius=high / 2)
+    facing = above if upper else 0.0
+    s.facing = np.flatnonzero((np.abs(nodes[:, :2]) < 0.06).all(axis=1) & (np.abs(nodes[:, 2] - facing) < 1e-6))
+    return s
+
+
+def made_of(nodes, tets, held_nodes, upper, soft_as, centers, radius):
+    """A body of its own: its model, contact and balls. radius: of these, and the thickness of its tissue."""
+    s = SimpleNamespace(mesh=dynamorph.TetMesh(nodes, tets), upper=upper, nodes=nodes)
+    ones, count = np.ones(len(tets)), len(centers)
     weights = np.ones((len(nodes), 1))
     s.body = dynamorph.SoftBody(s.mesh, ones, ones, ones[:, None], held_nodes, weights)
-    s.model = soft(s.body, nodes, solver, law, stiff)
+    s.model = soft(s.body, nodes, *soft_as)
     skin, normals = outside(nodes, tets)
     points = nodes[skin]
     s.contact = dynamorph.Contact(s.model, points, dynamorph.embed(s.mesh, points), weights[skin], normals[skin],
-                                  np.full(len(points), high / 2))  # fmt: skip
-    centers = np.array([[x, y, z] for x in np.linspace(-0.09, 0.09, 10) for y in np.linspace(-0.09, 0.09, 10)])
-    s.skin = dynamorph.SelfContact(s.contact, centers, np.full(100, high / 2), dynamorph.embed(s.mesh, centers),
-                                   np.ones((100, 1)), np.arange(len(points)), np.zeros(100, int),
+                                  np.full(len(points), radius))  # fmt: skip
+    s.skin = dynamorph.SelfContact(s.contact, centers, np.full(count, radius), dynamorph.embed(s.mesh, centers),
+                                   np.ones((count, 1)), np.arange(len(points)), np.zeros(count, int),
                                    np.zeros(len(points), int))  # fmt: skip
-    s.nodes = nodes
-    facing = above if upper else 0.0
-    s.facing = np.flatnonzero((np.abs(nodes[:, :2]) < 0.06).all(axis=1) & (np.abs(nodes[:, 2] - facing) < 1e-6))
     return s
 
 
@@ -174,6 +180,53 @@ def test_clothes_lie_on_a_body_as_deep_as_at_rest(solver, order):
     assert reports[-1][0].contacts == 0 < reports[-1][1].contacts
     moved, _, _ = pressed(body, clothes, GAP + worn + deeper, order=order)
     assert moved[1][clothes.facing, 2].mean() - moved[0][body.facing, 2].mean() > 1.7 * gave_way
+
+
+FOLD, DEEP = 0.12, 0.01  # meters: how far apart and how high folds are
+
+
+def folded(solver, upper):
+    """A block with folds across, or half as broad clothes on it that have the same; both are held on the far side."""
+    broad = SIDES / 2 if upper else SIDES
+    nodes, tets = bar((24, 4, 3), (SIDES, broad, HIGH))
+    nodes = nodes - [SIDES / 2, broad / 2, HIGH]
+    if upper:
+        nodes, tets = nodes * [1.0, 1.0, -1.0], tets[:, [0, 2, 1, 3]].astype(np.int32)
+    held, facing = np.abs(nodes[:, 2]) > HIGH - 1e-6, np.flatnonzero(np.abs(nodes[:, 2]) < 1e-6)
+    nodes[:, 2] += DEEP * np.cos(2.0 * np.pi * nodes[:, 0] / FOLD) * (1.0 - np.abs(nodes[:, 2]) / HIGH)
+    x, y = np.meshgrid(np.linspace(-0.13, 0.13, 16), np.linspace(-0.4, 0.4, 5) * broad)
+    centers = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, HIGH / 2 if upper else -HIGH / 2)])
+    s = made_of(nodes, tets, held, upper, (solver, dynamorph.MaterialModel.LINEAR, 1.0), centers, HIGH / 2)
+    s.facing = facing
+    return s
+
+
+@pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
+def test_clothes_that_slide_over_folds_stay_out(solver):
+    """By a tenth of the body's size, which is a quarter of the way to the next fold: they climb it, and the skin gives
+    way.
+    """
+    body, clothes = folded(solver, False), folded(solver, True)
+    size = np.linalg.norm(np.ptp(body.nodes, axis=0))
+    simulations = [simulation_of(each) for each in (body, clothes)]
+    bodies = list(zip(simulations, [body.skin, clothes.skin], strict=True))
+    coupling = dynamorph.Coupling(bodies, garments=[(1, 0, np.eye(4)[:3])])
+    deepest = []
+    for k in range(1, 61):
+        aside = 0.1 * size * min(1.0, k / 40)
+        coupling.advance([motion(posed()), motion(posed(aside=aside))])
+        moved = [
+            s.nodes + s.model.displacement(made.coordinates)
+            for s, made in zip((body, clothes), simulations, strict=True)
+        ]
+        skin, cloth = (each[s.facing] for each, s in zip(moved, (body, clothes), strict=True))
+        cloth = cloth + np.array([aside, 0.0, 0.0])
+        skin = skin[np.abs(skin[:, 1]) < 0.01]
+        order = np.argsort(skin[:, 0])
+        over = (np.abs(cloth[:, 0]) < 0.35 * SIDES) & (np.abs(cloth[:, 1]) < 0.01)
+        height = np.interp(cloth[over, 0], skin[order, 0], skin[order, 2])
+        deepest.append((height - cloth[over, 2]).max())
+    assert max(deepest) < (0.002 if solver == "FULL" else 0.005) * size, max(deepest) / size
 
 
 def test_clothes_touch_parts_of_the_body_that_are_near_only_through_the_air():

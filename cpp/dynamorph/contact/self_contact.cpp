@@ -6,6 +6,7 @@
 #include <functional>
 #include <map>
 #include <queue>
+#include <utility>
 
 #include "dynamorph/contact/choices.hpp"
 #include "dynamorph/core/errors.hpp"
@@ -19,6 +20,7 @@ namespace {
 
 constexpr int kCluster = 8;  // balls
 constexpr int kMostParts = 1 << 20;
+constexpr int kBeside = 9;      // samples around one, with itself
 constexpr double kSame = 1e-6;  // relative difference of distances that are the same
 constexpr double kAgree = 0.1;  // length of the mean of the balls' directions, below which there is none
 
@@ -50,6 +52,33 @@ OtherSide nearest_of(std::vector<std::pair<double, int>>& all) {
     sum += out.weights[k];
   }
   for (std::size_t k = 0; k < count; ++k) out.weights[k] = sum > 0 ? out.weights[k] / sum : 1.0 / double(count);
+  return out;
+}
+
+/// Skin between samples that surround a place of it.
+struct CurvedSkin {
+  Vector3d mean;    ///< of their places
+  Vector3d normal;  ///< unit; zero where they face everywhere
+  double bends;     ///< how far above their mean it is, because it bends, meters
+  double gap(const Vector3d& x) const { return normal.dot(x - mean) - bends; }
+};
+
+/// Each sample's tangent plane is as far above bent skin as the mean is below it. at(sample, x, normal) sets both; x is
+/// zero before.
+template <class At>
+CurvedSkin curved_skin(const OtherSide& others, const At& at) {
+  std::array<Vector3d, 4> places, normals;
+  CurvedSkin out{Vector3d::Zero(), Vector3d::Zero(), 0};
+  for (std::size_t k = 0; k < places.size(); ++k) {
+    places[k].setZero();
+    normals[k].setZero();
+    if (others.weights[k] > 0) at(others.samples[k], places[k], normals[k]);
+    out.mean += others.weights[k] * places[k];
+    out.normal += others.weights[k] * normals[k];
+  }
+  out.normal = out.normal.norm() > kAgree ? out.normal.normalized().eval() : Vector3d::Zero().eval();
+  for (std::size_t k = 0; k < places.size(); ++k)
+    out.bends += 0.5 * others.weights[k] * normals[k].dot(places[k] - out.mean);
   return out;
 }
 
@@ -246,24 +275,27 @@ NearBalls SelfContact<Model>::near_at_rest(const Vector3d& place, const Vector3d
 template <class Model>
 Worn SelfContact<Model>::wear(int clothes, int body, const SelfContact& other, const PointTransform& to_body) const {
   const Points &skin = other.samples_->rest(), &centers = other.balls_.skin().rest;
-  const PointTransform still = PointTransform::Identity();
-  Worn out{clothes, body, {}, {}, {}, VectorXd::Zero(rest_.rows())};
+  Worn out{clothes, body, {}, {}, {}, {}, VectorXd::Zero(rest_.rows())};
   std::vector<std::pair<double, int>> all;
+  for (Index i = 0; i < skin.rows(); ++i) {
+    all.clear();
+    for (Index s = 0; s < skin.rows(); ++s) all.emplace_back((skin.row(s) - skin.row(i)).squaredNorm(), int(s));
+    std::partial_sort(all.begin(), all.begin() + std::min<std::ptrdiff_t>(kBeside, skin.rows()), all.end());
+    out.beside.emplace_back();
+    for (Index k = 0; k < std::min<Index>(kBeside, skin.rows()); ++k)
+      out.beside.back().push_back(all[std::size_t(k)].second);
+  }
   for (Index i = 0; i < rest_.rows(); ++i) {
     const Eigen::RowVector3d place = (to_body * rest_.row(i).transpose().homogeneous()).transpose();
     all.clear();
     for (Index s = 0; s < skin.rows(); ++s) all.emplace_back((skin.row(s) - place).norm(), int(s));
     out.below.push_back(nearest_of(all));
-    Vector3d normal = Vector3d::Zero(), from = place.transpose();
-    for (std::size_t k = 0; k < out.below.back().samples.size(); ++k) {
-      const int sample = out.below.back().samples[k];
-      const double weight = out.below.back().weights[k];
-      normal += weight * other.samples_->normal(still, sample);
-      from -= weight * skin.row(sample).transpose();
-    }
-    normal.stableNormalize();
-    out.deep(i) = std::min(0.0, normal.dot(from));
-    out.near.push_back(other.near_at_rest(place.transpose(), normal, kInfinity));
+    const CurvedSkin below = curved_skin(out.below.back(), [&](int sample, Vector3d& x, Vector3d& normal) {
+      x = skin.row(sample);
+      normal = other.samples_->normal(PointTransform::Identity(), sample);
+    });
+    out.deep(i) = std::min(0.0, below.gap(place.transpose()));
+    out.near.push_back(other.near_at_rest(place.transpose(), below.normal, kInfinity));
     Index ball;
     ((centers.rowwise() - place).rowwise().norm() - other.body_.radius).minCoeff(&ball);
     out.parts.push_back(other.body_.of_balls[std::size_t(ball)]);
@@ -415,28 +447,58 @@ Vector3d SelfContact<Model>::place(const Body& body, int point) {
   return places[std::size_t(at)];
 }
 
+/// Where the tissue of a sample was, with the bones at the end of the step, world space.
+template <class Model>
+Vector3d SelfContact<Model>::kept(const Body& body, int sample) {
+  Vector3d x = Vector3d::Zero();
+  body.of.samples_->points().each_corner(sample, [&](int v, double weight) { x += weight * vertex(body, v).kept; });
+  return x;
+}
+
+template <class Model>
+OtherSide SelfContact<Model>::followed(const Body& clothes, int point, const Body& body, const Worn& worn) {
+  const OtherSide& below = worn.below[std::size_t(point)];
+  const Vector3d x = kept(clothes, clothes.of.body_.points[std::size_t(point)]);
+  const auto most = std::max_element(below.weights.begin(), below.weights.end());
+  auto& around = clothes.scratch.others;
+  for (int at = below.samples[std::size_t(most - below.weights.begin())], before = -1; at != before;) {
+    around.clear();
+    for (const int sample : worn.beside[std::size_t(at)]) around.emplace_back((kept(body, sample) - x).norm(), sample);
+    before = std::exchange(at, std::min_element(around.begin(), around.end())->second);
+  }
+  return nearest_of(around);
+}
+
+template <class Model>
+typename SelfContact<Model>::Nearest SelfContact<Model>::above(const Body& clothes, int point, const Body& body,
+                                                               const OtherSide& others, double deep) {
+  const ContactSamples<Model>& samples = *body.of.samples_;
+  const CurvedSkin skin = curved_skin(others, [&](int sample, Vector3d& x, Vector3d& normal) {
+    PointTransform carried = PointTransform::Zero();
+    samples.points().each_corner(sample, [&](int v, double weight) {
+      const PosedVertex& known = vertex(body, v);
+      carried.template leftCols<3>() += weight * known.turned;
+      x += weight * known.unmoved;
+    });
+    normal = samples.normal(carried, sample);
+  });
+  return {skin.gap(place(clothes, point)) - deep, skin.normal, skin.normal.isZero() ? -1 : 0, 1};
+}
+
 template <class Model>
 void SelfContact<Model>::lie(const Body& clothes, const Body& body, const Worn& worn, std::vector<Found>& found) {
-  const ContactSamples<Model>& samples = *body.of.samples_;
-  for (std::size_t point = 0; point < worn.below.size(); ++point) {
-    OtherSide below = worn.below[point];
-    Nearest skin{0, Vector3d::Zero(), -1, 1};
-    Vector3d from = place(clothes, int(point));
-    for (std::size_t k = 0; k < below.samples.size(); ++k) {
-      if (!(below.weights[k] > 0)) continue;
-      PointTransform carried = PointTransform::Zero();
-      samples.points().each_corner(below.samples[k], [&](int v, double weight) {
-        const PosedVertex& known = vertex(body, v);
-        carried.template leftCols<3>() += weight * known.turned;
-        from -= below.weights[k] * weight * known.unmoved;
-      });
-      skin.normal += below.weights[k] * samples.normal(carried, below.samples[k]);
-      below.samples[k] += body.first_sample;
-    }
-    if (!(skin.normal.norm() > kAgree)) continue;
-    skin.normal.normalize();
-    skin.gap = skin.normal.dot(from) - worn.deep(Index(point));
-    touch(clothes, int(point), body, skin, below, {clothes.of.body_.of_points[point], worn.parts[point]}, found);
+  for (int point = 0; point < int(worn.below.size()); ++point) {
+    const double deep = worn.deep(point);
+    const Nearest posed = above(clothes, point, body, worn.below[std::size_t(point)], deep);
+    OtherSide below = followed(clothes, point, body, worn);
+    const Nearest skin = above(clothes, point, body, below, deep);
+    if (posed.ball < 0 || skin.ball < 0) continue;
+    for (int& sample : below.samples) sample += body.first_sample;
+    const std::size_t before = found.size();
+    touch(clothes, point, body, skin, below,
+          {clothes.of.body_.of_points[std::size_t(point)], worn.parts[std::size_t(point)]}, found);
+    // What the bones leave no room for is known from where they alone put both.
+    if (found.size() > before) found.back().depth = -posed.gap;
   }
 }
 

@@ -29,9 +29,10 @@
 // up.
 //
 // Two bodies touch each other in the same way: the samples of one meet the balls of the other, all of them, whatever is
-// near at rest. Clothes lie on a body: what the samples of clothes meet is the skin below them at rest, since the bones
-// move both alike, and balls that are far from it through the body. Clothes that are in the body at rest stay as deep
-// as they are. The other way around nothing is searched for, since what clothes are around is not in them.
+// near at rest. Clothes lie on a body: what the samples of clothes meet is the skin that is below them when a step
+// begins, wherever they have slid, and balls that are far from it through the body. Clothes that are in the body at
+// rest stay as deep as they are. The other way around nothing is searched for, since what clothes are around is not in
+// them.
 #pragma once
 
 #include <array>
@@ -69,11 +70,12 @@ using NearBalls = std::vector<std::pair<int, double>>;
 /// Of two bodies that touch each other: the first are clothes that lie on the second. For each of the points of the
 /// clothes (P):
 struct Worn {
-  int clothes, body;             ///< numbers of bodies
-  std::vector<NearBalls> near;   ///< of the body
-  std::vector<OtherSide> below;  ///< samples of the body at rest
-  std::vector<int> parts;        ///< of the body, that they lie on
-  VectorXd deep;                 ///< their gap at rest where that is below zero, otherwise zero, meters
+  int clothes, body;                     ///< numbers of bodies
+  std::vector<NearBalls> near;           ///< of the body
+  std::vector<OtherSide> below;          ///< samples of the body at rest
+  std::vector<std::vector<int>> beside;  ///< of each sample of the body: those around it at rest, and itself
+  std::vector<int> parts;                ///< of the body, that they lie on
+  VectorXd deep;                         ///< their gap at rest where that is below zero, otherwise zero, meters
 };
 
 /// Immutable: simulations may share it.
@@ -159,6 +161,13 @@ class SelfContact {
   static Vector3d place(const Body& body, int point);
   /// Adds the contacts of a body's points with the balls of another one, or of itself; worn: if it lies on that.
   static void search(const Body& body, const Body& other, const Worn* worn, std::vector<Found>& found);
+  static Vector3d kept(const Body& body, int sample);
+  /// A point of clothes above these samples of the body, where bones and targets alone put both; without a ball (-1) if
+  /// these face nowhere. deep: as much in it as it may be.
+  static Nearest above(const Body& clothes, int point, const Body& body, const OtherSide& others, double deep);
+  /// Samples of the body that are nearest to a point of clothes where its tissue was, found from those below it at
+  /// rest.
+  static OtherSide followed(const Body& clothes, int point, const Body& body, const Worn& worn);
   /// Adds those of clothes with the skin that they lie on.
   static void lie(const Body& clothes, const Body& body, const Worn& worn, std::vector<Found>& found);
   /// What is nearer to a point of the body than the margin of the balls of these parts of the other; without a ball
