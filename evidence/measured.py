@@ -33,6 +33,7 @@ PAGES = {
                       "evidence/convergence.py"),
     "panels/feel.md": (*ENGINE, *ADDON, "evidence/feels.py"),
     "collision.md": (*ENGINE, *ADDON, "evidence/collision.py", "evidence/collision_press.py"),
+    "garments.md": (*ENGINE, *ADDON, "evidence/garments.py"),
     "choices.md": ("cpp/dynamorph", "evidence/choices.py"),
     "shapes.md": (*ENGINE, *ADDON, "evidence/shapes.py", "evidence/shapes_cheek.py", "evidence/shapes_joints.py",
                   "evidence/shapes_posed.py", "evidence/recipes", "sample_blends/*.blend"),

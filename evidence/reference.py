@@ -50,6 +50,7 @@ SETTINGS = {
     "DynamorphTarget": "obj.dynamorph.targets[i]",
     "DynamorphChannel": "obj.dynamorph.channels[i]",
     "DynamorphGrip": "obj.dynamorph.grips[i]",
+    "DynamorphPart": "obj.dynamorph.parts[name]",
     "DynamorphModel": "obj.dynamorph.model",
     "DynamorphSimulation": "obj.dynamorph.simulation",
     "DynamorphCollision": "obj.dynamorph.collision",

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import bpy
 import driver
-from driver import Region, step, window
+import numpy as np
+from driver import Region, step, until, window
 from editors import addon, job_done, physics, properties, settings, shown, sidebar, skin, view
 from mathutils import Euler, Vector
 
@@ -46,7 +47,13 @@ PANELS: dict[str, tuple[Region, tuple[str | tuple[str, float], ...]]] = {
     ),
     "firmness": (
         sidebar,
-        ("firmness_group", ("dynamorph.paint_firmness", RIGHT), "dynamorph.hold_bones", "dynamorph.firmness"),
+        (
+            "parts[0].firmness",
+            "firmness_group",
+            ("dynamorph.paint_firmness", RIGHT),
+            "dynamorph.hold_bones",
+            "dynamorph.firmness",
+        ),
     ),
     "max_distance": (
         sidebar,
@@ -169,12 +176,29 @@ def open_character():
     space.shading.color_type = "MATERIAL"
     space.region_3d.view_rotation, space.region_3d.view_distance = turned, 2.6
     space.region_3d.view_location = Vector(shown().mean(axis=0)) - turned @ Vector((ASIDE, 0.0, 0.0))
+    with bpy.context.temp_override(window=window()):
+        bpy.ops.ed.undo_push(message="Open a whole character")  # to which the next step goes back
     yield from driver.drawn()
 
 
 def is_carried(obj) -> bool:
     """Whether it belongs to the character, as its eyes do."""
     return obj.parent is not None and obj.parent.type == "ARMATURE"
+
+
+@step("A softer belly, by its slider")
+def softer_belly():
+    before = firmness()
+    yield from sidebar.unfold("DYNAMORPH_PT_firmness")
+    yield from sidebar.enter("parts[1].firmness", "0.1")
+    yield from until(lambda: (firmness() < before - 0.2).any(), "the belly to be softer")
+    yield from view.key("Z", ctrl=True)
+    yield from until(lambda: np.array_equal(firmness(), before), "it to be undone")
+    yield from sidebar.fold("DYNAMORPH_PT_firmness")
+
+
+def firmness() -> np.ndarray:
+    return addon("scene.read.mesh_data").group_weights(skin(), [settings().firmness_group], 0.5)[:, 0]
 
 
 @step("Bake it")

@@ -63,9 +63,19 @@ class RiggedSkin:
     def areas(self) -> np.ndarray:
         return vertex_areas(self.points, self.triangles)
 
+    @cached_property
+    def described(self) -> list[tuple[str, int]]:
+        """`_described` of each bone's name."""
+        return [_described(name) for name in self.skeleton.names]
+
+    @cached_property
+    def carried(self) -> np.ndarray:
+        """The area (B,) of the skin on each bone and on those below it."""
+        return self.skeleton.below @ (self.weights.T @ self.areas)[:-1]
+
     def on(self, bones: np.ndarray) -> np.ndarray:
         """The share (V,) of the skin that bones (B,) bool carry."""
-        return self.weights[:, :-1] @ bones
+        return self.weights @ np.append(bones, 0.0)  # of all columns, which needs no copy
 
     @cached_property
     def arms(self) -> list[Limb]:
@@ -78,8 +88,7 @@ class RiggedSkin:
         return self._limbs(THIGH)
 
     def _limbs(self, kinds: Sequence[re.Pattern[str]]) -> list[Limb]:
-        below, described = self.skeleton.below, [_described(name) for name in self.skeleton.names]
-        carried = below @ (self.weights[:, :-1].T @ self.areas)
+        below, described, carried = self.skeleton.below, self.described, self.carried
         for kind in kinds:
             named = np.array([bool(side and kind.match(words)) for words, side in described], bool)
             topmost = named & ~(below[named].sum(axis=0) > named)
