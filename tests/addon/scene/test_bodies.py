@@ -464,7 +464,7 @@ def chest():
 
 
 def spring():
-    """One skin, each ring of which follows one bone."""
+    """One skin; each of its rings follows one bone."""
     points, faces = tube_between(0.0, 3.0, 31)
     return [(points * [0.2, 0.2, 1.0], faces, np.eye(3)[points[:, 2].astype(int).clip(0, 2)])], {}
 
