@@ -460,13 +460,17 @@ def test_the_artist_can_make_something_hard_soft(scene, way):
 
 def chest():
     """A box and its lid, which share the hinge."""
-    return [(*tube_between(0.0, 1.0, 9), "upper"), (*tube_between(1.0, 1.4, 5), "lower")], {}
+    return [(*tube_between(0.0, 1.0, 9), "upper"), (*tube_between(1.0, 1.4, 5), "lower")], {"lower": "Lid"}
+
+
+def box_without_names():
+    return [(*tube_between(0.0, 1.0, 9), "upper"), (*tube_between(1.01, 1.4, 5), "lower")], {}
 
 
 def spring():
     """One skin; each of its rings follows one bone."""
     points, faces = tube_between(0.0, 3.0, 31)
-    return [(points * [0.2, 0.2, 1.0], faces, np.eye(3)[points[:, 2].astype(int).clip(0, 2)])], {}
+    return [(points * [0.2, 0.2, 1.0], faces, np.eye(3)[points[:, 2].astype(int).clip(0, 2)])], {"upper": "Spring_01"}
 
 
 def drone():
@@ -478,7 +482,7 @@ def skull():
     return [(*ball((0.0, 0.0, 1.0), 0.8, 16), "upper")], {"upper": "skull"}
 
 
-@pytest.mark.parametrize("made", [chest, spring, drone, skull])
+@pytest.mark.parametrize("made", [chest, box_without_names, spring, drone, skull])
 def test_a_hard_thing_that_is_no_robot_is_recognized(scene, made):
     """Its skin follows one bone each, as a soft character's does not; so one bone or two make no jelly of it."""
     rig = make_figure(scene)["Figure Rig"]

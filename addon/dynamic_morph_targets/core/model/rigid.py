@@ -96,15 +96,18 @@ def rigid_parts(labels: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np
 
 
 def is_machine(skeleton: Skeleton, weights: np.ndarray, points: np.ndarray, triangles: np.ndarray) -> bool:
-    """Whether nearly all of a skin follows one bone each, as of a chest with a lid, a drone or a spring: two bones
-    carry much of it, or one that is called as parts of such things are. Arguments as for `heads`.
+    """Whether nearly all of a skin follows one bone each, as of a chest with a lid, a drone or a spring, and either a
+    bone that carries much of it is called as parts of such things are, or two do and no part follows both. Arguments
+    as for `heads`.
     """
     areas, names = vertex_areas(points, triangles), skeleton.names
     rigid = weights[:, :-1] > RIGID
     carried = rigid.T @ areas / max(areas.sum(), 1e-300)
     much = [name for name, share in zip(names, carried, strict=True) if share > MUCH]
     named = any(word.lower() in HARD_NAMES for name in much for word in WORD.findall(name))
-    return carried.sum() > HARD_SHARE and (len(much) > 1 or named)
+    if not carried.sum() > HARD_SHARE:
+        return False
+    return named or (len(much) > 1 and bool(rigid_parts(loose_parts(points, triangles), weights)[0].all()))
 
 
 def thin_parts(points: np.ndarray, triangles: np.ndarray, labels: np.ndarray, largest: float) -> np.ndarray:
