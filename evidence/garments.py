@@ -23,18 +23,19 @@ import fresh_blender  # noqa: F401
 from project import ROOT
 
 import bpy
+import builders
 import characters
 import dynamic_morph_targets
 import numpy as np
 from bench import machine
-from builders import evaluated_points, make_mesh
+from builders import evaluated_points, make_mesh, shown
 from contact_sheet import quiet, render
 from dynamic_morph_targets.scene.check import checks
 from dynamic_morph_targets.scene.read import mesh_data
 from dynamic_morph_targets.scene.read.source import Source
 from mathutils import Vector
-from mathutils.bvhtree import BVHTree
 from measured import measured_at
+from measures import winding_numbers
 from PIL import Image
 from portrait import aim
 
@@ -45,6 +46,7 @@ CLIPS = {  # of each body: frames of its actions
     "run": ("gen_run_in_place", "gen_run_in_place", (40, 60)),
     "walk": ("cmu_131_02_walk", "cmu_131_01_walk", (40, 64)),
 }
+ARMS = ("upperarm", "lowerarm", "hand", "index", "middle", "ring", "pinky", "thumb")
 GAP, THICK = 0.004, 0.012  # meters: between a garment and the skin, and through it
 LIMITS = {"FULL": 0.2, "REDUCED": 0.5}  # percent of the body's size: no vertex is deeper
 CELL = (300, 340)
@@ -59,11 +61,11 @@ eight of them on two soft bodies, which jump, run and walk, and measures how dee
 The bodies are from MakeHuman ([attribution](attribution.md)). Each garment is cut from the body's skin, {gap:g} mm
 outside and {thick:g} mm thick, or, as skirt and cape, lies around it. Both are as *Add Soft Skin* makes them, with
 *Collision* on, and are baked together. *Bones*: how deep the garment's deepest vertex is in the body where the bones
-alone move both, in percent of the body's size, in the worst frame of a clip: an arm presses a sleeve into the torso, a
-thigh the other one, and the bones leave no room there. *Deepest*: the same of the bake, of the vertices that the bones
-alone leave outside in that frame, from Blender's evaluated meshes; asked: at most {full:g} in Full Quality and
-{reduced:g} in Reduced. *Deeper*: the share of these vertices in all frames that are deeper than that. Values that are
-too large are bold.
+alone move both, in percent of the body's size, in the worst frame of a clip: an arm is pressed into the side of a
+shirt, a thigh into the other one, and the bones leave no room there. *Deepest*: the same of the bake, of the vertices
+that the bones alone leave outside of all parts of the body in that frame, from Blender's evaluated meshes; asked: at
+most {full:g} in Full Quality and {reduced:g} in Reduced. *Deeper*: the share of these vertices in all frames that are
+deeper than that. Values that are too large are bold.
 
 {count} of {all} bakes keep every vertex within the limit.
 
@@ -101,56 +103,44 @@ Made = tuple[np.ndarray, list[list[int]], np.ndarray]
 
 
 def shell(body: Body, keep: np.ndarray, gap: float = GAP) -> Made:
-    """The faces whose corners are all kept, as something closed."""
+    """The faces of the skin whose corners are all kept."""
     faces = [face for face in body.faces if keep[face].all()]
-    used = np.unique(np.concatenate([np.array(face) for face in faces]))
-    number = dict(zip(used.tolist(), range(len(used)), strict=True))
-    count, sides = len(used), {(a, b) for face in faces for a, b in zip(face, [*face[1:], face[0]], strict=True)}
-    closed = [[number[v] + count for v in face] for face in faces]
-    closed += [[number[v] for v in reversed(face)] for face in faces]
-    closed += [[number[a], number[b], number[b] + count, number[a] + count] for a, b in sides if (b, a) not in sides]
+    used, numbers = np.unique(np.concatenate(faces), return_inverse=True)
+    faces = np.split(numbers, np.cumsum([len(face) for face in faces])[:-1])
     points, normals = body.points[used], body.normals[used]
-    points = np.concatenate([points + gap * normals, points + (gap + THICK) * normals])
-    return points, closed, np.tile(body.weights[used], (2, 1))
+    return thick(points + gap * normals, normals, [face.tolist() for face in faces], body.weights[used])
 
 
 def around(body: Body, top: float, bottom: float, angles: np.ndarray, wide: float) -> Made:
     """A cloth that hangs around the body between two heights: rings of ellipses around what is there, wider by `wide`
     meters at the bottom. angles: at which it has points, closed where they go around.
     """
-    rings, closed = np.linspace(top, bottom, 16), np.ptp(angles) > 6.0
-    grid = []
+    rings, columns = np.linspace(top, bottom, 16), len(angles)
+    points = []
     for k, height in enumerate(rings):
-        there = np.abs(body.height - height) < 0.02
-        there &= body.on("hand", "lowerarm", "upperarm", "index", "middle", "ring", "pinky", "thumb") < 0.1
+        there = (np.abs(body.height - height) < 0.02) & (body.on(*ARMS) < 0.1)
         half = np.abs(body.points[there, 0]).max(), 0.5 * np.ptp(body.points[there, 1])
         middle, more = body.points[there, 1].mean(), 0.02 + wide * k / len(rings)
-        z = height * body.points[:, 2].max()
-        grid.append([(a * (half[0] + more), middle + b * (half[1] + more), z) for a, b in _around(angles)])
-    inner = np.array(grid)
-    outward = inner - inner.mean(axis=1, keepdims=True)
+        across, along = np.sin(angles) * (half[0] + more), middle + np.cos(angles) * (half[1] + more)
+        points.append(np.column_stack([across, along, np.full(columns, height * body.points[:, 2].max())]))
+    outward = np.array(points) - np.mean(points, axis=1, keepdims=True)
     outward /= np.linalg.norm(outward, axis=2, keepdims=True)
-    rows, columns = len(rings), len(angles)
-    inner = outside(body, inner.reshape(-1, 3))
-    points = np.concatenate([inner, inner + THICK * outward.reshape(-1, 3)])
-    grid = np.arange(rows * columns).reshape(rows, columns)
-    faces = []
-    for row in range(rows - 1):
-        for column in range(columns if closed else columns - 1):
-            other = (column + 1) % columns
-            face = [
-                int(grid[row, column]),
-                int(grid[row, other]),
-                int(grid[row + 1, other]),
-                int(grid[row + 1, column]),
-            ]
-            faces += [face[::-1], [v + rows * columns for v in face]]
-    sides = {(a, b) for face in faces for a, b in zip(face, [*face[1:], face[0]], strict=True)}
-    first = rows * columns
-    open_sides = [(a, b) for a, b in sides if (b, a) not in sides and max(a, b) < first]
-    faces += [[b, a, a + first, b + first] for a, b in open_sides]
-    tree = np.linalg.norm(points[:, None] - body.points[None, ::3], axis=2).argmin(axis=1)
-    return points, faces, body.weights[::3][tree]
+    grid = np.arange(len(rings) * columns).reshape(len(rings), columns)
+    grid = np.column_stack([grid, grid[:, :1]]) if np.ptp(angles) > 6.0 else grid
+    faces = np.stack([grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:], grid[:-1, :-1]], axis=-1).reshape(-1, 4)
+    inner = outside(body, np.concatenate(points))
+    nearest = np.linalg.norm(inner[:, None] - body.points[None], axis=2).argmin(axis=1)
+    return thick(inner, outward.reshape(-1, 3), faces[:, ::-1].tolist(), body.weights[nearest])
+
+
+def thick(inner: np.ndarray, outward: np.ndarray, faces: list[list[int]], weights: np.ndarray) -> Made:
+    """A surface, its copy THICK outside, and what closes both along their borders. faces: counterclockwise from
+    outside.
+    """
+    count, sides = len(inner), {(a, b) for face in faces for a, b in zip(face, [*face[1:], face[0]], strict=True)}
+    closed = [[v + count for v in face] for face in faces] + [face[::-1] for face in faces]
+    closed += [[a, b, b + count, a + count] for a, b in sides if (b, a) not in sides]
+    return np.concatenate([inner, inner + THICK * outward]), closed, np.tile(weights, (2, 1))
 
 
 def outside(body: Body, points: np.ndarray) -> np.ndarray:
@@ -161,10 +151,6 @@ def outside(body: Body, points: np.ndarray) -> np.ndarray:
         above = np.einsum("ij,ij->i", points - body.points[nearest], normals)
         points = points + (GAP - above).clip(0.0)[:, None] * normals
     return points
-
-
-def _around(angles: np.ndarray) -> np.ndarray:
-    return np.column_stack([np.sin(angles), np.cos(angles)])
 
 
 GARMENTS: dict[str, tuple[str, Callable[[Body], Made]]] = {
@@ -206,15 +192,18 @@ def bake_one(name: str, clip: str, quality: str, file: Path) -> int:
         for obj, other in ((body, garment), (garment, body)):
             next(each for each in obj.dynamorph.attachments if each.object == other).attached_by = "OWN_CAGE"
             obj.dynamorph.collision.use, obj.dynamorph.model.quality = True, quality
-        bones = depths(garment, body)
+        plain = shown([garment, body])
         bpy.ops.dynamorph.bake_all()
     size = np.linalg.norm(np.ptp(mesh_data.rest_points(body), axis=0))
-    deepest = np.where(bones <= 0.0, 100.0 * depths(garment, body) / size, -np.inf)
+    triangles = mesh_data.mesh_triangles(body.data)
+    deepest = 100.0 * depths(*shown([garment, body]), triangles) / size
+    room = has_room(*plain, triangles, deepest > LIMITS[quality])
     figures = {
-        "bones": 100.0 * bones.max() / size,
-        "deepest": deepest.max(),
-        "deeper": float((deepest > LIMITS[quality]).sum() / (bones <= 0.0).sum()),
+        "bones": 100.0 * depths(*plain, triangles).max() / size,
+        "deepest": deepest[room].max(),
+        "deeper": float((deepest[room] > LIMITS[quality]).mean()),
     }
+    deepest = np.where(room, deepest, -np.inf)
     file.write_text(json.dumps(figures) + "\n", encoding="utf-8")
     worst = scene.frame_start + int(deepest.max(axis=1).argmax())
     scene.frame_set(worst)
@@ -246,17 +235,21 @@ def dressed(body, rig, name: str, made: Callable[[Body], Made]):
     return garment
 
 
-def depths(garment, body) -> np.ndarray:
-    """How deep the garment's vertices are in the body (F, V), meters; negative outside."""
-    triangles, found = mesh_data.mesh_triangles(body.data).tolist(), []
-    for frame in range(bpy.context.scene.frame_start, bpy.context.scene.frame_end + 1):
-        bpy.context.scene.frame_set(frame)
-        tree = BVHTree.FromPolygons(evaluated_points(body).tolist(), triangles, all_triangles=True)
-        points = evaluated_points(garment)
-        nearest = [tree.find_nearest(point)[:2] for point in points.tolist()]
-        places, normals = (np.array([tuple(each[k]) for each in nearest]) for k in (0, 1))
-        found.append(np.einsum("vc,vc->v", places - points, normals))
-    return np.array(found)
+def depths(garment: np.ndarray, body: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """How deep the garment's vertices (F, V, 3) are in the body (F, W, 3): (F, V), meters; negative outside."""
+    faces = triangles.tolist()
+    return np.array([builders.depths(points, skin, faces) for points, skin in zip(garment, body, strict=True)])
+
+
+def has_room(garment: np.ndarray, body: np.ndarray, triangles: np.ndarray, asked: np.ndarray) -> np.ndarray:
+    """Which vertices (F, V) of the garment are in no part of the body where the bones alone move both, by the winding
+    number: a vertex that is in an arm may be in front of the nearest skin. Those that are not asked for have room.
+    """
+    room = np.ones(asked.shape, bool)
+    for frame in np.flatnonzero(asked.any(axis=1)):
+        wanted = asked[frame]
+        room[frame, wanted] = winding_numbers(garment[frame, wanted], body[frame], triangles) < 0.5
+    return room
 
 
 # The page -----------------------------------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ from bench import machine
 from bl_ext.user_default.dynamic_morph_targets.scene.check import body_checks
 from bl_ext.user_default.dynamic_morph_targets.scene.skinning import Skinning
 from bl_ext.user_default.dynamic_morph_targets.ui import messages
-from builders import evaluated_points
+from builders import shown
 from contact_sheet import quiet
 from measured import measured_at, write_between
 
@@ -91,7 +91,7 @@ def measured(opened: Callable[[], Tried]) -> tuple[str, ...]:
     with quiet():
         tried = opened()
         body, rig = tried.body, Skinning.of(tried.body).rig
-        plain = shown(tried)
+        plain = shown([body, tried.face])
     about = (f"{len(body.data.vertices):,}", f"{len(rig.data.bones)} ({len(Skinning.of(body).bones(rig))})")
     seconds, failed, said = [], "", []
     for press in (bpy.ops.dynamorph.add_soft_skin, bpy.ops.dynamorph.build, bpy.ops.dynamorph.bake):
@@ -110,7 +110,7 @@ def measured(opened: Callable[[], Tried]) -> tuple[str, ...]:
     if failed:
         return (*about, *seconds, body.dynamorph.model.head or "none", "", "", "", f"**{failed}**")
     with quiet():
-        skin, face = (after - before for after, before in zip(shown(tried), plain, strict=True))
+        skin, face = (after - before for after, before in zip(shown([body, tried.face]), plain, strict=True))
     assert np.isfinite(skin).all(), body.name
     height = plain[1][0, :, 2]
     moves = farthest(skin), farthest(face[:, height > height.max() - SCALP * np.ptp(plain[0][0, :, 2])])
@@ -119,16 +119,6 @@ def measured(opened: Callable[[], Tried]) -> tuple[str, ...]:
     found = f"{len(parts)} of {len(soft_parts.PLACES)}"
     head = body.dynamorph.model.head or "none"
     return (*about, *seconds, head, moves[1], moves[0], found, "; ".join(dict.fromkeys(said)))
-
-
-def shown(tried: Tried) -> list[np.ndarray]:
-    """World positions (F, V, 3) of body and face over the scene's frames."""
-    scene, frames = bpy.context.scene, []
-    for frame in range(scene.frame_start, scene.frame_end + 1):
-        scene.frame_set(frame)
-        frames.append([evaluated_points(obj) for obj in (tried.body, tried.face)])
-    scene.frame_set(scene.frame_start)
-    return [np.array(points) for points in zip(*frames, strict=True)]
 
 
 def farthest(moved: np.ndarray) -> str:

@@ -16,6 +16,7 @@ import bpy
 import numpy as np
 import pytest
 import scenes
+from mathutils.bvhtree import BVHTree
 from pins import with_pins
 
 KEPT = ".Dynamorph Sampling"  # what Live has rigs read in, for as long as it reads
@@ -179,6 +180,25 @@ def evaluated_points(obj) -> np.ndarray:
     evaluated.data.attributes["position"].data.foreach_get("vector", points.ravel())
     world = np.array(evaluated.matrix_world)
     return points @ world[:3, :3].T + world[:3, 3]
+
+
+def shown(meshes) -> list[np.ndarray]:
+    """World positions (F, V, 3) of each mesh over the scene's frames."""
+    scene = bpy.context.scene
+    frames = []
+    for frame in range(scene.frame_start, scene.frame_end + 1):
+        scene.frame_set(frame)
+        frames.append([evaluated_points(mesh) for mesh in meshes])
+    scene.frame_set(scene.frame_start)
+    return [np.array(points) for points in zip(*frames, strict=True)]
+
+
+def depths(points: np.ndarray, surface: np.ndarray, triangles: list) -> np.ndarray:
+    """How deep points (P, 3) are behind the nearest triangle of a surface (V, 3): (P,), negative in front of it."""
+    tree = BVHTree.FromPolygons(surface.tolist(), triangles, all_triangles=True)
+    nearest = [tree.find_nearest(point)[:2] for point in points.tolist()]
+    places, normals = (np.array([tuple(each[k]) for each in nearest]) for k in (0, 1))
+    return np.einsum("pc,pc->p", places - points, normals)
 
 
 def keys_of(obj):

@@ -6,7 +6,6 @@
 #include <functional>
 #include <map>
 #include <queue>
-#include <utility>
 
 #include "dynamorph/contact/choices.hpp"
 #include "dynamorph/core/errors.hpp"
@@ -458,13 +457,17 @@ Vector3d SelfContact<Model>::kept(const Body& body, int sample) {
 template <class Model>
 OtherSide SelfContact<Model>::followed(const Body& clothes, int point, const Body& body, const Worn& worn) {
   const OtherSide& below = worn.below[std::size_t(point)];
+  if (!(below.weights[0] > 0)) return below;  // the body has a single sample, or none
   const Vector3d x = kept(clothes, clothes.of.body_.points[std::size_t(point)]);
-  const auto most = std::max_element(below.weights.begin(), below.weights.end());
   auto& around = clothes.scratch.others;
-  for (int at = below.samples[std::size_t(most - below.weights.begin())], before = -1; at != before;) {
+  std::pair<double, int> nearest{kInfinity, below.samples[0]};
+  for (bool comes_nearer = true; comes_nearer;) {
     around.clear();
-    for (const int sample : worn.beside[std::size_t(at)]) around.emplace_back((kept(body, sample) - x).norm(), sample);
-    before = std::exchange(at, std::min_element(around.begin(), around.end())->second);
+    for (const int sample : worn.beside[std::size_t(nearest.second)])
+      around.emplace_back((kept(body, sample) - x).norm(), sample);
+    const auto next = *std::min_element(around.begin(), around.end());
+    comes_nearer = next.first < nearest.first;
+    if (comes_nearer) nearest = next;
   }
   return nearest_of(around);
 }
@@ -489,8 +492,8 @@ template <class Model>
 void SelfContact<Model>::lie(const Body& clothes, const Body& body, const Worn& worn, std::vector<Found>& found) {
   for (int point = 0; point < int(worn.below.size()); ++point) {
     const double deep = worn.deep(point);
-    const Nearest posed = above(clothes, point, body, worn.below[std::size_t(point)], deep);
     OtherSide below = followed(clothes, point, body, worn);
+    const Nearest posed = above(clothes, point, body, worn.below[std::size_t(point)], deep);
     const Nearest skin = above(clothes, point, body, below, deep);
     if (posed.ball < 0 || skin.ball < 0) continue;
     for (int& sample : below.samples) sample += body.first_sample;

@@ -10,7 +10,7 @@ import rig_families
 import soft_parts
 from bl_ext.user_default.dynamic_morph_targets.scene.check import body_checks, checks
 from bl_ext.user_default.dynamic_morph_targets.ui import messages
-from builders import activate, evaluated_points, fingerprint
+from builders import activate, fingerprint, shown
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -44,17 +44,6 @@ ATTACHED = {
         "eyeLeft_lod0_mesh": "RIGID",
     },
 }
-
-
-def shown(meshes) -> list[np.ndarray]:
-    """World positions (F, V, 3) of each mesh over the scene's frames."""
-    scene = bpy.context.scene
-    frames = []
-    for frame in range(scene.frame_start, scene.frame_end + 1):
-        scene.frame_set(frame)
-        frames.append([evaluated_points(mesh) for mesh in meshes])
-    scene.frame_set(scene.frame_start)
-    return [np.array(points) for points in zip(*frames, strict=True)]
 
 
 @pytest.fixture(scope="module", params=rig_families.FAMILIES)

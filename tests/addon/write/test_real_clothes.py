@@ -2,12 +2,12 @@
 """The swimsuit and the eyes of a body made by others."""
 
 import bpy
+import builders
 import numpy as np
 import pytest
 import real_character
 from bl_ext.user_default.dynamic_morph_targets.scene.read import mesh_data
 from builders import evaluated_points
-from mathutils.bvhtree import BVHTree
 from robustness import OPS, bake
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
@@ -23,10 +23,7 @@ def depths(suit, body):
     out = []
     for frame in FRAMES:
         bpy.context.scene.frame_set(frame)
-        tree = BVHTree.FromPolygons(evaluated_points(body).tolist(), triangles, all_triangles=True)
-        nearest = [tree.find_nearest(point)[:2] for point in evaluated_points(suit).tolist()]
-        surface, normals = np.array([[tuple(of) for of in each] for each in nearest]).swapaxes(0, 1)
-        out.append(np.einsum("vc,vc->v", surface - evaluated_points(suit), normals))
+        out.append(builders.depths(evaluated_points(suit), evaluated_points(body), triangles))
     return np.maximum(out, 0.0)
 
 

@@ -51,10 +51,10 @@ class Limb:
 
 @dataclass(frozen=True)
 class RiggedSkin:
-    """heads (B, 3): of the bones, and points (V, 3): bind space; triangles (T, 3); weights (V, B + 1)."""
+    """bone_heads (B, 3) and points (V, 3): bind space; triangles (T, 3); weights (V, B + 1)."""
 
     skeleton: Skeleton
-    heads: np.ndarray
+    bone_heads: np.ndarray
     points: np.ndarray
     triangles: np.ndarray
     weights: np.ndarray
@@ -107,7 +107,7 @@ class RiggedSkin:
         """A limb that begins with this bone. It bends where what carries most of those that are named otherwise
         begins.
         """
-        below, heads = self.skeleton.below, self.heads
+        below, heads = self.skeleton.below, self.bone_heads
         others = [other for other in np.flatnonzero(below[bone] & ~named) if named[self.skeleton.parents[other]]]
         others = [other for other in others if (heads[other] != heads[bone]).any()]
         if not others:

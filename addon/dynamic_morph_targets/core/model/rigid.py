@@ -19,20 +19,8 @@ COINCIDE = 1e-5  # of the body's size; points nearer than this are at one place
 SOFT_SHARE = 0.12  # of the volume of its parts; a wholly hard character has less soft volume
 HARD_SHARE = 0.98  # of the area; where more follows one bone each, nothing bends: of soft characters at most 0.65 does
 MUCH = 0.1  # of the area; a bone that carries more of a hard thing is a part of it, as a lid is
-HARD_NAMES = {
-    "lid",
-    "bottom",
-    "hinge",
-    "spring",
-    "coil",
-    "rotor",
-    "propeller",
-    "wheel",
-    "gear",
-    "piston",
-    "door",
-    "skull",
-}
+HARD_NAMES = {"lid", "bottom", "hinge", "spring", "coil", "rotor", "propeller", "wheel", "gear", "piston", "door",
+              "skull"}  # fmt: skip  # of bones; words
 WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^\x00-\x7f]+|\d+")  # of a bone's name
 NAMED_HEAD = re.compile(r"(?<![a-z])(head|skull)(?![a-z])|^頭", re.IGNORECASE)  # in MMD's models Japanese
 NAMED_SHARE = (0.005, 0.6)  # of the area; a bone with such a name carries more if it is a head
@@ -100,13 +88,12 @@ def is_machine(skeleton: Skeleton, weights: np.ndarray, points: np.ndarray, tria
     bone that carries much of it is called as parts of such things are, or two do and no part follows both. Arguments
     as for `heads`.
     """
-    areas, names = vertex_areas(points, triangles), skeleton.names
-    rigid = weights[:, :-1] > RIGID
-    carried = rigid.T @ areas / max(areas.sum(), 1e-300)
-    much = [name for name, share in zip(names, carried, strict=True) if share > MUCH]
-    named = any(word.lower() in HARD_NAMES for name in much for word in WORD.findall(name))
+    areas = vertex_areas(points, triangles)
+    carried = (weights[:, :-1] > RIGID).T @ areas / max(areas.sum(), 1e-300)
     if not carried.sum() > HARD_SHARE:
         return False
+    much = [name for name, share in zip(skeleton.names, carried, strict=True) if share > MUCH]
+    named = any(word.lower() in HARD_NAMES for name in much for word in WORD.findall(name))
     return named or (len(much) > 1 and bool(rigid_parts(loose_parts(points, triangles), weights)[0].all()))
 
 

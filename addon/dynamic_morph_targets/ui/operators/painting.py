@@ -10,7 +10,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty
 from bpy.types import Operator
 
-from ...core.errors import DynamorphError
+from ...core.errors import DynamorphError, sentence
 from ...core.message import Message, translated
 from ...core.painted_map import FIRMNESS, MAX_DISTANCE, PaintedMap
 from ...scene import events, skin
@@ -107,7 +107,7 @@ def _set_part(obj: bpy.types.Object, name: str, firmness: float) -> None:
     except DynamorphError as problem:
         if bpy.app.background:
             raise
-        text = translated(str(problem), rpt_)
+        text = translated(sentence(problem), rpt_)
         bpy.context.window_manager.popup_menu(lambda menu, _: menu.layout.label(text=text), icon="ERROR")
 
 

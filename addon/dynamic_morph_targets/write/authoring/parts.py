@@ -80,8 +80,7 @@ def _looked_for(
     moved = references.as_moved(skeleton, source.rig)
     heads = rigid.heads(moved, whole.weights, bind, whole.triangles)
     of_head = rigid.head_rigidity(moved, whole.weights, bind, whole.triangles, heads)
-    joints = source.bone_heads
-    skin = body_parts.RiggedSkin(skeleton, joints, bind, whole.triangles, whole.weights)
+    skin = body_parts.RiggedSkin(skeleton, source.bone_heads, bind, whole.triangles, whole.weights)
     ends = np.cumsum([len(mesh.data.vertices) for mesh in meshes])
     shares = {}
     for name, share in body_parts.find(skin, of_head).items():

@@ -28,6 +28,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import SceneError, SetupError
+from ...core.firmness import NEUTRAL
 from ...core.geometry import determinant, turned
 from ...core.motion.keyed import Setting
 from ...core.painted_map import MAPS
@@ -76,7 +77,7 @@ NOT_AUTHORED = {
 # that differ, and a pose for each of them has all bones.
 MOST = {"targets": 1000, "channels": 1000, "modes": 1000, "attachments": 1000, "parts": 1000}
 MOST_BONES = 100_000  # in the poses of all targets together
-PARTS = {
+SECTIONS = {
     "skin": DynamorphSettings,
     "model": DynamorphModel,
     "simulation": DynamorphSimulation,
@@ -111,7 +112,7 @@ def of_object(obj: bpy.types.Object) -> dict:
         "collision": {**authored(settings.collision), "collection": collection.name if collection else ""},
         "output": authored(settings.output),
         "modes": [authored(mode) for mode in settings.modes],
-        "parts": [authored(part) for part in settings.parts],
+        "parts": [authored(part) for part in settings.parts if part.firmness != NEUTRAL],
         "attachments": [
             {**authored(each), "object": each.object.name if each.object else ""}
             for each in settings.attachments
@@ -326,13 +327,13 @@ def check(setup: object) -> None:
         _check_channel(f"Channel {i + 1}", channel)
     for i, attachment in enumerate(lists["attachments"]):
         _check_attachment(f"Attachment {i + 1}", attachment)
-    for part, kind in PARTS.items():
-        values = setup.get(part, {})
-        if part == "collision" and isinstance(values, dict):
+    for section, kind in SECTIONS.items():
+        values = setup.get(section, {})
+        if section == "collision" and isinstance(values, dict):
             if not is_text(values.get("collection", "")):
                 raise SetupError("Collision: collection must be a name")
             values = _simple(values)
-        _check_values(part.capitalize(), kind, values)
+        _check_values(section.capitalize(), kind, values)
 
 
 def _check_counts(lists: dict[str, list]) -> None:
